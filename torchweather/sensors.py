@@ -1,0 +1,385 @@
+"""Camera, Lidar, Radar: geometry, optics and link budget of a sensor, as frozen dataclasses with presets.
+
+Frames: the vehicle's x forward, y left, z up; the camera's x right, y down, z along the axis. A pixel's
+centre (row i, column j) lies at y = i, x = j.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
+from importlib import resources
+from typing import Any, ClassVar, Self
+
+import torch
+import yaml
+from torch import Tensor
+
+from torchweather.errors import check_at_least, check_between, check_one_of, check_positive, nearest_name
+
+__all__ = ["BAYER_PATTERNS", "Camera", "Lidar", "Radar", "Sensor", "sensor_preset"]
+
+BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG", "RCCB")
+SENSOR_KINDS = ("camera", "lidar", "radar")
+
+# Iterations of the fixed point that inverts Brown-Conrady; each one gains a factor |distortion| < 0.3.
+UNDISTORT_ITERATIONS = 12
+
+
+@lru_cache(maxsize=1)
+def _presets() -> dict[str, dict[str, dict[str, Any]]]:
+    text = resources.files("torchweather").joinpath("presets", "sensors.yaml").read_text(encoding="utf-8")
+    loaded = yaml.safe_load(text)
+    return {kind: dict(loaded[kind]) for kind in SENSOR_KINDS}
+
+
+class Sensor:
+    """What the three sensors share: presets, a plain dictionary and back."""
+
+    kind: ClassVar[str] = ""
+
+    @classmethod
+    def preset(cls, name: str, **overrides: Any) -> Self:
+        """The named sensor of the library, with any field replaced.
+
+        Example:
+            >>> Camera.preset("lucid-triton").width
+            1936
+        """
+        known = _presets()[cls.kind]
+        check_one_of("preset", name, known, owner=cls)
+        values = {key: value for key, value in known[name].items() if key != "source"}
+        return cls.from_dict({**values, **overrides})
+
+    @classmethod
+    def presets(cls) -> dict[str, str]:
+        """Names of the presets and where their numbers come from."""
+        return {name: str(values.get("source", "")) for name, values in _presets()[cls.kind].items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Build the sensor from plain values; unknown keys are refused with the nearest name."""
+        known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        for key in values:
+            if key not in known:
+                raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that ``from_dict`` takes and YAML can hold."""
+        return {
+            key: [list(row) if isinstance(row, tuple) else row for row in value] if isinstance(value, tuple) else value
+            for key, value in asdict(self).items()  # type: ignore[call-overload]
+        }
+
+
+@dataclass(frozen=True)
+class Camera(Sensor):
+    """A camera that delivers its raw Bayer mosaic.
+
+    Args:
+        width, height: pixels; both even.
+        fx, fy: focal length in pixels.
+        cx, cy: principal point in pixels; the default is the image's centre.
+        bayer_pattern: colours of the top-left 2 x 2 cell read in rows; C is a clear (unfiltered) pixel.
+        wavelengths_nm: blue, green, red; 460, 530, 600 nm as in D3.4. Clear pixels use ``clear_wavelength_nm``.
+        bit_depth: bits of the raw value; sets the default ``white_level``.
+        black_level, white_level: raw values of black and of saturation.
+        response_knots: companding of the raw value, points (linear, raw), both rising from (0, 0) to (1, 1);
+            ``None`` where raw is linear in light.
+        exposure_s: exposure time, seconds.
+        f_number, focal_length_mm, focus_distance_m: defocus; ``f_number=None`` is a pinhole (no defocus),
+            ``focus_distance_m=None`` is focus at infinity.
+        roll_rad, pitch_rad: mounting; pitch positive looks up, roll positive turns the camera clockwise as seen
+            from behind it.
+        height_m: height of the camera over flat ground.
+        k1, k2, p1, p2, k3: Brown-Conrady lens distortion (OpenCV order and sign).
+
+    Example:
+        >>> Camera.from_intrinsics(fx=721.5, fy=721.5, cx=609.6, cy=172.9, width=1242, height=374).width
+        1242
+    """
+
+    kind: ClassVar[str] = "camera"
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float | None = None
+    cy: float | None = None
+    bayer_pattern: str = "RGGB"
+    wavelengths_nm: tuple[float, float, float] = (460.0, 530.0, 600.0)
+    clear_wavelength_nm: float = 550.0
+    bit_depth: int = 12
+    black_level: float = 0.0
+    white_level: float | None = None
+    response_knots: tuple[tuple[float, float], ...] | None = None
+    exposure_s: float = 0.005
+    f_number: float | None = None
+    focal_length_mm: float | None = None
+    focus_distance_m: float | None = None
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    height_m: float = 1.5
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_one_of("bayer_pattern", self.bayer_pattern, BAYER_PATTERNS, owner=self)
+        for name in ("width", "height"):
+            check_at_least(name, getattr(self, name), 1, unit="px", owner=self)
+        for name in ("fx", "fy"):
+            check_positive(name, getattr(self, name), unit="px", owner=self)
+        check_positive("exposure_s", self.exposure_s, unit="s", owner=self)
+        check_positive("height_m", self.height_m, unit="m", owner=self)
+        check_between("bit_depth", self.bit_depth, 1, 32, unit="bits", owner=self)
+        check_between("pitch_rad", self.pitch_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
+        check_between("roll_rad", self.roll_rad, -math.pi, math.pi, unit="rad", owner=self)
+        for wavelength in (*self.wavelengths_nm, self.clear_wavelength_nm):
+            check_between("wavelengths_nm", wavelength, 300.0, 2500.0, unit="nm", owner=self)
+        object.__setattr__(self, "wavelengths_nm", tuple(float(w) for w in self.wavelengths_nm))
+        object.__setattr__(self, "cx", (self.width - 1) / 2 if self.cx is None else float(self.cx))
+        object.__setattr__(self, "cy", (self.height - 1) / 2 if self.cy is None else float(self.cy))
+        white = float(2**self.bit_depth - 1) if self.white_level is None else float(self.white_level)
+        object.__setattr__(self, "white_level", white)
+        check_at_least("black_level", self.black_level, 0.0, owner=self)
+        if white <= self.black_level:
+            raise ValueError(f"Camera: white_level must exceed black_level; got {white:g} and {self.black_level:g}.")
+        if self.f_number is not None:
+            check_positive("f_number", self.f_number, owner=self)
+            check_positive("focal_length_mm", self.focal_length_mm, unit="mm", owner=self)
+        if self.focus_distance_m is not None:
+            check_positive("focus_distance_m", self.focus_distance_m, unit="m", owner=self)
+        if self.response_knots is not None:
+            self._check_knots(self.response_knots)
+
+    def _check_knots(self, knots: tuple[tuple[float, float], ...]) -> None:
+        points = tuple((float(linear), float(raw)) for linear, raw in knots)
+        rising = all(a[0] < b[0] and a[1] < b[1] for a, b in zip(points, points[1:], strict=False))
+        if len(points) < 2 or points[0] != (0.0, 0.0) or points[-1] != (1.0, 1.0) or not rising:
+            raise ValueError(
+                "Camera: response_knots must be points (linear, raw) that both rise from (0, 0) to (1, 1); "
+                f"got {knots!r}."
+            )
+        object.__setattr__(self, "response_knots", points)
+
+    @classmethod
+    def from_intrinsics(
+        cls, fx: float, fy: float, cx: float, cy: float, width: int, height: int, **more: Any
+    ) -> Camera:
+        """A camera from its calibration matrix, pixels; every other field by keyword."""
+        return cls.from_dict({"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **more})
+
+    @classmethod
+    def from_field_of_view(
+        cls, horizontal_rad: float, vertical_rad: float, width: int, height: int, **more: Any
+    ) -> Camera:
+        """A distortion-free camera from its full angles of view, radians."""
+        check_between("horizontal_rad", horizontal_rad, 1e-3, math.pi - 1e-3, unit="rad", owner=cls)
+        check_between("vertical_rad", vertical_rad, 1e-3, math.pi - 1e-3, unit="rad", owner=cls)
+        fx = width / 2 / math.tan(horizontal_rad / 2)
+        fy = height / 2 / math.tan(vertical_rad / 2)
+        return cls.from_dict({"width": width, "height": height, "fx": fx, "fy": fy, **more})
+
+    @property
+    def principal_point_px(self) -> tuple[float, float]:
+        """cx, cy."""
+        assert self.cx is not None and self.cy is not None  # set in __post_init__
+        return self.cx, self.cy
+
+    @property
+    def intrinsics(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy in pixels."""
+        return (self.fx, self.fy, *self.principal_point_px)
+
+    @property
+    def saturation_level(self) -> float:
+        """Raw value of saturation."""
+        assert self.white_level is not None  # set in __post_init__
+        return self.white_level
+
+    @property
+    def distorted(self) -> bool:
+        """True where the lens distorts."""
+        return any((self.k1, self.k2, self.p1, self.p2, self.k3))
+
+    @property
+    def aperture_m(self) -> float:
+        """Diameter of the entrance pupil, metres; 0 for a pinhole."""
+        if self.f_number is None or self.focal_length_mm is None:
+            return 0.0
+        return self.focal_length_mm * 1e-3 / self.f_number
+
+    @property
+    def bands(self) -> dict[str, float]:
+        """Colour names of the CFA and their wavelengths, nm, in the order of the CFA index (red, green or clear, blue)."""
+        blue, green, red = self.wavelengths_nm
+        middle = ("clear", self.clear_wavelength_nm) if "C" in self.bayer_pattern else ("green", green)
+        return {"red": red, middle[0]: middle[1], "blue": blue}
+
+    def cropped(self, top: int, left: int, height: int, width: int) -> Camera:
+        """The camera that sees only a window of the image; even offsets keep the Bayer phase."""
+        if top % 2 or left % 2:
+            raise ValueError(f"Camera: top and left must be even to keep the Bayer phase; got {top}, {left}.")
+        cx, cy = self.principal_point_px
+        return replace(self, width=width, height=height, cx=cx - left, cy=cy - top)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera with the same view on another pixel grid."""
+        sx, sy = width / self.width, height / self.height
+        cx, cy = self.principal_point_px
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(cx + 0.5) * sx - 0.5,
+            cy=(cy + 0.5) * sy - 0.5,
+        )
+
+    def down_direction(self) -> tuple[float, float, float]:
+        """Unit vector of gravity in camera coordinates (x right, y down, z along the axis).
+
+        Example:
+            >>> Camera.preset("lucid-triton").down_direction()
+            (0.0, 1.0, 0.0)
+        """
+        down, forward = math.cos(self.pitch_rad), -math.sin(self.pitch_rad)
+        return (down * math.sin(self.roll_rad), down * math.cos(self.roll_rad), forward + 0.0)
+
+    def camera_from_vehicle(self) -> tuple[tuple[float, float, float], ...]:
+        """Rotation ``R`` (rows) with ``v_camera = R v_vehicle``; vehicle x forward, y left, z up."""
+        cp, sp = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
+        cr, sr = math.cos(self.roll_rad), math.sin(self.roll_rad)
+        right, down, forward = (0.0, -1.0, 0.0), (sp, 0.0, -cp), (cp, 0.0, sp)
+        rolled_right = tuple(cr * r + sr * d for r, d in zip(right, down, strict=True))
+        rolled_down = tuple(-sr * r + cr * d for r, d in zip(right, down, strict=True))
+        return (rolled_right, rolled_down, forward)  # type: ignore[return-value]
+
+    def distort(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Brown-Conrady: undistorted normalised coordinates (x/z, y/z) to distorted ones."""
+        r2 = x * x + y * y
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        return (
+            x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
+            y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
+        )
+
+    def undistort(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Distorted normalised coordinates to undistorted ones, by fixed-point iteration; identity without distortion."""
+        if not self.distorted:
+            return x, y
+        xu, yu = x, y
+        for _ in range(UNDISTORT_ITERATIONS):
+            xd, yd = self.distort(xu, yu)
+            xu, yu = xu + (x - xd), yu + (y - yd)
+        return xu, yu
+
+    def ray_directions(
+        self,
+        height: int | None = None,
+        width: int | None = None,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+    ) -> Tensor:
+        """Direction of every pixel's ray in camera coordinates, scaled to z = 1 (lens distortion removed).
+
+        Returns:
+            ``(3, H, W)``: x/z, y/z, 1. A pixel of depth Z metres lies at ``Z * direction``.
+
+        Example:
+            >>> Camera.preset("lucid-triton").ray_directions().shape
+            torch.Size([3, 1464, 1936])
+        """
+        h, w = height or self.height, width or self.width
+        cx, cy = self.principal_point_px
+        x = (torch.arange(w, device=device, dtype=dtype) - cx) / self.fx
+        y = (torch.arange(h, device=device, dtype=dtype) - cy) / self.fy
+        xu, yu = self.undistort(x.expand(h, w), y[:, None].expand(h, w))
+        return torch.stack([xu, yu, torch.ones_like(xu)])
+
+
+@dataclass(frozen=True)
+class Lidar(Sensor):
+    """A scanning LiDAR: what the optics of weather need to know of it.
+
+    Args:
+        wavelength_nm: laser wavelength.
+        exit_diameter_mm: beam diameter at the exit window.
+        divergence_mrad: full angle of the beam (FWHM).
+        pulse_width_ns: pulse width (FWHM).
+        range_at_10_percent_m: range at which a 10 % Lambertian target is just detected.
+    """
+
+    kind: ClassVar[str] = "lidar"
+
+    wavelength_nm: float
+    exit_diameter_mm: float = 10.0
+    divergence_mrad: float = 2.0
+    pulse_width_ns: float = 10.0
+    range_at_10_percent_m: float = 50.0
+
+    def __post_init__(self) -> None:
+        check_between("wavelength_nm", self.wavelength_nm, 300.0, 2500.0, unit="nm", owner=self)
+        for name, unit in (
+            ("exit_diameter_mm", "mm"),
+            ("divergence_mrad", "mrad"),
+            ("pulse_width_ns", "ns"),
+            ("range_at_10_percent_m", "m"),
+        ):
+            check_positive(name, getattr(self, name), unit=unit, owner=self)
+
+    @property
+    def bands(self) -> dict[str, float]:
+        """The laser line: its name and wavelength, nm."""
+        return {"laser": self.wavelength_nm}
+
+
+@dataclass(frozen=True)
+class Radar(Sensor):
+    """A millimetre-wave radar: what the attenuation of weather needs to know of it.
+
+    Args:
+        frequency_ghz: carrier frequency.
+        polarisation: ``h`` or ``v``.
+        elevation_rad: elevation of the path.
+    """
+
+    kind: ClassVar[str] = "radar"
+
+    frequency_ghz: float = 77.0
+    polarisation: str = "h"
+    elevation_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_between("frequency_ghz", self.frequency_ghz, 1.0, 1000.0, unit="GHz", owner=self)
+        check_one_of("polarisation", self.polarisation, ("h", "v"), owner=self)
+        check_between("elevation_rad", self.elevation_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
+
+
+SENSOR_CLASSES: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"camera": Camera, "lidar": Lidar, "radar": Radar}
+DEFAULT_PRESETS = {"camera": "lucid-triton", "lidar": "ouster-os1-128", "radar": "imaging-77ghz"}
+
+
+def sensor_preset(text: str) -> tuple[str, Camera | Lidar | Radar]:
+    """Read ``kind`` or ``kind:preset`` as the command line takes it.
+
+    Returns:
+        The full name and the sensor.
+
+    Example:
+        >>> sensor_preset("lidar")[0]
+        'lidar:ouster-os1-128'
+    """
+    kind, _, name = text.partition(":")
+    check_one_of("sensor", kind, SENSOR_CLASSES, owner="torchweather")
+    name = name or DEFAULT_PRESETS[kind]
+    return f"{kind}:{name}", SENSOR_CLASSES[kind].preset(name)

@@ -1,0 +1,354 @@
+"""Rain, Fog, Snow and Mixture: one description of the weather that drives every sensor.
+
+The knob of a weather (``rate_mm_per_h``, ``mor_m``) is a number or a tensor of the batch shape and may require
+grad; everything else is a plain number or a name.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import (
+    TorchweatherWarning,
+    check_between,
+    check_one_of,
+    check_positive,
+    nearest_name,
+)
+from torchweather.physics import (
+    FOG,
+    RAIN,
+    SNOW,
+    Binned,
+    SizeDistribution,
+    close_rate,
+    physical_diameter_mm,
+    rain_fall_speed_m_per_s,
+    rain_rate_mm_per_h,
+    snow_fall_speed_m_per_s,
+)
+
+__all__ = ["Fog", "Mixture", "Rain", "Snow", "Weather", "parse_weather", "weather_from_dict"]
+
+Knob = float | Tensor
+
+# Rates that the size distributions were fitted to, mm/h; outside them a weather warns once.
+RAIN_RATE_RANGE_MM_PER_H = (0.1, 200.0)
+SNOW_RATE_RANGE_MM_PER_H = (0.05, 10.0)
+# A rate beyond this is no weather: the largest one-minute rain on record is 1870 mm/h (WMO: Unionville 1956, 31 mm in a minute).
+ABSURD_RATE_MM_PER_H = 2000.0
+
+
+class Weather:
+    """What every weather has: a kind, a knob, a plain dictionary."""
+
+    kind: ClassVar[str] = ""
+    knob_name: ClassVar[str] = ""
+
+    @property
+    def knob(self) -> Knob:
+        """The rate or the visibility."""
+        value: Knob = getattr(self, self.knob_name)
+        return value
+
+    @property
+    def parts(self) -> tuple[Weather, ...]:
+        """The weathers this one is made of; itself unless it is a mixture."""
+        return (self,)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that ``weather_from_dict`` takes and YAML can hold; a tensor knob is detached."""
+        values: dict[str, Any] = {"kind": self.kind}
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                value = value.detach().tolist()
+            elif isinstance(value, Binned):
+                value = value.to_dict()
+            values[field.name] = list(value) if isinstance(value, tuple) else value
+        return values
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Build the weather from plain values; unknown keys are refused with the nearest name."""
+        known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        taken = {}
+        for key, value in values.items():
+            if key == "kind":
+                continue
+            if key not in known:
+                raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
+            if key == cls.knob_name and isinstance(value, list):
+                value = torch.tensor(value)
+            if key == "size_distribution" and isinstance(value, Mapping):
+                value = Binned.from_dict(value)
+            taken[key] = tuple(value) if isinstance(value, list) else value
+        return cls(**taken)
+
+
+@dataclass(frozen=True)
+class _Precipitation(Weather):
+    rate_mm_per_h: Knob = 0.0
+    size_distribution: str | Binned = ""
+    close_rate: bool = False
+    temperature_c: float = 10.0
+    wind_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    knob_name: ClassVar[str] = "rate_mm_per_h"
+    rate_range_mm_per_h: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    families: ClassVar[Mapping[str, Any]] = {}
+
+    def __post_init__(self) -> None:
+        rate = self.rate_mm_per_h
+        check_between(
+            "rate_mm_per_h",
+            rate,
+            0.0,
+            ABSURD_RATE_MM_PER_H,
+            unit="mm/h (liquid equivalent)",
+            owner=self,
+            advice="Heavy rain is 50 mm/h, heavy snow 5 mm/h.",
+        )
+        if isinstance(self.size_distribution, str):
+            check_one_of("size_distribution", self.size_distribution, self.families, owner=self)
+        if len(self.wind_m_per_s) != 3:
+            raise ValueError(
+                f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
+                f"got {self.wind_m_per_s!r}."
+            )
+        low, high = self.rate_range_mm_per_h
+        if not isinstance(rate, Tensor) and rate > 0 and not low <= rate <= high:
+            warnings.warn(
+                f"{type(self).__name__}: rate_mm_per_h = {rate:g} lies outside {low:g}..{high:g} mm/h, the range the "
+                f"size distribution was fitted to.",
+                TorchweatherWarning,
+                stacklevel=4,
+            )
+
+    def distribution(self, rate_mm_per_h: Knob | None = None) -> SizeDistribution:
+        """Size distribution at a rate (the weather's own by default), per unit liquid (melted) diameter."""
+        rate = self.rate_mm_per_h if rate_mm_per_h is None else rate_mm_per_h
+        if isinstance(self.size_distribution, str):
+            found: SizeDistribution = self.families[self.size_distribution](rate)
+            return close_rate(found, rate, self.fall_speed_m_per_s) if self.close_rate else found
+        measured = self.size_distribution
+        return measured.scaled(torch.as_tensor(rate) / rain_rate_mm_per_h(measured, self.fall_speed_m_per_s))
+
+    def physical_diameter_mm(self, diameter_mm: Tensor) -> Tensor:
+        """Diameter of the particle's outline, mm, from its liquid diameter."""
+        return diameter_mm
+
+    def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
+        """Fall speed, m/s, from the liquid diameter, mm."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Rain(_Precipitation):
+    """Rain of a rate.
+
+    Args:
+        rate_mm_per_h: rain rate, mm/h, a number or a tensor of the batch shape; 0 is no rain.
+        size_distribution: a name from ``torchweather.physics.RAIN`` or measured bins (``Binned``), which are then
+            scaled to the rate.
+        close_rate: scale the distribution so that its flux is exactly the rate.
+        temperature_c: water temperature, degrees Celsius.
+        wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
+
+    Example:
+        >>> Rain(rate_mm_per_h=25).distribution().total_per_m3 > 1000
+        tensor(True)
+    """
+
+    kind: ClassVar[str] = "rain"
+    rate_range_mm_per_h: ClassVar[tuple[float, float]] = RAIN_RATE_RANGE_MM_PER_H
+    families: ClassVar[Mapping[str, Any]] = RAIN
+
+    size_distribution: str | Binned = "marshall-palmer"
+
+    def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
+        """Fall speed of a drop, m/s (Brandes 2002 with Gunn-Kinzer below 0.5 mm, ``PHYSICS.md`` 2.5)."""
+        return rain_fall_speed_m_per_s(diameter_mm)
+
+
+@dataclass(frozen=True)
+class Snow(_Precipitation):
+    """Dry snow of a liquid-equivalent rate.
+
+    Args:
+        rate_mm_per_h: liquid-equivalent snowfall rate, mm/h, a number or a tensor of the batch shape.
+        size_distribution: a name from ``torchweather.physics.SNOW`` (per melted diameter) or measured bins.
+        close_rate: scale the distribution so that its flux is exactly the rate.
+        temperature_c: ice temperature, degrees Celsius.
+        wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
+        albedo: share of light that a flake scatters, 0.85-0.95 (``PHYSICS.md`` 4.7).
+
+    Example:
+        >>> Snow(rate_mm_per_h=1).albedo
+        0.9
+    """
+
+    kind: ClassVar[str] = "snow"
+    rate_range_mm_per_h: ClassVar[tuple[float, float]] = SNOW_RATE_RANGE_MM_PER_H
+    families: ClassVar[Mapping[str, Any]] = SNOW
+
+    size_distribution: str | Binned = "sekhon-srivastava"
+    temperature_c: float = -5.0
+    albedo: float = 0.9
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_between("albedo", self.albedo, 0.0, 1.0, owner=self)
+
+    def physical_diameter_mm(self, diameter_mm: Tensor) -> Tensor:
+        """Diameter of the flake's outline, mm, from its melted diameter (Brandes 2007 density)."""
+        return physical_diameter_mm(diameter_mm)
+
+    def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
+        """Fall speed of a flake, m/s, from its melted diameter."""
+        return snow_fall_speed_m_per_s(diameter_mm)
+
+
+@dataclass(frozen=True)
+class Fog(Weather):
+    """Fog of a visibility.
+
+    Args:
+        mor_m: meteorological optical range, metres, a number or a tensor of the batch shape; infinity is no fog.
+        size_distribution: a name from ``torchweather.physics.FOG``, each a function of ``mor_m``.
+        contrast: contrast threshold of the visibility; 0.05 is the MOR's, 0.02 the older visual range's.
+        temperature_c: water temperature, degrees Celsius.
+
+    Example:
+        >>> Fog(mor_m=50).contrast
+        0.05
+    """
+
+    kind: ClassVar[str] = "fog"
+    knob_name: ClassVar[str] = "mor_m"
+
+    mor_m: Knob = math.inf
+    size_distribution: str = "default"
+    contrast: float = 0.05
+    temperature_c: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_positive(
+            "mor_m", self.mor_m, unit="m", owner=self, advice="Dense fog is 50 m; infinity is clear air."
+        )
+        check_one_of("size_distribution", self.size_distribution, FOG, owner=self)
+        check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
+
+    @classmethod
+    def rehearse(cls, mor_m: int) -> Fog:
+        """The measured REHEARSE fog of nominal visibility 10, 20, 30 or 50 m, unscaled (D3.4 Table 5)."""
+        check_one_of("mor_m", str(mor_m), ("10", "20", "30", "50"), owner="Fog.rehearse")
+        return cls(mor_m=float(mor_m), size_distribution="rehearse")
+
+    @classmethod
+    def advection(cls, mor_m: Knob) -> Fog:
+        """Advection fog (gamma distribution, effective radius 10 um) scaled to the visibility."""
+        return cls(mor_m=mor_m, size_distribution="advection")
+
+    def distribution(self, mor_m: Knob | None = None) -> SizeDistribution:
+        """Droplet size distribution at a visibility (the weather's own by default)."""
+        found: SizeDistribution = FOG[self.size_distribution](self.mor_m if mor_m is None else mor_m)
+        return found
+
+
+class Mixture(Weather):
+    """Several weathers at once: ``Mixture(Rain(10), Fog(mor_m=200))``.
+
+    Extinctions add, particles of all kinds compete, the sensor measures once. The order does not matter, and
+    ``Mixture(x)`` is ``x``.
+
+    Example:
+        >>> [part.kind for part in Mixture(Snow(1), Fog(mor_m=300)).parts]
+        ['fog', 'snow']
+    """
+
+    kind: ClassVar[str] = "mixture"
+
+    def __init__(self, *weathers: Weather) -> None:
+        flat = [part for weather in weathers for part in weather.parts]
+        if not flat:
+            raise ValueError("Mixture: wanted at least one weather; got none.")
+        kinds = [part.kind for part in flat]
+        for kind in set(kinds):
+            if kinds.count(kind) > 1:
+                raise ValueError(
+                    f"Mixture: wanted each kind once; got {kinds.count(kind)} times {kind}. Add their rates (or their "
+                    "extinctions, for fog) into one."
+                )
+        self._parts = tuple(sorted(flat, key=lambda part: part.kind))
+
+    @property
+    def parts(self) -> tuple[Weather, ...]:
+        """The weathers, in a fixed order."""
+        return self._parts
+
+    def __repr__(self) -> str:
+        return f"Mixture({', '.join(map(repr, self._parts))})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mixture) and self._parts == other._parts
+
+    def __hash__(self) -> int:
+        return hash(self._parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: the parts."""
+        return {"kind": self.kind, "parts": [part.to_dict() for part in self._parts]}
+
+
+WEATHERS: dict[str, type[Rain] | type[Fog] | type[Snow]] = {"rain": Rain, "fog": Fog, "snow": Snow}
+# Short names that the command line takes.
+ALIASES = {"rate": "rate_mm_per_h", "mor": "mor_m"}
+
+
+def weather_from_dict(values: Mapping[str, Any]) -> Weather:
+    """The weather that ``to_dict`` wrote: ``{"kind": "rain", "rate_mm_per_h": 25.0, ...}``."""
+    kind = values.get("kind")
+    if kind == "mixture":
+        return Mixture(*(weather_from_dict(part) for part in values["parts"]))
+    check_one_of("weather kind", kind, WEATHERS, owner="torchweather")
+    return WEATHERS[str(kind)].from_dict(values)
+
+
+def parse_weather(text: str) -> Weather:
+    """Read a weather as the command line takes it: ``rain:rate=25``, ``fog:mor=30+rain:rate=5``.
+
+    Example:
+        >>> parse_weather("fog:mor=30").mor_m
+        30.0
+    """
+    parts = [_parse_one(part) for part in text.split("+")]
+    return parts[0] if len(parts) == 1 else Mixture(*parts)
+
+
+def _parse_one(text: str) -> Weather:
+    kind, _, arguments = text.strip().partition(":")
+    check_one_of("weather", kind, WEATHERS, owner="torchweather")
+    values: dict[str, Any] = {}
+    for argument in filter(None, arguments.split(",")):
+        key, equals, value = argument.partition("=")
+        if not equals:
+            raise ValueError(f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}.")
+        values[ALIASES.get(key.strip(), key.strip())] = _plain(value.strip())
+    return WEATHERS[kind].from_dict(values)
+
+
+def _plain(text: str) -> str | float | bool:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        return float(text)
+    except ValueError:
+        return text
