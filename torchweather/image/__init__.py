@@ -1,1 +1,54 @@
-"""TODO."""
+"""Raw frames and colour images: mosaic, demosaic, tone, and depth for any image."""
+
+from __future__ import annotations
+
+from torchweather.image.bayer import (
+    PATTERNS,
+    RCCB_TO_RGB,
+    RGB_TO_RCCB,
+    cfa_colour_index,
+    cfa_index,
+    colour_means,
+    join_planes,
+    mosaic,
+    split_planes,
+)
+from torchweather.image.demosaic import METHODS, demosaic
+from torchweather.image.tone import (
+    colour_matrix,
+    compand,
+    develop,
+    expand,
+    grey_world_gains,
+    normalise,
+    quantise,
+    shoulder_curve,
+    srgb_decode,
+    srgb_encode,
+    white_balance,
+)
+
+__all__ = [
+    "METHODS",
+    "PATTERNS",
+    "RCCB_TO_RGB",
+    "RGB_TO_RCCB",
+    "cfa_colour_index",
+    "cfa_index",
+    "colour_matrix",
+    "colour_means",
+    "compand",
+    "demosaic",
+    "develop",
+    "expand",
+    "grey_world_gains",
+    "join_planes",
+    "mosaic",
+    "normalise",
+    "quantise",
+    "shoulder_curve",
+    "split_planes",
+    "srgb_decode",
+    "srgb_encode",
+    "white_balance",
+]
