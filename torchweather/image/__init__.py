@@ -14,6 +14,17 @@ from torchweather.image.bayer import (
     split_planes,
 )
 from torchweather.image.demosaic import METHODS, demosaic
+from torchweather.image.depth import (
+    ConstantDepth,
+    DepthFromCallable,
+    DepthFromPoints,
+    DepthMap,
+    DepthSource,
+    FlatGround,
+    as_depth_source,
+    check_depth,
+    project_points,
+)
 from torchweather.image.tone import (
     colour_matrix,
     compand,
@@ -33,8 +44,16 @@ __all__ = [
     "PATTERNS",
     "RCCB_TO_RGB",
     "RGB_TO_RCCB",
+    "ConstantDepth",
+    "DepthFromCallable",
+    "DepthFromPoints",
+    "DepthMap",
+    "DepthSource",
+    "FlatGround",
+    "as_depth_source",
     "cfa_colour_index",
     "cfa_index",
+    "check_depth",
     "colour_matrix",
     "colour_means",
     "compand",
@@ -45,6 +64,7 @@ __all__ = [
     "join_planes",
     "mosaic",
     "normalise",
+    "project_points",
     "quantise",
     "shoulder_curve",
     "split_planes",
