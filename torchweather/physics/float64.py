@@ -1,0 +1,32 @@
+"""Numbers and tensors brought together as float64 tensors on one device."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import torch
+from torch import Tensor
+
+__all__ = ["Quantity", "to_float64"]
+
+Quantity: TypeAlias = float | int | Tensor
+"""A plain number or a tensor; every physics function takes either."""
+
+
+def to_float64(*values: Quantity) -> tuple[Tensor, ...]:
+    """The values as float64 tensors on the device of the first tensor among them (the CPU if there is none).
+
+    Gradients pass through; shapes are left alone.
+
+    Example:
+        >>> to_float64(1, torch.tensor([2.0]))
+        (tensor(1., dtype=torch.float64), tensor([2.], dtype=torch.float64))
+    """
+    device = next((value.device for value in values if isinstance(value, Tensor)), torch.device("cpu"))
+    return tuple(
+        # Stating the type matters: a Python float would first become float32.
+        value.to(device, torch.float64)
+        if isinstance(value, Tensor)
+        else torch.tensor(value, dtype=torch.float64, device=device)
+        for value in values
+    )

@@ -1,0 +1,110 @@
+"""Coefficients of a weather as a table over the logarithm of its knob (rain rate, visibility)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.errors import check_positive
+
+__all__ = ["KnobTable"]
+
+
+class KnobTable(nn.Module):
+    """Values of a function of the knob, computed once and then interpolated: a new rate costs no set-up.
+
+    The nodes are uniform in ln(knob). With ``log_values`` the interpolation is linear in (ln knob, ln value), that is
+    a power law inside each cell, and the end cells continue as power laws outside ``[low, high]``. Without, it is
+    linear in (ln knob, value) and the end values are held. ``forward`` is elementwise plus a gather: differentiable in
+    the knob, and it exports to ONNX.
+
+    Args:
+        function: knob ``(n,)``, float64, to values ``(n, *value_shape)``; above 0 where ``log_values``.
+        low: smallest node of the knob, above 0, in the knob's unit.
+        high: largest node.
+        n: number of nodes, 2 or more.
+        log_values: interpolate ln(value) (for coefficients that span decades).
+        zero_at_zero: the knob 0 (no rain) gives exactly 0 with gradient 0.
+        zero_at_inf: the knob ``inf`` (unlimited visibility) gives exactly 0 with gradient 0.
+
+    Note:
+        The error is quadratic in the cell width ln(high / low) / (n - 1); tests hold it below 0.5 % for the users'
+        tables.
+
+    References:
+        DESIGN.md 2 ("The knob of a weather is a number or a tensor").
+
+    Example:
+        >>> table = KnobTable(lambda rate: 1e-3 * rate**0.63, 0.1, 300.0, 16, zero_at_zero=True)
+        >>> table(torch.tensor([0.0, 1.0, 25.0])).round(decimals=6)
+        tensor([0.0000, 0.0010, 0.0076])
+    """
+
+    values: Tensor
+
+    def __init__(
+        self,
+        function: Callable[[Tensor], Tensor],
+        low: float,
+        high: float,
+        n: int = 64,
+        log_values: bool = True,
+        *,
+        zero_at_zero: bool = False,
+        zero_at_inf: bool = False,
+    ) -> None:
+        super().__init__()
+        check_positive("low", low, owner=self)
+        if not (high > low and math.isfinite(high)) or n < 2:
+            raise ValueError(f"KnobTable: wanted low < high < inf and 2 nodes or more; got {low!r}, {high!r}, n={n!r}.")
+        self.low, self.high, self.n, self.log_values = float(low), float(high), int(n), log_values
+        self.zero_at_zero, self.zero_at_inf = zero_at_zero, zero_at_inf
+        self._step = math.log(high / low) / (n - 1)
+        with torch.no_grad():
+            nodes = torch.exp(math.log(low) + torch.arange(n, dtype=torch.float64) * self._step)
+            values = function(nodes).to(torch.float64)
+            if values.ndim < 1 or values.shape[0] != n:
+                raise ValueError(f"KnobTable: function must give shape ({n}, ...); got {tuple(values.shape)}.")
+            if not bool(torch.isfinite(values).all()):
+                raise ValueError(f"KnobTable: function gave values that are not finite between {low:g} and {high:g}.")
+            if log_values:
+                check_positive("function(knob)", values, owner=self, advice="Use log_values=False for values with 0.")
+                values = torch.log(values)
+        self.register_buffer("values", values)
+
+    @property
+    def value_shape(self) -> torch.Size:
+        """Shape of the value at one knob."""
+        return self.values.shape[1:]
+
+    def forward(self, knob: Tensor) -> Tensor:
+        """Value at each knob, ``(..., *value_shape)``, in the knob's dtype (float32 or float64)."""
+        knob = torch.as_tensor(knob)
+        none = torch.zeros_like(knob, dtype=torch.bool)
+        if self.zero_at_zero:
+            none = none | (knob <= 0)
+        if self.zero_at_inf:
+            none = none | torch.isinf(knob)
+        # Taken out before the logarithm as well as after it: a gradient through ln 0 would be nan times 0.
+        safe = torch.where(none, torch.full_like(knob, self.low), knob)
+        position = (torch.log(safe) - math.log(self.low)) / self._step
+        # Clamped as integers too, because the floor of nan is any integer; nan then comes out as nan.
+        index = position.detach().floor().clamp(0, self.n - 2).to(torch.int64).clamp(0, self.n - 2)
+        weight = position - index
+        if not self.log_values:
+            weight = weight.clamp(0.0, 1.0)
+        values = self.values.to(device=knob.device, dtype=knob.dtype)
+        before, after = values[index], values[index + 1]
+        trailing = (1,) * len(self.value_shape)
+        weight = weight.reshape(weight.shape + trailing)
+        value = before + weight * (after - before)
+        if self.log_values:
+            value = torch.exp(value)
+        return torch.where(none.reshape(none.shape + trailing), torch.zeros_like(value), value)
+
+    def extra_repr(self) -> str:
+        """Range and size, for ``print(module)``."""
+        return f"low={self.low:g}, high={self.high:g}, n={self.n}, value_shape={tuple(self.value_shape)}"

@@ -1,0 +1,89 @@
+"""Precipitation rate that a size distribution carries, and the distribution scaled to carry a given one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+from torch import Tensor
+
+from torchweather.errors import check_at_least
+from torchweather.physics.fall_speed import (
+    flake_fall_speed_m_per_s,
+    rain_fall_speed_m_per_s,
+    snow_fall_speed_m_per_s,
+)
+from torchweather.physics.float64 import Quantity
+from torchweather.physics.size_distribution import SizeDistribution
+from torchweather.physics.snow_geometry import snow_bulk_density_g_per_cm3
+
+__all__ = ["FallSpeed", "close_rate", "precipitation_rate_mm_per_h", "rain_rate_mm_per_h"]
+
+FallSpeed = Callable[[Tensor], Tensor]
+"""Diameter of the distribution, mm, to speed, m/s."""
+
+AnyDistribution = TypeVar("AnyDistribution", bound=SizeDistribution)
+
+# 1 mm^3 m^-3 of water falling at 1 m/s is 3.6e-3 mm/h; with pi/6 it is the 6e-4 pi of PHYSICS.md 2.2.
+MM_PER_H = 3.6e-3
+
+
+def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: FallSpeed | None = None) -> Tensor:
+    """Liquid-equivalent rate, mm/h: the flux of water ``6e-4 pi int D^3 v(D) N(D) dD``.
+
+    Args:
+        distribution: drops or flakes; for ``particle="flake"`` the volume counts with its bulk density.
+        fall_speed: diameter in mm to speed in m/s; None takes the default law of the particle.
+
+    Returns:
+        mm/h, of the batch shape of the distribution.
+
+    References:
+        PHYSICS.md 2.2, 2.4.
+
+    Example:
+        >>> from torchweather.physics import marshall_palmer
+        >>> round(float(precipitation_rate_mm_per_h(marshall_palmer(10.0))), 1)
+        11.6
+    """
+    diameter, width = distribution.quadrature()
+    speed = (fall_speed or default_fall_speed(distribution))(diameter)
+    water_mm3 = math.pi / 6.0 * diameter**3
+    if distribution.particle == "flake":
+        water_mm3 = water_mm3 * snow_bulk_density_g_per_cm3(diameter)
+    return MM_PER_H * (water_mm3 * speed * width * distribution.number_density_per_m3_mm(diameter)).sum(-1)
+
+
+rain_rate_mm_per_h = precipitation_rate_mm_per_h
+
+
+def default_fall_speed(distribution: SizeDistribution) -> FallSpeed:
+    """Fall speed law that goes with what the distribution counts."""
+    if distribution.particle == "drop":
+        return rain_fall_speed_m_per_s
+    return snow_fall_speed_m_per_s if distribution.particle == "melted-flake" else flake_fall_speed_m_per_s
+
+
+def close_rate(
+    distribution: AnyDistribution, rate_mm_per_h: Quantity, fall_speed: FallSpeed | None = None
+) -> AnyDistribution:
+    """The distribution with its number scaled so that it carries exactly ``rate_mm_per_h``.
+
+    Args:
+        distribution: drops or flakes; its shape is kept.
+        rate_mm_per_h: liquid-equivalent rate, mm/h, of the batch shape; 0 gives no particles.
+        fall_speed: as in ``precipitation_rate_mm_per_h``.
+
+    References:
+        PHYSICS.md 2.2 (``close_rate``; off by default in the weather classes).
+
+    Example:
+        >>> from torchweather.physics import marshall_palmer
+        >>> exact = close_rate(marshall_palmer(10.0), 10.0)
+        >>> round(float(precipitation_rate_mm_per_h(exact)), 6)
+        10.0
+    """
+    check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="close_rate")
+    carried = precipitation_rate_mm_per_h(distribution, fall_speed)
+    return distribution.scaled(rate_mm_per_h / carried.clamp_min(1e-300))
