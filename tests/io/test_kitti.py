@@ -1,0 +1,99 @@
+"""KITTI files: columns, calibration chain, and alignment on a real frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchweather.errors import TorchweatherError
+from torchweather.image import project_points
+from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+
+P2 = "721.5377 0.0 609.5593 44.85728 0.0 721.5377 172.854 0.2163791 0.0 0.0 1.0 0.002745884"
+
+
+def test_cloud_has_four_columns(tmp_path: Path) -> None:
+    cloud = np.arange(12, dtype=np.float32).reshape(3, 4)
+    cloud.tofile(tmp_path / "x.bin")
+    assert torch.equal(read_kitti_points(tmp_path / "x.bin"), torch.from_numpy(cloud))
+
+
+@pytest.mark.parametrize("size", [0, 17, 24])
+def test_truncated_cloud_is_named(tmp_path: Path, size: int) -> None:
+    (tmp_path / "x.bin").write_bytes(bytes(size))
+    with pytest.raises(TorchweatherError, match=rf"x\.bin.*16 bytes each; got {size} bytes"):
+        read_kitti_points(tmp_path / "x.bin")
+
+
+def test_missing_and_nan_clouds_are_named(tmp_path: Path) -> None:
+    with pytest.raises(TorchweatherError, match="cannot be read"):
+        read_kitti_points(tmp_path / "none.bin")
+    np.full((2, 4), np.nan, np.float32).tofile(tmp_path / "x.bin")
+    with pytest.raises(TorchweatherError, match="finite"):
+        read_kitti_points(tmp_path / "x.bin")
+
+
+def test_full_calibration_chains_rectification_and_camera_offset(tmp_path: Path) -> None:
+    text = f"P0: {P2}\nP2: {P2}\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\n\n"
+    (tmp_path / "c.txt").write_text(text)
+    found = read_kitti_calibration(tmp_path / "c.txt")
+    assert found.assumption == ""
+    camera = found.camera(1242, 375)
+    assert camera.intrinsics == (721.5377, 721.5377, 609.5593, 172.854)
+    # K^-1 p: the left colour camera stands 6 cm beside the reference camera.
+    point = found.T_camera_from_lidar @ torch.tensor([10.0, 1.0, -1.0, 1.0], dtype=torch.float64)
+    projected = torch.tensor([float(v) for v in P2.split()], dtype=torch.float64).view(3, 4) @ torch.tensor(
+        [-1.0, 0.92, 9.73, 1.0], dtype=torch.float64
+    )
+    x, y, depth, _ = project_points(
+        torch.tensor([[10.0, 1.0, -1.0]], dtype=torch.float64), found.T_camera_from_lidar, camera
+    )
+    assert point[2].item() == pytest.approx(projected[2].item())
+    assert (x.item(), y.item()) == pytest.approx((projected[:2] / projected[2]).tolist(), abs=1e-9)
+    assert depth.item() == pytest.approx(projected[2].item())
+
+
+def test_bare_projection_says_what_it_assumes(tmp_path: Path) -> None:
+    (tmp_path / "c.txt").write_text(f"{P2} 0.0 0.0 0.0 1.0")
+    found = read_kitti_calibration(tmp_path / "c.txt")
+    assert "2011_09_26" in found.assumption
+    rotation = found.T_camera_from_lidar[:3, :3]
+    torch.testing.assert_close(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-6)
+    # Velodyne x forward, y left, z up: forward is the camera's z, left is -x, up is -y, within a degree.
+    axes = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]], dtype=torch.float64)
+    assert (rotation - axes).abs().max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no numbers"),
+        ("P2: 1 2 3", r"P2 \(3 numbers\)"),
+        ("hello world", "hello"),
+        (f"P2: {P2}\nR0_rect: 1 0 0", "9 numbers in R0_rect"),
+        ("P2: 0 0 0 0 0 0 0 0 0 0 0 0", "invertible"),
+    ],
+)
+def test_broken_calibration_is_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "c.txt").write_text(text)
+    with pytest.raises(TorchweatherError, match=message):
+        read_kitti_calibration(tmp_path / "c.txt")
+
+
+@pytest.mark.real_data
+def test_real_cloud_was_cut_to_the_picture_that_it_projects_into(real_data: Callable[[str], Path]) -> None:
+    """The demo cloud holds only what camera 2 sees: nearly all of it must fall inside, and fill the width."""
+    points = read_kitti_points(real_data("kitti_nuscenes_demo/kitti/000008.bin"))
+    image, _ = read_image(real_data("kitti_nuscenes_demo/kitti/000008.png"))
+    assert image.shape == (3, 375, 1242)
+    calibration = read_kitti_calibration(real_data("kitti_nuscenes_demo/kitti/000008.txt"))
+    camera = calibration.camera(1242, 375)
+    x, _, depth, seen = project_points(points.double(), calibration.T_camera_from_lidar, camera)
+    assert seen.double().mean() > 0.98
+    assert x[seen].min() < 5
+    assert x[seen].max() > 1236
+    assert 2 < depth[seen].min() < 10

@@ -1,0 +1,34 @@
+"""How a camera and a LiDAR of a data set stand to each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from torchweather.sensors import Camera
+
+__all__ = ["CameraLidarCalibration"]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraLidarCalibration:
+    """Intrinsics of a rectified camera and the way from the LiDAR's frame into the camera's.
+
+    Args:
+        camera_matrix: ``(3, 3)``, pixels.
+        T_camera_from_lidar: ``(4, 4)``, float64, metres; into x right, y down, z along the axis.
+        assumption: what was not in the file and had to be assumed, in words; empty where all of it was measured.
+    """
+
+    camera_matrix: Tensor
+    T_camera_from_lidar: Tensor
+    assumption: str = ""
+
+    def camera(self, width: int, height: int, **more: Any) -> Camera:
+        """The camera for images of this size; every other field of `Camera` by keyword."""
+        k = self.camera_matrix
+        return Camera.from_intrinsics(
+            float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), width, height, **more
+        )

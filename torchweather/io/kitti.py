@@ -1,0 +1,102 @@
+"""KITTI: Velodyne clouds and the calibration of the left colour camera."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import TorchweatherError
+from torchweather.io.calibration import CameraLidarCalibration
+from torchweather.io.point_files import read_float32_rows
+
+__all__ = ["read_kitti_calibration", "read_kitti_points"]
+
+# Calibration of recording day 2011_09_26, as in the calibration files of KITTI's object data set: rectifying
+# rotation, and Velodyne (x forward, y left, z up) to the unrectified reference camera.
+_R0_RECT = (
+    9.999239e-01, 9.837760e-03, -7.445048e-03,
+    -9.869795e-03, 9.999421e-01, -4.278459e-03,
+    7.402527e-03, 4.351614e-03, 9.999631e-01,
+)  # fmt: skip
+_TR_VELO_TO_CAM = (
+    7.533745e-03, -9.999714e-01, -6.166020e-04, -4.069766e-03,
+    1.480249e-02, 7.280733e-04, -9.998902e-01, -7.631618e-02,
+    9.998621e-01, 7.523790e-03, 1.480755e-02, -2.717806e-01,
+)  # fmt: skip
+
+
+def read_kitti_points(path: str | os.PathLike[str]) -> Tensor:
+    """A Velodyne cloud.
+
+    Args:
+        path: ``velodyne/*.bin``.
+
+    Returns:
+        ``(N, 4)`` float32: x forward, y left, z up in metres, reflectance 0..1.
+
+    Raises:
+        TorchweatherError: the file is missing, truncated, or not float32 rows of four.
+    """
+    return read_float32_rows(path, 4, "x, y, z in metres, reflectance")
+
+
+def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibration:
+    """Camera 2 (left colour) and the Velodyne.
+
+    ``T_camera_from_lidar = [I | K^-1 p] R0_rect Tr_velo_to_cam`` with ``P2 = [K | p]``.
+
+    Args:
+        path: ``calib/*.txt`` with ``P2``, ``R0_rect`` and ``Tr_velo_to_cam``; or a text with nothing but the 12 or 16
+            numbers of ``P2``.
+
+    Returns:
+        The calibration. Where the file lacks the Velodyne, that of recording day 2011_09_26 is taken and
+        ``assumption`` says so: the car and its mounts stayed the same, which leaves a few pixels.
+
+    Raises:
+        TorchweatherError: the file is missing or holds no ``P2``.
+    """
+    source = Path(path)
+    entries = _entries(source)
+    if "P2" not in entries or len(entries["P2"]) not in (12, 16):
+        found = ", ".join(f"{key} ({len(values)} numbers)" for key, values in entries.items()) or "no numbers"
+        raise TorchweatherError(f"{source}: wanted a KITTI calibration with P2 (12 or 16 numbers); got {found}.")
+    projection = torch.tensor(entries["P2"][:12], dtype=torch.float64).view(3, 4)
+    camera_matrix = projection[:, :3].clone()
+    if not bool(torch.linalg.det(camera_matrix).abs() > 0):
+        raise TorchweatherError(f"{source}: wanted an invertible camera matrix in P2; got {camera_matrix.tolist()}.")
+    offset = torch.eye(4, dtype=torch.float64)
+    offset[:3, 3] = torch.linalg.solve(camera_matrix, projection[:, 3])
+    missing = [key for key in ("R0_rect", "Tr_velo_to_cam") if key not in entries]
+    rectify, to_reference = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
+    try:
+        rectify[:3, :3] = torch.tensor(entries.get("R0_rect", _R0_RECT), dtype=torch.float64).view(3, 3)
+        to_reference[:3] = torch.tensor(entries.get("Tr_velo_to_cam", _TR_VELO_TO_CAM), dtype=torch.float64).view(3, 4)
+    except RuntimeError as error:
+        raise TorchweatherError(
+            f"{source}: wanted 9 numbers in R0_rect and 12 in Tr_velo_to_cam; "
+            f"got {len(entries.get('R0_rect', ()))} and {len(entries.get('Tr_velo_to_cam', ()))}."
+        ) from error
+    assumption = f"{' and '.join(missing)} of KITTI's recording day 2011_09_26" if missing else ""
+    return CameraLidarCalibration(camera_matrix, offset @ rectify @ to_reference, assumption)
+
+
+def _entries(source: Path) -> dict[str, list[float]]:
+    """Named number lists of the file; numbers without a name are ``P2``. The names of both KITTI kits are known."""
+    aliases = {"R_rect": "R0_rect", "Tr_velo_cam": "Tr_velo_to_cam", "P_rect_02": "P2"}
+    entries: dict[str, list[float]] = {}
+    try:
+        for line in source.read_text(encoding="utf-8").splitlines():
+            name, colon, numbers = line.partition(":")
+            key, text = (name.strip(), numbers) if colon else ("P2", line)
+            values = [float(word) for word in text.split()]
+            if values:
+                entries.setdefault(aliases.get(key, key), []).extend(values)
+    except FileNotFoundError as error:
+        raise TorchweatherError(f"{source}: no such file.") from error
+    except (OSError, ValueError) as error:
+        raise TorchweatherError(f"{source}: wanted a KITTI calibration (names, colon, numbers); {error}.") from error
+    return entries
