@@ -1,0 +1,265 @@
+"""Camera stages of a continuous medium and of the output: extinction with airlight, quantisation."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import TorchweatherWarning, check_one_of
+from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
+from torchweather.physics.d34 import table13
+from torchweather.stages.by_rows import by_rows, is_exporting
+from torchweather.stages.registry import register
+from torchweather.stages.stage import Stage
+from torchweather.stages.states import CameraState, by_cells
+from torchweather.weather import Fog, weather_from_dict
+
+__all__ = ["ExtinctionAndAirlight", "Quantise", "estimate_airlight"]
+
+MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
+FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
+NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
+SKY_STRIDE = 4  # the sky is estimated on every fourth CFA cell in each direction
+EXTINCTION_MODELS = ("mie", "koschmieder")
+
+
+def _sky_samples(state: CameraState) -> tuple[Tensor, Tensor]:
+    """Signal and depth of a thinned set of CFA cells, each ``(B, 2, 2, cells)``."""
+    step = 2 * SKY_STRIDE
+    rows = [
+        [
+            (state.signal[:, 0, y::step, x::step], state.depth_m[:, 0, y::step, x::step].expand(state.batch, -1, -1))
+            for x in (0, 1)
+        ]
+        for y in (0, 1)
+    ]
+    signal = torch.stack([torch.stack([cell[0].flatten(1) for cell in row], 1) for row in rows], 1)
+    depth = torch.stack([torch.stack([cell[1].flatten(1) for cell in row], 1) for row in rows], 1)
+    return signal, depth
+
+
+def _brightest(state: CameraState) -> Tensor:
+    """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``."""
+    planes = torch.cat([state.signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
+    smooth = torch.nn.functional.avg_pool2d(planes, 3, stride=1, padding=1, count_include_pad=False)
+    return smooth.amax((-2, -1)).view(-1, 2, 2)
+
+
+def estimate_airlight(state: CameraState, owner: object) -> Tensor:
+    """Signal of the horizon sky per colour, ``(B, 3)``: the mean over pixels of infinite depth.
+
+    Where a frame shows no sky, the brightest 3 x 3 neighbourhood of each colour stands in, with a warning.
+    """
+    signal, depth = _sky_samples(state)
+    sky = torch.isinf(depth).to(signal.dtype)
+    count = sky.sum(-1)
+    mean = (signal * sky).sum(-1) / count.clamp_min(1)
+    no_sky = count.sum((1, 2)) == 0
+    cells = torch.where(no_sky[:, None, None], _brightest(state), mean)  # (B, 2, 2)
+    airlight = per_colour(cells, state.cfa_index)
+    if not is_exporting() and state.signal.numel():
+        if bool(no_sky.any()):
+            warnings.warn(
+                f"{type(owner).__name__}: no sky (infinite depth) in the frame and no airlight given; the brightest "
+                "spot stands in for it. Give airlight=(red, green, blue) in units of saturation.",
+                TorchweatherWarning,
+                stacklevel=3,
+            )
+        if bool((airlight.amax(1) < NIGHT_BELOW).any()):
+            warnings.warn(
+                f"{type(owner).__name__}: the sky is darker than {NIGHT_BELOW:g} of saturation; night and artificial "
+                "light are not modelled. Give airlight= if this is day.",
+                TorchweatherWarning,
+                stacklevel=3,
+            )
+    return airlight
+
+
+def per_colour(cells: Tensor, cfa_index: Tensor) -> Tensor:
+    """Mean over the cells of each colour, ``(B, 2, 2)`` to ``(B, 3)``."""
+    return torch.stack(
+        [
+            (cells * (cfa_index == colour)).sum((1, 2)) / (cfa_index == colour).sum().clamp_min(1)
+            for colour in range(3)
+        ],
+        1,
+    )
+
+
+def frame_mean(state: CameraState) -> Tensor:
+    """Mean signal of each colour over the frame, ``(B, 3)``."""
+    signal = by_cells(state.signal)  # (B, 1, H/2, 2, W)
+    even, odd = signal[..., 0::2].mean((1, 2, 4)), signal[..., 1::2].mean((1, 2, 4))  # (B, 2)
+    return per_colour(torch.stack([even, odd], -1), state.cfa_index)
+
+
+@lru_cache(maxsize=32)
+def _fog_table(
+    size_distribution: str, wavelengths_nm: tuple[float, ...], temperature_c: float, model: str, contrast: float, variant: str | None
+) -> KnobTable:
+    fog = Fog(mor_m=math.inf, size_distribution=size_distribution, contrast=contrast, temperature_c=temperature_c)
+    if variant == "d3_4":
+        return _table13_table()
+
+    def extinction(mor_m: Tensor) -> Tensor:
+        if model == "koschmieder":
+            return extinction_from_mor(mor_m, contrast)[..., None].expand(*mor_m.shape, len(wavelengths_nm))
+        distribution = fog.distribution(mor_m)
+        bands = [extinction_per_m(distribution, w, temperature_c=temperature_c) for w in wavelengths_nm]
+        return torch.stack(bands, -1)
+
+    low, high = (10.0, 50.0) if size_distribution == "rehearse" else (MOR_LOW_M, MOR_HIGH_M)
+    return KnobTable(extinction, low, high, MOR_NODES, zero_at_inf=True)
+
+
+def _table13_table() -> KnobTable:
+    """Extinction of D3.4's Table 13 as published, log-log interpolated between its visibilities."""
+    rows = {(row["visibility_m"], row["colour"]): float(row["as_published"]) for row in table13()}
+    visibilities = sorted({visibility for visibility, _ in rows})
+    log_v = torch.tensor([math.log(v) for v in visibilities], dtype=torch.float64)
+    values = torch.tensor(
+        [[math.log(rows[v, colour]) for colour in ("red", "green", "blue")] for v in visibilities], dtype=torch.float64
+    )
+
+    def extinction(mor_m: Tensor) -> Tensor:
+        x = mor_m.double().log()
+        cell = (x[..., None] >= log_v[1:-1]).sum(-1)
+        share = ((x - log_v[cell]) / (log_v[cell + 1] - log_v[cell]))[..., None]
+        return torch.exp(values[cell] * (1 - share) + values[cell + 1] * share)
+
+    return KnobTable(extinction, visibilities[0], visibilities[-1], MOR_NODES, zero_at_inf=True)
+
+
+@register
+class ExtinctionAndAirlight(Stage):
+    """Fog: the scene fades along the ray and the airlight takes its place.
+
+    ``I = I0 exp(-alpha l) + A (1 - exp(-alpha l))`` per CFA colour, l the length of the ray, not the depth
+    (``PHYSICS.md`` 4.8).
+
+    Identity: ``mor_m = inf``.
+
+    Args:
+        weather: the fog, or its dictionary.
+        wavelengths_nm: of the CFA's red, green (or clear) and blue.
+        airlight: linear signal of an infinitely deep fog per colour, saturation 1; ``None`` takes the frame's sky.
+        extinction: ``mie`` (Mie theory over the fog's own distribution) or ``koschmieder`` (ln(1/contrast)/MOR).
+        variant: ``d3_4`` takes the extinction of the deliverable's Table 13 as published.
+    """
+
+    default_name: ClassVar[str] = "extinction_and_airlight"
+
+    def __init__(
+        self,
+        weather: Fog | Mapping[str, Any],
+        wavelengths_nm: Sequence[float],
+        airlight: Sequence[float] | float | None = None,
+        extinction: str = "mie",
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        fog = weather if isinstance(weather, Fog) else weather_from_dict(weather)
+        if not isinstance(fog, Fog):
+            raise TypeError(f"ExtinctionAndAirlight: weather must be Fog; got {type(fog).__name__}.")
+        check_one_of("extinction", extinction, EXTINCTION_MODELS, owner=self)
+        self.weather = fog
+        self.wavelengths_nm = tuple(float(w) for w in wavelengths_nm)
+        self.extinction_model, self.variant = extinction, variant
+        self.given_airlight = _three(airlight)
+        self.table = _fog_table(
+            fog.size_distribution, self.wavelengths_nm, fog.temperature_c, extinction, fog.contrast, variant
+        )
+        self.register_buffer("mor_m", torch.as_tensor(fog.mor_m, dtype=torch.float32))
+        self.mor_m: Tensor
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {
+            "weather": self.weather.to_dict(),
+            "wavelengths_nm": list(self.wavelengths_nm),
+            "airlight": None if self.given_airlight is None else list(self.given_airlight),
+            "extinction": self.extinction_model,
+            "variant": self.variant,
+        }
+
+    def extinction_per_m(self, batch: int) -> Tensor:
+        """Extinction per colour along the ray, 1/m, ``(B, 3)``."""
+        per_band: Tensor = self.table.to(self.mor_m.device)(self.mor_m.reshape(-1))
+        return per_band.expand(batch, 3)
+
+    def airlight(self, state: CameraState) -> Tensor:
+        """Airlight per colour, ``(B, 3)``: given, or the frame's sky."""
+        if self.given_airlight is None:
+            return estimate_airlight(state, self)
+        return torch.tensor(self.given_airlight, device=state.signal.device, dtype=state.signal.dtype).expand(
+            state.batch, 3
+        )
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor], out: Tensor | None = None) -> CameraState:
+        """The foggy frame."""
+        extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
+        airlight = self.airlight(state)
+        alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
+
+        def band(first: int, last: int) -> tuple[Tensor, ...]:
+            rows = (..., slice(first, last), slice(None))
+            length = state.depth_m[rows].clamp_max(FARTHEST_M) * state.ray_per_depth[rows]
+            veil = -torch.expm1(by_cells(length) * alpha_rows)  # 1 - T
+            seen = torch.lerp(by_cells(state.signal[rows]), light_rows.expand_as(veil), veil).flatten(2, 3)
+            return (seen, 1 - veil.flatten(2, 3)) if state.keep_truth else (seen,)
+
+        shape = state.signal.shape
+        results = by_rows(band, shape, state.signal, None if out is None else (out,))
+        transmission = results[1] if state.keep_truth else None
+        return replace(
+            state, signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
+        )
+
+
+def _three(value: Sequence[float] | float | None) -> tuple[float, float, float] | None:
+    if value is None:
+        return None
+    values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
+    if len(values) != 3 or not all(0.0 <= v <= 1.0 for v in values):
+        raise ValueError(
+            "airlight must be one number or (red, green, blue) in 0..1, linear, in units of saturation; "
+            f"got {value!r}."
+        )
+    return values
+
+
+@register
+class Quantise(Stage):
+    """The converter: clip to [0, 1] and round to a step.
+
+    Identity: ``levels = 0``.
+
+    Args:
+        levels: number of steps from black to saturation, 4095 for 12 bits; 0 does nothing.
+    """
+
+    default_name: ClassVar[str] = "quantise"
+
+    def __init__(self, levels: int = 0) -> None:
+        super().__init__()
+        self.register_buffer("levels", torch.tensor(float(levels)))
+        self.levels: Tensor
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"levels": int(self.levels)}
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        """The rounded frame."""
+        if not is_exporting() and float(self.levels) == 0:
+            return state
+        steps = self.levels.clamp_min(1)
+        rounded = torch.round(state.signal.clamp(0, 1) * steps) / steps
+        return replace(state, signal=torch.where(self.levels > 0, rounded, state.signal))

@@ -1,0 +1,196 @@
+"""ParticleVeil: rain drops and snow flakes in the viewing frustum of a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.random import Variate
+from torchweather.sensors import Camera
+from torchweather.stages.by_rows import by_rows
+from torchweather.stages.camera import estimate_airlight, frame_mean
+from torchweather.stages.population import Population
+from torchweather.stages.registry import register
+from torchweather.stages.stage import Stage
+from torchweather.stages.states import CameraState, by_cells
+from torchweather.weather import Rain, Snow, weather_from_dict
+
+__all__ = ["ParticleVeil"]
+
+REFLECTED_SHARE = 0.06  # of the light of a drop comes from its outside: Garg & Nayar 2007, PHYSICS.md 4.1
+UPPER_SHARE = 0.6  # of the rows is the part of the frame seen through a drop in D3.4's code
+DROP_VIEWS = ("frame", "upper")
+FADING_COLOUR = 1  # fog fades the particles at the green band's extinction; the others follow as a power
+FAINTEST = 1e-20  # optical depth below which a colour does not matter
+
+
+@register
+class ParticleVeil(Stage):
+    """Rain or snow between camera and scene, drawn particle by particle where it can be seen.
+
+    Every pixel's particles cover the share ``M = 1 - prod(1 - m)`` of its exposure, ``m`` the covered share of each
+    one that is nearer than the scene. The pixel becomes ``(1 - M) I + M C`` with C the particles' colour:
+    ``0.94`` of the scene's mean and ``0.06`` of the sky for drops, the albedo times the sky for flakes, per CFA colour
+    and linear in light (``PHYSICS.md`` 4.1-4.7). Particles seen through fog fade into the airlight.
+
+    Particles whose mark peaks above ``cut`` are rendered one by one; all others enter through the exact mean and
+    variance of their optical depth with the correlation of their streaks.
+
+    Identity: rate 0.
+
+    Args:
+        weathers: rain, snow or both, or their dictionaries.
+        camera: the camera, or its dictionary.
+        near_m, far_m: limits of the particles along the axis; beyond ``far_m`` the air is clear.
+        cut: peak coverage above which a particle is drawn one by one.
+        ego_speed_m_per_s: of the vehicle, forward.
+        ambient: linear signal of the sky per colour; ``None`` estimates it from the frame.
+        drop_view: what a drop shows: the mean of the whole ``frame`` or of its ``upper`` three fifths.
+        rate_capacity_mm_per_h: highest rate that one draw serves; ``None`` is 100 mm/h for rain and 10 mm/h for
+            snow, or the weather's own rate where that is higher.
+        variant: ``d3_4`` takes D3.4's blend weight (1 + d)/(v t) in place of the covered share.
+    """
+
+    default_name: ClassVar[str] = "particle_veil"
+
+    def __init__(
+        self,
+        weathers: Sequence[Rain | Snow | Mapping[str, Any]],
+        camera: Camera | Mapping[str, Any],
+        near_m: float = 0.5,
+        far_m: float = 200.0,
+        cut: float = 1 / 1024,
+        ego_speed_m_per_s: float = 0.0,
+        ambient: Sequence[float] | float | None = None,
+        drop_view: str = "frame",
+        rate_capacity_mm_per_h: float | None = None,
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.camera = camera if isinstance(camera, Camera) else Camera.from_dict(camera)
+        check_positive("near_m", near_m, unit="m", owner=self)
+        check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
+        check_between("cut", cut, 1e-6, 1.0, owner=self)
+        check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
+        check_one_of("drop_view", drop_view, DROP_VIEWS, owner=self)
+        built = [w if isinstance(w, (Rain, Snow)) else weather_from_dict(w) for w in weathers]
+        self.options: dict[str, Any] = {
+            "near_m": near_m,
+            "far_m": far_m,
+            "cut": cut,
+            "ego_speed_m_per_s": ego_speed_m_per_s,
+            "ambient": ambient,
+            "drop_view": drop_view,
+            "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
+            "variant": variant,
+        }
+        self.drop_view = drop_view
+        self.given_ambient = ambient if ambient is None or isinstance(ambient, (int, float)) else tuple(ambient)
+        self.populations = torch.nn.ModuleList()
+        for weather in sorted(built, key=lambda part: part.kind):
+            if not isinstance(weather, (Rain, Snow)):
+                raise TypeError(f"ParticleVeil: weathers must be Rain or Snow; got {type(weather).__name__}.")
+            self.populations.append(
+                Population(
+                    weather,
+                    self.camera,
+                    near_m=near_m,
+                    far_m=far_m,
+                    cut=cut,
+                    ego_speed_m_per_s=ego_speed_m_per_s,
+                    rate_capacity_mm_per_h=rate_capacity_mm_per_h,
+                    published_blend=variant == "d3_4",
+                )
+            )
+
+    @property
+    def parts(self) -> list[Population]:
+        """The populations, one for each kind of particle."""
+        return list(self.populations)  # type: ignore[arg-type]
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {
+            "weathers": [part.weather.to_dict() for part in self.parts],
+            "camera": self.camera.to_dict(),
+            **self.options,
+        }
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Points of every listed shell and the noise maps of the haze, for each kind of particle."""
+        return tuple(variate for part in self.parts for variate in part.variates())
+
+    def ambient(self, state: CameraState) -> Tensor:
+        """Signal of the sky per colour, ``(B, 3)``."""
+        if self.given_ambient is None:
+            return state.airlight if state.airlight is not None else estimate_airlight(state, self)
+        light = torch.as_tensor(self.given_ambient, device=state.signal.device, dtype=state.signal.dtype)
+        return light.expand(state.batch, 3)
+
+    def _colours(self, state: CameraState) -> list[Tensor]:
+        ambient = self.ambient(state)
+        colours = []
+        for part in self.parts:
+            if isinstance(part.weather, Snow):
+                colours.append(part.weather.albedo * ambient)
+            else:
+                colours.append((1 - REFLECTED_SHARE) * self._seen_through(state) + REFLECTED_SHARE * ambient)
+        return colours
+
+    def _seen_through(self, state: CameraState) -> Tensor:
+        if self.drop_view == "frame":
+            return frame_mean(state)
+        rows = max(2, int(state.signal.shape[-2] * UPPER_SHARE) // 2 * 2)
+        return frame_mean(replace(state, signal=state.signal[..., :rows, :]))
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        """The frame behind its particles."""
+        if state.signal.numel() == 0:
+            return replace(state, particle_mask=state.signal if state.keep_truth else None)
+        colours = [state.per_pixel(colour) for colour in self._colours(state)]
+        tables = [part.at_rate(state.batch) for part in self.parts]
+        fog = state.fog_extinction_per_m
+        fog_per_m = None if fog is None else fog[:, FADING_COLOUR]
+        listed = [
+            part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
+        ]
+
+        def band(first: int, last: int) -> tuple[Tensor, ...]:
+            rows = (..., slice(first, last), slice(None))
+            depths, lights = [], []
+            for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
+                haze, haze_faded = part.haze_depth(state, noise, table, first, last, fog_per_m)
+                depths.append(by_cells(sharp[rows] + haze))
+                if sharp_faded is not None and haze_faded is not None:
+                    faded = by_cells(sharp_faded[rows] + haze_faded)
+                    colour = self._through_fog(state, colour, faded, depths[-1])
+                lights.append(colour)
+            total = sum(depths[1:], depths[0])
+            mask = -torch.expm1(-total)
+            if len(lights) == 1:
+                light = lights[0].expand_as(mask)
+            else:
+                light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
+            signal = torch.lerp(by_cells(state.signal[rows]), light, mask).flatten(2, 3)
+            return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
+
+        like = state.signal
+        if torch.is_grad_enabled() and any(part.rate_mm_per_h.requires_grad for part in self.parts):
+            results = tuple(band(0, state.signal.shape[-2]))
+        else:
+            results = by_rows(band, state.signal.shape, like)
+        return replace(state, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
+
+    def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:
+        """Colour of particles seen through fog: their light fades, the airlight takes its place."""
+        assert state.airlight is not None and state.fog_extinction_per_m is not None  # set by the fog's stage
+        clear = (faded / optical.clamp_min(FAINTEST)).clamp(FAINTEST, 1.0)
+        reference = state.fog_extinction_per_m[:, FADING_COLOUR, None]
+        ratio = torch.where(reference > 0, state.fog_extinction_per_m / reference.clamp_min(FAINTEST), 1.0)
+        airlight = state.per_pixel(state.airlight)
+        return airlight + clear ** state.per_pixel(ratio) * (colour - airlight)

@@ -1,0 +1,469 @@
+"""Population: one kind of particle in a camera's frustum, its draws and its optical depth per pixel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.random import ABSENT, Variate
+from torchweather.sensors import Camera
+from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.particle_tables import MarkOptics, particle_tables
+from torchweather.stages.states import CameraState
+from torchweather.stages.streaks import Marks, add_listed, add_static
+from torchweather.weather import Rain, Snow
+
+__all__ = ["Population"]
+
+RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
+FLOOR = 1e-30  # keeps logarithms finite where nothing falls
+# Columns of a point: image column and row, depth, level.
+COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class _AtRate:
+    """The tables at each sample's rate."""
+
+    log_tail_at_cut: Tensor
+    log_outline_m: Tensor
+    log_fall_speed: Tensor
+    haze_depth: Tensor
+    haze_variance: Tensor
+    kernel_along: Tensor
+    kernel_across: Tensor
+    falls: Tensor
+
+
+class Population(nn.Module):
+    """Rain drops or snow flakes seen by a camera; used by ``ParticleVeil``.
+
+    Args:
+        weather: the precipitation.
+        camera: the camera.
+        near_m, far_m, cut, ego_speed_m_per_s, rate_capacity_mm_per_h: as in ``ParticleVeil``.
+        published_blend: D3.4's blend weight.
+    """
+
+    rate_mm_per_h: Tensor
+
+    def __init__(
+        self,
+        weather: Rain | Snow,
+        camera: Camera,
+        *,
+        near_m: float,
+        far_m: float,
+        cut: float,
+        ego_speed_m_per_s: float,
+        rate_capacity_mm_per_h: float | None,
+        published_blend: bool,
+    ) -> None:
+        super().__init__()
+        self.weather, self.camera = weather, camera
+        self.near_m, self.far_m = float(near_m), float(far_m)
+        focus = math.inf if camera.focus_distance_m is None else camera.focus_distance_m
+        self.optics = MarkOptics(camera.exposure_s, camera.aperture_m, focus, published_blend)
+        self.focal_px = math.sqrt(camera.fx * camera.fy)
+        capacity = rate_capacity_mm_per_h or RATE_CAPACITY_MM_PER_H[weather.kind]
+        rate = weather.rate_mm_per_h
+        highest = float(rate.detach().max()) if isinstance(rate, Tensor) and rate.numel() else rate
+        if isinstance(highest, (int, float)) and highest > capacity:
+            capacity = float(highest)
+        self.rate_capacity_mm_per_h = capacity
+        self.tables = particle_tables(weather, self.optics, self.focal_px, self.near_m, self.far_m, cut, capacity)
+        self.register_buffer("rate_mm_per_h", torch.as_tensor(rate, dtype=torch.float32))
+        self._set_motion(ego_speed_m_per_s)
+        self._set_tables()
+
+    def _set_motion(self, ego_speed_m_per_s: float) -> None:
+        rotation = torch.tensor(self.camera.camera_from_vehicle(), dtype=torch.float64)
+        wind = torch.tensor(self.weather.wind_m_per_s, dtype=torch.float64)
+        drift = rotation @ (wind - torch.tensor([ego_speed_m_per_s, 0.0, 0.0], dtype=torch.float64))
+        self.down = self.camera.down_direction()
+        self.drift_m_per_s: tuple[float, float, float] = tuple(drift.tolist())
+        self.vertical = self.down == (0.0, 1.0, 0.0) and not bool(drift.any()) and not self.camera.distorted
+        haze = [d * self.tables.haze_speed_m_per_s + v for d, v in zip(self.down, self.drift_m_per_s, strict=True)]
+        # The haze's streaks run along its mean motion at the image's centre.
+        self.haze_steep = abs(haze[1]) >= abs(haze[0])
+        major, minor = (haze[1], haze[0]) if self.haze_steep else (haze[0], haze[1])
+        self.haze_slope = minor / major if abs(major) > 1e-9 else 0.0
+
+    def _set_tables(self) -> None:
+        t = self.tables
+        self.register_buffer("tail_at_cut", _log(t.tail_at_cut), persistent=False)
+        self.register_buffer("tail_most", _log(t.tail_most), persistent=False)
+        self.register_buffer("outline", torch.from_numpy(t.log_outline_m).float(), persistent=False)
+        self.register_buffer("speed", torch.from_numpy(t.log_fall_speed).float(), persistent=False)
+        self.register_buffer("depth_table", torch.from_numpy(t.haze_depth).float(), persistent=False)
+        self.register_buffer("variance_table", torch.from_numpy(t.haze_variance).float(), persistent=False)
+        self.register_buffer("along_table", torch.from_numpy(t.kernel_along).float(), persistent=False)
+        self.register_buffer("across_table", torch.from_numpy(t.kernel_across).float(), persistent=False)
+        for number, shell in enumerate(t.listed):
+            quantiles = torch.from_numpy(shell.log_footprint).float()
+            self.register_buffer(f"footprint_{number}", quantiles, persistent=False)
+
+    # ---- draws -------------------------------------------------------------------------------------------------
+
+    def _reach_px(self, number: int) -> tuple[float, float]:
+        """Margin of a shell, px: half of its longest path with its widest mark."""
+        shell = self.tables.listed[number]
+        nearest = math.exp(float(shell.log_footprint[0]))
+        across, along, axial = (abs(v) for v in self.drift_m_per_s)
+        fastest = shell.length_max_px * nearest / self.optics.exposure_s  # fall speed of the fastest particle, m/s
+        radial = axial + fastest * abs(self.down[2])
+        half_u = max(self.camera.principal_point_px[0], self.camera.width - self.camera.principal_point_px[0])
+        half_v = max(self.camera.principal_point_px[1], self.camera.height - self.camera.principal_point_px[1])
+        speed_u = across + fastest * abs(self.down[0]) + radial * half_u / self.camera.fx
+        speed_v = along + fastest * abs(self.down[1]) + radial * half_v / self.camera.fy
+        scale = self.optics.exposure_s / nearest
+        return (
+            0.5 * (speed_u * scale + shell.width_max_px) + 1,
+            0.5 * (speed_v * scale + shell.width_max_px) + 1,
+        )
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Points of each listed shell and the noise maps of the haze."""
+        kind = self.weather.kind
+        points = []
+        for number, shell in enumerate(self.tables.listed):
+            u, v = self._reach_px(number)
+            per_px2 = shell.per_px2 * self._headroom()
+            points.append(Variate(f"{kind}_shell_{number}", "points", (), per_px2, u, v, COLUMNS))
+        haze = Variate(f"{kind}_haze", "normal", (len(self.tables.haze), "H", "W"))
+        return (*points, haze)
+
+    def _headroom(self) -> float:
+        """Slots per slot of the undistorted lens: 1, or the largest magnification loss of the distortion."""
+        if not self.camera.distorted:
+            return 1.0
+        w, h = self.camera.width, self.camera.height
+        u = torch.linspace(-0.5, w - 0.5, 33, dtype=torch.float64)[None].expand(33, 33)
+        v = torch.linspace(-0.5, h - 0.5, 33, dtype=torch.float64)[:, None].expand(33, 33)
+        intrinsics = torch.tensor([self.camera.intrinsics], dtype=torch.float64)
+        *_, scale = self._undistorted(u.reshape(-1), v.reshape(-1), intrinsics.expand(u.numel(), 4))
+        return max(1.0, float((1 / scale).max()) * 1.05)
+
+    # ---- tables at a rate --------------------------------------------------------------------------------------
+
+    def at_rate(self, batch: int) -> _AtRate:
+        """Interpolate every table in ln(rate), one row per sample."""
+        rate = self.rate_mm_per_h.reshape(-1).expand(batch)
+        falls = rate > 0
+        safe = torch.where(falls, rate, torch.ones_like(rate))
+        position = (torch.log(safe) - self.tables.log_rate_low) / self.tables.log_rate_step
+        cell = position.detach().floor().clamp(0, self.tail_at_cut.shape[0] - 2)  # type: ignore[operator]
+        share = position - cell  # beyond the ends: the end cells' power law
+        index = cell.long()
+
+        def rows(table: Tensor) -> Tensor:
+            weight = share.reshape(-1, *[1] * (table.ndim - 1))
+            return table[index] * (1 - weight) + table[index + 1] * weight
+
+        amount = falls.to(rate.dtype)[:, None]
+        # Linear tables (optical depth, variance) follow the rate's power law below the first node.
+        low = torch.exp((share.clamp_max(0.0) * self.tables.log_rate_step))[:, None]
+        held = share.clamp_min(0.0)
+
+        def linear(table: Tensor) -> Tensor:
+            weight = held.reshape(-1, *[1] * (table.ndim - 1))
+            return table[index] * (1 - weight) + table[index + 1] * weight
+
+        return _AtRate(
+            rows(self.tail_at_cut),  # type: ignore[arg-type]
+            rows(self.outline),  # type: ignore[arg-type]
+            rows(self.speed),  # type: ignore[arg-type]
+            linear(self.depth_table) * amount * low,  # type: ignore[arg-type]
+            linear(self.variance_table) * amount * low,  # type: ignore[arg-type]
+            linear(self.along_table),  # type: ignore[arg-type]
+            linear(self.across_table),  # type: ignore[arg-type]
+            falls,
+        )
+
+    # ---- listed particles --------------------------------------------------------------------------------------
+
+    def _undistorted(self, u: Tensor, v: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Undistorted normalised coordinates and the lens's areal magnification there (1 without distortion)."""
+        fx, fy, cx, cy = intrinsics.unbind(-1)
+        x, y = self.camera.undistort((u - cx) / fx, (v - cy) / fy)
+        if not self.camera.distorted:
+            return x, y, torch.ones_like(x)
+        xx, xy, yx, yy = self._jacobian(x, y)
+        return x, y, (xx * yy - xy * yx).clamp_min(1e-3)
+
+    def _jacobian(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Derivatives of the distorted by the undistorted normalised coordinates: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+        c = self.camera
+        r2 = x * x + y * y
+        radial = 1 + r2 * (c.k1 + r2 * (c.k2 + r2 * c.k3))
+        slope = 2 * (c.k1 + r2 * (2 * c.k2 + 3 * c.k3 * r2))  # d radial / d r2, times 2
+        xx = radial + x * x * slope + 2 * c.p1 * y + 6 * c.p2 * x
+        xy = x * y * slope + 2 * c.p1 * x + 2 * c.p2 * y
+        yy = radial + y * y * slope + 6 * c.p1 * y + 2 * c.p2 * x
+        return xx, xy, xy, yy
+
+    def marks(self, state: CameraState, noise: Mapping[str, Tensor], tables: _AtRate, number: int) -> Marks:
+        """The particles of one listed shell as marks in the image, absent ones with opacity 0 (or left out)."""
+        t = self.tables
+        shell = t.listed[number]
+        height, width = state.signal.shape[-2:]
+        points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
+        b, m, _ = points.shape
+        reach_u, reach_v = self._reach_px(number)
+        dtype = torch.float32
+        sample = torch.arange(b, device=points.device)[:, None].expand(b, m).reshape(-1)
+        flat = points.reshape(b * m, COLUMNS)
+        level = flat[:, COLUMN_LEVEL]
+
+        quantiles = getattr(self, f"footprint_{number}")
+        spot = flat[:, COLUMN_DEPTH] * (quantiles.shape[0] - 1)
+        log_foot = _lerp(quantiles, spot)
+        node = (log_foot - t.log_footprint_low) / t.log_footprint_step
+        log_level = torch.log(level.clamp_min(FLOOR)) + _lerp(self.tail_most, node)  # type: ignore[arg-type]
+        intrinsics = state.intrinsics.expand(b, 4)
+        focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
+        # The slots' density belongs to the camera's own focal length and an undistorted lens.
+        log_level = log_level + (math.log(self.focal_px) - torch.log(focal))[sample]
+        shown = (log_level < _lerp_rows(tables.log_tail_at_cut, sample, node)) & (level < ABSENT) & tables.falls[sample]
+        if not is_exporting() and not self.camera.distorted:
+            seen = shown.nonzero().squeeze(1)
+            flat, sample, log_foot, log_level = flat[seen], sample[seen], log_foot[seen], log_level[seen]
+            shown = shown[seen]
+
+        u = flat[:, COLUMN_U] * (width + 2 * reach_u) - (reach_u + 0.5)
+        v = flat[:, COLUMN_V] * (height + 2 * reach_v) - (reach_v + 0.5)
+        own = intrinsics[sample]
+        foot = torch.exp(log_foot)
+        depth_m = foot * focal[sample]
+        if self.camera.distorted:
+            x, y, scale = self._undistorted(u, v, own)
+            log_level = log_level + torch.log(scale) + math.log(self._headroom())
+            shown = (log_level < _lerp_rows(tables.log_tail_at_cut, sample, node)) & (level < ABSENT) & tables.falls[sample]
+        stop = (log_level - t.log_level_low) / t.log_level_step
+        outline_m = torch.exp(_lerp_rows(tables.log_outline_m, sample, stop))
+        speed = torch.exp(_lerp_rows(tables.log_fall_speed, sample, stop))
+        shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
+
+        diameter = outline_m / foot
+        if self.vertical:
+            motion_v = speed * (self.optics.exposure_s / foot) * (own[:, 1] / focal[sample])
+            motion_u = torch.zeros_like(motion_v)
+        else:
+            if not self.camera.distorted:
+                x, y, scale = self._undistorted(u, v, own)
+            motion_u, motion_v = self._path_px(x, y, speed, depth_m, own)
+        if self.camera.distorted:
+            diameter = diameter * torch.sqrt(scale)
+        width_px, opacity = self._blurred(diameter, foot, depth_m)
+        return Marks(
+            sample=sample,
+            u_px=u,
+            v_px=v,
+            motion_u_px=motion_u,
+            motion_v_px=motion_v,
+            width_px=width_px.to(dtype),
+            opacity=torch.where(shown, opacity, torch.zeros_like(opacity)),
+            depth_m=depth_m,
+        )
+
+    def _path_px(self, x: Tensor, y: Tensor, speed: Tensor, depth_m: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
+        """Path of the exposure in pixels, from the velocity relative to the camera."""
+        vx, vy, vz = (d * speed + w for d, w in zip(self.down, self.drift_m_per_s, strict=True))
+        per_depth = self.optics.exposure_s / depth_m
+        dx, dy = (vx - x * vz) * per_depth, (vy - y * vz) * per_depth
+        if self.camera.distorted:
+            xx, xy, yx, yy = self._jacobian(x, y)
+            dx, dy = xx * dx + xy * dy, yx * dx + yy * dy
+        return dx * own[:, 0], dy * own[:, 1]
+
+    def _blurred(self, diameter: Tensor, foot: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
+        """Width and peak of the disk after defocus: second moments add, the area is conserved."""
+        opacity = torch.ones_like(diameter)
+        width = diameter
+        if self.optics.aperture_m > 0:
+            focus = self.optics.focus_distance_m
+            out_of_focus = 1.0 if math.isinf(focus) else (depth_m - focus).abs() / focus
+            circle = self.optics.aperture_m / foot * out_of_focus
+            width = torch.sqrt(diameter.square() + circle.square())
+            opacity = (diameter / width).square()
+        if self.optics.published_blend:
+            opacity = opacity * (1 + diameter) / diameter
+        return width, opacity
+
+    def listed_depth(
+        self, state: CameraState, noise: Mapping[str, Tensor], tables: _AtRate, fog_per_m: Tensor | None = None
+    ) -> tuple[Tensor, Tensor | None]:
+        """Optical depth of the listed particles, ``(B, 1, H, W)``.
+
+        Args:
+            state: the frame.
+            noise: the stage's noise.
+            tables: the tables at each sample's rate.
+            fog_per_m: ``(B,)`` fog extinction; where given, the second result is the optical depth weighted with
+                the fog's transmission to each particle.
+        """
+        b, _, height, width = state.signal.shape
+        depth = state.depth_m.expand(b, 1, height, width).reshape(-1)
+        total = torch.zeros(b * height * width, device=depth.device, dtype=torch.float32)
+        faded = None if fog_per_m is None else torch.zeros_like(total)
+        for number in range(len(self.tables.listed)):
+            marks = self.marks(state, noise, tables, number)
+            if fog_per_m is not None:
+                marks = replace(marks, clearness=torch.exp(-fog_per_m[marks.sample] * marks.depth_m))
+            if is_exporting():
+                rows, columns = self._footprint_px(number)
+                total, faded = add_static(total, faded, marks, depth, (height, width), rows, columns)
+            else:
+                total, faded = add_listed(total, faded, marks, depth, (height, width), vertical=self.vertical)
+        shape = (b, 1, height, width)
+        return total.view(shape), None if faded is None else faded.view(shape)
+
+    def _footprint_px(self, number: int) -> tuple[int, int]:
+        """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""
+        shell = self.tables.listed[number]
+        reach_u, reach_v = self._reach_px(number)
+        slanted = 0 if self.vertical else 2
+        along = math.ceil(2 * max(reach_u, reach_v)) if not self.vertical else math.ceil(2 * reach_v)
+        return along + 1, math.ceil(shell.width_max_px * math.sqrt(1.0 if self.vertical else 2.0)) + 2 + slanted
+
+    # ---- haze --------------------------------------------------------------------------------------------------
+
+    def _filtered(self, noise: Tensor, kernel: Tensor, first: int, last: int, *, rows: bool, slope: float) -> Tensor:
+        """Correlate rows ``first..last`` of a periodic noise map ``(B, J, H, W)`` along one image axis.
+
+        Args:
+            noise: the map; along ``rows`` it is the whole map, otherwise the band itself.
+            kernel: ``(B, J, taps)`` symmetric.
+            rows: along the rows (down the image) or along the columns.
+            slope: shift along the other axis per step, for slanted streaks.
+        """
+        taps = kernel.shape[-1] // 2
+        total = None
+        for tap in range(-taps, taps + 1):
+            part = _row_window(noise, first + tap, last + tap) if rows else torch.roll(noise, -tap, -1)
+            if slope:
+                aside = tap * slope
+                whole = math.floor(aside)
+                axis = -1 if rows else -2
+                near, far = torch.roll(part, -whole, axis), torch.roll(part, -whole - 1, axis)
+                share = aside - whole
+                # Weights of equal energy, not of equal sum: interpolation must not lower the variance.
+                energy = math.hypot(1 - share, share)
+                part = near * ((1 - share) / energy) + far * (share / energy)
+            term = part * kernel[:, :, tap + taps, None, None]
+            total = term if total is None else total + term
+        assert total is not None  # a kernel has at least one tap
+        return total
+
+    def haze_depth(
+        self,
+        state: CameraState,
+        noise: Mapping[str, Tensor],
+        tables: _AtRate,
+        first: int,
+        last: int,
+        fog_per_m: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor | None]:
+        """Optical depth of the particles that are too faint to be drawn one by one, rows ``first..last``.
+
+        Mean and variance are those of the particles in front of the scene, exactly; the field is log-normal, so it
+        is positive and skewed like shot noise; its correlation is the streaks'.
+
+        Returns:
+            Optical depth ``(B, 1, rows, W)`` and, with fog, its share weighted with the fog's transmission.
+        """
+        t = self.tables
+        b, _, _, width = state.signal.shape
+        fields = noise[f"{self.weather.kind}_haze"].to(state.signal.device)  # (B, J, H, W)
+        along, across = tables.kernel_along, tables.kernel_across
+        if self.haze_steep:
+            smooth = self._filtered(fields, along, first, last, rows=True, slope=self.haze_slope)
+            smooth = self._filtered(smooth, across, 0, 0, rows=False, slope=0.0)
+        else:
+            smooth = self._filtered(fields, across, first, last, rows=True, slope=0.0)
+            smooth = self._filtered(smooth, along, 0, 0, rows=False, slope=self.haze_slope)
+
+        focal = torch.sqrt(state.intrinsics[:, 0] * state.intrinsics[:, 1]).expand(b)
+        depth = state.depth_m[..., first:last, :].expand(b, 1, last - first, width)
+        foot = depth.clamp(1e-6, self.far_m) / focal.view(-1, 1, 1, 1)
+        node = (torch.log(foot) - t.log_footprint_low) / t.log_footprint_step
+        nodes = tables.haze_depth.shape[1]
+        cell, share = _cell(node, nodes)
+        at = (cell + (torch.arange(b, device=cell.device) * nodes).view(-1, 1, 1, 1)).reshape(-1)
+
+        def read(table: Tensor) -> Tensor:
+            flat = table.reshape(-1)
+            low = flat.index_select(0, at).view_as(share)
+            return low + share * (flat.index_select(0, at + 1).view_as(share) - low)
+
+        scale = focal.view(-1, 1, 1, 1)
+        mean = read(tables.haze_depth) * scale
+        variance = read(tables.haze_variance) * scale
+        deviation = self._deviation(tables, variance, smooth, scale)
+        # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
+        centre = (mean + 0.5 * variance).clamp_min(FLOOR)
+        spread = torch.log1p(variance / centre.square())
+        unit = deviation / torch.sqrt(variance.clamp_min(FLOOR))
+        optical = centre * torch.exp(torch.sqrt(spread.clamp_min(FLOOR)) * unit - 0.5 * spread)
+        optical = torch.where(mean > 0, optical, torch.zeros_like(optical))
+        if fog_per_m is None:
+            return optical, None
+        steps = tables.haze_depth[:, 1:] - tables.haze_depth[:, :-1]
+        middle = torch.arange(nodes - 1, device=steps.device) + 0.5
+        middle_m = torch.exp(t.log_footprint_low + t.log_footprint_step * middle) * focal[:, None]
+        clear = torch.cumsum(steps * torch.exp(-fog_per_m[:, None] * middle_m), 1)
+        weighted = read(torch.nn.functional.pad(clear, (1, 0))) * scale
+        return optical, optical * weighted / mean.clamp_min(FLOOR)
+
+    def _deviation(self, tables: _AtRate, variance: Tensor, smooth: Tensor, scale: Tensor) -> Tensor:
+        """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
+        total = torch.zeros_like(variance)
+        for number, shell in enumerate(self.tables.haze):
+            low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
+            high = tables.haze_variance[:, shell.last_node].view(-1, 1, 1, 1) * scale
+            inside = torch.minimum(variance, high) - low
+            positive = inside > 0
+            root = torch.sqrt(torch.where(positive, inside, torch.ones_like(inside)))
+            total = total + torch.where(positive, root, torch.zeros_like(root)) * smooth[:, number : number + 1]
+        return total
+
+
+def _row_window(image: Tensor, first: int, last: int) -> Tensor:
+    """Rows ``first..last`` of an image that repeats downwards."""
+    height = image.shape[-2]
+    if is_exporting():
+        return torch.roll(image, -first, -2)
+    if first >= 0 and last <= height:
+        return image[..., first:last, :]
+    index = torch.arange(first, last, device=image.device) % height
+    return image.index_select(-2, index)
+
+
+def _log(table: object) -> Tensor:
+    return torch.log(torch.as_tensor(table).clamp_min(FLOOR)).float()
+
+
+def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
+    cell = position.detach().floor().clamp(0, nodes - 2)
+    return cell.long(), (position - cell).clamp(0.0, 1.0)
+
+
+def _lerp(table: Tensor, position: Tensor) -> Tensor:
+    """``table (n,)`` at fractional node numbers, the ends held."""
+    cell, share = _cell(position, table.shape[0])
+    low, high = table.index_select(0, cell), table.index_select(0, cell + 1)
+    return low + share * (high - low)
+
+
+def _lerp_rows(table: Tensor, row: Tensor, position: Tensor) -> Tensor:
+    """``table (B, n)`` at (row, fractional node number), the ends held."""
+    nodes = table.shape[1]
+    cell, share = _cell(position, nodes)
+    at = row * nodes + cell
+    flat = table.reshape(-1)
+    low, high = flat.index_select(0, at), flat.index_select(0, at + 1)
+    return low + share * (high - low)

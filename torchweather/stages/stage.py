@@ -1,0 +1,62 @@
+"""Stage: one physical step between the ideal and the measured data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.random import Variate, draw_variates, sample_seeds
+
+__all__ = ["Stage", "State"]
+
+
+class State(Protocol):
+    """What every state can tell about itself."""
+
+    @property
+    def sizes(self) -> dict[str, int]: ...
+
+    @property
+    def batch(self) -> int: ...
+
+
+S = TypeVar("S")
+
+
+class Stage(nn.Module):
+    """A physical stage: parameters are buffers, drawing is apart from rendering.
+
+    A subclass says which standard variates it needs (``variates``) and computes its output as a deterministic
+    function of state and noise (``forward``). ``default_name`` is its place's name in a chain, and with it the
+    name of its random streams.
+    """
+
+    default_name: ClassVar[str] = "stage"
+
+    def variates(self) -> tuple[Variate, ...]:
+        """The standard random numbers that this stage needs; none for a deterministic stage."""
+        return ()
+
+    def draw(
+        self,
+        state: State,
+        generator: torch.Generator | None = None,
+        seed: int | Tensor | Sequence[int] | None = None,
+        name: str | None = None,
+    ) -> dict[str, Tensor]:
+        """Draw this stage's noise, on the CPU, keyed by (sample seed, stage name, variate name)."""
+        seeds = list(seed) if isinstance(seed, Sequence) else sample_seeds((state.batch,), generator, seed)
+        stage = name or self.default_name
+        drawn = draw_variates(seeds, stage, self.variates(), state.sizes)
+        return {key.removeprefix(f"{stage}."): torch.from_numpy(array) for key, array in drawn.items()}
+
+    def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
+        """The state after this stage."""
+        raise NotImplementedError
+
+    def config(self) -> dict[str, Any]:
+        """Plain constructor arguments, from which ``type(self)(**config)`` rebuilds the stage."""
+        raise NotImplementedError

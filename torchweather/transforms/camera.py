@@ -1,0 +1,369 @@
+"""BayerRain, BayerFog, BayerSnow: weather on the raw mosaic of a camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.errors import check_one_of
+from torchweather.image.bayer import cfa_colour_index
+from torchweather.image.depth import as_depth_source, check_depth
+from torchweather.sensors import Camera
+from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Quantise, Stage
+from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.camera import estimate_airlight
+from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
+from torchweather.weather import Fog, Rain, Snow, Weather
+
+__all__ = ["BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"]
+
+VARIANTS = ("d3_4",)
+
+
+@dataclass(frozen=True)
+class CameraResult:
+    """What the weather did to a frame.
+
+    Args:
+        bayer: ``(..., 1, H, W)`` the frame, in the dtype of the input.
+        transmission: ``(..., 1, H, W)`` share of the scene's light that fog lets through; 1 without fog.
+        airlight: ``(..., 3)`` linear signal of the sky that was used (red, green or clear, blue).
+        particle_mask: ``(..., 1, H, W)`` share of the exposure in which particles cover the pixel.
+    """
+
+    bayer: Tensor
+    transmission: Tensor
+    airlight: Tensor
+    particle_mask: Tensor
+
+
+class BayerWeather(nn.Module):
+    """Any weather on a raw Bayer frame: rain, fog, snow or a ``Mixture``.
+
+    Args:
+        weather: what falls; its knob may be a tensor of the batch shape.
+        camera: the camera that took the frame.
+        depth: depth of the scene where the call gives none: a number of metres, a map, a depth source such as
+            ``FlatGround()``, or a function of the image.
+        airlight: linear signal of the sky (red, green, blue), saturation 1; ``None`` takes it from the frame.
+        extinction: of fog: ``mie`` or ``koschmieder``.
+        near_m, far_m: limits of falling particles along the optical axis.
+        cut: peak coverage above which a particle is drawn one by one.
+        ego_speed_m_per_s: speed of the vehicle, forward.
+        drop_view: what a drop shows: the mean of the ``frame`` or of its ``upper`` three fifths.
+        rate_capacity_mm_per_h: highest rate that one draw serves.
+        variant: ``d3_4`` computes what the deliverable published (``PHYSICS.md`` 8) where that differs.
+
+    Note:
+        Single scattering; day and sky light only. Fog of a visibility below 20 m also blurs a real image.
+
+    Example:
+        >>> from torchweather.weather import Mixture
+        >>> camera = Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+        >>> sleet_in_fog = BayerWeather(Mixture(Fog(mor_m=200), Snow(1.0)), camera, depth=30.0, airlight=0.7)
+        >>> sleet_in_fog(torch.full((1, 24, 32), 0.2)).shape
+        torch.Size([1, 24, 32])
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
+
+    def __init__(
+        self,
+        weather: Weather,
+        camera: Camera,
+        *,
+        depth: object = None,
+        airlight: Sequence[float] | float | None = None,
+        extinction: str = "mie",
+        near_m: float = 0.5,
+        far_m: float = 200.0,
+        cut: float = 1 / 1024,
+        ego_speed_m_per_s: float = 0.0,
+        drop_view: str = "frame",
+        rate_capacity_mm_per_h: float | None = None,
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self._check(weather, camera)
+        if variant is not None:
+            check_one_of("variant", variant, VARIANTS, owner=self)
+        self.weather, self.camera = weather, camera
+        self.depth_source = None if depth is None else as_depth_source(depth)
+        self.airlight = airlight
+        stages: dict[str, Stage] = {}
+        fogs = [part for part in weather.parts if isinstance(part, Fog)]
+        falling = [part for part in weather.parts if isinstance(part, (Rain, Snow))]
+        if fogs:
+            stages["extinction_and_airlight"] = ExtinctionAndAirlight(
+                fogs[0], tuple(camera.bands.values()), airlight, extinction, variant
+            )
+        if falling:
+            stages["particle_veil"] = ParticleVeil(
+                falling,
+                camera,
+                near_m=near_m,
+                far_m=far_m,
+                cut=cut,
+                ego_speed_m_per_s=ego_speed_m_per_s,
+                ambient=airlight,
+                drop_view=drop_view,
+                rate_capacity_mm_per_h=rate_capacity_mm_per_h,
+                variant=variant,
+            )
+        stages["quantise"] = Quantise()
+        self.chain = Chain(stages)
+        self._rays: dict[tuple[Any, ...], Tensor] = {}
+
+    def _check(self, weather: Weather, camera: Camera) -> None:
+        name = type(self).__name__
+        if not isinstance(weather, Weather):
+            raise TypeError(f"{name}: weather must be Rain, Fog, Snow or a Mixture; got {type(weather).__name__}.")
+        wrong = [part.kind for part in weather.parts if part.kind not in self.takes]
+        if wrong:
+            raise TypeError(f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. BayerWeather takes any.")
+        if not isinstance(camera, Camera):
+            raise TypeError(f"{name}: camera must be a Camera, such as Camera.preset('lucid-triton'); got {camera!r}.")
+
+    def extra_repr(self) -> str:
+        """The weather and the camera."""
+        return f"{self.weather!r}, {self.camera!r}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_rays": {}}
+
+    # ---- calls -------------------------------------------------------------------------------------------------
+
+    def forward(
+        self,
+        bayer: Tensor,
+        depth: Tensor | None = None,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        out: Tensor | None = None,
+    ) -> Tensor:
+        """The frame in this weather.
+
+        Args:
+            bayer: ``(..., 1, H, W)`` mosaic, uint8, uint16 or float in 0..1.
+            depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; ``None`` takes the
+                constructor's source.
+            noise: what ``draw`` gave; ``None`` draws.
+            out: a float32 tensor of the frame's shape to write to, for fog alone (saves the page faults of a fresh one).
+
+        Returns:
+            ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
+        """
+        state = self._state(bayer, depth)
+        drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
+        if out is not None:
+            self._run_into(state, out)
+            return out
+        return self._raw(self.chain(state, drawn), state, bayer)
+
+    def run(
+        self, bayer: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None
+    ) -> CameraResult:
+        """The frame, and with it transmission, airlight and particle mask."""
+        state = self._state(bayer, depth, keep_truth=True)
+        drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
+        after: CameraState = self.chain(state, drawn)
+        batch = bayer.shape[:-3]
+        airlight = after.airlight
+        if airlight is None:
+            veil = self.chain.stages.get("particle_veil")
+            airlight = veil.ambient(state) if isinstance(veil, ParticleVeil) else estimate_airlight(state, self)
+        one, zero = torch.ones_like(state.signal), torch.zeros_like(state.signal)
+        transmission = one if after.transmission is None else after.transmission
+        mask = zero if after.particle_mask is None else after.particle_mask
+        return CameraResult(
+            bayer=self._raw(after, state, bayer),
+            transmission=transmission.reshape(bayer.shape),
+            airlight=airlight.reshape(*batch, 3),
+            particle_mask=mask.reshape(bayer.shape),
+        )
+
+    def draw(
+        self,
+        bayer: Tensor,
+        depth: Tensor | None = None,
+        generator: torch.Generator | None = None,
+        seed: int | Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        """Noise for a frame (or a batch): ``<stage>.<variate>`` to a tensor with the frame's leading dimensions.
+
+        Args:
+            bayer: the frame; only its shape counts.
+            depth: ignored, so that ``draw`` takes what ``forward`` takes.
+            generator: takes one integer per sample from it; ``None`` is torch's global generator.
+            seed: the integers themselves: a tensor of the batch shape, or one integer s for s, s + 1, ...
+
+        Returns:
+            float32 tensors on the CPU; the same seed gives the same numbers everywhere.
+        """
+        check_bayer(bayer, self.camera, self)
+        batch = bayer.shape[:-3]
+        flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
+        sizes = _Sizes(math.prod(batch), bayer.shape[-2], bayer.shape[-1])
+        drawn = self.chain.draw(sizes, generator, flat_seed)
+        return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+
+    # ---- the border --------------------------------------------------------------------------------------------
+
+    def _state(self, bayer: Tensor, depth: Tensor | None, *, keep_truth: bool = False) -> CameraState:
+        check_bayer(bayer, self.camera, self)
+        height, width = bayer.shape[-2:]
+        linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
+        depth_m = self._depth(bayer, depth, linear)
+        return CameraState(
+            signal=linear,
+            depth_m=depth_m,
+            ray_per_depth=self._ray_per_depth(linear),
+            cfa_index=torch.tensor(cfa_colour_index(self.camera.bayer_pattern), device=linear.device),
+            intrinsics=torch.tensor([self.camera.intrinsics], device=linear.device, dtype=linear.dtype),
+            keep_truth=keep_truth,
+        )
+
+    def _depth(self, bayer: Tensor, depth: Tensor | None, linear: Tensor) -> Tensor:
+        height, width = linear.shape[-2:]
+        if depth is None:
+            if self.depth_source is None:
+                raise ValueError(
+                    f"{type(self).__name__}: no depth: give forward(bayer, depth) a map (..., 1, H, W) in metres, or the "
+                    "constructor a source: depth=30.0, depth=FlatGround(), a map or a function of the image."
+                )
+            depth = self.depth_source(
+                self.camera, height, width, device=linear.device, dtype=linear.dtype, image=bayer
+            )
+        elif not isinstance(depth, Tensor):
+            raise TypeError(
+                f"{type(self).__name__}: depth must be a tensor (..., 1, H, W) in metres; got {type(depth).__name__}. "
+                "A number or a depth source goes to the constructor."
+            )
+        else:
+            check_depth(depth, height, width, owner=self)
+        batch = bayer.shape[:-3]
+        try:
+            spread = depth.expand(*batch, 1, height, width)
+        except RuntimeError as error:
+            raise ValueError(
+                f"{type(self).__name__}: depth {tuple(depth.shape)} does not fit the frame {tuple(bayer.shape)}."
+            ) from error
+        shared = depth.ndim <= 3 or depth.shape[:-3].numel() == 1
+        flat = depth.reshape(1, 1, height, width) if shared else spread.reshape(-1, 1, height, width)
+        return flat.to(device=linear.device, dtype=linear.dtype)
+
+    def _ray_per_depth(self, linear: Tensor) -> Tensor:
+        height, width = linear.shape[-2:]
+        key = (height, width, linear.device, linear.dtype)
+        if is_exporting():
+            return self._rays_of(height, width, linear)
+        if key not in self._rays:
+            with torch.no_grad():
+                self._rays = {key: self._rays_of(height, width, linear)}
+        return self._rays[key]
+
+    def _rays_of(self, height: int, width: int, like: Tensor) -> Tensor:
+        directions = self.camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
+        return directions.square().sum(0).sqrt()[None, None]
+
+    def _flat(self, noise: Mapping[str, Tensor], batch: Sequence[int]) -> dict[str, Tensor]:
+        wanted = {
+            f"{name}.{variate.name}" for name, stage in self.chain.stages.items() for variate in stage.variates()
+        }
+        missing = wanted - set(noise)
+        if missing:
+            raise ValueError(
+                f"{type(self).__name__}: the noise lacks {', '.join(sorted(missing))}; use what draw() of this "
+                "transform (or of one with the same weather and camera) gave."
+            )
+        flat = {}
+        for key in wanted:
+            value = noise[key]
+            if tuple(value.shape[: len(batch)]) != tuple(batch):
+                raise ValueError(
+                    f"{type(self).__name__}: noise {key!r} must lead with the batch shape {tuple(batch)}; got "
+                    f"{tuple(value.shape)}. Draw again for this batch."
+                )
+            flat[key] = value.reshape(math.prod(batch), *value.shape[len(batch) :])
+        return flat
+
+    def _raw(self, after: CameraState, before: CameraState, bayer: Tensor) -> Tensor:
+        return raw_from_linear(
+            after.signal.reshape(bayer.shape), before.signal.reshape(bayer.shape), bayer, self.camera
+        )
+
+    def _run_into(self, state: CameraState, out: Tensor) -> None:
+        fog = self.chain.stages.get("extinction_and_airlight")
+        if not isinstance(fog, ExtinctionAndAirlight) or len(self.chain.stages) != 2:
+            raise ValueError(f"{type(self).__name__}: out= is for fog alone.")
+        if out.dtype != state.signal.dtype or out.numel() != state.signal.numel() or not out.is_contiguous():
+            raise ValueError(
+                f"{type(self).__name__}: out must be contiguous {state.signal.dtype} of {state.signal.numel()} elements; "
+                f"got {out.dtype}, {tuple(out.shape)}."
+            )
+        fog(state, {}, out=out.view(state.signal.shape))
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """Just enough of a state for drawing."""
+
+    batch: int
+    height: int
+    width: int
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        return {"H": self.height, "W": self.width}
+
+
+class BayerRain(BayerWeather):
+    """Rain on a raw Bayer frame: drops in the viewing frustum, with the streaks of the exposure.
+
+    Arguments as ``BayerWeather``.
+
+    Example:
+        >>> camera = Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+        >>> rain = BayerRain(Rain(rate_mm_per_h=25), camera, depth=30.0, airlight=0.7)
+        >>> frame = torch.full((1, 24, 32), 0.2)
+        >>> noise = rain.draw(frame, seed=7)
+        >>> torch.equal(rain(frame, noise=noise), rain(frame, noise=noise))
+        True
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("rain",)
+
+
+class BayerFog(BayerWeather):
+    """Fog on a raw Bayer frame: the scene fades along the ray into the airlight, each colour at its own extinction.
+
+    Arguments as ``BayerWeather``.
+
+    Example:
+        >>> camera = Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+        >>> fog = BayerFog(Fog(mor_m=50), camera, depth=50.0, airlight=0.7)
+        >>> bool(fog(torch.full((1, 24, 32), 0.2)).mean() > 0.6)
+        True
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("fog",)
+
+
+class BayerSnow(BayerWeather):
+    """Snow on a raw Bayer frame: flakes in the viewing frustum, white in the light of the sky.
+
+    Arguments as ``BayerWeather``.
+
+    Example:
+        >>> camera = Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+        >>> snow = BayerSnow(Snow(rate_mm_per_h=2), camera, depth=30.0, airlight=0.7)
+        >>> bool(snow.run(torch.full((1, 24, 32), 0.2)).particle_mask.max() > 0)
+        True
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("snow",)
