@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 from torchweather.physics.binned_distribution import Binned
+from torchweather.physics.extinction import (
+    FLAKE_ALBEDO,
+    Q_EFF,
+    backscatter_per_m_sr,
+    effective_extinction_per_m,
+    extinction_per_m,
+    lidar_ratio_sr,
+    rain_q_back,
+    single_scattering_albedo,
+)
 from torchweather.physics.fall_speed import (
     flake_fall_speed_m_per_s,
     rain_fall_speed_m_per_s,
     snow_fall_speed_m_per_s,
 )
+from torchweather.physics.fog_distributions import (
+    FOG,
+    advection_fog,
+    bernardin,
+    default_fog,
+    deirmendjian_fog,
+    rehearse_fog,
+    scaled_to_visibility,
+)
 from torchweather.physics.interpolation import KnobTable
+from torchweather.physics.mie import MieEfficiencies, mie_coefficients, mie_efficiencies
 from torchweather.physics.precipitation_rate import close_rate, precipitation_rate_mm_per_h, rain_rate_mm_per_h
 from torchweather.physics.rain_distributions import RAIN, marshall_palmer
+from torchweather.physics.refractive_index import (
+    ice_permittivity_microwave,
+    ice_refractive_index,
+    ice_refractive_index_microwave,
+    maxwell_garnett,
+    snow_refractive_index_microwave,
+    water_permittivity_microwave,
+    water_refractive_index,
+    water_refractive_index_microwave,
+)
 from torchweather.physics.size_distributions import Exponential, Gamma, LogNormal, ModifiedGamma, SizeDistribution
 from torchweather.physics.snow_distributions import (
     SNOW,
@@ -25,30 +55,68 @@ from torchweather.physics.snow_geometry import (
     physical_diameter_mm,
     snow_bulk_density_g_per_cm3,
 )
+from torchweather.physics.visibility import (
+    LIQUID_WATER_LAWS,
+    extinction_from_mor,
+    liquid_water_from_mor_g_per_m3,
+    mor_from_extinction,
+    mor_from_liquid_water_m,
+)
 
 __all__ = [
     "Binned",
     "Exponential",
+    "FLAKE_ALBEDO",
+    "FOG",
     "Gamma",
     "KnobTable",
+    "LIQUID_WATER_LAWS",
     "LogNormal",
+    "MieEfficiencies",
     "ModifiedGamma",
+    "Q_EFF",
     "RAIN",
     "SNOW",
     "SizeDistribution",
+    "advection_fog",
+    "backscatter_per_m_sr",
+    "bernardin",
     "brandes_snow",
     "brandes_table4",
     "close_rate",
+    "default_fog",
+    "deirmendjian_fog",
+    "effective_extinction_per_m",
     "equal_visibility_rain_rate",
+    "extinction_from_mor",
+    "extinction_per_m",
     "flake_fall_speed_m_per_s",
     "gunn_marshall",
+    "ice_permittivity_microwave",
+    "ice_refractive_index",
+    "ice_refractive_index_microwave",
+    "lidar_ratio_sr",
+    "liquid_water_from_mor_g_per_m3",
     "marshall_palmer",
+    "maxwell_garnett",
     "melted_diameter_mm",
+    "mie_coefficients",
+    "mie_efficiencies",
+    "mor_from_extinction",
+    "mor_from_liquid_water_m",
     "physical_diameter_mm",
     "precipitation_rate_mm_per_h",
     "rain_fall_speed_m_per_s",
+    "rain_q_back",
     "rain_rate_mm_per_h",
+    "rehearse_fog",
+    "scaled_to_visibility",
     "sekhon_srivastava",
+    "single_scattering_albedo",
     "snow_bulk_density_g_per_cm3",
     "snow_fall_speed_m_per_s",
+    "snow_refractive_index_microwave",
+    "water_permittivity_microwave",
+    "water_refractive_index",
+    "water_refractive_index_microwave",
 ]

@@ -19,7 +19,7 @@ Complex = npt.NDArray[np.complex128]
 
 SIZE_PARAMETER_MAX = 1e5  # tested to 3e4; beyond, the series is too slow to be wanted
 _BLOCK_ELEMENTS = 1_000_000  # orders times sizes that one block of the series holds in memory
-_BUCKET_RATIO = 1.4  # sizes within this ratio share a block: small spheres do not pay for the orders of large ones
+_BUCKET_RATIO = 1.7  # sizes within this ratio share a block: small spheres do not pay for the orders of large ones
 
 
 class MieEfficiencies(NamedTuple):
@@ -130,7 +130,7 @@ def _ratios_downward(z: Any, top: int, last: int, first: int = 0) -> Any:
     return out
 
 
-def _coefficients(x: Real, m: Complex) -> tuple[Complex, Complex]:
+def _coefficients(x: Real, m: Any) -> tuple[Complex, Complex]:
     """``a_n, b_n`` for n = 0..N of spheres of similar size, ``(N + 1, S)``; 0 above each sphere's own N.
 
     Written with ``rho_n(z) = psi_{n+1}/psi_n`` in place of the logarithmic derivative ``D_n = (n+1)/z - rho_n``: the
@@ -138,6 +138,8 @@ def _coefficients(x: Real, m: Complex) -> tuple[Complex, Complex]:
     """
     own = _orders(x)
     last = int(own.max())
+    if not m.imag.any():
+        m = m.real
     mx = m * x
     size = float(np.abs(mx).max())
     # Starting lower is not enough for nearly real m: Q_back is off by 5 % and more at x = 1e4 (PHYSICS.md 3.1).
@@ -149,18 +151,23 @@ def _coefficients(x: Real, m: Complex) -> tuple[Complex, Complex]:
         over_x = (n + 1) / x
         electric = over_x * (1.0 / m**2 - 1.0) - inside / m
         magnetic = -m * inside
-        a, b = (
-            _ratio(factor * psi[:-1] + psi[1:], factor * chi[:-1] + chi[1:]) for factor in (electric, magnetic)
-        )
+        a, b = (_ratio(factor * psi[:-1] + psi[1:], factor * chi[:-1] + chi[1:]) for factor in (electric, magnetic))
     beyond = (n > own) | (n == 0)
     a[beyond] = 0.0
     b[beyond] = 0.0
     return a, b
 
 
-def _ratio(regular: Complex, irregular: Complex) -> Complex:
+def _ratio(regular: Any, irregular: Any) -> Complex:
     """``p / (p - i q)``: xi = psi - i chi in the denominator, psi alone in the numerator."""
-    return regular / (regular - 1j * irregular)
+    if np.iscomplexobj(regular):
+        return np.asarray(regular / (regular - 1j * irregular))
+    # A transparent sphere: all real, and then three times as fast.
+    ratio = np.empty(regular.shape, dtype=np.complex128)
+    scale = regular / (regular**2 + irregular**2)
+    np.multiply(scale, regular, out=ratio.real)
+    np.multiply(scale, irregular, out=ratio.imag)
+    return ratio
 
 
 def _riccati_bessel(x: Real, last: int) -> tuple[Real, Real]:
@@ -183,11 +190,11 @@ def _riccati_bessel(x: Real, last: int) -> tuple[Real, Real]:
     first = int(turn.min())
     top = int(max(last, float(x.max())) + 40.0 + 8.0 * float(np.cbrt(x.max())))
     rho = _ratios_downward(x, top, last, first)  # n = first..last
-    n = np.arange(first, last + 1)[:, None]
+    order = np.arange(first, last + 1)[:, None]
     with np.errstate(all="ignore"):
-        decay = np.cumprod(np.where(n >= turn, rho, 1.0), axis=0)
+        decay = np.cumprod(np.where(order >= turn, rho, 1.0), axis=0)
         at_turn = np.take_along_axis(psi, turn[None, :], axis=0)
-        psi[first + 1 :] = np.where(n >= turn, at_turn * decay, psi[first + 1 :])
+        psi[first + 1 :] = np.where(order >= turn, at_turn * decay, psi[first + 1 :])
     return psi, chi
 
 
