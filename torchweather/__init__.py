@@ -2,4 +2,50 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchweather.sensors import Camera, Lidar, Radar
+    from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
+    from torchweather.weather import Fog, Mixture, Rain, Snow
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "AsBayer",
+    "BayerFog",
+    "BayerRain",
+    "BayerSnow",
+    "BayerWeather",
+    "Camera",
+    "CameraResult",
+    "Fog",
+    "Lidar",
+    "Mixture",
+    "Radar",
+    "Rain",
+    "Snow",
+    "__version__",
+]
+
+# Where each public name lives. It is imported at its first use, so that `torchweather --help` does not load torch.
+_HOMES = {
+    "torchweather.sensors": ("Camera", "Lidar", "Radar"),
+    "torchweather.transforms": ("AsBayer", "BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"),
+    "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOME_OF.get(name)
+    if home is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
