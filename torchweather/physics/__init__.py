@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from torchweather.physics.binned_distribution import Binned
+from torchweather.physics.d34 import Table13Row, table13
 from torchweather.physics.extinction import (
     FLAKE_ALBEDO,
     Q_EFF,
     backscatter_per_m_sr,
+    cross_section_per_m,
     effective_extinction_per_m,
     extinction_per_m,
     lidar_ratio_sr,
@@ -27,9 +29,26 @@ from torchweather.physics.fog_distributions import (
     rehearse_fog,
     scaled_to_visibility,
 )
+from torchweather.physics.fresnel import SphereBudget, axial_q_back, normal_reflectance, sphere_budget
 from torchweather.physics.interpolation import KnobTable
 from torchweather.physics.mie import MieEfficiencies, mie_coefficients, mie_efficiencies
 from torchweather.physics.precipitation_rate import close_rate, precipitation_rate_mm_per_h, rain_rate_mm_per_h
+from torchweather.physics.radar_attenuation import (
+    fog_attenuation_coefficient_db_per_km_per_g_per_m3,
+    fog_attenuation_db_per_km,
+    rain_attenuation_db_per_km,
+    snow_attenuation_db_per_km,
+)
+from torchweather.physics.radar_scattering import (
+    DB_PER_KM,
+    particle_attenuation_db_per_km,
+    volume_reflectivity_m2_per_m3,
+)
+from torchweather.physics.rain_attenuation import (
+    RainCoefficients,
+    rain_attenuation_coefficients,
+    rain_attenuation_p838_db_per_km,
+)
 from torchweather.physics.rain_distributions import RAIN, marshall_palmer
 from torchweather.physics.refractive_index import (
     ice_permittivity_microwave,
@@ -39,6 +58,7 @@ from torchweather.physics.refractive_index import (
     snow_refractive_index_microwave,
     water_permittivity_microwave,
     water_refractive_index,
+    water_refractive_index_25c,
     water_refractive_index_microwave,
 )
 from torchweather.physics.size_distributions import Exponential, Gamma, LogNormal, ModifiedGamma, SizeDistribution
@@ -65,6 +85,7 @@ from torchweather.physics.visibility import (
 
 __all__ = [
     "Binned",
+    "DB_PER_KM",
     "Exponential",
     "FLAKE_ALBEDO",
     "FOG",
@@ -76,14 +97,19 @@ __all__ = [
     "ModifiedGamma",
     "Q_EFF",
     "RAIN",
+    "RainCoefficients",
     "SNOW",
     "SizeDistribution",
+    "SphereBudget",
+    "Table13Row",
     "advection_fog",
+    "axial_q_back",
     "backscatter_per_m_sr",
     "bernardin",
     "brandes_snow",
     "brandes_table4",
     "close_rate",
+    "cross_section_per_m",
     "default_fog",
     "deirmendjian_fog",
     "effective_extinction_per_m",
@@ -91,6 +117,8 @@ __all__ = [
     "extinction_from_mor",
     "extinction_per_m",
     "flake_fall_speed_m_per_s",
+    "fog_attenuation_coefficient_db_per_km_per_g_per_m3",
+    "fog_attenuation_db_per_km",
     "gunn_marshall",
     "ice_permittivity_microwave",
     "ice_refractive_index",
@@ -104,8 +132,13 @@ __all__ = [
     "mie_efficiencies",
     "mor_from_extinction",
     "mor_from_liquid_water_m",
+    "normal_reflectance",
+    "particle_attenuation_db_per_km",
     "physical_diameter_mm",
     "precipitation_rate_mm_per_h",
+    "rain_attenuation_coefficients",
+    "rain_attenuation_db_per_km",
+    "rain_attenuation_p838_db_per_km",
     "rain_fall_speed_m_per_s",
     "rain_q_back",
     "rain_rate_mm_per_h",
@@ -113,10 +146,15 @@ __all__ = [
     "scaled_to_visibility",
     "sekhon_srivastava",
     "single_scattering_albedo",
+    "snow_attenuation_db_per_km",
     "snow_bulk_density_g_per_cm3",
     "snow_fall_speed_m_per_s",
     "snow_refractive_index_microwave",
+    "sphere_budget",
+    "table13",
+    "volume_reflectivity_m2_per_m3",
     "water_permittivity_microwave",
     "water_refractive_index",
+    "water_refractive_index_25c",
     "water_refractive_index_microwave",
 ]

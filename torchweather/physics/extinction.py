@@ -243,20 +243,35 @@ def single_scattering_albedo(
     return scattered / _integrated(distribution, diameter, width, q.q_ext)
 
 
-def _integrated(distribution: SizeDistribution, diameter: Tensor, width: Tensor, efficiency: Tensor) -> Tensor:
-    """``(pi/4) int D_phys^2 Q N dD`` in 1/m; ``diameter`` is that of the distribution's own count."""
-    diameter, width, efficiency = (v.to(distribution.device) for v in (diameter, width, efficiency))
-    counted, jacobian = _counted(distribution, diameter)
-    weight = 0.25 * math.pi * PER_M_PER_MM2_M3 * diameter**2 * efficiency * width * jacobian
+def integrated_per_m(
+    distribution: SizeDistribution, counted_mm: Tensor, physical_mm: Tensor, width_mm: Tensor, efficiency: Tensor
+) -> Tensor:
+    """Cross-section per volume, 1/m: ``(pi/4) int D_phys^2 Q N dD``, of the batch shape.
+
+    Args:
+        distribution: what counts the particles.
+        counted_mm: diameter by which it counts them, mm, ``(K,)``.
+        physical_mm: diameter of their cross-section, mm, ``(K,)``.
+        width_mm: width of each node in the counted diameter, mm, ``(K,)``.
+        efficiency: Q, ``(K,)``.
+    """
+    counted, physical, width, q = (v.to(distribution.device) for v in (counted_mm, physical_mm, width_mm, efficiency))
+    weight = 0.25 * math.pi * PER_M_PER_MM2_M3 * physical**2 * q * width
     return distribution.number_density_per_m3_mm(counted) @ weight
 
 
-def _counted(distribution: SizeDistribution, physical_mm: Tensor) -> tuple[Tensor, Tensor]:
-    """Diameter by which the distribution counts a particle of physical diameter, and its derivative.
+def _integrated(distribution: SizeDistribution, physical_mm: Tensor, width_mm: Tensor, efficiency: Tensor) -> Tensor:
+    """The same with widths of the physical diameter.
 
     Integrals over melted diameters with the physical cross-section are run over the physical diameter: then the
     efficiencies of one wavelength serve every distribution.
     """
+    counted, slope = _counted(distribution, physical_mm)
+    return integrated_per_m(distribution, counted, physical_mm, width_mm * slope, efficiency)
+
+
+def _counted(distribution: SizeDistribution, physical_mm: Tensor) -> tuple[Tensor, Tensor]:
+    """Diameter by which the distribution counts a particle of physical diameter, and its derivative."""
     if distribution.particle != "melted-flake":
         return physical_mm, torch.ones_like(physical_mm)
     loose = physical_mm > SOLID_ICE_BELOW_MM
@@ -267,6 +282,7 @@ def _counted(distribution: SizeDistribution, physical_mm: Tensor) -> tuple[Tenso
     slope = torch.where(
         loose, loose_factor * power * physical_mm ** (power - 1.0), torch.full_like(physical_mm, solid_factor)
     )
+    # Rounding must not push the end nodes out of the domain, where the density is 0.
     return counted.clamp(distribution.diameter_min_mm, distribution.diameter_max_mm), slope
 
 
@@ -283,18 +299,22 @@ def _physical_support(
     return (low, high), material
 
 
-def support_mm(distribution: SizeDistribution) -> tuple[float, float]:
+def support_mm(distribution: SizeDistribution, order: float = 2.0) -> tuple[float, float]:
     """Diameters that hold all but 1e-5 of the cross-section, mm: the domain's ends, or steps of a fixed ladder.
+
+    ``order`` 6 asks the same of the largest particles' Rayleigh backscatter too.
 
     The ladder makes distributions of similar size share one table of efficiencies.
     """
     low, high = distribution.diameter_min_mm, distribution.diameter_max_mm
     rungs = 2.0 ** torch.arange(-26.0, 10.0, 0.5, dtype=torch.float64)  # 15 nm to 700 mm
     with torch.no_grad():
-        whole = distribution.moment(2.0)
-        whole = (whole.unsqueeze(-1) if whole.ndim else whole).clamp_min(1e-300)
-        missed_above = (distribution.moment(2.0, low_mm=rungs) / whole).reshape(-1, rungs.numel())
-        missed_below = (distribution.moment(2.0, high_mm=rungs) / whole).reshape(-1, rungs.numel())
+        above, below = (
+            (whole.unsqueeze(-1) if whole.ndim else whole).clamp_min(1e-300)
+            for whole in (distribution.moment(order), distribution.moment(2.0))
+        )
+        missed_above = (distribution.moment(order, low_mm=rungs) / above).reshape(-1, rungs.numel())
+        missed_below = (distribution.moment(2.0, high_mm=rungs) / below).reshape(-1, rungs.numel())
     enough_high = rungs[(missed_above < 1e-5).all(0).cpu()]
     enough_low = rungs[(missed_below < 1e-5).all(0).cpu()]
     if enough_high.numel():

@@ -25,6 +25,7 @@ __all__ = [
     "snow_refractive_index_microwave",
     "water_permittivity_microwave",
     "water_refractive_index",
+    "water_refractive_index_25c",
     "water_refractive_index_microwave",
 ]
 
@@ -104,6 +105,24 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
     n = torch.sqrt((2.0 * lorentz_lorenz + 1.0) / (1.0 - lorentz_lorenz))
     _, k = _interpolated(wavelength, "water")
     return torch.complex(*_same_shape(n, k))
+
+
+def water_refractive_index_25c(wavelength_nm: Quantity) -> Tensor:
+    """Refractive index of water at 25 C as Hale & Querry tabulate it, ``n + i k``, complex128: what D3.4 used.
+
+    Args:
+        wavelength_nm: vacuum wavelength, nm, 300-2500, any shape; n linear, k log-linear between the rows.
+
+    References:
+        PHYSICS.md 1; Hale & Querry 1973 (k beyond 1000 nm: Segelstein 1981).
+
+    Example:
+        >>> round(complex(water_refractive_index_25c(865.0)).real, 4)
+        1.3284
+    """
+    (wavelength,) = to_float64(wavelength_nm)
+    _check_optical(wavelength, "water_refractive_index_25c")
+    return torch.complex(*_interpolated(wavelength, "water"))
 
 
 def ice_refractive_index(wavelength_nm: Quantity) -> Tensor:
