@@ -18,7 +18,7 @@ and others join them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -40,6 +40,7 @@ LEVEL_LOW_PER_M3 = 1e-8  # one particle in the 1e6 m^3 of a frustum of 100 m, an
 FOOTPRINT_QUANTILE_NODES = 65
 HAZE_SHELLS = 4
 MOST_TAPS = 24
+FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 # Equal-variance box of a disk's chord profile: variance b^2/16 = w^2/12.
 BOX_OF_DISK = math.sqrt(12 / 16)
 MEAN_CHORD = math.pi / 4  # of a disk of unit diameter
@@ -127,6 +128,14 @@ class ParticleTables:
     haze_speed_m_per_s: float
     listed: tuple[ListedShell, ...]
     haze: tuple[HazeShell, ...]
+
+    def log_at(self, table: Array, log_footprint: Array) -> Array:
+        """ln of a table ``(..., G)`` over the footprint, at other footprints."""
+        node = (log_footprint - self.log_footprint_low) / self.log_footprint_step
+        cell = np.clip(np.floor(node).astype(int), 0, table.shape[-1] - 2)
+        share = np.clip(node - cell, 0.0, 1.0)
+        values = np.log(np.maximum(table, FLOOR))
+        return np.asarray(values[..., cell] * (1 - share) + values[..., cell + 1] * share)
 
 
 def circle_of_confusion_px(footprint_m: Array, focal_px: float, optics: MarkOptics) -> Array:
@@ -335,7 +344,5 @@ def particle_tables(
     weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, rate_capacity: float
 ) -> ParticleTables:
     """The tables, from a cache that does not look at the rate."""
-    from dataclasses import replace
-
     shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))
     return _cached(shape, optics, focal_px, near_m, far_m, cut, rate_capacity)

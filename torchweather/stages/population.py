@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torchweather.random import ABSENT, Variate
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.depth_blocks import BLOCK_PX, DepthBlocks
 from torchweather.stages.particle_tables import MarkOptics, particle_tables
 from torchweather.stages.states import CameraState
 from torchweather.stages.streaks import Marks, add_listed, add_static
@@ -21,6 +24,7 @@ __all__ = ["Population"]
 
 RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
+SLOTS_AT_ONCE = 1 << 18  # points whose arrays stay in the cache
 # Columns of a point: image column and row, depth, level.
 COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
 
@@ -29,9 +33,9 @@ COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
 class _AtRate:
     """The tables at each sample's rate."""
 
-    log_tail_at_cut: Tensor
-    log_outline_m: Tensor
-    log_fall_speed: Tensor
+    bounds: list[Tensor]
+    outline_m: Tensor
+    fall_speed: Tensor
     haze_depth: Tensor
     haze_variance: Tensor
     kernel_along: Tensor
@@ -95,17 +99,20 @@ class Population(nn.Module):
 
     def _set_tables(self) -> None:
         t = self.tables
-        self.register_buffer("tail_at_cut", _log(t.tail_at_cut), persistent=False)
-        self.register_buffer("tail_most", _log(t.tail_most), persistent=False)
-        self.register_buffer("outline", torch.from_numpy(t.log_outline_m).float(), persistent=False)
-        self.register_buffer("speed", torch.from_numpy(t.log_fall_speed).float(), persistent=False)
-        self.register_buffer("depth_table", torch.from_numpy(t.haze_depth).float(), persistent=False)
-        self.register_buffer("variance_table", torch.from_numpy(t.haze_variance).float(), persistent=False)
-        self.register_buffer("along_table", torch.from_numpy(t.kernel_along).float(), persistent=False)
-        self.register_buffer("across_table", torch.from_numpy(t.kernel_across).float(), persistent=False)
+        self._keep("outline", t.log_outline_m)
+        self._keep("speed", t.log_fall_speed)
+        self._keep("depth_table", t.haze_depth)
+        self._keep("variance_table", t.haze_variance)
+        self._keep("along_table", t.kernel_along)
+        self._keep("across_table", t.kernel_across)
         for number, shell in enumerate(t.listed):
-            quantiles = torch.from_numpy(shell.log_footprint).float()
-            self.register_buffer(f"footprint_{number}", quantiles, persistent=False)
+            # Tables over the footprint, read at the shell's own nodes.
+            self._keep(f"footprint_{number}", np.exp(shell.log_footprint))
+            self._keep(f"tail_at_cut_{number}", t.log_at(t.tail_at_cut, shell.log_footprint))
+            self._keep(f"tail_most_{number}", t.log_at(t.tail_most, shell.log_footprint))
+
+    def _keep(self, name: str, table: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+        self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(table)).float(), persistent=False)
 
     # ---- draws -------------------------------------------------------------------------------------------------
 
@@ -156,7 +163,7 @@ class Population(nn.Module):
         falls = rate > 0
         safe = torch.where(falls, rate, torch.ones_like(rate))
         position = (torch.log(safe) - self.tables.log_rate_low) / self.tables.log_rate_step
-        cell = position.detach().floor().clamp(0, self.tail_at_cut.shape[0] - 2)  # type: ignore[operator]
+        cell = position.detach().floor().clamp(0, len(self.tables.tail_at_cut) - 2)
         share = position - cell  # beyond the ends: the end cells' power law
         index = cell.long()
 
@@ -174,9 +181,9 @@ class Population(nn.Module):
             return table[index] * (1 - weight) + table[index + 1] * weight
 
         return _AtRate(
-            rows(self.tail_at_cut),  # type: ignore[arg-type]
-            rows(self.outline),  # type: ignore[arg-type]
-            rows(self.speed),  # type: ignore[arg-type]
+            [rows(getattr(self, f"tail_at_cut_{number}")) for number in range(len(self.tables.listed))],
+            torch.exp(rows(self.outline)),  # type: ignore[arg-type]
+            torch.exp(rows(self.speed)),  # type: ignore[arg-type]
             linear(self.depth_table) * amount * low,  # type: ignore[arg-type]
             linear(self.variance_table) * amount * low,  # type: ignore[arg-type]
             linear(self.along_table),  # type: ignore[arg-type]
@@ -206,58 +213,94 @@ class Population(nn.Module):
         yy = radial + y * y * slope + 6 * c.p1 * y + 2 * c.p2 * x
         return xx, xy, xy, yy
 
-    def marks(self, state: CameraState, noise: Mapping[str, Tensor], tables: _AtRate, number: int) -> Marks:
-        """The particles of one listed shell as marks in the image, absent ones with opacity 0 (or left out)."""
-        t = self.tables
-        shell = t.listed[number]
-        height, width = state.signal.shape[-2:]
+    def marks(
+        self,
+        state: CameraState,
+        noise: Mapping[str, Tensor],
+        tables: _AtRate,
+        number: int,
+        blocks: DepthBlocks | None = None,
+    ) -> Iterator[Marks]:
+        """The particles of one listed shell as marks in the image, in portions.
+
+        Absent particles, and with ``blocks`` those behind the scene, are left out; while a graph is traced they
+        stay, with opacity 0.
+        """
         points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
-        b, m, _ = points.shape
+        batch, slots, _ = points.shape
+        flat = points.reshape(batch * slots, COLUMNS)
+        step = len(flat) if is_exporting() else SLOTS_AT_ONCE
+        sample = None
+        if batch > 1:
+            sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots).reshape(-1)
+        for start in range(0, max(len(flat), 1), max(step, 1)):
+            some = slice(start, start + step)
+            yield self._marks(state, flat[some], None if sample is None else sample[some], tables, number, blocks)
+
+    def _marks(
+        self,
+        state: CameraState,
+        points: Tensor,
+        sample: Tensor | None,
+        tables: _AtRate,
+        number: int,
+        blocks: DepthBlocks | None,
+    ) -> Marks:
+        t = self.tables
+        height, width = state.signal.shape[-2:]
         reach_u, reach_v = self._reach_px(number)
-        dtype = torch.float32
-        sample = torch.arange(b, device=points.device)[:, None].expand(b, m).reshape(-1)
-        flat = points.reshape(b * m, COLUMNS)
-        level = flat[:, COLUMN_LEVEL]
-
-        quantiles = getattr(self, f"footprint_{number}")
-        spot = flat[:, COLUMN_DEPTH] * (quantiles.shape[0] - 1)
-        log_foot = _lerp(quantiles, spot)
-        node = (log_foot - t.log_footprint_low) / t.log_footprint_step
-        log_level = torch.log(level.clamp_min(FLOOR)) + _lerp(self.tail_most, node)  # type: ignore[arg-type]
-        intrinsics = state.intrinsics.expand(b, 4)
+        # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
+        # length and to an undistorted lens.
+        intrinsics = state.intrinsics.expand(state.batch, 4)
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
-        # The slots' density belongs to the camera's own focal length and an undistorted lens.
-        log_level = log_level + (math.log(self.focal_px) - torch.log(focal))[sample]
-        shown = (log_level < _lerp_rows(tables.log_tail_at_cut, sample, node)) & (level < ABSENT) & tables.falls[sample]
-        if not is_exporting() and not self.camera.distorted:
-            seen = shown.nonzero().squeeze(1)
-            flat, sample, log_foot, log_level = flat[seen], sample[seen], log_foot[seen], log_level[seen]
-            shown = shown[seen]
-
-        u = flat[:, COLUMN_U] * (width + 2 * reach_u) - (reach_u + 0.5)
-        v = flat[:, COLUMN_V] * (height + 2 * reach_v) - (reach_v + 0.5)
-        own = intrinsics[sample]
-        foot = torch.exp(log_foot)
-        depth_m = foot * focal[sample]
-        if self.camera.distorted:
+        focal_of = focal[0] if sample is None else focal[sample]
+        thinning = math.log(self.focal_px * self._headroom()) - torch.log(focal_of)
+        quantiles, most = getattr(self, f"footprint_{number}"), getattr(self, f"tail_most_{number}")
+        cell, share = _cell(points[:, COLUMN_DEPTH] * (len(quantiles) - 1), len(quantiles))
+        bound = tables.bounds[number]  # (B, nodes) ln of N_>(D_cut; R)
+        cut_level = _read(bound, cell, share, sample)
+        if not self.camera.distorted:
+            log_level = torch.log(points[:, COLUMN_LEVEL].clamp_min(FLOOR)) + _read(most, cell, share) + thinning
+            shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
+            if not is_exporting():
+                seen = shown.nonzero().squeeze(1)
+                points, cell, share, log_level = points[seen], cell[seen], share[seen], log_level[seen]
+                sample = None if sample is None else sample[seen]
+                shown = shown[seen]
+        foot = _read(quantiles, cell, share)
+        u = points[:, COLUMN_U] * (width + 2 * reach_u) - (reach_u + 0.5)
+        v = points[:, COLUMN_V] * (height + 2 * reach_v) - (reach_v + 0.5)
+        own = intrinsics[0] if sample is None else intrinsics[sample]
+        focal_of = focal[0] if sample is None else focal[sample]
+        depth_m = foot * focal_of
+        if blocks is not None and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
+            before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
+            if len(before) < 0.9 * len(u):
+                u, v, foot, depth_m, log_level = u[before], v[before], foot[before], depth_m[before], log_level[before]
+                shown = shown[before]
+                if sample is not None:
+                    sample, own, focal_of = sample[before], own[before], focal_of[before]
+        x = y = scale = None
+        if not self.vertical:
             x, y, scale = self._undistorted(u, v, own)
-            log_level = log_level + torch.log(scale) + math.log(self._headroom())
-            shown = (log_level < _lerp_rows(tables.log_tail_at_cut, sample, node)) & (level < ABSENT) & tables.falls[sample]
-        stop = (log_level - t.log_level_low) / t.log_level_step
-        outline_m = torch.exp(_lerp_rows(tables.log_outline_m, sample, stop))
-        speed = torch.exp(_lerp_rows(tables.log_fall_speed, sample, stop))
+        if self.camera.distorted and scale is not None:
+            log_level = torch.log(points[:, COLUMN_LEVEL].clamp_min(FLOOR)) + _read(most, cell, share)
+            log_level = log_level + thinning + torch.log(scale)
+            shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
         shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
-
-        diameter = outline_m / foot
-        if self.vertical:
-            motion_v = speed * (self.optics.exposure_s / foot) * (own[:, 1] / focal[sample])
-            motion_u = torch.zeros_like(motion_v)
+        if len(tables.falls) == 1 or sample is None:
+            shown = shown & tables.falls[0]
         else:
-            if not self.camera.distorted:
-                x, y, scale = self._undistorted(u, v, own)
+            shown = shown & tables.falls[sample]
+        stop, part = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
+        outline_m = _read(tables.outline_m, stop, part, sample)
+        speed = _read(tables.fall_speed, stop, part, sample)
+        diameter = outline_m / foot
+        if x is None or y is None or scale is None:
+            motion_u, motion_v = None, speed * (self.optics.exposure_s * own[..., 1] / focal_of) / foot
+        else:
             motion_u, motion_v = self._path_px(x, y, speed, depth_m, own)
-        if self.camera.distorted:
-            diameter = diameter * torch.sqrt(scale)
+            diameter = diameter * torch.sqrt(scale) if self.camera.distorted else diameter
         width_px, opacity = self._blurred(diameter, foot, depth_m)
         return Marks(
             sample=sample,
@@ -265,7 +308,7 @@ class Population(nn.Module):
             v_px=v,
             motion_u_px=motion_u,
             motion_v_px=motion_v,
-            width_px=width_px.to(dtype),
+            width_px=width_px,
             opacity=torch.where(shown, opacity, torch.zeros_like(opacity)),
             depth_m=depth_m,
         )
@@ -278,7 +321,7 @@ class Population(nn.Module):
         if self.camera.distorted:
             xx, xy, yx, yy = self._jacobian(x, y)
             dx, dy = xx * dx + xy * dy, yx * dx + yy * dy
-        return dx * own[:, 0], dy * own[:, 1]
+        return dx * own[..., 0], dy * own[..., 1]
 
     def _blurred(self, diameter: Tensor, foot: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
         """Width and peak of the disk after defocus: second moments add, the area is conserved."""
@@ -307,18 +350,20 @@ class Population(nn.Module):
                 the fog's transmission to each particle.
         """
         b, _, height, width = state.signal.shape
-        depth = state.depth_m.expand(b, 1, height, width).reshape(-1)
+        depth = state.depth_m.expand(b, 1, height, width)
+        blocks = None if is_exporting() else DepthBlocks.of(depth)
+        depth = depth.reshape(-1)
         total = torch.zeros(b * height * width, device=depth.device, dtype=torch.float32)
         faded = None if fog_per_m is None else torch.zeros_like(total)
         for number in range(len(self.tables.listed)):
-            marks = self.marks(state, noise, tables, number)
-            if fog_per_m is not None:
-                marks = replace(marks, clearness=torch.exp(-fog_per_m[marks.sample] * marks.depth_m))
-            if is_exporting():
-                rows, columns = self._footprint_px(number)
-                total, faded = add_static(total, faded, marks, depth, (height, width), rows, columns)
-            else:
-                total, faded = add_listed(total, faded, marks, depth, (height, width), vertical=self.vertical)
+            for marks in self.marks(state, noise, tables, number, blocks):
+                if fog_per_m is not None:
+                    fog = fog_per_m[0] if marks.sample is None else fog_per_m[marks.sample]
+                    marks = replace(marks, clearness=torch.exp(-fog * marks.depth_m))
+                if is_exporting():
+                    total, faded = add_static(total, faded, marks, depth, (height, width), self._footprint_px(number))
+                else:
+                    total, faded = add_listed(total, faded, marks, depth, (height, width), blocks)
         shape = (b, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
 
@@ -443,27 +488,14 @@ def _row_window(image: Tensor, first: int, last: int) -> Tensor:
     return image.index_select(-2, index)
 
 
-def _log(table: object) -> Tensor:
-    return torch.log(torch.as_tensor(table).clamp_min(FLOOR)).float()
-
-
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
     cell = position.detach().floor().clamp(0, nodes - 2)
     return cell.long(), (position - cell).clamp(0.0, 1.0)
 
 
-def _lerp(table: Tensor, position: Tensor) -> Tensor:
-    """``table (n,)`` at fractional node numbers, the ends held."""
-    cell, share = _cell(position, table.shape[0])
-    low, high = table.index_select(0, cell), table.index_select(0, cell + 1)
-    return low + share * (high - low)
-
-
-def _lerp_rows(table: Tensor, row: Tensor, position: Tensor) -> Tensor:
-    """``table (B, n)`` at (row, fractional node number), the ends held."""
-    nodes = table.shape[1]
-    cell, share = _cell(position, nodes)
-    at = row * nodes + cell
+def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | None = None) -> Tensor:
+    """``table (n,)``, or ``table (B, n)`` at a row each, between the nodes ``cell`` and ``cell + 1``."""
+    at = cell if row is None else row * table.shape[-1] + cell
     flat = table.reshape(-1)
-    low, high = flat.index_select(0, at), flat.index_select(0, at + 1)
-    return low + share * (high - low)
+    low = flat.index_select(0, at)
+    return torch.lerp(low, flat.index_select(0, at + 1), share)

@@ -16,8 +16,9 @@ import torch
 from torch import Tensor
 
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.depth_blocks import BLOCK_PX, DepthBlocks
 
-__all__ = ["Marks", "add_listed", "add_static", "mark_coverage"]
+__all__ = ["Marks", "add_listed", "add_static"]
 
 # Distribution function of a unit disk's chord profile on t in [-1, 1]: 1/2 + t (c0 + c1 t^2 + ...), fitted to
 # 1/2 + (t sqrt(1 - t^2) + asin t) / pi with both ends exact; largest error 7e-4 of the particle's area.
@@ -28,8 +29,11 @@ FULL = 1.0 - 2.0**-20  # largest coverage, so that the optical depth stays finit
 WIDE_PX = 1.0  # from this width on the chord differs from column to column
 # A slanted path smears across its row: box of width |slope|, variance slope^2 / 12 = b^2 / 16.
 SMEAR = 16 / 12
-CLASSES = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 4096)
-CHUNK = 1 << 17  # particles at a time, and pixels at a time: their arrays stay in the cache
+# Footprints are rounded up to these sizes, so that marks of like size are handled together.
+CLASSES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 4096)
+UNSEEN = 0  # kind of a mark that covers no pixel in front of the scene
+MARKS_AT_ONCE = 1 << 18
+PAIRS_AT_ONCE = 1 << 17  # (particle, pixel) pairs whose arrays stay in the cache
 
 
 @dataclass(frozen=True)
@@ -37,19 +41,19 @@ class Marks:
     """Particles in the image, one entry each, ``(P,)``.
 
     Args:
-        sample: index of the sample they belong to.
+        sample: index of the sample they belong to; ``None`` where there is one sample.
         u_px, v_px: centre of the path; a pixel's centre (row i, column j) lies at v = i, u = j.
-        motion_u_px, motion_v_px: path of the exposure.
+        motion_u_px, motion_v_px: path of the exposure; ``motion_u_px=None``: all paths run along the columns.
         width_px: blurred width of the disk.
-        opacity: peak coverage of the disk at rest.
+        opacity: peak coverage of the disk at rest; 0 leaves the particle out.
         depth_m: along the optical axis.
         clearness: share of its light that fog lets through to the camera; ``None`` without fog.
     """
 
-    sample: Tensor
+    sample: Tensor | None
     u_px: Tensor
     v_px: Tensor
-    motion_u_px: Tensor
+    motion_u_px: Tensor | None
     motion_v_px: Tensor
     width_px: Tensor
     opacity: Tensor
@@ -59,8 +63,8 @@ class Marks:
     def __len__(self) -> int:
         return self.u_px.shape[0]
 
-    def take(self, index: Tensor | slice) -> Marks:
-        """The entries of an index or a slice."""
+    def take(self, index: slice) -> Marks:
+        """The entries of a slice."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return Marks(**{name: None if value is None else value[index] for name, value in values.items()})
 
@@ -84,30 +88,45 @@ def trapezoid_share(offset_px: Tensor, length_px: Tensor, chord_px: Tensor) -> T
 
 @dataclass(frozen=True)
 class _Frame:
-    """A mark seen along its own major axis (rows where ``steep``, columns otherwise)."""
+    """Marks seen along their own major axis: rows where ``steep``, columns otherwise.
 
-    steep: Tensor
+    ``steep`` and ``slope`` are ``None`` where every path runs along the columns of the image.
+    """
+
+    sample: Tensor | None
+    steep: Tensor | None
+    slope: Tensor | None
     major: Tensor
     minor: Tensor
     length: Tensor
-    slope: Tensor
     chord: Tensor
     chord_most: Tensor
     across: Tensor
+    area: Tensor
+    width: Tensor
     first_major: Tensor
-    last_major: Tensor
-    reach_minor: Tensor
+    first_minor: Tensor
+    depth_m: Tensor
+    clearness: Tensor | None
+
+    def take(self, index: Tensor) -> _Frame:
+        """The entries of an index."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return _Frame(**{n: None if value is None else value.index_select(0, index) for n, value in values.items()})
+
+    def part(self, first: int, last: int) -> _Frame:
+        """The entries ``first..last``, as views."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return _Frame(**{n: None if value is None else value[first:last] for n, value in values.items()})
 
 
-def _frame(marks: Marks, *, vertical: bool) -> _Frame:
+def _frame(marks: Marks) -> _Frame:
     width = marks.width_px
-    if vertical:
-        steep = torch.ones_like(width, dtype=torch.bool)
+    steep = slope = None
+    if marks.motion_u_px is None:
         major, minor = marks.v_px, marks.u_px
         length = marks.motion_v_px.abs().clamp_min(SMALLEST_PX)
-        slope = torch.zeros((), dtype=width.dtype, device=width.device)
         shortened, across = width, width
-        reach = 0.5 * width
     else:
         steep = marks.motion_v_px.abs() >= marks.motion_u_px.abs()
         major = torch.where(steep, marks.v_px, marks.u_px)
@@ -115,140 +134,166 @@ def _frame(marks: Marks, *, vertical: bool) -> _Frame:
         along = torch.where(steep, marks.motion_v_px, marks.motion_u_px)
         aside = torch.where(steep, marks.motion_u_px, marks.motion_v_px)
         length = along.abs().clamp_min(SMALLEST_PX)
-        slope = aside / torch.where(along.abs() < SMALLEST_PX, torch.ones_like(along), along)
-        slope = torch.where(along.abs() < SMALLEST_PX, torch.zeros_like(slope), slope)
+        resting = along.abs() < SMALLEST_PX
+        slope = torch.where(resting, torch.zeros_like(aside), aside / torch.where(resting, torch.ones_like(along), along))
         secant = torch.sqrt(1 + slope.square())
         shortened = width / secant
         across = torch.sqrt((width * secant).square() + SMEAR * slope.square())
-        reach = 0.5 * across
     chord = (MEAN_CHORD * shortened).clamp_min(SMALLEST_PX)
-    chord_most = torch.where(width > WIDE_PX, shortened.clamp_min(SMALLEST_PX), chord)
-    half = 0.5 * (length + chord_most)
+    chord_most = torch.where(width > WIDE_PX, shortened, chord)
+    across = across.clamp_min(SMALLEST_PX)
     return _Frame(
-        steep,
-        major,
-        minor,
-        length,
-        slope,
-        chord,
-        chord_most,
-        across.clamp_min(SMALLEST_PX),
-        torch.floor(major - half + 0.5),
-        torch.floor(major + half + 0.5),
-        reach,
+        sample=marks.sample,
+        steep=steep,
+        slope=slope,
+        major=major,
+        minor=minor,
+        length=length,
+        chord=chord,
+        chord_most=chord_most,
+        across=across,
+        area=marks.opacity * (math.pi / 4) * width.square(),
+        width=width,
+        first_major=torch.floor(major - 0.5 * (length + chord_most) + 0.5),
+        first_minor=torch.floor(minor - 0.5 * across + 0.5),
+        depth_m=marks.depth_m,
+        clearness=marks.clearness,
     )
 
 
-def _coverage(marks: Marks, frame: _Frame, rows: int, columns: int, *, vertical: bool, wide: bool) -> tuple[Tensor, ...]:
-    """Coverage ``(P, rows, columns)`` and the pixel of every entry (major, minor) on a footprint of fixed size."""
-    device, dtype = marks.u_px.device, marks.u_px.dtype
-    edge = torch.arange(rows + 1, device=device, dtype=dtype) - 0.5
-    major_edge = frame.first_major[:, None] + edge - frame.major[:, None]  # (P, rows + 1)
-    row_at = frame.first_major[:, None] + torch.arange(rows, device=device, dtype=dtype)  # (P, rows)
-    if vertical:
-        minor = frame.minor[:, None, None]
+def _steps(number: int, like: Tensor) -> Tensor:
+    return torch.arange(number, device=like.device, dtype=like.dtype)
+
+
+def _shares(inner: Tensor, dim: int) -> Tensor:
+    """Shares between consecutive edges from the distribution function at the inner edges; they sum to one."""
+    shape = list(inner.shape)
+    shape[dim] = 1
+    ends = torch.zeros(shape, dtype=inner.dtype, device=inner.device)
+    return torch.diff(inner, dim=dim, prepend=ends, append=ends + 1)
+
+
+def _coverage(frame: _Frame, rows: int, columns: int) -> tuple[Tensor, Tensor]:
+    """Coverage ``(P, rows, columns)`` on a footprint along the major axis, and its first minor pixel ``(P, rows or 1, 1)``."""
+    if frame.slope is None:
+        minor, first_minor = frame.minor[:, None, None], frame.first_minor[:, None, None]
     else:
-        within = torch.maximum(torch.minimum(row_at - frame.major[:, None], 0.5 * frame.length[:, None]), -0.5 * frame.length[:, None])
+        offset = frame.first_major[:, None] + _steps(rows, frame.major) - frame.major[:, None]
+        half = 0.5 * frame.length[:, None]
+        within = torch.maximum(torch.minimum(offset, half), -half)
         minor = (frame.minor[:, None] + frame.slope[:, None] * within)[..., None]  # (P, rows, 1)
-    first_minor = torch.floor(minor - frame.reach_minor[:, None, None] + 0.5)
-    if columns == 1:
-        share = torch.ones_like(minor)
-        column_at = first_minor
-    else:
-        side = torch.arange(columns + 1, device=device, dtype=dtype) - 0.5
-        offset = first_minor + side - minor  # (P, rows or 1, columns + 1)
-        cumulative = chord_share(offset / frame.across[:, None, None])
-        share = cumulative[..., 1:] - cumulative[..., :-1]
-        column_at = first_minor + torch.arange(columns, device=device, dtype=dtype)
-    if wide:
-        reach = 0.5 * frame.across[:, None, None]
-        covered = torch.minimum(offset[..., 1:], reach) - torch.maximum(offset[..., :-1], -reach)
-        mean_chord = share * frame.chord[:, None, None] * frame.across[:, None, None] / covered.clamp_min(1e-3)
-        chord = torch.minimum(mean_chord.clamp_min(SMALLEST_PX), frame.chord_most[:, None, None])
-        chord = torch.where(marks.width_px[:, None, None] > WIDE_PX, chord, frame.chord[:, None, None])
-        edges = major_edge[:, :, None]  # (P, rows + 1, 1)
-        if not vertical:
-            # each row has its own columns: integrate its two edges with its own chords
-            lower = trapezoid_share(edges[:, :-1], frame.length[:, None, None], chord)
-            upper = trapezoid_share(edges[:, 1:], frame.length[:, None, None], chord)
-            portion = upper - lower
+        first_minor = torch.floor(minor - 0.5 * frame.across[:, None, None] + 0.5)
+    coverage = frame.area[:, None, None]
+    side = None
+    if columns > 1:
+        side = first_minor + (_steps(columns - 1, frame.major) + 0.5) - minor  # inner edges, (P, rows or 1, columns - 1)
+        coverage = coverage * _shares(chord_share(side / frame.across[:, None, None]), -1)
+    if rows > 1:
+        edge = frame.first_major[:, None] + (_steps(rows - 1, frame.major) + 0.5) - frame.major[:, None]
+        if columns > 1 and side is not None:
+            length, chord = frame.length[:, None, None], _chord_of_columns(frame, side)
+            if frame.slope is None or chord.shape[1] == 1:
+                along = _shares(trapezoid_share(edge[..., None], length, chord), 1)
+            else:
+                # Each row has its own columns: its two edges are integrated with its own chords.
+                low = trapezoid_share(edge[..., None], length, chord[:, 1:])
+                high = trapezoid_share(edge[..., None], length, chord[:, :-1])
+                ends = torch.zeros_like(low[:, :1])
+                along = torch.cat([high, ends + 1], 1) - torch.cat([ends, low], 1)
         else:
-            along = trapezoid_share(edges, frame.length[:, None, None], chord)  # (P, rows + 1, columns)
-            portion = along[:, 1:] - along[:, :-1]
-    else:
-        along = trapezoid_share(major_edge, frame.length[:, None], frame.chord[:, None])
-        portion = (along[:, 1:] - along[:, :-1])[..., None]
-    area = marks.opacity * (math.pi / 4) * marks.width_px.square()
-    return area[:, None, None] * portion * share, row_at[..., None], column_at
+            along = _shares(trapezoid_share(edge, frame.length[:, None], frame.chord[:, None]), 1)[..., None]
+        coverage = coverage * along
+    return coverage.expand(-1, rows, columns), first_minor
 
 
-def mark_coverage(marks: Marks, rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Coverage of each mark on its own footprint of ``rows x columns`` along its major axis.
+def _chord_of_columns(frame: _Frame, side: Tensor) -> Tensor:
+    """Mean chord of the disk in each column, ``(P, rows or 1, columns)``; one for all columns of a narrow mark."""
+    narrow = frame.chord[:, None, None]
+    if not is_exporting() and not bool((frame.width > WIDE_PX).any()):
+        return narrow
+    reach = 0.5 * frame.across[:, None, None]
+    share = _shares(chord_share(side / frame.across[:, None, None]), -1)
+    edges = torch.maximum(torch.minimum(side, reach), -reach)
+    covered = torch.cat([edges, reach.expand_as(edges[..., :1])], -1) - torch.cat([-reach.expand_as(edges[..., :1]), edges], -1)
+    mean = narrow * share * frame.across[:, None, None] / covered.clamp_min(1e-3)
+    wide = torch.minimum(mean.clamp_min(SMALLEST_PX), frame.chord_most[:, None, None])
+    return torch.where(frame.width[:, None, None] > WIDE_PX, wide, narrow)
 
-    Returns:
-        Coverage ``(P, rows, columns)``, and the image row and column of every entry.
-    """
-    frame = _frame(marks, vertical=False)
-    coverage, along, aside = _coverage(marks, frame, rows, columns, vertical=False, wide=True)
-    steep = frame.steep[:, None, None]
-    return coverage, torch.where(steep, along, aside), torch.where(steep, aside, along)
 
-
-def _deposit(
-    marks: Marks, frame: _Frame, rows: int, columns: int, depth_m: Tensor, size: tuple[int, int], *, vertical: bool, wide: bool
-) -> tuple[Tensor, Tensor]:
-    """Optical depth of every (particle, pixel) pair and the pixel's index in the flattened batch."""
+def _pixels(
+    frame: _Frame, first_minor: Tensor, shape: torch.Size, size: tuple[int, int], *, clip: bool
+) -> tuple[Tensor, Tensor | None]:
+    """Index of every footprint's pixels in the flattened batch, ``(P, rows, columns)``, and which lie in the image."""
     height, width = size
-    coverage, along, aside = _coverage(marks, frame, rows, columns, vertical=vertical, wide=wide)
-    if vertical:
+    _, rows, columns = shape
+    along = frame.first_major[:, None, None] + _steps(rows, frame.major)[:, None]
+    aside = first_minor + _steps(columns, frame.major)
+    if frame.steep is None:
         row, column = along, aside
     else:
         steep = frame.steep[:, None, None]
         row, column = torch.where(steep, along, aside), torch.where(steep, aside, along)
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    pixel = (
-        row.clamp(0, height - 1).long() * width
-        + column.clamp(0, width - 1).long()
-        + (marks.sample * (height * width))[:, None, None]
-    ).reshape(-1)
-    behind = depth_m.index_select(0, pixel).view(coverage.shape)
-    seen = inside & (marks.depth_m[:, None, None] < behind)
-    optical = -torch.log1p(-torch.where(seen, coverage, torch.zeros_like(coverage)).clamp(0.0, FULL))
-    return optical, pixel
+    inside = None
+    if clip:
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        row, column = row.clamp(0, height - 1), column.clamp(0, width - 1)
+    pixel = row.long() * width + column.long()
+    if frame.sample is not None:
+        pixel = pixel + (frame.sample * (height * width))[:, None, None]
+    return pixel, inside
 
 
-def _add(
-    total: Tensor, faded: Tensor | None, marks: Marks, optical: Tensor, pixel: Tensor
+def _deposit(
+    total: Tensor,
+    faded: Tensor | None,
+    frame: _Frame,
+    footprint: tuple[int, int],
+    depth_m: Tensor,
+    size: tuple[int, int],
+    *,
+    clip: bool,
+    test_depth: bool,
 ) -> tuple[Tensor, Tensor | None]:
-    """Add (particle, pixel) pairs to the frame, and with fog their share that reaches the camera."""
-    pixel = pixel.reshape(-1)
-    total = total.index_add(0, pixel, optical.reshape(-1)) if is_exporting() else total.index_add_(0, pixel, optical.reshape(-1))
-    if faded is not None and marks.clearness is not None:
-        dimmed = (optical * marks.clearness[:, None, None]).reshape(-1)
-        faded = faded.index_add(0, pixel, dimmed) if is_exporting() else faded.index_add_(0, pixel, dimmed)
+    """Add the optical depth of marks to their pixels; in place, except while a graph is traced."""
+    coverage, first_minor = _coverage(frame, *footprint)
+    pixel, inside = _pixels(frame, first_minor, coverage.shape, size, clip=clip)
+    pixel = pixel.expand(coverage.shape).reshape(-1)
+    seen = inside
+    if test_depth:
+        before = frame.depth_m[:, None, None] < depth_m.index_select(0, pixel).view(coverage.shape)
+        seen = before if inside is None else before & inside
+    if seen is not None:
+        coverage = torch.where(seen, coverage, torch.zeros_like(coverage))
+    optical = -torch.log1p(-coverage.clamp(0.0, FULL))
+    add = torch.Tensor.scatter_add if is_exporting() else torch.Tensor.scatter_add_
+    total = add(total, 0, pixel, optical.reshape(-1))
+    if faded is not None and frame.clearness is not None:
+        faded = add(faded, 0, pixel, (optical * frame.clearness[:, None, None]).reshape(-1))
     return total, faded
 
 
 def add_static(
-    total: Tensor, faded: Tensor | None, marks: Marks, depth_m: Tensor, size: tuple[int, int], rows: int, columns: int
+    total: Tensor, faded: Tensor | None, marks: Marks, depth_m: Tensor, size: tuple[int, int], footprint: tuple[int, int]
 ) -> tuple[Tensor, Tensor | None]:
     """``add_listed`` on one footprint of fixed size: no shape depends on a value, as a graph needs it."""
-    frame = _frame(marks, vertical=False)
-    optical, pixel = _deposit(marks, frame, rows, columns, depth_m, size, vertical=False, wide=True)
-    return _add(total, faded, marks, optical, pixel)
+    return _deposit(total, faded, _frame(marks), footprint, depth_m, size, clip=True, test_depth=True)
 
 
-def _class_of(size: Tensor) -> Tensor:
-    bounds = torch.tensor(CLASSES, device=size.device, dtype=size.dtype)
-    return torch.bucketize(size, bounds).clamp_max(len(CLASSES) - 1)
+def _class_of(size: Tensor, classes: Tensor) -> Tensor:
+    return classes.index_select(0, size.clamp(0, CLASSES[-1]).long())
 
 
 def add_listed(
-    total: Tensor, faded: Tensor | None, marks: Marks, depth_m: Tensor, size: tuple[int, int], *, vertical: bool
+    total: Tensor,
+    faded: Tensor | None,
+    marks: Marks,
+    depth_m: Tensor,
+    size: tuple[int, int],
+    blocks: DepthBlocks | None = None,
 ) -> tuple[Tensor, Tensor | None]:
     """Add the optical depth of every mark to the pixels that it covers in front of the scene.
 
-    Marks of like footprint are handled together, in chunks that stay in the cache.
+    Marks of like footprint are handled together, in portions that stay in the cache.
 
     Args:
         total: ``(B * H * W,)`` optical depth so far; changed in place.
@@ -256,38 +301,64 @@ def add_listed(
         marks: the particles.
         depth_m: ``(B * H * W,)`` scene depth; a pixel sees the particles nearer than it.
         size: H, W.
-        vertical: every path runs along the image's columns.
+        blocks: extremes of ``depth_m``; spares most marks the test per pixel.
 
     Returns:
         ``total`` and ``faded``.
     """
-    for start in range(0, len(marks), CHUNK):
-        chunk = marks.take(slice(start, start + CHUNK))
-        frame = _frame(chunk, vertical=vertical)
-        rows = _class_of(frame.last_major - frame.first_major + 1)
-        if vertical:
-            needed = torch.floor(frame.minor + frame.reach_minor + 0.5) - torch.floor(frame.minor - frame.reach_minor + 0.5) + 1
-        else:
-            needed = torch.floor(2 * frame.reach_minor) + 2
-        columns = _class_of(needed)
-        kind = rows * len(CLASSES) + columns
-        for number in torch.unique(kind).tolist():
-            members = (kind == number).nonzero().squeeze(1)
-            h, w = CLASSES[number // len(CLASSES)], CLASSES[number % len(CLASSES)]
-            step = max(1, CHUNK // (h * w))
-            wide = bool((chunk.width_px.index_select(0, members) > WIDE_PX).any()) and w > 1
-            for first in range(0, len(members), step):
-                some = members[first : first + step]
-                part = chunk.take(some)
-                part_frame = _take_frame(frame, some, vertical=vertical)
-                optical, pixel = _deposit(part, part_frame, h, w, depth_m, size, vertical=vertical, wide=wide)
-                total, faded = _add(total, faded, part, optical, pixel)
+    for start in range(0, len(marks), MARKS_AT_ONCE):
+        chunk = marks.take(slice(start, start + MARKS_AT_ONCE))
+        frame = _frame(chunk)
+        kind = _kinds(chunk, frame, size, blocks)
+        kind, order = torch.sort(kind, stable=True)
+        counts = torch.bincount(kind, minlength=2 * len(CLASSES) ** 2 + 1).tolist()
+        first = counts[UNSEEN]
+        frame = frame.take(order[first:])
+        first = 0
+        for number, count in enumerate(counts):
+            if number == UNSEEN or count == 0:
+                continue
+            footprint, simple = divmod(number - 1, 2)
+            rows, columns = (CLASSES[place] for place in divmod(footprint, len(CLASSES)))
+            step = max(1, PAIRS_AT_ONCE // (rows * columns))
+            for some in range(first, first + count, step):
+                part = frame.part(some, min(some + step, first + count))
+                total, faded = _deposit(
+                    total, faded, part, (rows, columns), depth_m, size, clip=not simple, test_depth=not simple
+                )
+            first += count
     return total, faded
 
 
-def _take_frame(frame: _Frame, index: Tensor, *, vertical: bool) -> _Frame:
-    values = {}
-    for field in fields(_Frame):
-        value = getattr(frame, field.name)
-        values[field.name] = value if vertical and field.name == "slope" else value.index_select(0, index)
-    return _Frame(**values)
+def _kinds(marks: Marks, frame: _Frame, size: tuple[int, int], blocks: DepthBlocks | None) -> Tensor:
+    """Class of each mark's footprint and whether it is simple: all inside the image, all before the scene; ``UNSEEN`` is neither."""
+    height, width = size
+    rows = torch.floor(frame.major + 0.5 * (frame.length + frame.chord_most) + 0.5) - frame.first_major + 1
+    if frame.slope is None or frame.steep is None:
+        columns = torch.floor(frame.minor + 0.5 * frame.across + 0.5) - frame.first_minor + 1
+        top, left, tall, broad = frame.first_major, frame.first_minor, rows, columns
+    else:
+        columns = torch.floor(frame.across) + 2
+        # The path leans aside by half of its drift in each direction.
+        lean = 0.5 * frame.slope.abs() * frame.length
+        minor_low, minor_size = torch.floor(frame.first_minor - lean), columns + 2 * lean + 2
+        top, tall = torch.where(frame.steep, frame.first_major, minor_low), torch.where(frame.steep, rows, minor_size)
+        left, broad = torch.where(frame.steep, minor_low, frame.first_major), torch.where(frame.steep, minor_size, rows)
+    # Classes may be larger than the mark: what they add must lie inside the image as well.
+    bounds = torch.tensor(CLASSES, device=rows.device, dtype=rows.dtype)
+    classes = torch.bucketize(torch.arange(CLASSES[-1] + 1, device=rows.device, dtype=rows.dtype), bounds)
+    rows_class, columns_class = _class_of(rows, classes), _class_of(columns, classes)
+    spare = (bounds.index_select(0, rows_class) - rows) + (bounds.index_select(0, columns_class) - columns)
+    bottom, right = top + tall, left + broad
+    simple = (top >= 0) & (left >= 0) & (bottom + spare < height) & (right + spare < width)
+    unseen = (bottom < 0) | (right < 0) | (top >= height) | (left >= width) | (frame.area <= 0)
+    if blocks is None:
+        simple = torch.zeros_like(simple)
+    else:
+        small = (tall <= 2 * BLOCK_PX) & (broad <= 2 * BLOCK_PX)
+        nearest, farthest = blocks.at(marks.sample, marks.u_px, marks.v_px)
+        simple &= small & (marks.depth_m < nearest)
+        unseen |= small & (marks.depth_m >= farthest)
+    kind = (rows_class * len(CLASSES) + columns_class) * 2 + simple + 1
+    # Small integers sort fastest.
+    return kind.masked_fill_(unseen, UNSEEN).to(torch.int16)
