@@ -1,0 +1,175 @@
+"""Measured drop size spectra: drops per cubic metre and millimetre of diameter, from what a disdrometer counted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchweather.physics import rain_fall_speed_m_per_s
+
+__all__ = ["DropSpectrum", "spectrum_from_counts", "spectrum_from_drops"]
+
+# R = 3.6e-3 / (t A) sum (pi/6) D^3: mm^3 per m^2 and second to mm/h.
+_MM_PER_H_PER_MM3 = 3.6e-3 * math.pi / 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class DropSpectrum:
+    """Drop size spectra of consecutive intervals.
+
+    Args:
+        edges_mm: class edges of the diameter, mm, ``(K + 1,)`` float64.
+        density_per_m3_mm: drops per cubic metre and mm of diameter, ``(T, K)`` float64.
+        rate_mm_per_h: rain rate of the same drops, ``(T,)``.
+        duration_s: length of one interval, seconds.
+        time_s: end of the interval or its label in the file, seconds since 1970 UTC, ``(T,)``.
+        instrument: what measured.
+        reported_rate_mm_per_h: what the instrument itself reported, ``(T,)``; None where the file has none.
+        reported_mor_m: visibility that the instrument reported, ``(T,)``; None where the file has none.
+    """
+
+    edges_mm: Tensor
+    density_per_m3_mm: Tensor
+    rate_mm_per_h: Tensor
+    duration_s: float
+    time_s: Tensor
+    instrument: str
+    reported_rate_mm_per_h: Tensor | None = None
+    reported_mor_m: Tensor | None = None
+
+    def chosen(self, which: Tensor) -> DropSpectrum:
+        """The spectra of some intervals.
+
+        Args:
+            which: ``(T,)`` bool, or interval numbers.
+        """
+        return replace(
+            self,
+            density_per_m3_mm=self.density_per_m3_mm[which],
+            rate_mm_per_h=self.rate_mm_per_h[which],
+            time_s=self.time_s[which],
+            reported_rate_mm_per_h=None if self.reported_rate_mm_per_h is None else self.reported_rate_mm_per_h[which],
+            reported_mor_m=None if self.reported_mor_m is None else self.reported_mor_m[which],
+        )
+
+    def mean(self) -> DropSpectrum:
+        """One spectrum, the mean over the intervals; the reported visibility is averaged as extinction, 1/V."""
+        if len(self.time_s) == 0:
+            raise ValueError("DropSpectrum: the mean of no interval; choose at least one.")
+        mor = self.reported_mor_m
+        return replace(
+            self,
+            density_per_m3_mm=self.density_per_m3_mm.mean(0, keepdim=True),
+            rate_mm_per_h=self.rate_mm_per_h.mean(0, keepdim=True),
+            duration_s=self.duration_s * len(self.time_s),
+            time_s=self.time_s[-1:],
+            reported_rate_mm_per_h=(
+                None if self.reported_rate_mm_per_h is None else self.reported_rate_mm_per_h.mean(0, keepdim=True)
+            ),
+            reported_mor_m=None if mor is None else 1.0 / (1.0 / mor).mean(0, keepdim=True),
+        )
+
+
+def spectrum_from_counts(
+    counts: Tensor,
+    edges_mm: Tensor,
+    speed_m_per_s: Tensor,
+    *,
+    duration_s: float,
+    area_mm2: Tensor,
+    time_s: Tensor,
+    instrument: str,
+    fall_speed_tolerance: float = 0.5,
+    reported_rate_mm_per_h: Tensor | None = None,
+    reported_mor_m: Tensor | None = None,
+) -> DropSpectrum:
+    """Drops in the air from drops counted by size and speed.
+
+    ``N_k = sum_v n_kv / (A_k t v dD_k)``: in the time t all drops within ``v t`` above the area A fall through it.
+    Rate: ``R = 3.6e-3 / (t A) sum n (pi/6) D^3`` with t in s, A in m^2, D in mm.
+
+    Args:
+        counts: ``(T, K, V)``, drops by diameter class and speed class.
+        edges_mm: ``(K + 1,)``.
+        speed_m_per_s: class centres, ``(V,)``, above 0.
+        duration_s: of one interval.
+        area_mm2: sensing area by diameter class, ``(K,)``.
+        time_s: ``(T,)``, seconds since 1970.
+        instrument: what measured.
+        fall_speed_tolerance: see `read_disdrometer`.
+        reported_rate_mm_per_h: ``(T,)`` or None.
+        reported_mor_m: ``(T,)`` or None.
+
+    Example:
+        >>> found = spectrum_from_counts(
+        ...     torch.tensor([[[540.0]]]), torch.tensor([0.9, 1.1]), torch.tensor([4.0]), duration_s=60.0,
+        ...     area_mm2=torch.tensor([5400.0]), time_s=torch.zeros(1), instrument="one class")
+        >>> round(float(found.density_per_m3_mm))        # 540 / (0.0054 m2 60 s 4 m/s 0.2 mm)
+        2083
+    """
+    counts, edges, speed, area = (v.to(torch.float64) for v in (counts, edges_mm, speed_m_per_s, area_mm2))
+    diameter = 0.5 * (edges[1:] + edges[:-1])
+    law = rain_fall_speed_m_per_s(diameter)[:, None]
+    counts = torch.where((speed - law).abs() <= fall_speed_tolerance * law, counts, 0.0)
+    seconds_m2 = duration_s * area * 1e-6
+    return DropSpectrum(
+        edges_mm=edges,
+        density_per_m3_mm=(counts / speed).sum(-1) / (seconds_m2 * edges.diff()),
+        rate_mm_per_h=_MM_PER_H_PER_MM3 * (counts.sum(-1) * diameter**3 / seconds_m2).sum(-1),
+        duration_s=float(duration_s),
+        time_s=time_s.to(torch.float64),
+        instrument=instrument,
+        reported_rate_mm_per_h=reported_rate_mm_per_h,
+        reported_mor_m=reported_mor_m,
+    )
+
+
+def spectrum_from_drops(
+    diameter_mm: Tensor,
+    speed_m_per_s: Tensor,
+    area_mm2: Tensor,
+    time_s: Tensor,
+    *,
+    edges_mm: Tensor,
+    duration_s: float,
+    instrument: str,
+    fall_speed_tolerance: float = 0.5,
+) -> DropSpectrum:
+    """Drops in the air from drops measured one by one: each stands for ``1 / (A t v)`` per cubic metre.
+
+    Args:
+        diameter_mm: ``(N,)``, of the sphere of equal volume.
+        speed_m_per_s: ``(N,)``, above 0.
+        area_mm2: ``(N,)``, sensing area of each drop.
+        time_s: ``(N,)``, seconds since 1970.
+        edges_mm: ``(K + 1,)``, rising; drops outside are left out.
+        duration_s: interval into which the drops are sorted.
+        instrument: what measured.
+        fall_speed_tolerance: see `read_disdrometer`.
+    """
+    diameter, speed, area, time, edges = (
+        v.to(torch.float64).contiguous() for v in (diameter_mm, speed_m_per_s, area_mm2, time_s, edges_mm)
+    )
+    if time.numel() == 0:
+        raise ValueError("spectrum_from_drops: wanted one drop or more; got none.")
+    start = torch.floor(time.min() / duration_s) * duration_s
+    interval = torch.floor((time - start) / duration_s).long()
+    intervals, classes = int(interval.max()) + 1, len(edges) - 1
+    size = torch.bucketize(diameter, edges, right=True) - 1
+    law = rain_fall_speed_m_per_s(diameter.clamp_min(1e-3))
+    kept = (size >= 0) & (size < classes) & (speed > 0) & ((speed - law).abs() <= fall_speed_tolerance * law)
+    cell = (interval * classes + size)[kept]
+    per_m3 = 1.0 / (area[kept] * 1e-6 * duration_s * speed[kept])
+    density = torch.zeros(intervals * classes, dtype=torch.float64).index_add(0, cell, per_m3)
+    flux = _MM_PER_H_PER_MM3 * diameter[kept] ** 3 / (area[kept] * 1e-6 * duration_s)
+    return DropSpectrum(
+        edges_mm=edges,
+        density_per_m3_mm=density.view(intervals, classes) / edges.diff(),
+        rate_mm_per_h=torch.zeros(intervals, dtype=torch.float64).index_add(0, interval[kept], flux),
+        duration_s=float(duration_s),
+        time_s=start + duration_s * torch.arange(1, intervals + 1, dtype=torch.float64),
+        instrument=instrument,
+    )

@@ -1,0 +1,47 @@
+"""The 2D video disdrometer of the ARM network: every drop with its diameter, speed and sensing area."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchweather.errors import TorchweatherError
+from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_drops
+
+__all__ = ["read_video_netcdf"]
+
+_VIDEO_EDGES_MM = np.arange(0.1, 10.05, 0.2)  # 2DVD convention: classes of 0.2 mm; below 0.1 mm nothing is resolved
+
+
+def read_video_netcdf(source: Path, duration_s: float, fall_speed_tolerance: float) -> DropSpectrum:
+    """Spectra of a drop-by-drop file of the ARM network, sorted into intervals; see `read_disdrometer`."""
+    from scipy.io import netcdf_file
+
+    wanted = ("equivolumetric_sphere_diameter", "fall_speed", "area", "time_offset", "base_time")
+    try:
+        with netcdf_file(source, "r", mmap=False) as file:
+            missing = [name for name in wanted if name not in file.variables]
+            if missing:
+                raise TorchweatherError(
+                    f"{source}: wanted the drops of a 2D video disdrometer; {', '.join(missing)} missing."
+                )
+            diameter, speed, area, offset, base = (
+                torch.from_numpy(np.array(file.variables[name].data, dtype=np.float64)) for name in wanted
+            )
+    except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
+        raise TorchweatherError(f"{source}: wanted NetCDF-3; it is truncated or damaged ({error}).") from error
+    good = (diameter > 0) & (speed > 0) & (area > 0)  # missing values are negative in these files
+    if not bool(good.any()):
+        raise TorchweatherError(f"{source}: wanted drops of a 2D video disdrometer; the file holds none.")
+    return spectrum_from_drops(
+        diameter[good],
+        speed[good],
+        area[good],
+        base + offset[good],
+        edges_mm=torch.from_numpy(_VIDEO_EDGES_MM),
+        duration_s=duration_s,
+        instrument="2D video disdrometer",
+        fall_speed_tolerance=fall_speed_tolerance,
+    )
