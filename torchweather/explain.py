@@ -1,0 +1,295 @@
+"""The numbers behind a weather as one sensor sees it: extinction, backscatter, visibility, particles, water."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchweather.physics import (
+    DB_PER_KM,
+    Q_EFF,
+    SizeDistribution,
+    backscatter_per_m_sr,
+    extinction_per_m,
+    fog_attenuation_db_per_km,
+    mor_from_extinction,
+    particle_attenuation_db_per_km,
+    precipitation_rate_mm_per_h,
+    rain_attenuation_db_per_km,
+    volume_reflectivity_m2_per_m3,
+)
+from torchweather.sensors import Camera, Lidar, Radar, sensor_preset
+from torchweather.weather import Fog, Rain, Snow, Weather, parse_weather
+
+__all__ = ["explain", "explanation_text"]
+
+MOR_WAVELENGTH_NM = 550.0  # where the visibility is defined, PHYSICS.md 2.3
+MEDIAN_STEPS = 60  # halvings of the logarithmic interval: far below 1e-9 of the diameter
+ATTENUATION_MODELS = {
+    "rain": "ITU-R P.838-3",
+    "fog": "ITU-R P.840 times the liquid water content",
+    "snow": "Mie, dry flakes as ice-air spheres (uncertain by a factor 3-10)",
+}
+
+Sensor = Camera | Lidar | Radar
+
+
+def explain(
+    weather: Weather | str,
+    sensor: Sensor | str,
+    *,
+    wavelength_nm: float | None = None,
+    frequency_ghz: float | None = None,
+    polarisation: str | None = None,
+) -> dict[str, Any]:
+    """The physical numbers of a weather for a sensor, as plain values.
+
+    Args:
+        weather: a weather, or its text such as ``rain:rate=25``; its knob a single number.
+        sensor: a sensor, or its text such as ``lidar:ouster-os1-128``.
+        wavelength_nm: leaves one band of a camera or LiDAR, at this wavelength, 300-2500 nm.
+        frequency_ghz: replaces the radar's carrier, 1-1000 GHz.
+        polarisation: replaces the radar's, ``h`` or ``v``.
+
+    Returns:
+        ``weather`` (its fields), ``sensor`` (its name) and
+
+        - ``bands``: for each, ``name``, ``extinction_per_m`` (all of it, q_eff = 2), ``backscatter_per_m_sr``, and
+          ``wavelength_nm`` or, for radar, ``frequency_ghz``, ``polarisation`` and ``attenuation_db_per_km`` (one way).
+          A LiDAR's bands also have ``extinction_effective_per_m``, without the forward lobe that stays in the beam.
+        - ``mor_m``: visibility from Mie extinction at 550 nm; infinite where nothing falls. For fog beside it
+          ``mor_nominal_m``, the fog's own parameter.
+        - ``particles_per_m3``, ``liquid_water_g_per_m3``.
+        - ``attenuation_db_per_km``: radar only, the same as in its band.
+        - ``parts``: the same for each weather of a mixture, with the ``median_volume_diameter_mm`` (of the size that
+          its distribution counts: melted diameter for snow) and, for rain and snow, the ``rate_carried_mm_per_h`` that
+          the distribution carries with its fall speeds.
+
+    Note:
+        Backscatter of rain is the effective one of ``rain_q_back``: 0.2 up to 905 nm, 0.06 at 1550 nm, log-linear
+        between. That of fog is Mie's, that of flakes a Lambertian disk's.
+
+    References:
+        PHYSICS.md 2, 3.2, 6.5-6.7, 7.
+
+    Example:
+        >>> numbers = explain("fog:mor=30", "lidar:ouster-os1-128")
+        >>> numbers["bands"][0]["name"], round(numbers["bands"][0]["extinction_per_m"], 3), round(numbers["mor_m"])
+        ('laser', 0.102, 30)
+    """
+    if isinstance(weather, str):
+        weather = parse_weather(weather)
+    name, sensor = sensor_preset(sensor) if isinstance(sensor, str) else (sensor.kind, sensor)
+    parts = [(part, _distribution(part)) for part in weather.parts]
+    # Nothing scatters where nothing falls, and an empty distribution has no sizes to integrate over.
+    present = [(part, distribution) for part, distribution in parts if float(distribution.total_per_m3) > 0]
+    numbers: dict[str, Any] = {"weather": weather.to_dict(), "sensor": name}
+    if isinstance(sensor, Radar):
+        radar = _radar(sensor, wavelength_nm, frequency_ghz, polarisation)
+        band = _radar_band(present, radar)
+        numbers["bands"] = [band]
+        numbers["attenuation_db_per_km"] = band["attenuation_db_per_km"]
+    else:
+        bands = _bands(sensor, wavelength_nm, frequency_ghz, polarisation)
+        numbers["bands"] = [_optical_band(present, sensor, *band) for band in bands]
+    described = [_part(part, distribution) for part, distribution in parts]
+    numbers["mor_m"] = _mor_m(present)
+    for key in ("particles_per_m3", "liquid_water_g_per_m3"):
+        numbers[key] = sum(part[key] for part in described)
+    fogs = [part.mor_m for part, _ in parts if isinstance(part, Fog)]
+    if fogs:
+        numbers["mor_nominal_m"] = float(fogs[0])
+    numbers["parts"] = described
+    return numbers
+
+
+def _distribution(part: Weather) -> SizeDistribution:
+    knob = part.knob
+    if isinstance(knob, Tensor) and knob.numel() != 1:
+        raise ValueError(
+            f"explain: {part.knob_name} must be one number; got {knob.numel()} of them. Explain one sample at a time."
+        )
+    assert isinstance(part, (Rain, Fog, Snow))  # parse_weather and Mixture know no others
+    return part.distribution(float(knob))
+
+
+def _radar(radar: Radar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None) -> Radar:
+    if wavelength_nm is not None:
+        raise ValueError("explain: wavelength_nm is for cameras and LiDARs; a radar takes frequency_ghz.")
+    wanted: dict[str, Any] = {"frequency_ghz": frequency_ghz, "polarisation": polarisation}
+    return replace(radar, **{key: value for key, value in wanted.items() if value is not None})
+
+
+def _bands(
+    sensor: Camera | Lidar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None
+) -> list[tuple[str, float]]:
+    if frequency_ghz is not None or polarisation is not None:
+        raise ValueError(
+            f"explain: frequency_ghz and polarisation are for radars; a {sensor.kind} takes wavelength_nm."
+        )
+    if wavelength_nm is None:
+        return list(sensor.bands.items())
+    known = {wavelength: name for name, wavelength in sensor.bands.items()}
+    return [(known.get(wavelength_nm, f"{wavelength_nm:g} nm"), float(wavelength_nm))]
+
+
+def _optical_band(
+    parts: list[tuple[Weather, SizeDistribution]], sensor: Camera | Lidar, name: str, wavelength_nm: float
+) -> dict[str, Any]:
+    extinction, effective, backscatter = 0.0, 0.0, 0.0
+    for part, distribution in parts:
+        alone = float(extinction_per_m(distribution, wavelength_nm, temperature_c=_temperature_c(part)))
+        extinction += alone
+        effective += alone * Q_EFF[part.kind] / 2.0
+        # A flake is a Lambertian disk: Q_back = 4 rho (PHYSICS.md 5.9). Rain and fog have defaults of their own.
+        q_back = 4.0 * part.albedo if isinstance(part, Snow) else None
+        beta = backscatter_per_m_sr(distribution, wavelength_nm, temperature_c=_temperature_c(part), q_back=q_back)
+        backscatter += float(beta)
+    band: dict[str, Any] = {
+        "name": name,
+        "wavelength_nm": wavelength_nm,
+        "extinction_per_m": extinction,
+        "backscatter_per_m_sr": backscatter,
+    }
+    if isinstance(sensor, Lidar):
+        band["extinction_effective_per_m"] = effective
+    return band
+
+
+def _radar_band(parts: list[tuple[Weather, SizeDistribution]], radar: Radar) -> dict[str, Any]:
+    attenuation, backscatter = 0.0, 0.0
+    for part, distribution in parts:
+        attenuation += float(_attenuation_db_per_km(part, distribution, radar))
+        reflectivity = volume_reflectivity_m2_per_m3(
+            distribution, radar.frequency_ghz, temperature_c=_temperature_c(part)
+        )
+        backscatter += float(reflectivity) / (4.0 * math.pi)
+    return {
+        "name": "carrier",
+        "frequency_ghz": float(radar.frequency_ghz),
+        "polarisation": radar.polarisation,
+        "extinction_per_m": attenuation / DB_PER_KM,
+        "backscatter_per_m_sr": backscatter,
+        "attenuation_db_per_km": attenuation,
+    }
+
+
+def _attenuation_db_per_km(part: Weather, distribution: SizeDistribution, radar: Radar) -> Tensor:
+    """One way."""
+    temperature_c = _temperature_c(part)
+    if isinstance(part, Rain):
+        return rain_attenuation_db_per_km(
+            float(part.rate_mm_per_h),
+            radar.frequency_ghz,
+            polarisation_tilt_rad=0.0 if radar.polarisation == "h" else math.pi / 2,
+            elevation_rad=radar.elevation_rad,
+        )
+    if isinstance(part, Fog):
+        water = distribution.liquid_water_g_per_m3()
+        return fog_attenuation_db_per_km(water, radar.frequency_ghz, temperature_c=temperature_c)
+    return particle_attenuation_db_per_km(distribution, radar.frequency_ghz, temperature_c=temperature_c)
+
+
+def _part(part: Weather, distribution: SizeDistribution) -> dict[str, Any]:
+    numbers: dict[str, Any] = {
+        "kind": part.kind,
+        "mor_m": _mor_m([(part, distribution)]) if float(distribution.total_per_m3) > 0 else math.inf,
+        "particles_per_m3": float(distribution.total_per_m3),
+        "liquid_water_g_per_m3": float(distribution.liquid_water_g_per_m3()),
+        "median_volume_diameter_mm": _median_volume_diameter_mm(distribution),
+    }
+    if not isinstance(part, Fog):
+        numbers["rate_carried_mm_per_h"] = float(precipitation_rate_mm_per_h(distribution))
+    return numbers
+
+
+def _mor_m(parts: list[tuple[Weather, SizeDistribution]]) -> float:
+    extinction = sum(
+        float(extinction_per_m(distribution, MOR_WAVELENGTH_NM, temperature_c=_temperature_c(part)))
+        for part, distribution in parts
+    )
+    return float(mor_from_extinction(extinction))
+
+
+def _temperature_c(part: Weather) -> float:
+    assert isinstance(part, (Rain, Fog, Snow))
+    return part.temperature_c
+
+
+def _median_volume_diameter_mm(distribution: SizeDistribution) -> float | None:
+    """Diameter below which half of the volume lies (half of D^3 N), by bisection; None where there are no particles."""
+    half = 0.5 * float(distribution.moment(3.0))
+    if not half > 0.0:
+        return None
+    low, high = (math.log(d) for d in distribution.span_mm())
+    for _ in range(MEDIAN_STEPS):
+        middle = 0.5 * (low + high)
+        below = float(distribution.moment(3.0, high_mm=torch.tensor([math.exp(middle)], dtype=torch.float64)))
+        low, high = (middle, high) if below < half else (low, middle)
+    return math.exp(0.5 * (low + high))
+
+
+def explanation_text(numbers: Mapping[str, Any]) -> str:
+    """The numbers of ``explain`` as a table with units.
+
+    Example:
+        >>> print(explanation_text(explain("rain:rate=25", "radar")).splitlines()[0])
+        rain (rate_mm_per_h=25) as radar:imaging-77ghz sees it
+    """
+    lines = [f"{_weather_text(numbers['weather'])} as {numbers['sensor']} sees it", ""]
+    radar = "attenuation_db_per_km" in numbers
+    lidar = any("extinction_effective_per_m" in band for band in numbers["bands"])
+    header = ["band", "frequency" if radar else "wavelength", "extinction 1/m", "backscatter 1/(m sr)"]
+    header += ["attenuation dB/km, one way"] if radar else ["effective extinction 1/m"] if lidar else []
+    rows = [header]
+    for band in numbers["bands"]:
+        at = f"{band['frequency_ghz']:g} GHz {band['polarisation']}" if radar else f"{band['wavelength_nm']:g} nm"
+        row = [band["name"], at, f"{band['extinction_per_m']:.4g}", f"{band['backscatter_per_m_sr']:.4g}"]
+        extra = band.get("attenuation_db_per_km", band.get("extinction_effective_per_m"))
+        rows.append(row if extra is None else [*row, f"{extra:.4g}"])
+    lines += ["  " + line for line in aligned(rows)]
+    if lidar:
+        kinds = [part["kind"] for part in numbers["parts"]]
+        named = ", ".join(f"{Q_EFF[kind]:g} for {kind}" for kind in kinds)
+        lines += ["", f"  effective extinction = extinction q_eff / 2 with q_eff = {named}"]
+    if radar:
+        lines += ["", *(f"  {part['kind']}: {ATTENUATION_MODELS[part['kind']]}" for part in numbers["parts"])]
+    facts = [["visibility (Mie, 550 nm, 5 % contrast)", _metres(numbers["mor_m"])]]
+    if "mor_nominal_m" in numbers:
+        facts.append(["visibility, the fog's own parameter", _metres(numbers["mor_nominal_m"])])
+    facts.append(["particles", f"{numbers['particles_per_m3']:.4g} per m^3"])
+    facts.append(["liquid water", f"{numbers['liquid_water_g_per_m3']:.4g} g/m^3"])
+    for part in numbers["parts"]:
+        median = part["median_volume_diameter_mm"]
+        if median is not None:
+            facts.append([f"median volume diameter, {part['kind']}", f"{median:.4g} mm"])
+        if "rate_carried_mm_per_h" in part:
+            facts.append([f"rate that the {part['kind']} carries", f"{part['rate_carried_mm_per_h']:.4g} mm/h"])
+    return "\n".join([*lines, "", *("  " + line for line in aligned(facts))])
+
+
+def aligned(rows: list[list[str]]) -> list[str]:
+    """Columns of equal width, two spaces apart.
+
+    Example:
+        >>> aligned([["a", "bb"], ["ccc", "d"]])
+        ['a    bb', 'ccc  d']
+    """
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _weather_text(weather: Mapping[str, Any]) -> str:
+    if weather["kind"] == "mixture":
+        return " with ".join(_weather_text(part) for part in weather["parts"])
+    knob = "mor_m" if weather["kind"] == "fog" else "rate_mm_per_h"
+    return f"{weather['kind']} ({knob}={weather[knob]:g})"
+
+
+def _metres(value: float) -> str:
+    return "unlimited" if math.isinf(value) else f"{value:.4g} m"
