@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 from collections.abc import Iterable
 from typing import Any
 
@@ -48,7 +49,9 @@ def owner_name(owner: object) -> str:
 
 def _shown(value: object) -> str:
     if isinstance(value, Tensor):
-        return f"a tensor with values {value.min().item():g}..{value.max().item():g}" if value.numel() else "an empty tensor"
+        if not value.numel():
+            return "an empty tensor"
+        return f"a tensor with values {value.min().item():g}..{value.max().item():g}"
     return repr(value)
 
 
@@ -57,7 +60,8 @@ def _all(value: Any, holds: Any) -> bool:
         if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
             return True
         return bool(holds(value.detach()).all())
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    # numbers.Real: numpy's scalars are numbers too.
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False
     return bool(holds(torch.tensor(float(value), dtype=torch.float64)))
 
@@ -79,7 +83,9 @@ def check_at_least(name: str, value: Any, low: float, *, unit: str = "", owner: 
 def check_positive(name: str, value: Any, *, unit: str = "", owner: object, advice: str = "") -> None:
     """Raise ``ValueError`` unless ``value`` (a number or a tensor) is above zero; NaN is refused."""
     if not _all(value, lambda v: v > 0):
-        raise ValueError(f"{owner_name(owner)}: {name} must be above 0{_unit(unit)}; got {_shown(value)}.{_then(advice)}")
+        raise ValueError(
+            f"{owner_name(owner)}: {name} must be above 0{_unit(unit)}; got {_shown(value)}.{_then(advice)}"
+        )
 
 
 def check_between(

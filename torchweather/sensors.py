@@ -11,13 +11,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import torch
 import yaml
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_one_of, check_positive, nearest_name
+from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive, nearest_name
 
 __all__ = ["BAYER_PATTERNS", "Camera", "Lidar", "Radar", "Sensor", "sensor_preset"]
 
@@ -148,6 +149,8 @@ class Camera(Sensor):
         object.__setattr__(self, "cy", (self.height - 1) / 2 if self.cy is None else float(self.cy))
         white = float(2**self.bit_depth - 1) if self.white_level is None else float(self.white_level)
         object.__setattr__(self, "white_level", white)
+        for name in ("fx", "fy", "cx", "cy", "exposure_s", "height_m", "white_level", "k1", "k2", "p1", "p2", "k3"):
+            check_finite(name, getattr(self, name), owner=self)
         check_at_least("black_level", self.black_level, 0.0, owner=self)
         if white <= self.black_level:
             raise ValueError(f"Camera: white_level must exceed black_level; got {white:g} and {self.black_level:g}.")
@@ -161,7 +164,7 @@ class Camera(Sensor):
 
     def _check_knots(self, knots: tuple[tuple[float, float], ...]) -> None:
         points = tuple((float(linear), float(raw)) for linear, raw in knots)
-        rising = all(a[0] < b[0] and a[1] < b[1] for a, b in zip(points, points[1:], strict=False))
+        rising = all(a[0] < b[0] and a[1] < b[1] for a, b in pairwise(points))
         if len(points) < 2 or points[0] != (0.0, 0.0) or points[-1] != (1.0, 1.0) or not rising:
             raise ValueError(
                 "Camera: response_knots must be points (linear, raw) that both rise from (0, 0) to (1, 1); "
@@ -190,7 +193,8 @@ class Camera(Sensor):
     @property
     def principal_point_px(self) -> tuple[float, float]:
         """cx, cy."""
-        assert self.cx is not None and self.cy is not None  # set in __post_init__
+        assert self.cx is not None  # both set in __post_init__
+        assert self.cy is not None
         return self.cx, self.cy
 
     @property
@@ -218,7 +222,7 @@ class Camera(Sensor):
 
     @property
     def bands(self) -> dict[str, float]:
-        """Colour names of the CFA and their wavelengths, nm, in the order of the CFA index (red, green or clear, blue)."""
+        """Colours of the CFA and their wavelengths, nm, in the order of the CFA index (red, green or clear, blue)."""
         blue, green, red = self.wavelengths_nm
         middle = ("clear", self.clear_wavelength_nm) if "C" in self.bayer_pattern else ("green", green)
         return {"red": red, middle[0]: middle[1], "blue": blue}
@@ -273,7 +277,7 @@ class Camera(Sensor):
         )
 
     def undistort(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Distorted normalised coordinates to undistorted ones, by fixed-point iteration; identity without distortion."""
+        """Distorted normalised coordinates to undistorted ones, by fixed point; identity without distortion."""
         if not self.distorted:
             return x, y
         xu, yu = x, y

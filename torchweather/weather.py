@@ -27,11 +27,13 @@ from torchweather.physics import (
     RAIN,
     SNOW,
     Binned,
+    LogNormal,
     SizeDistribution,
     close_rate,
     physical_diameter_mm,
     rain_fall_speed_m_per_s,
     rain_rate_mm_per_h,
+    rehearse_fog,
     snow_fall_speed_m_per_s,
 )
 
@@ -42,8 +44,13 @@ Knob = float | Tensor
 # Rates that the size distributions were fitted to, mm/h; outside them a weather warns once.
 RAIN_RATE_RANGE_MM_PER_H = (0.1, 200.0)
 SNOW_RATE_RANGE_MM_PER_H = (0.05, 10.0)
-# A rate beyond this is no weather: the largest one-minute rain on record is 1870 mm/h (WMO: Unionville 1956, 31 mm in a minute).
+# A rate beyond this is no weather: the largest one-minute rain on record is 1870 mm/h (WMO: Unionville 1956, 31 mm
+# in a minute).
 ABSURD_RATE_MM_PER_H = 2000.0
+# Contrast threshold to which the fog distributions of ``torchweather.physics.FOG`` are scaled (WMO's MOR).
+MOR_CONTRAST = 0.05
+# Name and visibilities, m, of the fogs that were measured in the REHEARSE fog chamber (D3.4 Table 5).
+REHEARSE, REHEARSE_MOR_M = "rehearse", (10, 20, 30, 50)
 
 
 class Weather:
@@ -71,7 +78,7 @@ class Weather:
             if isinstance(value, Tensor):
                 value = value.detach().tolist()
             elif isinstance(value, Binned):
-                value = value.to_dict()
+                value = _bins_to_dict(value)
             values[field.name] = list(value) if isinstance(value, tuple) else value
         return values
 
@@ -88,7 +95,7 @@ class Weather:
             if key == cls.knob_name and isinstance(value, list):
                 value = torch.tensor(value)
             if key == "size_distribution" and isinstance(value, Mapping):
-                value = Binned.from_dict(value)
+                value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
             taken[key] = tuple(value) if isinstance(value, list) else value
         return cls(**taken)
 
@@ -123,13 +130,25 @@ class _Precipitation(Weather):
                 f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
                 f"got {self.wind_m_per_s!r}."
             )
+        object.__setattr__(self, "rate_mm_per_h", _plain_knob(rate))
+        object.__setattr__(self, "wind_m_per_s", tuple(float(speed) for speed in self.wind_m_per_s))
+        for speed in self.wind_m_per_s:
+            check_between("wind_m_per_s", speed, -100.0, 100.0, unit="m/s", owner=self)
+        check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        self._warn_outside_fit()
+
+    def _warn_outside_fit(self) -> None:
         low, high = self.rate_range_mm_per_h
-        if not isinstance(rate, Tensor) and rate > 0 and not low <= rate <= high:
+        rates = torch.as_tensor(self.rate_mm_per_h).detach().reshape(-1)
+        if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
+            return
+        outside = rates[(rates > 0) & ((rates < low) | (rates > high))]
+        if outside.numel():
             warnings.warn(
-                f"{type(self).__name__}: rate_mm_per_h = {rate:g} lies outside {low:g}..{high:g} mm/h, the range the "
-                f"size distribution was fitted to.",
+                f"{type(self).__name__}: rate_mm_per_h = {outside[0].item():g} lies outside {low:g}..{high:g} mm/h, "
+                f"the range the size distribution was fitted to.",
                 TorchweatherWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
     def distribution(self, rate_mm_per_h: Knob | None = None) -> SizeDistribution:
@@ -222,7 +241,8 @@ class Fog(Weather):
 
     Args:
         mor_m: meteorological optical range, metres, a number or a tensor of the batch shape; infinity is no fog.
-        size_distribution: a name from ``torchweather.physics.FOG``, each a function of ``mor_m``.
+        size_distribution: a name from ``torchweather.physics.FOG``, each a function of ``mor_m``, or ``rehearse``:
+            the measured fogs unscaled, interpolated between their nominal 10, 20, 30 and 50 m.
         contrast: contrast threshold of the visibility; 0.05 is the MOR's, 0.02 the older visual range's.
         temperature_c: water temperature, degrees Celsius.
 
@@ -240,17 +260,33 @@ class Fog(Weather):
     temperature_c: float = 10.0
 
     def __post_init__(self) -> None:
-        check_positive(
-            "mor_m", self.mor_m, unit="m", owner=self, advice="Dense fog is 50 m; infinity is clear air."
-        )
-        check_one_of("size_distribution", self.size_distribution, FOG, owner=self)
+        check_positive("mor_m", self.mor_m, unit="m", owner=self, advice="Dense fog is 50 m; infinity is clear air.")
+        check_one_of("size_distribution", self.size_distribution, (*FOG, REHEARSE), owner=self)
+        if self.size_distribution == REHEARSE:
+            self._check_measured()
         check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
+        check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        object.__setattr__(self, "mor_m", _plain_knob(self.mor_m))
+
+    def _check_measured(self) -> None:
+        mor_m = torch.as_tensor(self.mor_m).detach()
+        low, high = REHEARSE_MOR_M[0], REHEARSE_MOR_M[-1]
+        check_between(
+            "mor_m",
+            mor_m[mor_m.isfinite()],
+            low,
+            high,
+            unit="m",
+            owner=self,
+            advice="The REHEARSE fogs were measured there; size_distribution='default' goes on beyond them.",
+        )
 
     @classmethod
     def rehearse(cls, mor_m: int) -> Fog:
         """The measured REHEARSE fog of nominal visibility 10, 20, 30 or 50 m, unscaled (D3.4 Table 5)."""
-        check_one_of("mor_m", str(mor_m), ("10", "20", "30", "50"), owner="Fog.rehearse")
-        return cls(mor_m=float(mor_m), size_distribution="rehearse")
+        if mor_m not in REHEARSE_MOR_M:
+            raise ValueError(f"Fog.rehearse: mor_m must be one of 10, 20, 30, 50 m; got {mor_m!r}.")
+        return cls(mor_m=float(mor_m), size_distribution=REHEARSE)
 
     @classmethod
     def advection(cls, mor_m: Knob) -> Fog:
@@ -259,8 +295,42 @@ class Fog(Weather):
 
     def distribution(self, mor_m: Knob | None = None) -> SizeDistribution:
         """Droplet size distribution at a visibility (the weather's own by default)."""
-        found: SizeDistribution = FOG[self.size_distribution](self.mor_m if mor_m is None else mor_m)
-        return found
+        mor = self.mor_m if mor_m is None else mor_m
+        if self.size_distribution == REHEARSE:
+            return _rehearse_between(mor)
+        found: SizeDistribution = FOG[self.size_distribution](mor)
+        if self.contrast == MOR_CONTRAST:
+            return found
+        # A visibility of another contrast threshold: as many droplets more as ln(1/contrast) is above ln 20.
+        return found.scaled(math.log(self.contrast) / math.log(MOR_CONTRAST))
+
+
+def _rehearse_between(mor_m: Knob) -> LogNormal:
+    """The measured fogs; ln N, ln r and sigma linear in ln V between them, held outside."""
+    measured = [rehearse_fog(mor) for mor in REHEARSE_MOR_M]
+    log_v = torch.log(torch.as_tensor(mor_m, dtype=torch.float64).clamp(REHEARSE_MOR_M[0], REHEARSE_MOR_M[-1]))
+    rows = torch.tensor(
+        [[math.log(f.number_per_cm3), math.log(f.median_radius_um), f.sigma] for f in measured], dtype=torch.float64
+    )
+    value = rows[0].expand(*log_v.shape, 3)
+    for k in range(len(measured) - 1):  # a sum of ramps: elementwise and differentiable
+        low, high = (math.log(v) for v in REHEARSE_MOR_M[k : k + 2])
+        ramp = ((log_v - low) / (high - low)).clamp(0.0, 1.0)
+        value = value + ramp[..., None] * (rows[k + 1] - rows[k])
+    return LogNormal(torch.exp(value[..., 0]), torch.exp(value[..., 1]), value[..., 2])
+
+
+def _bins_to_dict(measured: Binned) -> dict[str, Any]:
+    return {
+        "edges_mm": measured.edges_mm.tolist(),
+        "density_per_m3_mm": measured.density_per_m3_mm.tolist(),
+        "particle": measured.particle,
+    }
+
+
+def _plain_knob(knob: Knob) -> Knob:
+    """A number as Python has it, so that it prints and goes to YAML; a tensor stays."""
+    return knob if isinstance(knob, (Tensor, int, float)) else float(knob)
 
 
 class Mixture(Weather):
@@ -340,7 +410,9 @@ def _parse_one(text: str) -> Weather:
     for argument in filter(None, arguments.split(",")):
         key, equals, value = argument.partition("=")
         if not equals:
-            raise ValueError(f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}.")
+            raise ValueError(
+                f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
+            )
         values[ALIASES.get(key.strip(), key.strip())] = _plain(value.strip())
     return WEATHERS[kind].from_dict(values)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -12,27 +13,28 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_one_of
+from torchweather.errors import TorchweatherWarning, check_one_of, owner_name
 from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.stages.by_rows import by_rows, is_exporting
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import CameraState, by_cells
-from torchweather.weather import Fog, weather_from_dict
+from torchweather.weather import REHEARSE, REHEARSE_MOR_M, Fog, weather_from_dict
 
 __all__ = ["ExtinctionAndAirlight", "Quantise", "estimate_airlight"]
 
 MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
+REHEARSE_RANGE_M = (float(REHEARSE_MOR_M[0]), float(REHEARSE_MOR_M[-1]))
 FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
 SKY_STRIDE = 4  # the sky is estimated on every fourth CFA cell in each direction
 EXTINCTION_MODELS = ("mie", "koschmieder")
 
 
-def _sky_samples(state: CameraState) -> tuple[Tensor, Tensor]:
-    """Signal and depth of a thinned set of CFA cells, each ``(B, 2, 2, cells)``."""
-    step = 2 * SKY_STRIDE
+def _sky_mean(state: CameraState, stride: int) -> tuple[Tensor, Tensor]:
+    """Mean sky of each phase of the CFA, ``(B, 2, 2)``, from every ``stride``-th cell, and whether seen, ``(B,)``."""
+    step = 2 * stride
     rows = [
         [
             (state.signal[:, 0, y::step, x::step], state.depth_m[:, 0, y::step, x::step].expand(state.batch, -1, -1))
@@ -42,7 +44,10 @@ def _sky_samples(state: CameraState) -> tuple[Tensor, Tensor]:
     ]
     signal = torch.stack([torch.stack([cell[0].flatten(1) for cell in row], 1) for row in rows], 1)
     depth = torch.stack([torch.stack([cell[1].flatten(1) for cell in row], 1) for row in rows], 1)
-    return signal, depth
+    sky = torch.isinf(depth).to(signal.dtype)  # (B, 2, 2, cells)
+    count = sky.sum(-1)
+    # A sky that ends within a cell may show one of its phases only: then the other colours are not known.
+    return (signal * sky).sum(-1) / count.clamp_min(1), (count > 0).flatten(1).all(1)
 
 
 def _brightest(state: CameraState) -> Tensor:
@@ -57,15 +62,14 @@ def estimate_airlight(state: CameraState, owner: object) -> Tensor:
 
     Where a frame shows no sky, the brightest 3 x 3 neighbourhood of each colour stands in, with a warning.
     """
-    signal, depth = _sky_samples(state)
-    sky = torch.isinf(depth).to(signal.dtype)
-    count = sky.sum(-1)
-    mean = (signal * sky).sum(-1) / count.clamp_min(1)
-    no_sky = count.sum((1, 2)) == 0
-    cells = torch.where(no_sky[:, None, None], _brightest(state), mean)  # (B, 2, 2)
+    mean, seen = _sky_mean(state, SKY_STRIDE)
+    if not is_exporting() and not bool(seen.all()):
+        every, seen_at_all = _sky_mean(state, 1)  # a sky that shows between the thinned cells only
+        mean, seen = torch.where(seen[:, None, None], mean, every), seen | seen_at_all
+    cells = torch.where(seen[:, None, None], mean, _brightest(state))  # (B, 2, 2)
     airlight = per_colour(cells, state.cfa_index)
     if not is_exporting() and state.signal.numel():
-        if bool(no_sky.any()):
+        if not bool(seen.all()):
             warnings.warn(
                 f"{type(owner).__name__}: no sky (infinite depth) in the frame and no airlight given; the brightest "
                 "spot stands in for it. Give airlight=(red, green, blue) in units of saturation.",
@@ -85,10 +89,7 @@ def estimate_airlight(state: CameraState, owner: object) -> Tensor:
 def per_colour(cells: Tensor, cfa_index: Tensor) -> Tensor:
     """Mean over the cells of each colour, ``(B, 2, 2)`` to ``(B, 3)``."""
     return torch.stack(
-        [
-            (cells * (cfa_index == colour)).sum((1, 2)) / (cfa_index == colour).sum().clamp_min(1)
-            for colour in range(3)
-        ],
+        [(cells * (cfa_index == colour)).sum((1, 2)) / (cfa_index == colour).sum().clamp_min(1) for colour in range(3)],
         1,
     )
 
@@ -102,7 +103,12 @@ def frame_mean(state: CameraState) -> Tensor:
 
 @lru_cache(maxsize=32)
 def _fog_table(
-    size_distribution: str, wavelengths_nm: tuple[float, ...], temperature_c: float, model: str, contrast: float, variant: str | None
+    size_distribution: str,
+    wavelengths_nm: tuple[float, ...],
+    temperature_c: float,
+    model: str,
+    contrast: float,
+    variant: str | None,
 ) -> KnobTable:
     fog = Fog(mor_m=math.inf, size_distribution=size_distribution, contrast=contrast, temperature_c=temperature_c)
     if variant == "d3_4":
@@ -115,13 +121,13 @@ def _fog_table(
         bands = [extinction_per_m(distribution, w, temperature_c=temperature_c) for w in wavelengths_nm]
         return torch.stack(bands, -1)
 
-    low, high = (10.0, 50.0) if size_distribution == "rehearse" else (MOR_LOW_M, MOR_HIGH_M)
+    low, high = REHEARSE_RANGE_M if size_distribution == REHEARSE else (MOR_LOW_M, MOR_HIGH_M)
     return KnobTable(extinction, low, high, MOR_NODES, zero_at_inf=True)
 
 
 def _table13_table() -> KnobTable:
     """Extinction of D3.4's Table 13 as published, log-log interpolated between its visibilities."""
-    rows = {(row["visibility_m"], row["colour"]): float(row["as_published"]) for row in table13()}
+    rows = {(row.visibility_m, row.colour): row.as_published for row in table13()}
     visibilities = sorted({visibility for visibility, _ in rows})
     log_v = torch.tensor([math.log(v) for v in visibilities], dtype=torch.float64)
     values = torch.tensor(
@@ -135,6 +141,18 @@ def _table13_table() -> KnobTable:
         return torch.exp(values[cell] * (1 - share) + values[cell + 1] * share)
 
     return KnobTable(extinction, visibilities[0], visibilities[-1], MOR_NODES, zero_at_inf=True)
+
+
+def _warn_outside_table13(fog: Fog) -> None:
+    mor_m = torch.as_tensor(fog.mor_m).detach().reshape(-1)
+    outside = mor_m[mor_m.isfinite() & ((mor_m < 10) | (mor_m > 50))]
+    if outside.numel():
+        warnings.warn(
+            f"ExtinctionAndAirlight: mor_m = {outside[0].item():g} m lies outside 10..50 m, the fogs of D3.4 Table 13; "
+            'variant="d3_4" continues them as a power law.',
+            TorchweatherWarning,
+            stacklevel=4,
+        )
 
 
 @register
@@ -169,12 +187,15 @@ class ExtinctionAndAirlight(Stage):
         if not isinstance(fog, Fog):
             raise TypeError(f"ExtinctionAndAirlight: weather must be Fog; got {type(fog).__name__}.")
         check_one_of("extinction", extinction, EXTINCTION_MODELS, owner=self)
+        if variant == "d3_4":
+            _warn_outside_table13(fog)
         self.weather = fog
         self.wavelengths_nm = tuple(float(w) for w in wavelengths_nm)
         self.extinction_model, self.variant = extinction, variant
-        self.given_airlight = _three(airlight)
-        self.table = _fog_table(
-            fog.size_distribution, self.wavelengths_nm, fog.temperature_c, extinction, fog.contrast, variant
+        self.given_airlight = three_colours(airlight)
+        # A copy: .to(dtype) or load_state_dict of one stage must not reach the cached table of all others.
+        self.table = copy.deepcopy(
+            _fog_table(fog.size_distribution, self.wavelengths_nm, fog.temperature_c, extinction, fog.contrast, variant)
         )
         self.register_buffer("mor_m", torch.as_tensor(fog.mor_m, dtype=torch.float32))
         self.mor_m: Tensor
@@ -223,14 +244,17 @@ class ExtinctionAndAirlight(Stage):
         )
 
 
-def _three(value: Sequence[float] | float | None) -> tuple[float, float, float] | None:
+def three_colours(
+    value: Sequence[float] | float | None, owner: object = "ExtinctionAndAirlight"
+) -> tuple[float, float, float] | None:
+    """One signal for all colours, or (red, green, blue), as three numbers in 0..1; ``None`` stays."""
     if value is None:
         return None
     values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
     if len(values) != 3 or not all(0.0 <= v <= 1.0 for v in values):
         raise ValueError(
-            "airlight must be one number or (red, green, blue) in 0..1, linear, in units of saturation; "
-            f"got {value!r}."
+            f"{owner_name(owner)}: airlight must be one number or (red, green, blue) in 0..1, linear, in units of "
+            f"saturation; got {value!r}."
         )
     return values
 

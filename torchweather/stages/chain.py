@@ -6,6 +6,7 @@ import io
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import torch
 import yaml
 from torch import Tensor, nn
 
-from torchweather.errors import TorchweatherError, check_one_of
+from torchweather.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.random import sample_seeds
 from torchweather.stages.registry import STAGES
 from torchweather.stages.stage import Stage, State
@@ -105,11 +106,22 @@ class Chain(nn.Module):
         if not isinstance(values, Mapping) or values.get("format") != FORMAT:
             raise TorchweatherError(f"{owner}: wanted a chain of format {FORMAT!r}; got {_format_of(values)!r}.")
         stages: dict[str, Stage] = {}
-        for entry in values["stages"]:
+        for number, entry in enumerate(_entries(values, owner)):
             arguments = dict(entry)
-            name, kind = arguments.pop("name"), arguments.pop("stage")
-            check_one_of("stage", kind, STAGES, owner=owner)
-            stages[name] = STAGES[kind](**arguments)
+            name, kind = arguments.pop("name", None), arguments.pop("stage", None)
+            if not isinstance(name, str) or name in stages:
+                raise TorchweatherError(
+                    f"{owner}: stages[{number}]: wanted a name of its own for each stage; got {name!r}."
+                )
+            if kind not in STAGES:
+                raise TorchweatherError(
+                    f"{owner}: stages[{number}]: stage must be one of {', '.join(STAGES)}; got {kind!r}."
+                    f"{nearest_name(kind, STAGES)}"
+                )
+            try:
+                stages[name] = STAGES[kind](**arguments)
+            except (TypeError, ValueError, KeyError, AttributeError) as error:
+                raise TorchweatherError(f"{owner}: stages[{number}] ({name}): {error}") from error
         return cls(stages)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -119,7 +131,7 @@ class Chain(nn.Module):
         """
         target = Path(path)
         state = io.BytesIO()
-        np.savez(state, **{key: value.detach().cpu().numpy() for key, value in self.state_dict().items()})  # type: ignore[arg-type]
+        np.savez(state, **{key: value.detach().cpu().numpy() for key, value in self.state_dict().items()})
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(handle, "wb") as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -138,11 +150,21 @@ class Chain(nn.Module):
                 values = yaml.safe_load(archive.read("chain.yaml"))
                 with np.load(io.BytesIO(archive.read("state.npz")), allow_pickle=False) as arrays:
                     state = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile, yaml.YAMLError) as error:
+        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error, yaml.YAMLError) as error:
             raise TorchweatherError(f"{path}: wanted a chain written by Chain.save; {error}.") from error
         chain = cls.from_dict(values, owner=str(path))
-        chain.load_state_dict(state)
+        try:
+            chain.load_state_dict(state)
+        except RuntimeError as error:
+            raise TorchweatherError(f"{path}: state.npz does not belong to chain.yaml: {error}") from error
         return chain
+
+
+def _entries(values: Mapping[str, Any], owner: str) -> list[Mapping[str, Any]]:
+    entries = values.get("stages")
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise TorchweatherError(f"{owner}: stages must be a list of stages, each with name and stage; got {entries!r}.")
+    return entries
 
 
 def _format_of(values: Any) -> Any:

@@ -16,7 +16,7 @@ from torchweather.image.depth import as_depth_source, check_depth
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Quantise, Stage
 from torchweather.stages.by_rows import is_exporting
-from torchweather.stages.camera import estimate_airlight
+from torchweather.stages.camera import estimate_airlight, three_colours
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.weather import Fog, Rain, Snow, Weather
 
@@ -92,6 +92,7 @@ class BayerWeather(nn.Module):
         self._check(weather, camera)
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
+        airlight = three_colours(airlight, owner=self)
         self.weather, self.camera = weather, camera
         self.depth_source = None if depth is None else as_depth_source(depth)
         self.airlight = airlight
@@ -153,7 +154,7 @@ class BayerWeather(nn.Module):
             depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; ``None`` takes the
                 constructor's source.
             noise: what ``draw`` gave; ``None`` draws.
-            out: a float32 tensor of the frame's shape to write to, for fog alone (saves the page faults of a fresh one).
+            out: a float32 tensor of the frame's shape to write to, for fog alone; it gets linear light.
 
         Returns:
             ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
@@ -216,6 +217,7 @@ class BayerWeather(nn.Module):
 
     def _state(self, bayer: Tensor, depth: Tensor | None, *, keep_truth: bool = False) -> CameraState:
         check_bayer(bayer, self.camera, self)
+        self._check_knobs(bayer.shape[:-3])
         height, width = bayer.shape[-2:]
         linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
         depth_m = self._depth(bayer, depth, linear)
@@ -228,17 +230,24 @@ class BayerWeather(nn.Module):
             keep_truth=keep_truth,
         )
 
+    def _check_knobs(self, batch: Sequence[int]) -> None:
+        for part in self.weather.parts:
+            knob = part.knob
+            if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
+                raise ValueError(
+                    f"{type(self).__name__}: {part.knob_name} must be one value or one for each sample, shape "
+                    f"{tuple(batch)}; got shape {tuple(knob.shape)}."
+                )
+
     def _depth(self, bayer: Tensor, depth: Tensor | None, linear: Tensor) -> Tensor:
         height, width = linear.shape[-2:]
         if depth is None:
             if self.depth_source is None:
                 raise ValueError(
-                    f"{type(self).__name__}: no depth: give forward(bayer, depth) a map (..., 1, H, W) in metres, or the "
-                    "constructor a source: depth=30.0, depth=FlatGround(), a map or a function of the image."
+                    f"{type(self).__name__}: no depth: give forward(bayer, depth) a map (..., 1, H, W) in metres, or "
+                    "the constructor a source: depth=30.0, depth=FlatGround(), a map or a function of the image."
                 )
-            depth = self.depth_source(
-                self.camera, height, width, device=linear.device, dtype=linear.dtype, image=bayer
-            )
+            depth = self.depth_source(self.camera, height, width, device=linear.device, dtype=linear.dtype, image=bayer)
         elif not isinstance(depth, Tensor):
             raise TypeError(
                 f"{type(self).__name__}: depth must be a tensor (..., 1, H, W) in metres; got {type(depth).__name__}. "
@@ -272,9 +281,7 @@ class BayerWeather(nn.Module):
         return directions.square().sum(0).sqrt()[None, None]
 
     def _flat(self, noise: Mapping[str, Tensor], batch: Sequence[int]) -> dict[str, Tensor]:
-        wanted = {
-            f"{name}.{variate.name}" for name, stage in self.chain.stages.items() for variate in stage.variates()
-        }
+        wanted = {f"{name}.{variate.name}" for name, stage in self.chain.stages.items() for variate in stage.variates()}
         missing = wanted - set(noise)
         if missing:
             raise ValueError(
@@ -301,10 +308,12 @@ class BayerWeather(nn.Module):
         fog = self.chain.stages.get("extinction_and_airlight")
         if not isinstance(fog, ExtinctionAndAirlight) or len(self.chain.stages) != 2:
             raise ValueError(f"{type(self).__name__}: out= is for fog alone.")
+        if self.camera.response_knots:
+            raise ValueError(f"{type(self).__name__}: out= takes linear light; this camera compands (response_knots).")
         if out.dtype != state.signal.dtype or out.numel() != state.signal.numel() or not out.is_contiguous():
             raise ValueError(
-                f"{type(self).__name__}: out must be contiguous {state.signal.dtype} of {state.signal.numel()} elements; "
-                f"got {out.dtype}, {tuple(out.shape)}."
+                f"{type(self).__name__}: out must be contiguous {state.signal.dtype} of {state.signal.numel()} "
+                f"elements; got {out.dtype}, {tuple(out.shape)}."
             )
         fog(state, {}, out=out.view(state.signal.shape))
 
