@@ -43,7 +43,6 @@ MOST_TAPS = 24
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 # Equal-variance box of a disk's chord profile: variance b^2/16 = w^2/12.
 BOX_OF_DISK = math.sqrt(12 / 16)
-MEAN_CHORD = math.pi / 4  # of a disk of unit diameter
 
 
 @dataclass(frozen=True)
@@ -236,7 +235,7 @@ def build_particle_tables(
     weights[np.arange(FOOTPRINT_NODES), cut_node] *= 0.5
     weights[cut_node == 0] = 0.0
     area_m2 = math.pi / 4 * outline**2 * opacity * (width * foot / outline) ** 2  # = pi/4 D^2 unless published
-    along = np.hypot(length, MEAN_CHORD * width)
+    along = np.hypot(length, BOX_OF_DISK * width)
     across = BOX_OF_DISK * width
     lags = np.arange(MOST_TAPS + 1.0)
     zero = np.zeros(1)

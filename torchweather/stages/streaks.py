@@ -24,6 +24,7 @@ __all__ = ["Marks", "add_listed", "add_static"]
 # 1/2 + (t sqrt(1 - t^2) + asin t) / pi with both ends exact; largest error 7e-4 of the particle's area.
 CHORD_SERIES = (0.6380486488342124, -0.1231837272642443, 0.033889293670296014, -0.048754215240264124)
 MEAN_CHORD = math.pi / 4  # of a disk of unit width
+BOX_OF_DISK = math.sqrt(12 / 16)  # width of the box with the variance of a unit disk's profile
 SMALLEST_PX = 1e-2  # a path or chord below this is as good as a point
 FULL = 1.0 - 2.0**-20  # largest coverage, so that the optical depth stays finite
 WIDE_PX = 1.0  # from this width on the chord differs from column to column
@@ -139,7 +140,7 @@ def _frame(marks: Marks) -> _Frame:
         secant = torch.sqrt(1 + slope.square())
         shortened = width / secant
         across = torch.sqrt((width * secant).square() + SMEAR * slope.square())
-    chord = (MEAN_CHORD * shortened).clamp_min(SMALLEST_PX)
+    chord = (BOX_OF_DISK * shortened).clamp_min(SMALLEST_PX)
     chord_most = torch.where(width > WIDE_PX, shortened, chord)
     across = across.clamp_min(SMALLEST_PX)
     return _Frame(
@@ -215,7 +216,8 @@ def _chord_of_columns(frame: _Frame, side: Tensor) -> Tensor:
     share = _shares(chord_share(side / frame.across[:, None, None]), -1)
     edges = torch.maximum(torch.minimum(side, reach), -reach)
     covered = torch.cat([edges, reach.expand_as(edges[..., :1])], -1) - torch.cat([-reach.expand_as(edges[..., :1]), edges], -1)
-    mean = narrow * share * frame.across[:, None, None] / covered.clamp_min(1e-3)
+    # The disk's area in a column over the column's covered breadth.
+    mean = (MEAN_CHORD / BOX_OF_DISK) * narrow * share * frame.across[:, None, None] / covered.clamp_min(1e-3)
     wide = torch.minimum(mean.clamp_min(SMALLEST_PX), frame.chord_most[:, None, None])
     return torch.where(frame.width[:, None, None] > WIDE_PX, wide, narrow)
 
