@@ -80,7 +80,7 @@ def explain(
     Example:
         >>> numbers = explain("fog:mor=30", "lidar:ouster-os1-128")
         >>> numbers["bands"][0]["name"], round(numbers["bands"][0]["extinction_per_m"], 3), round(numbers["mor_m"])
-        ('laser', 0.102, 30)
+        ('laser', 0.104, 30)
     """
     if isinstance(weather, str):
         weather = parse_weather(weather)
