@@ -219,7 +219,7 @@ class DepthFromPoints(DepthSource):
             )
         if not torch.isfinite(points[:, :3]).all():
             raise ValueError("DepthFromPoints: points_xyz must be finite; got NaN or inf. Drop those rows.")
-        transform = torch.as_tensor(self.T_camera_from_lidar, dtype=torch.float64)
+        transform = torch.as_tensor(self.T_camera_from_lidar, dtype=torch.float64).to(points.device)
         if transform.shape != (4, 4):
             raise ValueError(f"DepthFromPoints: T_camera_from_lidar must be 4 x 4; got {tuple(transform.shape)}.")
         check_one_of("fill", self.fill, ["linear", "nearest", "none"], owner=self)
