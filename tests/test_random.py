@@ -1,0 +1,156 @@
+"""Keyed streams: a draw belongs to (sample seed, stage, variate) and to nothing else."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from torchweather.random import ABSENT, Variate, draw_variates, keyed_stream, sample_seeds, sizes_of
+
+SIZES = sizes_of(24, 32)
+NORMAL = Variate("noise", "normal", ("H", "W"))
+
+
+def test_the_same_triple_gives_the_same_numbers() -> None:
+    first = keyed_stream(7, "veil.haze").random(100)
+    assert np.array_equal(first, keyed_stream(7, "veil.haze").random(100))
+
+
+@pytest.mark.parametrize(
+    ("seed", "stream"), [(8, "veil.haze"), (7, "veil.shell_0"), (7, "other.haze"), (7 + 2**40, "veil.haze")]
+)
+def test_another_seed_stage_or_variate_gives_unrelated_numbers(seed: int, stream: str) -> None:
+    n = 100_000
+    first, second = keyed_stream(7, "veil.haze").standard_normal(n), keyed_stream(seed, stream).standard_normal(n)
+    # The correlation of n independent pairs has standard deviation 1/sqrt(n); 4.5 of them: once in 1e5.
+    assert abs(np.corrcoef(first, second)[0, 1]) < 4.5 / math.sqrt(n)
+
+
+def test_neighbouring_seeds_are_unrelated() -> None:
+    n = 100_000
+    drawn = draw_variates([0, 1], "stage", [Variate("noise", "normal", (n,))], SIZES)["stage.noise"]
+    assert abs(np.corrcoef(drawn)[0, 1]) < 4.5 / math.sqrt(n)
+
+
+def test_a_variate_does_not_depend_on_which_others_are_drawn() -> None:
+    alone = draw_variates([3], "stage", [NORMAL], SIZES)["stage.noise"]
+    with_others = draw_variates([3], "stage", [Variate("first", "uniform", (1000,)), NORMAL], SIZES)["stage.noise"]
+    assert np.array_equal(alone, with_others)
+
+
+def test_a_batch_holds_its_samples_own_draws() -> None:
+    together = draw_variates([5, 9], "stage", [NORMAL], SIZES)["stage.noise"]
+    for row, seed in enumerate((5, 9)):
+        assert np.array_equal(together[row], draw_variates([seed], "stage", [NORMAL], SIZES)["stage.noise"][0])
+
+
+def test_threads_change_nothing() -> None:
+    big = Variate("noise", "normal", (1 << 19,))  # two of them pass THREADED_FROM
+    together = draw_variates([5, 9], "stage", [big], SIZES)["stage.noise"]
+    assert np.array_equal(together[1], draw_variates([9], "stage", [big], SIZES)["stage.noise"][0])
+
+
+@pytest.mark.parametrize(
+    ("law", "mean", "variance"), [("uniform", 0.5, 1 / 12), ("normal", 0.0, 1.0), ("exponential", 1.0, 1.0)]
+)
+def test_standard_variates_have_their_mean_and_variance(law: str, mean: float, variance: float) -> None:
+    n = 200_000
+    drawn = draw_variates([11], "stage", [Variate("x", law, (n,))], SIZES)["stage.x"].astype(np.float64)
+    # 4.5 standard errors; the fourth central moment is at most 9 variances squared (exponential).
+    assert abs(drawn.mean() - mean) < 4.5 * math.sqrt(variance / n)
+    assert abs(drawn.var() - variance) < 4.5 * variance * math.sqrt(8 / n)
+
+
+def test_number_of_points_is_poisson() -> None:
+    points = Variate("drops", "points", (), per_px2=0.05, margin_x_px=2.0, margin_y_px=3.0, columns=4)
+    mean = 0.05 * (32 + 4) * (24 + 6)
+    assert points.mean_points(SIZES) == pytest.approx(mean)
+    n = 4000
+    drawn = draw_variates(range(n), "stage", [points], SIZES)["stage.drops"]
+    counts = (drawn[..., -1] < ABSENT).sum(1).astype(np.float64)
+    # Mean and variance of a Poisson count are equal; the sample variance scatters by sqrt((2 + 1/mean) / n) of itself.
+    assert abs(counts.mean() - mean) < 4.5 * math.sqrt(mean / n)
+    assert abs(counts.var(ddof=1) - mean) < 4.5 * mean * math.sqrt((2 + 1 / mean) / n)
+
+
+def test_points_are_uniform_and_the_present_ones_come_first() -> None:
+    points = Variate("drops", "points", (), per_px2=20.0, columns=4)
+    drawn = draw_variates([2], "stage", [points], SIZES)["stage.drops"][0]
+    present = drawn[:, -1] < ABSENT
+    n = int(present.sum())
+    assert present[:n].all()
+    assert not present[n:].any()
+    assert drawn[:n].min() >= 0.0
+    assert drawn[:n].max() < 1.0
+    assert np.all(np.abs(drawn[:n].mean(0) - 0.5) < 4.5 * math.sqrt(1 / 12 / n))
+
+
+def test_capacity_depends_on_sizes_only() -> None:
+    points = Variate("drops", "points", (), per_px2=0.01, columns=4)
+    shapes = {draw_variates([seed], "stage", [points], SIZES)["stage.drops"].shape for seed in range(50)}
+    assert len(shapes) == 1
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (4,), (2, 3)])
+def test_exactly_one_integer_per_sample_is_taken_from_the_generator(batch: tuple[int, ...]) -> None:
+    taken, counted = torch.Generator().manual_seed(5), torch.Generator().manual_seed(5)
+    sample_seeds(batch, taken)
+    for _ in range(math.prod(batch)):
+        torch.randint(0, 2**63 - 1, (), generator=counted)
+    assert torch.equal(taken.get_state(), counted.get_state())
+
+
+def test_the_global_generator_is_untouched_where_one_is_given() -> None:
+    before = torch.get_rng_state()
+    sample_seeds((3,), torch.Generator().manual_seed(1))
+    sample_seeds((3,), seed=1)
+    assert torch.equal(before, torch.get_rng_state())
+
+
+def test_without_a_generator_the_global_one_decides() -> None:
+    torch.manual_seed(4)
+    first = sample_seeds((3,))
+    torch.manual_seed(4)
+    assert first == sample_seeds((3,))
+    assert first != sample_seeds((3,))
+
+
+def test_seeds_come_as_integers_in_row_major_order() -> None:
+    assert sample_seeds((2, 2), seed=10) == [10, 11, 12, 13]
+    assert sample_seeds((2, 2), seed=torch.tensor([[4, 3], [2, 1]])) == [4, 3, 2, 1]
+    assert all(0 <= seed < 2**63 for seed in sample_seeds((100,)))
+
+
+def test_wrong_seeds_are_refused_with_what_was_wanted() -> None:
+    with pytest.raises(ValueError, match=r"either seed or generator"):
+        sample_seeds((2,), torch.Generator(), seed=1)
+    with pytest.raises(ValueError, match=r"batch shape \(2,\); got shape \(3,\)"):
+        sample_seeds((2,), seed=torch.arange(3))
+    with pytest.raises(TypeError, match=r"integers; got dtype torch.float32"):
+        sample_seeds((2,), seed=torch.ones(2))
+    with pytest.raises(TypeError, match=r"integer"):
+        sample_seeds((2,), seed=1.5)  # type: ignore[arg-type]
+
+
+def test_unknown_law_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"law must be one of uniform, normal, exponential, points; got 'gaussian'"):
+        Variate("x", "gaussian")
+
+
+class _SeedsOfWorkers(Dataset[Tensor]):
+    def __len__(self) -> int:
+        return 8
+
+    def __getitem__(self, index: int) -> Tensor:
+        return torch.tensor(sample_seeds((), None)[0])
+
+
+def test_data_loader_workers_and_epochs_draw_different_weather() -> None:
+    loader = DataLoader(_SeedsOfWorkers(), batch_size=1, num_workers=2)
+    seeds = [int(seed) for _ in range(2) for seed in loader]
+    assert len(set(seeds)) == len(seeds) == 16
