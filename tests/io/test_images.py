@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 
 from torchweather.errors import TorchweatherError
+from torchweather.image import develop
 from torchweather.io import atomic_write, read_image, write_image
 
 
@@ -192,3 +193,15 @@ def test_twelve_bit_raw_frame_of_a_snowy_day(real_data: Callable[[str], Path]) -
     assert image.shape == (1, 1024, 1920)
     values = image.to(torch.int32)
     assert (values.min().item(), values.max().item()) == (370, 3967)
+
+
+@pytest.mark.real_data
+def test_pattern_of_the_real_raw_frame_is_grbg(real_data: Callable[[str], Path]) -> None:
+    """With the wrong green diagonal a grey street turns into a checkerboard: neighbours differ three times as much."""
+    raw, _ = read_image(real_data("stf_raw/2018-02-12_15-39-23_00100.tiff"))
+
+    def roughness(pattern: str) -> float:
+        picture = develop(raw, pattern, black_level=370, white_level=4095)
+        return float(picture.diff(dim=-1).abs().mean())
+
+    assert roughness("GRBG") < 0.5 * roughness("RGGB")
