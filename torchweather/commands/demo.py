@@ -1,0 +1,72 @@
+"""``torchweather demo``: a page that shows the weather on the embedded scene, or on frames of one's own."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from torchweather.commands.frames import add_camera_arguments, add_depth_arguments
+
+NAME = "demo"
+SUMMARY = "a page of pictures and numbers"
+DESCRIPTION = """Writes a page with the raw frame of the embedded test track in clear weather and in rain, fog and snow,
+with the numbers that say why it looks so. Given frames, it does the same with them."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("inputs", nargs="*", type=Path, metavar="IN", help="frames of one's own, raw or RGB")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("torchweather-demo"), help="folder; default torchweather-demo"
+    )
+    parser.add_argument("--sensor", default="camera", help="camera, or camera:PRESET")
+    parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_depth_arguments(parser)
+    add_camera_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page."""
+    from torchweather.commands.output import note, print_json, print_lines
+    from torchweather.report.demo import write_demo
+
+    frames, options = _frames(args)
+    for text in options.pop("notes"):
+        note(text, quiet=args.quiet)
+    progress = not args.quiet and sys.stderr.isatty()
+    summary = write_demo(args.out, seed=args.seed, images=frames, progress=progress, **options)
+    if args.json:
+        print_json(summary)
+    else:
+        print_lines(f"wrote {args.out / 'index.html'}")
+    return 0
+
+
+def _frames(args: argparse.Namespace) -> tuple[list[Path], dict[str, Any]]:
+    """Frames of the user's with their depth and camera; none of them for the embedded scene."""
+    from torchweather.commands.frames import GROUND, camera_fields, depth_source, fitted_camera, gathered
+    from torchweather.io import read_image
+    from torchweather.transforms.recipes import camera_of
+
+    frames = gathered(args.inputs)
+    kind, _, preset = args.sensor.partition(":")
+    if kind != "camera":
+        raise ValueError(f"demo: --sensor must be a camera; got {args.sensor!r}.")
+    if not frames:
+        if args.depth is not None:
+            raise ValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
+        changed = camera_fields(args)
+        asked = preset or changed or any(value is not None for value in (args.fx, args.fy, args.cx, args.cy))
+        if not asked:
+            return [], {"notes": []}
+        camera = camera_of({"kind": "camera", "preset": preset or "lucid-triton", **changed})
+        camera, _ = fitted_camera(camera, camera.height, camera.width, args)
+        return [], {"camera": camera, "notes": []}
+    image, _ = read_image(frames[0])
+    camera = camera_of({"kind": "camera", "preset": preset or "lucid-triton", **camera_fields(args)})
+    camera, said = fitted_camera(camera, image.shape[-2], image.shape[-1], args)
+    depth = depth_source(args.depth or GROUND, args.depth_encoding, frames[0])
+    return frames, {"camera": camera, "depth": depth, "notes": [said] if said else []}
