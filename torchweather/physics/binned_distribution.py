@@ -170,6 +170,17 @@ class Binned(SizeDistribution):
         diameter = torch.maximum(self.edges_mm[cell + 1] - step, self.edges_mm[cell])
         return diameter
 
+    def summed(self, diameter_mm: Tensor, weight_mm: Tensor) -> Tensor:
+        """Integral of ``f N`` bin by bin: the nodes' running sum is read at the edges, where the density jumps."""
+        running = weight_mm.cumsum(0) - 0.5 * weight_mm  # up to each node, which stands in the middle of its weight
+        running = torch.cat([running.new_zeros(1), running[1:-1], weight_mm.sum().unsqueeze(0)])
+        above = torch.searchsorted(diameter_mm, self.edges_mm).clamp(1, diameter_mm.numel() - 1)
+        # Cross-sections rise as D^2, their running sum as D^3.
+        left, right, edge = diameter_mm[above - 1] ** 3, diameter_mm[above] ** 3, self.edges_mm**3
+        share = ((edge - left) / (right - left)).clamp(0.0, 1.0)
+        at_edges = running[above - 1] + share * (running[above] - running[above - 1])
+        return self.density_per_m3_mm @ at_edges.diff()
+
     def quadrature(self) -> tuple[Tensor, Tensor]:
         """Diameters and widths, mm, ``(K,)``: Gauss-Legendre inside every bin."""
         point, weight = (torch.from_numpy(v).to(self.device) for v in np.polynomial.legendre.leggauss(8))

@@ -257,7 +257,7 @@ def integrated_per_m(
     """
     counted, physical, width, q = (v.to(distribution.device) for v in (counted_mm, physical_mm, width_mm, efficiency))
     weight = 0.25 * math.pi * PER_M_PER_MM2_M3 * physical**2 * q * width
-    return distribution.number_density_per_m3_mm(counted) @ weight
+    return distribution.summed(counted, weight)
 
 
 def _integrated(distribution: SizeDistribution, physical_mm: Tensor, width_mm: Tensor, efficiency: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Numbers and tensors brought together as float64 tensors on one device."""
+"""Numbers and tensors brought together as float64 (or complex128) tensors on one device."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-__all__ = ["Quantity", "to_float64"]
+__all__ = ["Quantity", "to_complex128", "to_float64"]
 
 Quantity: TypeAlias = float | int | Tensor
 """A plain number or a tensor; every physics function takes either."""
@@ -28,5 +28,21 @@ def to_float64(*values: Quantity) -> tuple[Tensor, ...]:
         value.to(device, torch.float64)
         if isinstance(value, Tensor)
         else torch.tensor(value, dtype=torch.float64, device=device)
+        for value in values
+    )
+
+
+def to_complex128(*values: complex | Tensor) -> tuple[Tensor, ...]:
+    """The values as complex128 tensors on the device of the first tensor among them.
+
+    Example:
+        >>> to_complex128(1.5 + 0.1j)
+        (tensor(1.5000+0.1000j, dtype=torch.complex128),)
+    """
+    device = next((value.device for value in values if isinstance(value, Tensor)), torch.device("cpu"))
+    return tuple(
+        value.to(device, torch.complex128)
+        if isinstance(value, Tensor)
+        else torch.tensor(value, dtype=torch.complex128, device=device)
         for value in values
     )

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.errors import check_positive
-from torchweather.physics.float64 import Quantity, to_float64
+from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
 __all__ = ["SphereBudget", "axial_q_back", "normal_reflectance", "sphere_budget"]
 
@@ -78,7 +78,7 @@ def normal_reflectance(refractive_index: complex | Tensor) -> Tensor:
         >>> round(float(normal_reflectance(1.3284)), 4)
         0.0199
     """
-    m = torch.as_tensor(refractive_index).to(torch.complex128)
+    (m,) = to_complex128(refractive_index)
     return ((m - 1.0) / (m + 1.0)).abs() ** 2
 
 
@@ -101,7 +101,7 @@ def axial_q_back(
         >>> round(float(axial_q_back(1.328)), 3)
         0.094
     """
-    m = torch.as_tensor(refractive_index).to(torch.complex128)
+    (m,) = to_complex128(refractive_index)
     reflected = normal_reflectance(torch.complex(m.real, torch.zeros_like(m.real)))
     rear = (1.0 - reflected) ** 2 * (m.real / (2.0 - m.real)) ** 2
     if diameter_mm is not None and wavelength_nm is not None:

@@ -74,7 +74,9 @@ def rain_attenuation_db_per_km(
 def fog_attenuation_coefficient_db_per_km_per_g_per_m3(
     frequency_ghz: Quantity = 77.0, temperature_c: Quantity = 10.0
 ) -> Tensor:
-    """Attenuation per liquid water, ITU-R P.840: ``K_l = 0.819 f / (eps'' (1 + eta^2))``, ``eta = (2 + eps') / eps''``.
+    """Attenuation per liquid water, ITU-R P.840.
+
+    ``K_l = 0.819 f / (eps'' (1 + eta^2))``, ``eta = (2 + eps') / eps''``.
 
     Args:
         frequency_ghz: GHz, 1-1000, any shape.

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchweather.errors import TorchweatherWarning, check_between, check_positive
-from torchweather.physics.float64 import Quantity, to_float64
+from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 from torchweather.physics.optical_constants import ICE_OPTICAL, WATER_OPTICAL
 from torchweather.physics.snow_geometry import ICE_DENSITY_G_PER_CM3
 
@@ -251,7 +251,7 @@ def maxwell_garnett(matrix: complex | Tensor, inclusion: complex | Tensor, volum
     """
     (fraction,) = to_float64(volume_fraction)
     check_between("volume_fraction", fraction, 0.0, 1.0, owner="maxwell_garnett")
-    around, inside = (torch.as_tensor(v, device=fraction.device).to(torch.complex128) for v in (matrix, inclusion))
+    around, inside = (v.to(fraction.device) for v in to_complex128(matrix, inclusion))
     y = fraction * (inside - around) / (inside + 2.0 * around)
     return around * (1.0 + 2.0 * y) / (1.0 - y)
 

@@ -239,6 +239,18 @@ class SizeDistribution(ABC):
         solid = ICE_DENSITY_G_PER_CM3 * self.moment(3.0, high_mm=SOLID_ICE_BELOW_MM)
         return math.pi / 6.0 * cubic_mm_to_g * (loose + solid)
 
+    def summed(self, diameter_mm: Tensor, weight_mm: Tensor) -> Tensor:
+        """``sum N(D) weight``: the integral of ``f N`` for nodes rising in D with ``weight = f width``.
+
+        Args:
+            diameter_mm: nodes, ``(K,)``, rising.
+            weight_mm: weights, ``(K,)``.
+
+        Returns:
+            Of the batch shape.
+        """
+        return self.number_density_per_m3_mm(diameter_mm) @ weight_mm
+
     def span_mm(self) -> tuple[float, float]:
         """Finite diameters, mm, outside which nothing of the domain contributes to the moments 2 to 6."""
         low, high = self._span_mm()
