@@ -73,7 +73,7 @@ def extinction_per_m(
         ``effective_extinction_per_m``.
 
     Note:
-        Mie up to x = pi D / lambda = 500, the ripple-averaged asymptotic form beyond (2e-4). Integration error below
+        Mie up to x = pi D / lambda = 300, the ripple-averaged asymptotic form beyond (5e-4). Integration error below
         5e-4 for the fogs of PHYSICS.md. The efficiencies are cached per wavelength, so a second call costs one product.
         Snowflakes are treated as spheres, for which Q_ext is 2.00-2.02 at these sizes.
 
