@@ -1,1 +1,14 @@
-"""TODO."""
+"""Ray-cast scenes with known truth: a test track and a fog tunnel, seen by the library's sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torchweather.scenes.fog_tunnel import fog_tunnel
+from torchweather.scenes.scene import Hit, Scene, SceneLabel, SceneObject, SceneView
+from torchweather.scenes.test_track import test_track
+
+__all__ = ["SCENES", "Hit", "Scene", "SceneLabel", "SceneObject", "SceneView", "fog_tunnel", "test_track"]
+
+SCENES: dict[str, Callable[[], Scene]] = {"test-track": test_track, "fog-tunnel": fog_tunnel}
+"""The scenes by the name that the command line takes."""
