@@ -4,9 +4,10 @@ Coordinates. A particle at depth Z covers ``d = D / g`` pixels and moves ``v t /
 ``g = Z / f`` is the footprint of a pixel in metres per pixel. Everything about one particle's mark depends on
 (D, g) alone, so the tables run over g, and a new focal length needs no new table.
 
-Listed and haze. A particle is *listed*, drawn one by one, where the peak of its mark exceeds ``cut``: that is
-D > D_cut(g). All smaller ones are the *haze*, which enters through the mean and the variance of its optical
-depth and the correlation of its streaks. The sum does not depend on the cut.
+Listed and haze. A particle is *listed*, drawn one by one, where it can be seen by itself: the peak of its mark
+exceeds ``cut``, and no more than ``crowding`` larger ones share a pixel in an e-fold of depth. That is D > D_cut(g).
+All smaller ones are the *haze*, which enters through the mean and the variance of its optical depth and the
+correlation of its streaks. The sum depends neither on the cut nor on the crowding.
 
 Levels. Listed particles are a Poisson process in (pixel area, g, level) of unit density, where the level of a
 particle is the number of larger particles per m^3, ``s = N_>(D; R)``. A rate R reads each particle's diameter
@@ -193,7 +194,7 @@ def _cumulative(values: Array, grid: Array) -> Array:
 
 
 def build_particle_tables(
-    weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, rate_capacity: float
+    weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, crowding: float, rate_capacity: float
 ) -> ParticleTables:
     """Tabulate a precipitation for a camera; see the module's text. Takes about 0.1 s."""
     log_rate, rate_step = _log_grid(RATE_LOW_MM_PER_H, rate_capacity, RATE_NODES)
@@ -211,15 +212,19 @@ def build_particle_tables(
     speed = weather.fall_speed_m_per_s(diameter).numpy()
     per_log = density * diameter.numpy()  # dN / d ln D
 
-    width, length, opacity = mark(outline, speed, foot, focal_px, optics)  # (G, K)
-    peak = opacity * np.minimum(1, width**2) * np.minimum(1, width / np.maximum(length, 1e-9))
-    above = peak > cut
-    cut_node = np.where(above.any(1), above.argmax(1), DIAMETER_NODES - 1)
-    haze = np.arange(DIAMETER_NODES) <= cut_node[:, None]  # (G, K), every class below the cut and the cut itself
-    if_listed = above.any(1)
-
     # Tails, from the top down.
     tail = _cumulative(per_log[:, ::-1], -log_mm[::-1])[:, ::-1]  # (P, K) m^-3
+
+    width, length, opacity = mark(outline, speed, foot, focal_px, optics)  # (G, K)
+    peak = opacity * np.minimum(1, width**2) * np.minimum(1, width / np.maximum(length, 1e-9))
+    larger_per_px = focal_px * foot**3 * tail.max(0)  # (G, K) per e-fold of depth
+    listed = (peak > cut) & (larger_per_px <= crowding)
+    # A larger particle of the same depth is listed as well.
+    listed = np.flip(np.logical_and.accumulate(np.flip(listed, 1), 1), 1)
+    if_listed = listed.any(1)
+    cut_node = np.where(if_listed, listed.argmax(1), DIAMETER_NODES - 1)
+    haze = np.arange(DIAMETER_NODES) <= cut_node[:, None]  # (G, K), every class below the cut and the cut itself
+
     tail_at_cut = np.where(if_listed, tail[:, cut_node], 0.0)  # (P, G)
     tail_most = tail_at_cut.max(0)
     log_level, level_step = _log_grid(LEVEL_LOW_PER_M3, max(float(tail.max()), 10 * LEVEL_LOW_PER_M3), LEVEL_NODES)
@@ -334,14 +339,14 @@ def _listed_shells(log_foot: Array, tail_most: Array, width: Array, length: Arra
 
 @lru_cache(maxsize=32)
 def _cached(
-    shape: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, rate_capacity: float
+    shape: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, crowding: float, rate_capacity: float
 ) -> ParticleTables:
-    return build_particle_tables(shape, optics, focal_px, near_m, far_m, cut, rate_capacity)
+    return build_particle_tables(shape, optics, focal_px, near_m, far_m, cut, crowding, rate_capacity)
 
 
 def particle_tables(
-    weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, rate_capacity: float
+    weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, crowding: float, rate_capacity: float
 ) -> ParticleTables:
     """The tables, from a cache that does not look at the rate."""
     shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))
-    return _cached(shape, optics, focal_px, near_m, far_m, cut, rate_capacity)
+    return _cached(shape, optics, focal_px, near_m, far_m, cut, crowding, rate_capacity)

@@ -16,6 +16,7 @@ from torchweather.stages.by_rows import by_rows
 from torchweather.stages.camera import estimate_airlight, frame_mean
 from torchweather.stages.population import Population
 from torchweather.stages.registry import register
+from torchweather.stages.sequence import next_frame
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import CameraState, by_cells
 from torchweather.weather import Rain, Snow, weather_from_dict
@@ -48,6 +49,8 @@ class ParticleVeil(Stage):
         camera: the camera, or its dictionary.
         near_m, far_m: limits of the particles along the axis; beyond ``far_m`` the air is clear.
         cut: peak coverage above which a particle is drawn one by one.
+        crowding: listed particles per pixel and e-fold of depth; where there are more, none is seen by itself and
+            the smallest count as haze.
         ego_speed_m_per_s: of the vehicle, forward.
         ambient: linear signal of the sky per colour; ``None`` estimates it from the frame.
         drop_view: what a drop shows: the mean of the whole ``frame`` or of its ``upper`` three fifths.
@@ -65,6 +68,7 @@ class ParticleVeil(Stage):
         near_m: float = 0.5,
         far_m: float = 200.0,
         cut: float = 1 / 1024,
+        crowding: float = 0.25,
         ego_speed_m_per_s: float = 0.0,
         ambient: Sequence[float] | float | None = None,
         drop_view: str = "frame",
@@ -76,6 +80,7 @@ class ParticleVeil(Stage):
         check_positive("near_m", near_m, unit="m", owner=self)
         check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
         check_between("cut", cut, 1e-6, 1.0, owner=self)
+        check_positive("crowding", crowding, unit="particles per pixel", owner=self)
         check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
         check_one_of("drop_view", drop_view, DROP_VIEWS, owner=self)
         built = [w if isinstance(w, (Rain, Snow)) else weather_from_dict(w) for w in weathers]
@@ -83,6 +88,7 @@ class ParticleVeil(Stage):
             "near_m": near_m,
             "far_m": far_m,
             "cut": cut,
+            "crowding": crowding,
             "ego_speed_m_per_s": ego_speed_m_per_s,
             "ambient": ambient,
             "drop_view": drop_view,
@@ -102,6 +108,7 @@ class ParticleVeil(Stage):
                     near_m=near_m,
                     far_m=far_m,
                     cut=cut,
+                    crowding=crowding,
                     ego_speed_m_per_s=ego_speed_m_per_s,
                     rate_capacity_mm_per_h=rate_capacity_mm_per_h,
                     published_blend=variant == "d3_4",
@@ -124,6 +131,22 @@ class ParticleVeil(Stage):
     def variates(self) -> tuple[Variate, ...]:
         """Points of every listed shell and the noise maps of the haze, for each kind of particle."""
         return tuple(variate for part in self.parts for variate in part.variates())
+
+    def next_frame(
+        self, noise: Mapping[str, Tensor], size: tuple[int, int], interval_s: float, seeds: Sequence[int], name: str, frame: int
+    ) -> dict[str, Tensor]:
+        """Noise ``(B, ...)`` of the next frame of a sequence; see ``torchweather.stages.sequence``."""
+        samples = []
+        for row, seed in enumerate(seeds):
+            own = {key: value[row] for key, value in noise.items()}
+            samples.append(
+                {
+                    key: value
+                    for part in self.parts
+                    for key, value in next_frame(part, own, size, interval_s, seed, name, frame).items()
+                }
+            )
+        return {key: torch.stack([sample[key] for sample in samples]) for key in samples[0]}
 
     def ambient(self, state: CameraState) -> Tensor:
         """Signal of the sky per colour, ``(B, 3)``."""

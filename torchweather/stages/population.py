@@ -49,7 +49,7 @@ class Population(nn.Module):
     Args:
         weather: the precipitation.
         camera: the camera.
-        near_m, far_m, cut, ego_speed_m_per_s, rate_capacity_mm_per_h: as in ``ParticleVeil``.
+        near_m, far_m, cut, crowding, ego_speed_m_per_s, rate_capacity_mm_per_h: as in ``ParticleVeil``.
         published_blend: D3.4's blend weight.
     """
 
@@ -63,6 +63,7 @@ class Population(nn.Module):
         near_m: float,
         far_m: float,
         cut: float,
+        crowding: float,
         ego_speed_m_per_s: float,
         rate_capacity_mm_per_h: float | None,
         published_blend: bool,
@@ -79,7 +80,7 @@ class Population(nn.Module):
         if isinstance(highest, (int, float)) and highest > capacity:
             capacity = float(highest)
         self.rate_capacity_mm_per_h = capacity
-        self.tables = particle_tables(weather, self.optics, self.focal_px, self.near_m, self.far_m, cut, capacity)
+        self.tables = particle_tables(weather, self.optics, self.focal_px, self.near_m, self.far_m, cut, crowding, capacity)
         self.register_buffer("rate_mm_per_h", torch.as_tensor(rate, dtype=torch.float32))
         self._set_motion(ego_speed_m_per_s)
         self._set_tables()
@@ -116,7 +117,7 @@ class Population(nn.Module):
 
     # ---- draws -------------------------------------------------------------------------------------------------
 
-    def _reach_px(self, number: int) -> tuple[float, float]:
+    def reach_px(self, number: int) -> tuple[float, float]:
         """Margin of a shell, px: half of its longest path with its widest mark."""
         shell = self.tables.listed[number]
         nearest = math.exp(float(shell.log_footprint[0]))
@@ -138,21 +139,21 @@ class Population(nn.Module):
         kind = self.weather.kind
         points = []
         for number, shell in enumerate(self.tables.listed):
-            u, v = self._reach_px(number)
-            per_px2 = shell.per_px2 * self._headroom()
+            u, v = self.reach_px(number)
+            per_px2 = shell.per_px2 * self.headroom()
             points.append(Variate(f"{kind}_shell_{number}", "points", (), per_px2, u, v, COLUMNS))
         haze = Variate(f"{kind}_haze", "normal", (len(self.tables.haze), "H", "W"))
         return (*points, haze)
 
-    def _headroom(self) -> float:
-        """Slots per slot of the undistorted lens: 1, or the largest magnification loss of the distortion."""
+    def headroom(self) -> float:
+        """Slots that the lens distortion asks for, per slot of an undistorted lens; 1 without distortion."""
         if not self.camera.distorted:
             return 1.0
         w, h = self.camera.width, self.camera.height
         u = torch.linspace(-0.5, w - 0.5, 33, dtype=torch.float64)[None].expand(33, 33)
         v = torch.linspace(-0.5, h - 0.5, 33, dtype=torch.float64)[:, None].expand(33, 33)
         intrinsics = torch.tensor([self.camera.intrinsics], dtype=torch.float64)
-        *_, scale = self._undistorted(u.reshape(-1), v.reshape(-1), intrinsics.expand(u.numel(), 4))
+        *_, scale = self.undistorted(u.reshape(-1), v.reshape(-1), intrinsics.expand(u.numel(), 4))
         return max(1.0, float((1 / scale).max()) * 1.05)
 
     # ---- tables at a rate --------------------------------------------------------------------------------------
@@ -193,14 +194,20 @@ class Population(nn.Module):
 
     # ---- listed particles --------------------------------------------------------------------------------------
 
-    def _undistorted(self, u: Tensor, v: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def undistorted(self, u: Tensor, v: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Undistorted normalised coordinates and the lens's areal magnification there (1 without distortion)."""
         fx, fy, cx, cy = intrinsics.unbind(-1)
         x, y = self.camera.undistort((u - cx) / fx, (v - cy) / fy)
         if not self.camera.distorted:
             return x, y, torch.ones_like(x)
+        return x, y, self.magnification(x, y)
+
+    def magnification(self, x: Tensor, y: Tensor) -> Tensor:
+        """Areal magnification of the lens distortion at undistorted coordinates; 1 without distortion."""
+        if not self.camera.distorted:
+            return torch.ones_like(x)
         xx, xy, yx, yy = self._jacobian(x, y)
-        return x, y, (xx * yy - xy * yx).clamp_min(1e-3)
+        return (xx * yy - xy * yx).clamp_min(1e-3)
 
     def _jacobian(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Derivatives of the distorted by the undistorted normalised coordinates: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
@@ -229,12 +236,14 @@ class Population(nn.Module):
         points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
         batch, slots, _ = points.shape
         flat = points.reshape(batch * slots, COLUMNS)
-        step = len(flat) if is_exporting() else SLOTS_AT_ONCE
         sample = None
         if batch > 1:
             sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots).reshape(-1)
-        for start in range(0, max(len(flat), 1), max(step, 1)):
-            some = slice(start, start + step)
+        if is_exporting():
+            yield self._marks(state, flat, sample, tables, number, blocks)
+            return
+        for start in range(0, len(flat), SLOTS_AT_ONCE):
+            some = slice(start, start + SLOTS_AT_ONCE)
             yield self._marks(state, flat[some], None if sample is None else sample[some], tables, number, blocks)
 
     def _marks(
@@ -248,13 +257,13 @@ class Population(nn.Module):
     ) -> Marks:
         t = self.tables
         height, width = state.signal.shape[-2:]
-        reach_u, reach_v = self._reach_px(number)
+        reach_u, reach_v = self.reach_px(number)
         # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
         # length and to an undistorted lens.
         intrinsics = state.intrinsics.expand(state.batch, 4)
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         focal_of = focal[0] if sample is None else focal[sample]
-        thinning = math.log(self.focal_px * self._headroom()) - torch.log(focal_of)
+        thinning = math.log(self.focal_px * self.headroom()) - torch.log(focal_of)
         quantiles, most = getattr(self, f"footprint_{number}"), getattr(self, f"tail_most_{number}")
         cell, share = _cell(points[:, COLUMN_DEPTH] * (len(quantiles) - 1), len(quantiles))
         bound = tables.bounds[number]  # (B, nodes) ln of N_>(D_cut; R)
@@ -282,7 +291,7 @@ class Population(nn.Module):
                     sample, own, focal_of = sample[before], own[before], focal_of[before]
         x = y = scale = None
         if not self.vertical:
-            x, y, scale = self._undistorted(u, v, own)
+            x, y, scale = self.undistorted(u, v, own)
         if self.camera.distorted and scale is not None:
             log_level = torch.log(points[:, COLUMN_LEVEL].clamp_min(FLOOR)) + _read(most, cell, share)
             log_level = log_level + thinning + torch.log(scale)
@@ -370,7 +379,7 @@ class Population(nn.Module):
     def _footprint_px(self, number: int) -> tuple[int, int]:
         """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""
         shell = self.tables.listed[number]
-        reach_u, reach_v = self._reach_px(number)
+        reach_u, reach_v = self.reach_px(number)
         slanted = 0 if self.vertical else 2
         along = math.ceil(2 * max(reach_u, reach_v)) if not self.vertical else math.ceil(2 * reach_v)
         return along + 1, math.ceil(shell.width_max_px * math.sqrt(1.0 if self.vertical else 2.0)) + 2 + slanted

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_one_of
+from torchweather.errors import check_at_least, check_one_of, check_positive
 from torchweather.image.bayer import cfa_colour_index
 from torchweather.image.depth import as_depth_source, check_depth
+from torchweather.random import sample_seeds
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Quantise, Stage
 from torchweather.stages.by_rows import is_exporting
@@ -53,7 +54,8 @@ class BayerWeather(nn.Module):
         airlight: linear signal of the sky (red, green, blue), saturation 1; ``None`` takes it from the frame.
         extinction: of fog: ``mie`` or ``koschmieder``.
         near_m, far_m: limits of falling particles along the optical axis.
-        cut: peak coverage above which a particle is drawn one by one.
+        cut, crowding: peak coverage above which, and number per pixel and e-fold of depth up to which, particles are
+            drawn one by one; the others enter through their moments.
         ego_speed_m_per_s: speed of the vehicle, forward.
         drop_view: what a drop shows: the mean of the ``frame`` or of its ``upper`` three fifths.
         rate_capacity_mm_per_h: highest rate that one draw serves.
@@ -83,6 +85,7 @@ class BayerWeather(nn.Module):
         near_m: float = 0.5,
         far_m: float = 200.0,
         cut: float = 1 / 1024,
+        crowding: float = 0.25,
         ego_speed_m_per_s: float = 0.0,
         drop_view: str = "frame",
         rate_capacity_mm_per_h: float | None = None,
@@ -110,6 +113,7 @@ class BayerWeather(nn.Module):
                 near_m=near_m,
                 far_m=far_m,
                 cut=cut,
+                crowding=crowding,
                 ego_speed_m_per_s=ego_speed_m_per_s,
                 ambient=airlight,
                 drop_view=drop_view,
@@ -212,6 +216,54 @@ class BayerWeather(nn.Module):
         sizes = _Sizes(math.prod(batch), bayer.shape[-2], bayer.shape[-1])
         drawn = self.chain.draw(sizes, generator, flat_seed)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+
+    def draw_sequence(
+        self,
+        bayer: Tensor,
+        frames: int,
+        frame_interval_s: float,
+        generator: torch.Generator | None = None,
+        seed: int | Tensor | None = None,
+    ) -> Iterator[dict[str, Tensor]]:
+        """Noise of successive frames in which the particles move with fall speed, wind and ego motion.
+
+        Args:
+            bayer: a frame of the sequence; only its shape counts.
+            frames: how many.
+            frame_interval_s: from frame to frame, seconds.
+            generator, seed: as in ``draw``; the first frame is what ``draw`` gives.
+
+        Yields:
+            Noise for ``forward``, frame after frame.
+
+        Note:
+            The rate must be one number. Where the vehicle moves, a particle that crosses into the next octave of
+            depth is exchanged for another.
+
+        Example:
+            >>> camera = Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+            >>> rain = BayerRain(Rain(rate_mm_per_h=25), camera, depth=30.0, airlight=0.7)
+            >>> frame = torch.full((1, 24, 32), 0.2)
+            >>> film = [rain(frame, noise=noise) for noise in rain.draw_sequence(frame, 3, 1 / 30, seed=7)]
+            >>> len(film)
+            3
+        """
+        check_bayer(bayer, self.camera, self)
+        check_at_least("frames", frames, 1, owner=self)
+        check_positive("frame_interval_s", frame_interval_s, unit="s", owner=self)
+        batch = bayer.shape[:-3]
+        flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
+        seeds = sample_seeds((math.prod(batch),), generator, flat_seed)
+        height, width = bayer.shape[-2:]
+        noise = self.chain.draw(_Sizes(len(seeds), height, width), seed=torch.tensor(seeds))
+        for frame in range(int(frames)):
+            if frame:
+                for name, stage in self.chain.stages.items():
+                    if isinstance(stage, ParticleVeil):
+                        own = {k.removeprefix(f"{name}."): v for k, v in noise.items() if k.startswith(f"{name}.")}
+                        moved = stage.next_frame(own, (height, width), frame_interval_s, seeds, name, frame)
+                        noise = {**noise, **{f"{name}.{key}": value for key, value in moved.items()}}
+            yield {key: value.reshape(*batch, *value.shape[1:]) for key, value in noise.items()}
 
     # ---- the border --------------------------------------------------------------------------------------------
 

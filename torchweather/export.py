@@ -1,0 +1,211 @@
+"""ONNX: a camera transform as one graph, with its noise, its knob and the intrinsics as inputs.
+
+The graph draws nothing. ``draw_feed`` makes its noise inputs from a seed, without torch: the same numbers that
+``transform.draw`` gives.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from torchweather.errors import TorchweatherError
+from torchweather.image.bayer import cfa_colour_index
+from torchweather.random import Variate, draw_variates
+from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
+from torchweather.transforms.camera import BayerWeather
+
+__all__ = ["draw_feed", "to_onnx"]
+
+INTRINSICS = ("fx", "fy", "cx", "cy")
+METADATA_KEY = "torchweather_variates"
+OPSET = 20
+
+
+class _Graph(nn.Module):
+    """A camera transform as a function of tensors only."""
+
+    def __init__(self, transform: BayerWeather) -> None:
+        super().__init__()
+        self.chain = transform.chain
+        self.camera = transform.camera
+        self.register_buffer("cfa_index", torch.tensor(cfa_colour_index(self.camera.bayer_pattern)))
+        self.cfa_index: Tensor
+        self.variates = {
+            f"{name}.{variate.name}": variate
+            for name, stage in self.chain.stages.items()
+            for variate in stage.variates()
+        }
+        self.knobs = _knobs(transform)
+
+    def forward(self, bayer: Tensor, depth: Tensor, intrinsics: list[Tensor], knobs: list[Tensor], noise: list[Tensor]) -> Tensor:
+        height, width = bayer.shape[-2:]
+        fx, fy, cx, cy = intrinsics
+        x = (torch.arange(width, device=bayer.device).to(bayer.dtype) - cx) / fx
+        y = (torch.arange(height, device=bayer.device).to(bayer.dtype) - cy) / fy
+        x, y = self.camera.undistort(x[None, :], y[:, None])
+        ray = torch.sqrt(1 + x.square() + y.square())[None, None]
+        state = CameraState(
+            signal=bayer,
+            depth_m=depth,
+            ray_per_depth=ray,
+            cfa_index=self.cfa_index,
+            intrinsics=torch.stack([fx, fy, cx, cy])[None],
+        )
+        named_noise = dict(zip(self.variates, noise, strict=True))
+        named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))
+        after: CameraState = torch.func.functional_call(self.chain, named_knobs, (state, named_noise))
+        return after.signal
+
+
+def _knobs(transform: BayerWeather) -> dict[str, str]:
+    """Graph input name to buffer name of every knob."""
+    found: dict[str, str] = {}
+    for name, stage in transform.chain.stages.items():
+        if isinstance(stage, ExtinctionAndAirlight):
+            found["mor_m"] = f"_stages.{name}.mor_m"
+        if isinstance(stage, ParticleVeil):
+            alone = len(stage.parts) == 1
+            for number, part in enumerate(stage.parts):
+                key = "rate_mm_per_h" if alone else f"{part.weather.kind}_rate_mm_per_h"
+                found[key] = f"_stages.{name}.populations.{number}.rate_mm_per_h"
+    return found
+
+
+def to_onnx(transform: BayerWeather, path: str | os.PathLike[str], *, height: int = 64, width: int = 96) -> list[str]:
+    """Write a camera transform as an ONNX graph.
+
+    Inputs: ``bayer`` and ``depth`` ``(1, 1, H, W)`` float32 (linear, black 0, saturation 1; metres), ``fx, fy, cx, cy``
+    in pixels, the knob (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its names (``draw_feed``).
+    Output: ``signal`` ``(1, 1, H, W)``. H and W are dynamic and even.
+
+    Args:
+        transform: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather``.
+        path: where to write; under a temporary name first.
+        height, width: size of the traced frame; any even size runs.
+
+    Returns:
+        Names of the graph's inputs, in order.
+
+    Note:
+        Lens distortion, pattern, exposure, cut and the size distribution are fixed in the graph. The focal length may
+        be set freely; above the transform's own, the faintest listed particles become fewer.
+
+    Example:
+        >>> from torchweather.sensors import Camera
+        >>> from torchweather.transforms import BayerFog
+        >>> from torchweather.weather import Fog
+        >>> fog = BayerFog(Fog(mor_m=50), Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24))
+        >>> to_onnx(fog, tmp / "fog.onnx")  # doctest: +SKIP
+        ['bayer', 'depth', 'fx', 'fy', 'cx', 'cy', 'mor_m']
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401  (torch's exporter needs it)
+    except ImportError as error:
+        raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
+    if height % 2 or width % 2 or height < 4 or width < 4:
+        raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
+    graph = _Graph(transform).eval()
+    arguments, shapes, names = _example(graph, height, width)
+    with torch.no_grad(), warnings.catch_warnings():
+        # The exporter's own: deprecated calls inside torch, and inputs that it names by position.
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            graph,
+            arguments,
+            input_names=names,
+            output_names=["signal"],
+            dynamic_shapes=shapes,
+            opset_version=OPSET,
+            dynamo=True,
+            optimize=True,
+            verbose=False,
+        )
+    assert program is not None  # dynamo export always gives one
+    model = program.model_proto
+    entry = model.metadata_props.add()
+    entry.key = METADATA_KEY
+    entry.value = json.dumps([{"input": key, **variate.to_dict()} for key, variate in graph.variates.items()])
+    onnx.checker.check_model(model)
+    target = Path(path)
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(model.SerializeToString())
+        os.replace(temporary, target)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return names
+
+
+def _example(graph: _Graph, height: int, width: int) -> tuple[tuple[Any, ...], tuple[Any, ...], list[str]]:
+    """Arguments to trace with, their dynamic dimensions, and the names of the inputs."""
+    sizes = {"H": height, "W": width}
+    half_h, half_w = torch.export.Dim("half_height", min=1), torch.export.Dim("half_width", min=1)
+    dims = {"H": 2 * half_h, "W": 2 * half_w}
+    frame = {2: dims["H"], 3: dims["W"]}
+    noise, noise_shapes = [], []
+    for number, (key, variate) in enumerate(graph.variates.items()):
+        stage, _, _ = key.partition(".")
+        array = draw_variates([0], stage, [variate], sizes)[key]
+        noise.append(torch.from_numpy(array))
+        if variate.law == "points":
+            noise_shapes.append({1: torch.export.Dim(f"points_{number}", min=2)})
+        else:
+            noise_shapes.append({i + 1: dims[d] for i, d in enumerate(variate.shape) if isinstance(d, str)})
+    knobs = [torch.full((1,), 50.0) for _ in graph.knobs]
+    camera = graph.camera
+    intrinsics = [torch.tensor(float(value)) for value in camera.intrinsics]
+    generator = torch.Generator().manual_seed(0)
+    bayer = torch.rand(1, 1, height, width, generator=generator)
+    depth = 5.0 + 20.0 * torch.rand(1, 1, height, width, generator=generator)
+    arguments = (bayer, depth, intrinsics, knobs, noise)
+    shapes = (frame, frame, [{} for _ in intrinsics], [{} for _ in knobs], noise_shapes)
+    return arguments, shapes, ["bayer", "depth", *INTRINSICS, *graph.knobs, *graph.variates]
+
+
+def draw_feed(model: str | os.PathLike[str] | bytes, *, height: int, width: int, seed: int) -> dict[str, NDArray[np.float32]]:
+    """The noise inputs of an exported graph for a frame size and a seed, as numpy arrays.
+
+    Args:
+        model: the graph's file or its bytes.
+        height, width: of the frame, pixels.
+        seed: the sample's integer; the numbers equal ``transform.draw(frame, seed=seed)``.
+
+    Returns:
+        Input name to float32 array with a leading 1.
+    """
+    variates = _variates_of(model)
+    sizes = {"H": height, "W": width}
+    feed: dict[str, NDArray[np.float32]] = {}
+    for key, variate in variates.items():
+        stage, _, _ = key.partition(".")
+        feed.update(draw_variates([seed], stage, [variate], sizes))
+    return feed
+
+
+def _variates_of(model: str | os.PathLike[str] | bytes) -> dict[str, Variate]:
+    import onnxruntime
+
+    source = model if isinstance(model, bytes) else os.fspath(model)
+    session = onnxruntime.InferenceSession(source, providers=["CPUExecutionProvider"])
+    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    if text is None:
+        raise TorchweatherError("draw_feed: the graph was not written by torchweather.export.to_onnx.")
+    entries: Sequence[Mapping[str, Any]] = json.loads(text)
+    return {
+        entry["input"]: Variate(**{**{k: v for k, v in entry.items() if k != "input"}, "shape": tuple(entry["shape"])})
+        for entry in entries
+    }
