@@ -88,8 +88,8 @@ def fog_tunnel() -> Scene:
         pedestrian("pedestrian dummy", (11.0, -0.55), yaw_rad=math.pi * 0.55, jacket="jacket_orange"),
         board_on_stand("board 90 %", (8.0, -1.75), 0.90, size_m=0.5, lower_edge_m=0.6),
         board_on_stand("board 5 %", (8.0, 1.75), 0.05, size_m=0.5, lower_edge_m=0.6),
-        board_on_stand("board checker", (13.0, 1.75), MATERIALS["checker"], size_m=1.0, lower_edge_m=0.5),
-        board_on_stand("board 50 %", (13.0, -1.9), 0.50, size_m=0.5, lower_edge_m=0.6),
+        board_on_stand("board checker", (13.0, -2.0), MATERIALS["checker"], size_m=1.0, lower_edge_m=0.5),
+        board_on_stand("board 50 %", (13.0, 2.35), 0.50, size_m=0.5, lower_edge_m=0.6),
         board_on_stand("board 80 %", (20.0, -0.9), 0.80, size_m=0.5, lower_edge_m=0.6),
         board_on_stand("board 10 %", (20.0, -1.7), 0.10, size_m=0.5, lower_edge_m=0.6),
     ]
