@@ -56,11 +56,10 @@ class AsBayer(nn.Module):
         method: ``malvar`` (sharper) or ``bilinear`` demosaicing.
 
     Note:
-        What it costs: a camera's RGB image was demosaiced once already, so the second time two thirds of its samples
-        are dropped and interpolated again. Fine texture softens and gets coloured edges; the figures for the scene of
-        the demo stand in ``docs/as_bayer.md``. The other assumption is that the image is plain sRGB: a camera's own
-        tone curve, sharpening and local contrast are not undone, so light is linear only roughly. Where raw frames
-        exist, use them.
+        What it costs: two thirds of the samples are dropped and interpolated again. Detail of one or two pixels
+        blurs or gets false colours and a fine grid: 36 dB PSNR on the demo's scene, see ``docs/as_bayer.md``. The
+        other assumption is that the image is plain sRGB: a camera's own tone curve, sharpening and local contrast are
+        not undone, so light is linear only roughly. Where raw frames exist, use them.
 
     Example:
         >>> from torchweather.sensors import Camera
