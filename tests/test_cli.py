@@ -19,7 +19,7 @@ from torch import Tensor
 import torchweather
 from torchweather.cli import main
 from torchweather.explain import explain
-from torchweather.image import FlatGround, quantise
+from torchweather.image import ConstantDepth, FlatGround, quantise
 from torchweather.io import read_image, write_image
 from torchweather.physics import mor_from_extinction
 from torchweather.sensors import Camera
@@ -412,8 +412,10 @@ def test_demo_takes_frames_with_camera_and_depth(run: Any, demo_calls: list[dict
     assert run("demo", tmp_path / "frame.png", "-o", tmp_path / "page", "--fx", 100)[0] == 0
     (call,) = demo_calls
     assert call["images"] == [tmp_path / "frame.png"]
-    assert call["depth"] == FlatGround()
+    assert call["depth"] is None
     assert (call["camera"].width, call["camera"].fx, call["camera"].fy) == (32, 100.0, 100.0)
+    assert run("demo", tmp_path / "frame.png", "--depth", 30)[0] == 0
+    assert demo_calls[1]["depth"] == [ConstantDepth(30.0)]
     assert run("demo", "--depth", 30)[0] == 2
 
 

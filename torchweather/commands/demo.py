@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _frames(args: argparse.Namespace) -> tuple[list[Path], dict[str, Any]]:
     """Frames of the user's with their depth and camera; none of them for the embedded scene."""
-    from torchweather.commands.frames import GROUND, camera_fields, depth_source, fitted_camera, gathered
+    from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
     from torchweather.io import read_image
     from torchweather.transforms.recipes import camera_of
 
@@ -68,5 +68,6 @@ def _frames(args: argparse.Namespace) -> tuple[list[Path], dict[str, Any]]:
     image, _ = read_image(frames[0])
     camera = camera_of({"kind": "camera", "preset": preset or "lucid-triton", **camera_fields(args)})
     camera, said = fitted_camera(camera, image.shape[-2], image.shape[-1], args)
-    depth = depth_source(args.depth or GROUND, args.depth_encoding, frames[0])
+    # None is flat ground too, and the page then says that it was assumed.
+    depth = None if args.depth is None else [depth_source(args.depth, args.depth_encoding, frame) for frame in frames]
     return frames, {"camera": camera, "depth": depth, "notes": [said] if said else []}
