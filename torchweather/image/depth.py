@@ -351,7 +351,8 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
         raise TypeError(f"{name}: depth must be floating point, metres; got {depth_m.dtype}.")
     if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
         return
-    if not bool((depth_m >= 0).all()):
+    # One pass without a temporary: the minimum of a map with NaN is NaN.
+    if depth_m.numel() and not bool(depth_m.amin() >= 0):
         nan, negative = int(depth_m.isnan().sum()), int((depth_m < 0).sum())
         raise ValueError(
             f"{name}: depth must be 0 m or more along the optical axis, inf for sky; got {nan} NaN and {negative} "

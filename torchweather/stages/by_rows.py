@@ -22,27 +22,33 @@ def is_exporting() -> bool:
 
 
 def by_rows(
-    function: Callable[[int, int], Sequence[Tensor]], shape: Sequence[int], like: Tensor, out: Sequence[Tensor] | None = None
+    function: Callable[[int, int, Tensor | None], Sequence[Tensor]],
+    shape: Sequence[int],
+    like: Tensor,
+    out: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
-    """Assemble the results of ``function(first_row, last_row)`` over an image of ``shape`` ``(B, 1, H, W)``.
+    """Assemble the results of a function over the bands of an image of ``shape`` ``(B, 1, H, W)``.
 
     Args:
-        function: gives one or more tensors ``(B, 1, last_row - first_row, W)``; bands begin at even rows.
+        function: takes the first and the last row and where to write its first result (or ``None``); gives one or
+            more tensors ``(B, 1, rows, W)``. Bands begin at even rows.
         shape: of the results.
-        like: gives dtype and device of the results, and whether gradients flow.
-        out: where to write; ``None`` allocates.
+        like: gives dtype and device of the results; where gradients flow, the image is one band.
+        out: where to write the first result; ``None`` allocates.
     """
     b, _, height, width = shape
-    if is_exporting() or (out is None and torch.is_grad_enabled() and like.requires_grad):
-        return tuple(function(0, height))
+    if is_exporting() or (torch.is_grad_enabled() and like.requires_grad):
+        return tuple(function(0, height, None))
     rows = max(2, BAND_PIXELS // max(1, b * width) // 2 * 2)
-    results: list[Tensor] = list(out) if out is not None else []
+    results = [] if out is None else [out.view(tuple(shape))]
     for first in range(0, height, rows):
         last = min(first + rows, height)
-        for number, part in enumerate(function(first, last)):
-            if part.requires_grad:
-                return tuple(function(0, height))
+        into = results[0][..., first:last, :] if results else None
+        for number, part in enumerate(function(first, last, into)):
+            if part.requires_grad:  # through a knob
+                return tuple(function(0, height, None))
             if number == len(results):
                 results.append(torch.empty(tuple(shape), dtype=like.dtype, device=like.device))
-            results[number][..., first:last, :] = part
+            if number or part is not into:
+                results[number][..., first:last, :] = part
     return tuple(results)

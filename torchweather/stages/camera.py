@@ -26,6 +26,7 @@ __all__ = ["ExtinctionAndAirlight", "Quantise", "estimate_airlight"]
 
 MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
 REHEARSE_RANGE_M = (float(REHEARSE_MOR_M[0]), float(REHEARSE_MOR_M[-1]))
+OPAQUE = 80.0  # optical depth that leaves nothing to see; beyond it float32 turns subnormal and slow
 FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
 SKY_STRIDE = 4  # the sky is estimated on every fourth CFA cell in each direction
@@ -62,11 +63,11 @@ def estimate_airlight(state: CameraState, owner: object) -> Tensor:
 
     Where a frame shows no sky, the brightest 3 x 3 neighbourhood of each colour stands in, with a warning.
     """
-    mean, seen = _sky_mean(state, SKY_STRIDE)
-    if not is_exporting() and not bool(seen.all()):
+    cells, seen = _sky_mean(state, SKY_STRIDE)  # (B, 2, 2)
+    if is_exporting() or not bool(seen.all()):
         every, seen_at_all = _sky_mean(state, 1)  # a sky that shows between the thinned cells only
-        mean, seen = torch.where(seen[:, None, None], mean, every), seen | seen_at_all
-    cells = torch.where(seen[:, None, None], mean, _brightest(state))  # (B, 2, 2)
+        cells, seen = torch.where(seen[:, None, None], cells, every), seen | seen_at_all
+        cells = torch.where(seen[:, None, None], cells, _brightest(state))
     airlight = per_colour(cells, state.cfa_index)
     if not is_exporting() and state.signal.numel():
         if not bool(seen.all()):
@@ -229,15 +230,24 @@ class ExtinctionAndAirlight(Stage):
         airlight = self.airlight(state)
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
-        def band(first: int, last: int) -> tuple[Tensor, ...]:
-            rows = (..., slice(first, last), slice(None))
-            length = state.depth_m[rows].clamp_max(FARTHEST_M) * state.ray_per_depth[rows]
-            veil = -torch.expm1(by_cells(length) * alpha_rows)  # 1 - T
-            seen = torch.lerp(by_cells(state.signal[rows]), light_rows.expand_as(veil), veil).flatten(2, 3)
-            return (seen, 1 - veil.flatten(2, 3)) if state.keep_truth else (seen,)
+        # Zero extinction times infinite depth is zero.
+        clip = is_exporting() or bool((extinction == 0).any())
 
-        shape = state.signal.shape
-        results = by_rows(band, shape, state.signal, None if out is None else (out,))
+        def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
+            rows = (..., slice(first, last), slice(None))
+            depth_m = state.depth_m[rows].clamp_max(FARTHEST_M) if clip else state.depth_m[rows]
+            optical = by_cells(depth_m * state.ray_per_depth[rows]) * alpha_rows
+            clear = torch.exp(optical.clamp_min(-OPAQUE))
+            # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.
+            ends = light_rows.expand_as(clear), by_cells(state.signal[rows])
+            if into is not None and not clear.requires_grad:
+                torch.lerp(*ends, clear, out=by_cells(into))
+                seen = into
+            else:
+                seen = torch.lerp(*ends, clear).flatten(2, 3)
+            return (seen, clear.flatten(2, 3)) if state.keep_truth else (seen,)
+
+        results = by_rows(band, state.signal.shape, state.signal, out)
         transmission = results[1] if state.keep_truth else None
         return replace(
             state, signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission

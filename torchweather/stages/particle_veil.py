@@ -183,7 +183,7 @@ class ParticleVeil(Stage):
             part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
         ]
 
-        def band(first: int, last: int) -> tuple[Tensor, ...]:
+        def band(first: int, last: int, into: Tensor | None = None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))
             depths, lights = [], []
             for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
