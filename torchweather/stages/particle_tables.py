@@ -166,8 +166,9 @@ def overlap_of_boxes(lag: Array, width: Array) -> Array:
     total = np.zeros(np.broadcast_shapes(lag.shape, wide.shape))
     for i, ci in ((-1, 1.0), (0, -2.0), (1, 1.0)):
         for j, cj in ((-1, 1.0), (0, -2.0), (1, 1.0)):
-            total += ci * cj * np.abs(lag + i * wide + j) ** 3
-    return np.asarray(np.maximum(total / (12.0 * wide**2), 0.0))
+            distance = np.abs(lag + i * wide + j)
+            total += ci * cj * (distance * distance * distance)  # a power is ten times slower
+    return np.asarray(np.maximum(total / (12.0 * wide * wide), 0.0))
 
 
 def _kernel(covariance: Array, taps: int) -> Array:
@@ -194,7 +195,14 @@ def _cumulative(values: Array, grid: Array) -> Array:
 
 
 def build_particle_tables(
-    weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, crowding: float, rate_capacity: float
+    weather: Rain | Snow,
+    optics: MarkOptics,
+    focal_px: float,
+    near_m: float,
+    far_m: float,
+    cut: float,
+    crowding: float,
+    rate_capacity: float,
 ) -> ParticleTables:
     """Tabulate a precipitation for a camera; see the module's text. Takes about 0.1 s."""
     log_rate, rate_step = _log_grid(RATE_LOW_MM_PER_H, rate_capacity, RATE_NODES)
@@ -261,7 +269,9 @@ def build_particle_tables(
         rows = []
         for shell in shells:
             inside = slice(shell.first_node, shell.last_node + 1)
-            covariance = overlap_of_boxes(lags[: taps + 1, None, None], size[inside]) / overlap_of_boxes(zero, size[inside])
+            covariance = overlap_of_boxes(lags[: taps + 1, None, None], size[inside]) / overlap_of_boxes(
+                zero, size[inside]
+            )
             share = variance_weight[inside] * foot[inside] ** 3  # (g, K)
             rows.append(np.einsum("lgk,gk,pk->pl", covariance, share, per_log, optimize=True))
         covariances = np.stack(rows, axis=1)  # (P, J, taps + 1)
@@ -313,7 +323,9 @@ def _taps_needed(along: Array, reach: Array) -> int:
     return MOST_TAPS
 
 
-def _listed_shells(log_foot: Array, tail_most: Array, width: Array, length: Array, focal_px: float) -> tuple[ListedShell, ...]:
+def _listed_shells(
+    log_foot: Array, tail_most: Array, width: Array, length: Array, focal_px: float
+) -> tuple[ListedShell, ...]:
     shells = []
     number = max(1, math.ceil((log_foot[-1] - log_foot[0]) / math.log(2.0)))
     edges = np.linspace(log_foot[0], log_foot[-1], number + 1)
@@ -339,13 +351,27 @@ def _listed_shells(log_foot: Array, tail_most: Array, width: Array, length: Arra
 
 @lru_cache(maxsize=32)
 def _cached(
-    shape: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, crowding: float, rate_capacity: float
+    shape: Rain | Snow,
+    optics: MarkOptics,
+    focal_px: float,
+    near_m: float,
+    far_m: float,
+    cut: float,
+    crowding: float,
+    rate_capacity: float,
 ) -> ParticleTables:
     return build_particle_tables(shape, optics, focal_px, near_m, far_m, cut, crowding, rate_capacity)
 
 
 def particle_tables(
-    weather: Rain | Snow, optics: MarkOptics, focal_px: float, near_m: float, far_m: float, cut: float, crowding: float, rate_capacity: float
+    weather: Rain | Snow,
+    optics: MarkOptics,
+    focal_px: float,
+    near_m: float,
+    far_m: float,
+    cut: float,
+    crowding: float,
+    rate_capacity: float,
 ) -> ParticleTables:
     """The tables, from a cache that does not look at the rate."""
     shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))

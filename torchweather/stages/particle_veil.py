@@ -133,7 +133,13 @@ class ParticleVeil(Stage):
         return tuple(variate for part in self.parts for variate in part.variates())
 
     def next_frame(
-        self, noise: Mapping[str, Tensor], size: tuple[int, int], interval_s: float, seeds: Sequence[int], name: str, frame: int
+        self,
+        noise: Mapping[str, Tensor],
+        size: tuple[int, int],
+        interval_s: float,
+        seeds: Sequence[int],
+        name: str,
+        frame: int,
     ) -> dict[str, Tensor]:
         """Noise ``(B, ...)`` of the next frame of a sequence; see ``torchweather.stages.sequence``."""
         samples = []

@@ -80,7 +80,9 @@ class Population(nn.Module):
         if isinstance(highest, (int, float)) and highest > capacity:
             capacity = float(highest)
         self.rate_capacity_mm_per_h = capacity
-        self.tables = particle_tables(weather, self.optics, self.focal_px, self.near_m, self.far_m, cut, crowding, capacity)
+        self.tables = particle_tables(
+            weather, self.optics, self.focal_px, self.near_m, self.far_m, cut, crowding, capacity
+        )
         self.register_buffer("rate_mm_per_h", torch.as_tensor(rate, dtype=torch.float32))
         self._set_motion(ego_speed_m_per_s)
         self._set_tables()

@@ -34,7 +34,13 @@ CANDIDATES = 1 << 18
 
 
 def next_frame(
-    population: Population, noise: Mapping[str, Tensor], size: tuple[int, int], interval_s: float, seed: int, stream: str, frame: int
+    population: Population,
+    noise: Mapping[str, Tensor],
+    size: tuple[int, int],
+    interval_s: float,
+    seed: int,
+    stream: str,
+    frame: int,
 ) -> dict[str, Tensor]:
     """Noise of the next frame of one sample.
 

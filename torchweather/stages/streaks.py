@@ -136,7 +136,9 @@ def _frame(marks: Marks) -> _Frame:
         aside = torch.where(steep, marks.motion_u_px, marks.motion_v_px)
         length = along.abs().clamp_min(SMALLEST_PX)
         resting = along.abs() < SMALLEST_PX
-        slope = torch.where(resting, torch.zeros_like(aside), aside / torch.where(resting, torch.ones_like(along), along))
+        slope = torch.where(
+            resting, torch.zeros_like(aside), aside / torch.where(resting, torch.ones_like(along), along)
+        )
         secant = torch.sqrt(1 + slope.square())
         shortened = width / secant
         across = torch.sqrt((width * secant).square() + SMEAR * slope.square())
@@ -187,7 +189,9 @@ def _coverage(frame: _Frame, rows: int, columns: int) -> tuple[Tensor, Tensor]:
     coverage = frame.area[:, None, None]
     side = None
     if columns > 1:
-        side = first_minor + (_steps(columns - 1, frame.major) + 0.5) - minor  # inner edges, (P, rows or 1, columns - 1)
+        side = (
+            first_minor + (_steps(columns - 1, frame.major) + 0.5) - minor
+        )  # inner edges, (P, rows or 1, columns - 1)
         coverage = coverage * _shares(chord_share(side / frame.across[:, None, None]), -1)
     if rows > 1:
         edge = frame.first_major[:, None] + (_steps(rows - 1, frame.major) + 0.5) - frame.major[:, None]
@@ -215,7 +219,9 @@ def _chord_of_columns(frame: _Frame, side: Tensor) -> Tensor:
     reach = 0.5 * frame.across[:, None, None]
     share = _shares(chord_share(side / frame.across[:, None, None]), -1)
     edges = torch.maximum(torch.minimum(side, reach), -reach)
-    covered = torch.cat([edges, reach.expand_as(edges[..., :1])], -1) - torch.cat([-reach.expand_as(edges[..., :1]), edges], -1)
+    covered = torch.cat([edges, reach.expand_as(edges[..., :1])], -1) - torch.cat(
+        [-reach.expand_as(edges[..., :1]), edges], -1
+    )
     # The disk's area in a column over the column's covered breadth.
     mean = (MEAN_CHORD / BOX_OF_DISK) * narrow * share * frame.across[:, None, None] / covered.clamp_min(1e-3)
     wide = torch.minimum(mean.clamp_min(SMALLEST_PX), frame.chord_most[:, None, None])
@@ -275,7 +281,12 @@ def _deposit(
 
 
 def add_static(
-    total: Tensor, faded: Tensor | None, marks: Marks, depth_m: Tensor, size: tuple[int, int], footprint: tuple[int, int]
+    total: Tensor,
+    faded: Tensor | None,
+    marks: Marks,
+    depth_m: Tensor,
+    size: tuple[int, int],
+    footprint: tuple[int, int],
 ) -> tuple[Tensor, Tensor | None]:
     """``add_listed`` on one footprint of fixed size: no shape depends on a value, as a graph needs it."""
     return _deposit(total, faded, _frame(marks), footprint, depth_m, size, clip=True, test_depth=True)
