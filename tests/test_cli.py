@@ -412,10 +412,11 @@ def test_demo_takes_frames_with_camera_and_depth(run: Any, demo_calls: list[dict
     assert run("demo", tmp_path / "frame.png", "-o", tmp_path / "page", "--fx", 100)[0] == 0
     (call,) = demo_calls
     assert call["images"] == [tmp_path / "frame.png"]
-    assert call["depth"] is None
+    assert "depth" not in call  # the page's own default, which it names
     assert (call["camera"].width, call["camera"].fx, call["camera"].fy) == (32, 100.0, 100.0)
     assert run("demo", tmp_path / "frame.png", "--depth", 30)[0] == 0
     assert demo_calls[1]["depth"] == [ConstantDepth(30.0)]
+    assert "camera" not in demo_calls[1]
     assert run("demo", "--depth", 30)[0] == 2
 
 

@@ -55,19 +55,16 @@ def _frames(args: argparse.Namespace) -> tuple[list[Path], dict[str, Any]]:
     kind, _, preset = args.sensor.partition(":")
     if kind != "camera":
         raise ValueError(f"demo: --sensor must be a camera; got {args.sensor!r}.")
-    if not frames:
-        if args.depth is not None:
-            raise ValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
-        changed = camera_fields(args)
-        asked = preset or changed or any(value is not None for value in (args.fx, args.fy, args.cx, args.cy))
-        if not asked:
-            return [], {"notes": []}
+    if not frames and args.depth is not None:
+        raise ValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
+    options: dict[str, Any] = {"notes": []}
+    changed = camera_fields(args)
+    # Without a word about the camera the page takes its default for each frame, and says so.
+    if preset or changed or any(value is not None for value in (args.fx, args.fy, args.cx, args.cy)):
         camera = camera_of({"kind": "camera", "preset": preset or "lucid-triton", **changed})
-        camera, _ = fitted_camera(camera, camera.height, camera.width, args)
-        return [], {"camera": camera, "notes": []}
-    image, _ = read_image(frames[0])
-    camera = camera_of({"kind": "camera", "preset": preset or "lucid-triton", **camera_fields(args)})
-    camera, said = fitted_camera(camera, image.shape[-2], image.shape[-1], args)
-    # None is flat ground too, and the page then says that it was assumed.
-    depth = None if args.depth is None else [depth_source(args.depth, args.depth_encoding, frame) for frame in frames]
-    return frames, {"camera": camera, "depth": depth, "notes": [said] if said else []}
+        height, width = read_image(frames[0])[0].shape[-2:] if frames else (camera.height, camera.width)
+        options["camera"], said = fitted_camera(camera, height, width, args)
+        options["notes"] += [said] if said else []
+    if args.depth is not None:
+        options["depth"] = [depth_source(args.depth, args.depth_encoding, frame) for frame in frames]
+    return frames, options
