@@ -230,8 +230,8 @@ class ExtinctionAndAirlight(Stage):
         airlight = self.airlight(state)
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
-        # Zero extinction times infinite depth is zero.
-        clip = is_exporting() or bool((extinction == 0).any())
+        # Zero extinction times infinite depth is zero, and so is its gradient.
+        clip = is_exporting() or extinction.requires_grad or bool((extinction == 0).any())
 
         def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))

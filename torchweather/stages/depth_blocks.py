@@ -30,7 +30,7 @@ class DepthBlocks:
         """Blocks of a depth map ``(B, 1, H, W)``."""
         nearest = -_block_maximum(-depth_m)
         farthest = _block_maximum(depth_m)
-        b, _, rows, columns = nearest.shape
+        rows, columns = nearest.shape[-2:]
         return cls(nearest.reshape(-1), farthest.reshape(-1), rows, columns)
 
     def at(self, sample: Tensor | None, u_px: Tensor, v_px: Tensor) -> tuple[Tensor, Tensor]:

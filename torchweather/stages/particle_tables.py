@@ -18,6 +18,7 @@ and others join them.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -54,7 +55,6 @@ class MarkOptics:
         exposure_s: exposure time.
         aperture_m: diameter of the entrance pupil; 0 is a pinhole.
         focus_distance_m: focus; infinity where the camera looks far away.
-        speed_px: relative air speed across and along the axis (wind and ego motion), m/s, for margins and streaks.
         published_blend: D3.4's blend weight (1 + d) / (v t) in place of the covered share of the exposure.
     """
 
@@ -85,7 +85,7 @@ class HazeShell:
     """A range of depth whose haze shares one noise map.
 
     Args:
-        variance_start, variance_end: positions of its limits on the table's footprint axis (node numbers).
+        first_node, last_node: its limits on the table's footprint axis.
     """
 
     first_node: int
@@ -172,7 +172,7 @@ def overlap_of_boxes(lag: Array, width: Array) -> Array:
 
 
 def _kernel(covariance: Array, taps: int) -> Array:
-    """Symmetric kernel ``(..., 2 taps + 1)`` of unit energy whose autocorrelation has this covariance ``(..., taps + 1)``."""
+    """Symmetric kernel ``(..., 2 taps + 1)`` of unit energy with this autocorrelation ``(..., taps + 1)``."""
     n = 8 * (taps + 1)
     symmetric = np.zeros((*covariance.shape[:-1], n))
     symmetric[..., : taps + 1] = covariance
@@ -261,7 +261,7 @@ def build_particle_tables(
 
     reference_row = int(np.abs(log_rate - math.log(min(50.0, rate_capacity) / 2)).argmin())
     edges = _equal_shares(haze_variance[reference_row], HAZE_SHELLS)
-    shells = tuple(HazeShell(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+    shells = tuple(HazeShell(a, b) for a, b in itertools.pairwise(edges))
     reach = variance_weight * foot**3 * per_log[reference_row]
     taps = _taps_needed(along, reach)
     kernels = []
@@ -329,7 +329,7 @@ def _listed_shells(
     shells = []
     number = max(1, math.ceil((log_foot[-1] - log_foot[0]) / math.log(2.0)))
     edges = np.linspace(log_foot[0], log_foot[-1], number + 1)
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         fine = np.linspace(low, high, 1025)
         tail = np.interp(fine, log_foot, tail_most)
         density = focal_px * np.exp(3 * fine) * tail  # slots per px^2 and unit of ln g

@@ -217,7 +217,9 @@ class ParticleVeil(Stage):
 
     def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:
         """Colour of particles seen through fog: their light fades, the airlight takes its place."""
-        assert state.airlight is not None and state.fog_extinction_per_m is not None  # set by the fog's stage
+        # Both are set by the fog's stage.
+        assert state.airlight is not None
+        assert state.fog_extinction_per_m is not None
         clear = (faded / optical.clamp_min(FAINTEST)).clamp(FAINTEST, 1.0)
         reference = state.fog_extinction_per_m[:, FADING_COLOUR, None]
         ratio = torch.where(reference > 0, state.fog_extinction_per_m / reference.clamp_min(FAINTEST), 1.0)

@@ -176,7 +176,7 @@ class Population(nn.Module):
 
         amount = falls.to(rate.dtype)[:, None]
         # Linear tables (optical depth, variance) follow the rate's power law below the first node.
-        low = torch.exp((share.clamp_max(0.0) * self.tables.log_rate_step))[:, None]
+        low = torch.exp(share.clamp_max(0.0) * self.tables.log_rate_step)[:, None]
         held = share.clamp_min(0.0)
 
         def linear(table: Tensor) -> Tensor:
@@ -299,10 +299,7 @@ class Population(nn.Module):
             log_level = log_level + thinning + torch.log(scale)
             shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
         shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
-        if len(tables.falls) == 1 or sample is None:
-            shown = shown & tables.falls[0]
-        else:
-            shown = shown & tables.falls[sample]
+        shown = shown & (tables.falls[0] if sample is None else tables.falls[sample])
         stop, part = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
         outline_m = _read(tables.outline_m, stop, part, sample)
         speed = _read(tables.fall_speed, stop, part, sample)

@@ -17,10 +17,14 @@ class State(Protocol):
     """What every state can tell about itself."""
 
     @property
-    def sizes(self) -> dict[str, int]: ...
+    def sizes(self) -> dict[str, int]:
+        """The named sizes that variates refer to."""
+        ...
 
     @property
-    def batch(self) -> int: ...
+    def batch(self) -> int:
+        """Number of samples."""
+        ...
 
 
 S = TypeVar("S")

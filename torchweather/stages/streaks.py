@@ -10,7 +10,9 @@ the sum over pixels is ``opacity pi b^2 / 4`` whatever the speed. Marks multiply
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -66,8 +68,17 @@ class Marks:
 
     def take(self, index: slice) -> Marks:
         """The entries of a slice."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Marks(**{name: None if value is None else value[index] for name, value in values.items()})
+        return _each(self, lambda value: value[index])
+
+
+D = TypeVar("D", "Marks", "_Frame")
+
+
+def _each(entries: D, function: Callable[[Tensor], Tensor]) -> D:
+    """Apply a function to every field that is there."""
+    present = {field.name: getattr(entries, field.name) for field in fields(entries)}
+    changed: dict[str, Any] = {name: function(value) for name, value in present.items() if value is not None}
+    return replace(entries, **changed)
 
 
 def chord_share(offset: Tensor) -> Tensor:
@@ -112,13 +123,11 @@ class _Frame:
 
     def take(self, index: Tensor) -> _Frame:
         """The entries of an index."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return _Frame(**{n: None if value is None else value.index_select(0, index) for n, value in values.items()})
+        return _each(self, lambda value: value.index_select(0, index))
 
     def part(self, first: int, last: int) -> _Frame:
         """The entries ``first..last``, as views."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return _Frame(**{n: None if value is None else value[first:last] for n, value in values.items()})
+        return _each(self, lambda value: value[first:last])
 
 
 def _frame(marks: Marks) -> _Frame:
@@ -177,7 +186,10 @@ def _shares(inner: Tensor, dim: int) -> Tensor:
 
 
 def _coverage(frame: _Frame, rows: int, columns: int) -> tuple[Tensor, Tensor]:
-    """Coverage ``(P, rows, columns)`` on a footprint along the major axis, and its first minor pixel ``(P, rows or 1, 1)``."""
+    """Coverage ``(P, rows, columns)`` on a footprint along the major axis.
+
+    The second result is the footprint's first pixel along the minor axis, ``(P, rows or 1, 1)``.
+    """
     if frame.slope is None:
         minor, first_minor = frame.minor[:, None, None], frame.first_minor[:, None, None]
     else:
@@ -344,7 +356,10 @@ def add_listed(
 
 
 def _kinds(marks: Marks, frame: _Frame, size: tuple[int, int], blocks: DepthBlocks | None) -> Tensor:
-    """Class of each mark's footprint and whether it is simple: all inside the image, all before the scene; ``UNSEEN`` is neither."""
+    """Class of each mark's footprint, and whether it is simple: inside the image and before the scene.
+
+    ``UNSEEN`` is a mark that covers no pixel in front of the scene.
+    """
     height, width = size
     rows = torch.floor(frame.major + 0.5 * (frame.length + frame.chord_most) + 0.5) - frame.first_major + 1
     if frame.slope is None or frame.steep is None:
