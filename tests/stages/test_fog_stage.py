@@ -214,6 +214,16 @@ def test_denser_fog_has_a_gradient_of_the_right_sign() -> None:
     assert float(mor_m.grad[2]) == 0.0
 
 
+@pytest.mark.parametrize("sky", [slice(0, 8), slice(0, H)], ids=["some", "all"])
+def test_the_sky_has_no_gradient_and_spoils_none(sky: slice) -> None:
+    mor_m = torch.tensor(50.0, requires_grad=True)
+    depth_m = torch.full((1, H, W), 30.0)
+    depth_m[:, sky] = math.inf
+    BayerFog(Fog(mor_m), camera_of(), airlight=0.8)(frame(0.1), depth_m).mean().backward()
+    assert mor_m.grad is not None
+    assert float(mor_m.grad) == 0.0 if sky.stop == H else float(mor_m.grad) < 0.0
+
+
 def test_extinction_is_differentiable_in_the_visibility() -> None:
     table = ExtinctionAndAirlight(Fog(60.0), RED_GREEN_BLUE_NM).table
     mor_m = torch.tensor([17.0, 61.0], dtype=torch.float64, requires_grad=True)
