@@ -1,0 +1,168 @@
+"""Who may import whom: read from the source, so that an import inside a function counts too."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "torchweather"
+
+# A part may import those of its own layer or a lower one; each name is a module or a folder of the package.
+LAYERS: tuple[frozenset[str], ...] = (
+    frozenset({"errors", "random"}),
+    frozenset({"physics"}),
+    frozenset({"weather", "sensors"}),
+    frozenset({"image", "stages", "radar"}),
+    frozenset({"transforms"}),
+    frozenset({"scenes", "io", "export", "explain"}),
+    frozenset({"gap"}),
+    frozenset({"report"}),
+    frozenset({"cli", "commands"}),
+)
+LAYER_OF = {name: number for number, names in enumerate(LAYERS) for name in names}
+# It needs nothing but the errors.
+ONLY_ERRORS = "metrics"
+
+# Libraries outside: where each may be imported; everything else may be imported anywhere but in physics.
+CONFINED: dict[str, set[str]] = {
+    "onnx": {"export"},
+    "onnxscript": {"export"},
+    "onnxruntime": {"export"},
+    "matplotlib": {"report"},
+    "jinja2": {"report"},
+    "kornia": {"image"},
+    "torchvision": set(),
+    "PIL": {"io", "report"},
+    "tqdm": {"cli", "commands", "gap", "report"},
+}
+PHYSICS_NEEDS = {"torch", "numpy", "torchweather"}
+
+
+def files() -> list[Path]:
+    return [path for path in sorted(PACKAGE.rglob("*.py")) if "_recipes" not in path.parts]
+
+
+def part_of(path: Path) -> str:
+    """``torchweather/stages/chain.py`` belongs to ``stages``, ``torchweather/random.py`` to ``random``."""
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0] if len(relative.parts) > 1 else relative.stem
+
+
+def imports(path: Path) -> list[tuple[str, int]]:
+    """Absolute names that a file imports, and the lines; imports for type checkers only are left out."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for_types: set[ast.AST] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            for_types |= {inner for statement in node.body for inner in ast.walk(statement)}
+    found = []
+    for node in ast.walk(tree):
+        if node in for_types:
+            continue
+        if isinstance(node, ast.Import):
+            found += [(alias.name, node.lineno) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: a relative import"
+            module = node.module or ""
+            if module == "torchweather":
+                found += [(f"torchweather.{alias.name}", node.lineno) for alias in node.names]
+            else:
+                found.append((module, node.lineno))
+    return found
+
+
+def all_imports() -> list[tuple[str, str, str]]:
+    """(part, imported name, place) of the whole package."""
+    return [
+        (part_of(path), name, f"{path.relative_to(PACKAGE.parent)}:{line}")
+        for path in files()
+        for name, line in imports(path)
+    ]
+
+
+def test_every_part_has_a_layer() -> None:
+    known = set(LAYER_OF) | {ONLY_ERRORS, "__init__", "__main__"}
+    assert {part_of(path) for path in files()} <= known
+
+
+def test_nobody_imports_upwards() -> None:
+    wrong = []
+    for part, name, place in all_imports():
+        if not name.startswith("torchweather.") or part in ("__init__", "__main__"):
+            continue
+        other = name.split(".")[1]
+        if other not in LAYER_OF and other != ONLY_ERRORS:
+            continue  # a public name of the package itself, such as __version__
+        if part == ONLY_ERRORS:
+            allowed = other in ("errors", ONLY_ERRORS)
+        elif other == ONLY_ERRORS:
+            allowed = LAYER_OF[part] >= LAYER_OF["gap"]
+        else:
+            allowed = LAYER_OF[other] <= LAYER_OF[part]
+        if not allowed:
+            wrong.append(f"{place}: {part} imports {name}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_physics_needs_torch_and_numpy_only() -> None:
+    wrong = [
+        f"{place}: {name}"
+        for part, name, place in all_imports()
+        if part == "physics" and name.split(".")[0] not in PHYSICS_NEEDS | sys.stdlib_module_names
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_physics_knows_nothing_of_weather_and_sensors() -> None:
+    allowed = {"torchweather.errors", "torchweather.physics"}
+    wrong = [
+        f"{place}: {name}"
+        for part, name, place in all_imports()
+        if part == "physics" and name.startswith("torchweather") and ".".join(name.split(".")[:2]) not in allowed
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("library", list(CONFINED))
+def test_heavy_libraries_stay_where_they_belong(library: str) -> None:
+    wrong = [
+        f"{place}: {part} imports {name}"
+        for part, name, place in all_imports()
+        if name.split(".")[0] == library and part not in CONFINED[library]
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_torchvision_is_nowhere_in_the_repository() -> None:
+    root = PACKAGE.parent
+    for folder in ("torchweather", "tests", "examples", "benchmarks"):
+        for path in (root / folder).rglob("*.py"):
+            assert all(name.split(".")[0] != "torchvision" for name, _ in imports(path)), path
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Top-level packages that a fresh interpreter has loaded after a statement."""
+    code = f"{statement}\nimport sys\nprint(*sorted({{name.split('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=PACKAGE.parent)
+    return set(done.stdout.split())
+
+
+def test_importing_the_package_is_light() -> None:
+    assert not loaded_by("import torchweather") & {
+        "torch",
+        "numpy",
+        "kornia",
+        "matplotlib",
+        "onnx",
+        "onnxruntime",
+        "PIL",
+    }
+
+
+def test_the_transforms_load_no_plots_and_no_graphs() -> None:
+    loaded = loaded_by("from torchweather import BayerRain, Camera, Rain")
+    assert not loaded & {"matplotlib", "jinja2", "onnx", "onnxruntime", "torchvision"}
