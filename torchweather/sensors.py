@@ -93,6 +93,8 @@ class Camera(Sensor):
         exposure_s: exposure time, seconds.
         f_number, focal_length_mm, focus_distance_m: defocus; ``f_number=None`` is a pinhole (no defocus),
             ``focus_distance_m=None`` is focus at infinity.
+        lens_blur_px: diameter of the disk that has the variance of the lens's point spread, pixels; it softens the
+            marks of particles (the frame has its own already).
         roll_rad, pitch_rad: mounting; pitch positive looks up, roll positive turns the camera clockwise as seen
             from behind it.
         height_m: height of the camera over flat ground.
@@ -122,6 +124,7 @@ class Camera(Sensor):
     f_number: float | None = None
     focal_length_mm: float | None = None
     focus_distance_m: float | None = None
+    lens_blur_px: float = 0.0
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     height_m: float = 1.5
@@ -139,6 +142,7 @@ class Camera(Sensor):
             check_positive(name, getattr(self, name), unit="px", owner=self)
         check_positive("exposure_s", self.exposure_s, unit="s", owner=self)
         check_positive("height_m", self.height_m, unit="m", owner=self)
+        check_at_least("lens_blur_px", self.lens_blur_px, 0.0, unit="px", owner=self)
         check_between("bit_depth", self.bit_depth, 1, 32, unit="bits", owner=self)
         check_between("pitch_rad", self.pitch_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
         check_between("roll_rad", self.roll_rad, -math.pi, math.pi, unit="rad", owner=self)
@@ -244,6 +248,7 @@ class Camera(Sensor):
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
+            lens_blur_px=self.lens_blur_px * math.sqrt(sx * sy),
             cx=(cx + 0.5) * sx - 0.5,
             cy=(cy + 0.5) * sy - 0.5,
         )

@@ -55,12 +55,14 @@ class MarkOptics:
         exposure_s: exposure time.
         aperture_m: diameter of the entrance pupil; 0 is a pinhole.
         focus_distance_m: focus; infinity where the camera looks far away.
+        lens_blur_px: diameter of the disk with the variance of the lens's point spread.
         published_blend: D3.4's blend weight (1 + d) / (v t) in place of the covered share of the exposure.
     """
 
     exposure_s: float
     aperture_m: float = 0.0
     focus_distance_m: float = math.inf
+    lens_blur_px: float = 0.0
     published_blend: bool = False
 
 
@@ -149,7 +151,8 @@ def circle_of_confusion_px(footprint_m: Array, focal_px: float, optics: MarkOpti
 def mark(outline_m: Array, speed: Array, footprint_m: Array, focal_px: float, optics: MarkOptics) -> tuple[Array, ...]:
     """Width (px, blurred), length (px) and opacity of a particle's mark; the product of areas is conserved."""
     diameter = outline_m / footprint_m
-    width = np.hypot(diameter, circle_of_confusion_px(footprint_m, focal_px, optics))
+    blur = np.hypot(circle_of_confusion_px(footprint_m, focal_px, optics), optics.lens_blur_px)
+    width = np.hypot(diameter, blur)
     length = speed * optics.exposure_s / footprint_m
     opacity = (diameter / width) ** 2
     if optics.published_blend:

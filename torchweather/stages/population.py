@@ -72,7 +72,7 @@ class Population(nn.Module):
         self.weather, self.camera = weather, camera
         self.near_m, self.far_m = float(near_m), float(far_m)
         focus = math.inf if camera.focus_distance_m is None else camera.focus_distance_m
-        self.optics = MarkOptics(camera.exposure_s, camera.aperture_m, focus, published_blend)
+        self.optics = MarkOptics(camera.exposure_s, camera.aperture_m, focus, camera.lens_blur_px, published_blend)
         self.focal_px = math.sqrt(camera.fx * camera.fy)
         capacity = rate_capacity_mm_per_h or RATE_CAPACITY_MM_PER_H[weather.kind]
         rate = weather.rate_mm_per_h
@@ -332,15 +332,16 @@ class Population(nn.Module):
         return dx * own[..., 0], dy * own[..., 1]
 
     def _blurred(self, diameter: Tensor, foot: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
-        """Width and peak of the disk after defocus: second moments add, the area is conserved."""
-        opacity = torch.ones_like(diameter)
-        width = diameter
+        """Width and peak of the disk after defocus and lens blur: second moments add, the area is conserved."""
+        square = diameter.square()
+        blurred = square + self.optics.lens_blur_px**2
         if self.optics.aperture_m > 0:
             focus = self.optics.focus_distance_m
             out_of_focus = 1.0 if math.isinf(focus) else (depth_m - focus).abs() / focus
-            circle = self.optics.aperture_m / foot * out_of_focus
-            width = torch.sqrt(diameter.square() + circle.square())
-            opacity = (diameter / width).square()
+            blurred = blurred + (self.optics.aperture_m / foot * out_of_focus).square()
+        sharp = self.optics.aperture_m == 0 and self.optics.lens_blur_px == 0
+        width = diameter if sharp else torch.sqrt(blurred)
+        opacity = torch.ones_like(diameter) if sharp else square / blurred
         if self.optics.published_blend:
             opacity = opacity * (1 + diameter) / diameter
         return width, opacity
