@@ -31,11 +31,10 @@ from torchweather.physics import (
     SizeDistribution,
     close_rate,
     physical_diameter_mm,
-    rain_fall_speed_m_per_s,
-    rain_rate_mm_per_h,
+    precipitation_rate_mm_per_h,
     rehearse_fog,
-    snow_fall_speed_m_per_s,
 )
+from torchweather.physics.precipitation_rate import fall_speed_law
 
 __all__ = ["Fog", "Mixture", "Rain", "Snow", "Weather", "parse_weather", "weather_from_dict"]
 
@@ -111,6 +110,7 @@ class _Precipitation(Weather):
     knob_name: ClassVar[str] = "rate_mm_per_h"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = (0.0, math.inf)
     families: ClassVar[Mapping[str, Any]] = {}
+    particles: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         rate = self.rate_mm_per_h
@@ -125,6 +125,11 @@ class _Precipitation(Weather):
         )
         if isinstance(self.size_distribution, str):
             check_one_of("size_distribution", self.size_distribution, self.families, owner=self)
+        elif self.size_distribution.particle not in self.particles:
+            raise ValueError(
+                f"{type(self).__name__}: size_distribution must count {' or '.join(self.particles)}; got bins of "
+                f"{self.size_distribution.particle!r}. Set Binned(particle=...)."
+            )
         if len(self.wind_m_per_s) != 3:
             raise ValueError(
                 f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
@@ -151,22 +156,28 @@ class _Precipitation(Weather):
                 stacklevel=5,
             )
 
+    @property
+    def particle(self) -> str:
+        """What the size distribution counts: ``drop``, ``melted-flake`` (melted diameter) or ``flake`` (its outline's)."""
+        found = self.size_distribution
+        return self.families[found](1.0).particle if isinstance(found, str) else found.particle
+
     def distribution(self, rate_mm_per_h: Knob | None = None) -> SizeDistribution:
-        """Size distribution at a rate (the weather's own by default), per unit liquid (melted) diameter."""
+        """Size distribution at a rate (the weather's own by default), per diameter of ``particle``."""
         rate = self.rate_mm_per_h if rate_mm_per_h is None else rate_mm_per_h
         if isinstance(self.size_distribution, str):
             found: SizeDistribution = self.families[self.size_distribution](rate)
-            return close_rate(found, rate, self.fall_speed_m_per_s) if self.close_rate else found
+            return close_rate(found, rate) if self.close_rate else found
         measured = self.size_distribution
-        return measured.scaled(torch.as_tensor(rate) / rain_rate_mm_per_h(measured, self.fall_speed_m_per_s))
+        return measured.scaled(torch.as_tensor(rate) / precipitation_rate_mm_per_h(measured))
 
     def physical_diameter_mm(self, diameter_mm: Tensor) -> Tensor:
-        """Diameter of the particle's outline, mm, from its liquid diameter."""
-        return diameter_mm
+        """Diameter of the particle's outline, mm, from the diameter that the distribution counts."""
+        return physical_diameter_mm(diameter_mm) if self.particle == "melted-flake" else diameter_mm
 
     def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
-        """Fall speed, m/s, from the liquid diameter, mm."""
-        raise NotImplementedError
+        """Fall speed, m/s, from the diameter that the distribution counts, mm (``PHYSICS.md`` 2.5)."""
+        return fall_speed_law(self.particle)(diameter_mm)
 
 
 @dataclass(frozen=True)
@@ -189,12 +200,9 @@ class Rain(_Precipitation):
     kind: ClassVar[str] = "rain"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = RAIN_RATE_RANGE_MM_PER_H
     families: ClassVar[Mapping[str, Any]] = RAIN
+    particles: ClassVar[tuple[str, ...]] = ("drop",)
 
     size_distribution: str | Binned = "marshall-palmer"
-
-    def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
-        """Fall speed of a drop, m/s (Brandes 2002 with Gunn-Kinzer below 0.5 mm, ``PHYSICS.md`` 2.5)."""
-        return rain_fall_speed_m_per_s(diameter_mm)
 
 
 @dataclass(frozen=True)
@@ -217,6 +225,7 @@ class Snow(_Precipitation):
     kind: ClassVar[str] = "snow"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = SNOW_RATE_RANGE_MM_PER_H
     families: ClassVar[Mapping[str, Any]] = SNOW
+    particles: ClassVar[tuple[str, ...]] = ("melted-flake", "flake")
 
     size_distribution: str | Binned = "sekhon-srivastava"
     temperature_c: float = -5.0
@@ -225,14 +234,6 @@ class Snow(_Precipitation):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_between("albedo", self.albedo, 0.0, 1.0, owner=self)
-
-    def physical_diameter_mm(self, diameter_mm: Tensor) -> Tensor:
-        """Diameter of the flake's outline, mm, from its melted diameter (Brandes 2007 density)."""
-        return physical_diameter_mm(diameter_mm)
-
-    def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
-        """Fall speed of a flake, m/s, from its melted diameter."""
-        return snow_fall_speed_m_per_s(diameter_mm)
 
 
 @dataclass(frozen=True)

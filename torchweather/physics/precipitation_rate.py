@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from torchweather.errors import check_at_least
+from torchweather.errors import check_at_least, check_one_of
 from torchweather.physics.fall_speed import (
     flake_fall_speed_m_per_s,
     rain_fall_speed_m_per_s,
@@ -18,7 +18,7 @@ from torchweather.physics.float64 import Quantity
 from torchweather.physics.size_distribution import SizeDistribution
 from torchweather.physics.snow_geometry import snow_bulk_density_g_per_cm3
 
-__all__ = ["FallSpeed", "close_rate", "precipitation_rate_mm_per_h", "rain_rate_mm_per_h"]
+__all__ = ["FallSpeed", "close_rate", "fall_speed_law", "precipitation_rate_mm_per_h", "rain_rate_mm_per_h"]
 
 FallSpeed = Callable[[Tensor], Tensor]
 """Diameter of the distribution, mm, to speed, m/s."""
@@ -27,6 +27,12 @@ AnyDistribution = TypeVar("AnyDistribution", bound=SizeDistribution)
 
 # 1 mm^3 m^-3 of water falling at 1 m/s is 3.6e-3 mm/h; with pi/6 it is the 6e-4 pi of PHYSICS.md 2.2.
 MM_PER_H = 3.6e-3
+
+FALL_SPEED_LAWS: dict[str, FallSpeed] = {
+    "drop": rain_fall_speed_m_per_s,
+    "melted-flake": snow_fall_speed_m_per_s,
+    "flake": flake_fall_speed_m_per_s,
+}
 
 
 def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: FallSpeed | None = None) -> Tensor:
@@ -48,7 +54,7 @@ def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: Fall
         11.6
     """
     diameter, width = distribution.quadrature()
-    speed = (fall_speed or default_fall_speed(distribution))(diameter)
+    speed = (fall_speed or fall_speed_law(distribution.particle))(diameter)
     water_mm3 = math.pi / 6.0 * diameter**3
     if distribution.particle == "flake":
         water_mm3 = water_mm3 * snow_bulk_density_g_per_cm3(diameter)
@@ -58,11 +64,15 @@ def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: Fall
 rain_rate_mm_per_h = precipitation_rate_mm_per_h
 
 
-def default_fall_speed(distribution: SizeDistribution) -> FallSpeed:
-    """Fall speed law that goes with what the distribution counts."""
-    if distribution.particle == "drop":
-        return rain_fall_speed_m_per_s
-    return snow_fall_speed_m_per_s if distribution.particle == "melted-flake" else flake_fall_speed_m_per_s
+def fall_speed_law(particle: str) -> FallSpeed:
+    """Fall speed law of what a distribution counts: ``drop``, ``melted-flake`` or ``flake``.
+
+    Example:
+        >>> fall_speed_law("drop").__name__
+        'rain_fall_speed_m_per_s'
+    """
+    check_one_of("particle", particle, FALL_SPEED_LAWS, owner="fall_speed_law")
+    return FALL_SPEED_LAWS[particle]
 
 
 def close_rate(

@@ -27,6 +27,7 @@ __all__ = ["ExtinctionAndAirlight", "Quantise", "estimate_airlight"]
 MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
 REHEARSE_RANGE_M = (float(REHEARSE_MOR_M[0]), float(REHEARSE_MOR_M[-1]))
 OPAQUE = 80.0  # optical depth that leaves nothing to see; beyond it float32 turns subnormal and slow
+OPAQUE_TRANSMISSION = 2.0 * math.exp(-OPAQUE)  # reported as 0
 FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
 SKY_STRIDE = 4  # the sky is estimated on every fourth CFA cell in each direction
@@ -245,7 +246,9 @@ class ExtinctionAndAirlight(Stage):
                 seen = into
             else:
                 seen = torch.lerp(*ends, clear).flatten(2, 3)
-            return (seen, clear.flatten(2, 3)) if state.keep_truth else (seen,)
+            if not state.keep_truth:
+                return (seen,)
+            return seen, torch.nn.functional.threshold(clear, OPAQUE_TRANSMISSION, 0.0).flatten(2, 3)
 
         results = by_rows(band, state.signal.shape, state.signal, out)
         transmission = results[1] if state.keep_truth else None
