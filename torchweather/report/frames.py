@@ -34,10 +34,6 @@ from torchweather.weather import Weather
 
 __all__ = ["Frame", "Rendered", "embedded_frames", "user_frame"]
 
-# Peak coverage above which a particle is drawn one by one. The sum does not depend on it. Flakes fall slowly, so that
-# their marks stay dense far away: the cut of drops would draw hundreds of millions of them one by one.
-CUT = {"rain": 1 / 1024, "snow": 1 / 16, "fog": 1 / 1024}
-
 
 @dataclass(frozen=True)
 class Rendered:
@@ -115,10 +111,9 @@ class Frame:
     def render(self, weather: Weather, seed: int) -> Rendered:
         """The frame in a weather, drawn with ``seed``."""
         started = time.perf_counter()
-        cut = max(CUT[part.kind] for part in weather.parts)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            transform = BayerWeather(weather, self.camera, airlight=self.airlight, cut=cut)
+            transform = BayerWeather(weather, self.camera, airlight=self.airlight)
             taker = AsBayer(transform) if self.is_rgb else transform
             built = time.perf_counter()
             noise = taker.draw(self.data, seed=seed)

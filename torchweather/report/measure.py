@@ -84,7 +84,7 @@ def falling_numbers(transform: BayerWeather, depth_m: Tensor) -> dict[str, float
     """How many particles stand between the camera and the scene, and which share of them is drawn one by one.
 
     Expected values, from the size distribution and the tables of the renderer; those drawn one by one are the ones
-    whose mark peaks above the transform's ``cut``.
+    whose mark peaks above the transform's ``cut`` where they do not crowd.
 
     Args:
         transform: with rain or snow; the camera's lens distortion is left aside.
