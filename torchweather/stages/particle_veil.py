@@ -184,12 +184,12 @@ class ParticleVeil(Stage):
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
         tables = [part.at_rate(state.batch) for part in self.parts]
         fog = state.fog_extinction_per_m
-        fog_per_m = None if fog is None else fog[:, FADING_COLOUR]
+        fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()
         listed = [
             part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
         ]
 
-        def band(first: int, last: int, into: Tensor | None = None) -> tuple[Tensor, ...]:
+        def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))
             depths, lights = [], []
             for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
@@ -200,19 +200,15 @@ class ParticleVeil(Stage):
                     colour = self._through_fog(state, colour, faded, depths[-1])
                 lights.append(colour)
             total = sum(depths[1:], depths[0])
-            mask = -torch.expm1(-total)
+            mask = -torch.expm1(-total).to(state.signal.dtype)
             if len(lights) == 1:
                 light = lights[0].expand_as(mask)
             else:
                 light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
-            signal = torch.lerp(by_cells(state.signal[rows]), light, mask).flatten(2, 3)
+            signal = torch.lerp(by_cells(state.signal[rows]), light.to(mask.dtype), mask).flatten(2, 3)
             return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
 
-        like = state.signal
-        if torch.is_grad_enabled() and any(part.rate_mm_per_h.requires_grad for part in self.parts):
-            results = tuple(band(0, state.signal.shape[-2]))
-        else:
-            results = by_rows(band, state.signal.shape, like)
+        results = by_rows(band, state.signal.shape, state.signal)
         return replace(state, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
 
     def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:

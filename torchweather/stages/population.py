@@ -262,7 +262,7 @@ class Population(nn.Module):
         reach_u, reach_v = self.reach_px(number)
         # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
         # length and to an undistorted lens.
-        intrinsics = state.intrinsics.expand(state.batch, 4)
+        intrinsics = state.intrinsics.float().expand(state.batch, 4)
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         focal_of = focal[0] if sample is None else focal[sample]
         thinning = math.log(self.focal_px * self.headroom()) - torch.log(focal_of)
@@ -359,7 +359,7 @@ class Population(nn.Module):
                 the fog's transmission to each particle.
         """
         b, _, height, width = state.signal.shape
-        depth = state.depth_m.expand(b, 1, height, width)
+        depth = state.depth_m.float().expand(b, 1, height, width)
         blocks = None if is_exporting() else DepthBlocks.of(depth)
         depth = depth.reshape(-1)
         total = torch.zeros(b * height * width, device=depth.device, dtype=torch.float32)
@@ -441,8 +441,9 @@ class Population(nn.Module):
             smooth = self._filtered(fields, across, first, last, rows=True, slope=0.0)
             smooth = self._filtered(smooth, along, 0, 0, rows=False, slope=self.haze_slope)
 
-        focal = torch.sqrt(state.intrinsics[:, 0] * state.intrinsics[:, 1]).expand(b)
-        depth = state.depth_m[..., first:last, :].expand(b, 1, last - first, width)
+        intrinsics = state.intrinsics.float()
+        focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1]).expand(b)
+        depth = state.depth_m[..., first:last, :].float().expand(b, 1, last - first, width)
         foot = depth.clamp(1e-6, self.far_m) / focal.view(-1, 1, 1, 1)
         node = (torch.log(foot) - t.log_footprint_low) / t.log_footprint_step
         nodes = tables.haze_depth.shape[1]
