@@ -138,7 +138,7 @@ def histogram_uri(
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.4, 3.1))
         for number, (colour, values) in enumerate(clear):
-            axes = figure.add_axes((0.062 + number * 0.268, 0.165, 0.25, 0.745))
+            axes = figure.add_axes((0.062 + number * 0.268, 0.165, 0.238, 0.745))
             _plain(axes)
             share = np.histogram(values, edges)[0] * (100 / len(values))
             axes.stairs(_log(share), edges, baseline=LOG_FLOOR, fill=True, color=CLEAR_FILL, label="Clear")
