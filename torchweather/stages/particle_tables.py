@@ -42,6 +42,7 @@ LEVEL_LOW_PER_M3 = 1e-8  # one particle in the 1e6 m^3 of a frustum of 100 m, an
 FOOTPRINT_QUANTILE_NODES = 65
 HAZE_SHELLS = 4
 MOST_TAPS = 24
+SMALLEST_MM = 1e-2  # measured bins may begin at 0; below this nothing is seen
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 # Equal-variance box of a disk's chord profile: variance b^2/16 = w^2/12.
 BOX_OF_DISK = math.sqrt(12 / 16)
@@ -213,7 +214,8 @@ def build_particle_tables(
     foot = np.exp(log_foot)[:, None]  # (G, 1)
 
     distribution = weather.distribution(torch.from_numpy(np.exp(log_rate)))
-    low_mm, high_mm = float(distribution.diameter_min_mm), float(distribution.diameter_max_mm)
+    high_mm = float(distribution.diameter_max_mm)
+    low_mm = max(float(distribution.diameter_min_mm), SMALLEST_MM)
     log_mm, _ = _log_grid(low_mm, high_mm, DIAMETER_NODES)
     diameter = torch.from_numpy(np.exp(log_mm))
     # exp(log(x)) may fall a rounding step outside the domain, where the density is 0.

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.random import Variate
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import by_rows
@@ -79,6 +79,9 @@ class ParticleVeil(Stage):
         self.camera = camera if isinstance(camera, Camera) else Camera.from_dict(camera)
         check_positive("near_m", near_m, unit="m", owner=self)
         check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
+        check_finite("far_m", far_m, unit="m", owner=self)
+        if rate_capacity_mm_per_h is not None:
+            check_positive("rate_capacity_mm_per_h", rate_capacity_mm_per_h, unit="mm/h", owner=self)
         check_between("cut", cut, 1e-6, 1.0, owner=self)
         check_positive("crowding", crowding, unit="particles per pixel", owner=self)
         check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
@@ -181,6 +184,8 @@ class ParticleVeil(Stage):
         """The frame behind its particles."""
         if state.signal.numel() == 0:
             return replace(state, particle_mask=state.signal if state.keep_truth else None)
+        for part in self.parts:
+            part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
         tables = [part.at_rate(state.batch) for part in self.parts]
         fog = state.fog_extinction_per_m

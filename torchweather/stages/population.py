@@ -23,7 +23,9 @@ from torchweather.weather import Rain, Snow
 __all__ = ["Population"]
 
 RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
+LEAST = 1e-16  # optical depth and variance below which the haze does not fluctuate
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
+RAY_NODES = 4  # lengths of ray per depth between which the haze's fading is interpolated
 SLOTS_AT_ONCE = 1 << 18  # points whose arrays stay in the cache
 # Columns of a point: image column and row, depth, level.
 COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
@@ -158,11 +160,22 @@ class Population(nn.Module):
         *_, scale = self.undistorted(u.reshape(-1), v.reshape(-1), intrinsics.expand(u.numel(), 4))
         return max(1.0, float((1 / scale).max()) * 1.05)
 
+    def check_rate(self) -> None:
+        """Raise ``ValueError`` where the rate exceeds what the slots of a draw can hold."""
+        if is_exporting() or not self.rate_mm_per_h.numel():
+            return
+        highest = float(self.rate_mm_per_h.detach().max())
+        if highest > self.rate_capacity_mm_per_h * (1 + 1e-6):
+            raise ValueError(
+                f"ParticleVeil: rate_mm_per_h must be at most rate_capacity_mm_per_h = {self.rate_capacity_mm_per_h:g} "
+                f"mm/h; got {highest:g}. Build the transform with rate_capacity_mm_per_h={highest:g} or more."
+            )
+
     # ---- tables at a rate --------------------------------------------------------------------------------------
 
     def at_rate(self, batch: int) -> _AtRate:
         """Interpolate every table in ln(rate), one row per sample."""
-        rate = self.rate_mm_per_h.reshape(-1).expand(batch)
+        rate = self.rate_mm_per_h.float().reshape(-1).expand(batch)
         falls = rate > 0
         safe = torch.where(falls, rate, torch.ones_like(rate))
         position = (torch.log(safe) - self.tables.log_rate_low) / self.tables.log_rate_step
@@ -172,7 +185,7 @@ class Population(nn.Module):
 
         def rows(table: Tensor) -> Tensor:
             weight = share.reshape(-1, *[1] * (table.ndim - 1))
-            return table[index] * (1 - weight) + table[index + 1] * weight
+            return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
 
         amount = falls.to(rate.dtype)[:, None]
         # Linear tables (optical depth, variance) follow the rate's power law below the first node.
@@ -181,7 +194,7 @@ class Population(nn.Module):
 
         def linear(table: Tensor) -> Tensor:
             weight = held.reshape(-1, *[1] * (table.ndim - 1))
-            return table[index] * (1 - weight) + table[index + 1] * weight
+            return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
 
         return _AtRate(
             [rows(getattr(self, f"tail_at_cut_{number}")) for number in range(len(self.tables.listed))],
@@ -237,16 +250,18 @@ class Population(nn.Module):
         """
         points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
         batch, slots, _ = points.shape
-        flat = points.reshape(batch * slots, COLUMNS)
-        sample = None
-        if batch > 1:
-            sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots).reshape(-1)
-        if is_exporting():
-            yield self._marks(state, flat, sample, tables, number, blocks)
-            return
-        for start in range(0, len(flat), SLOTS_AT_ONCE):
-            some = slice(start, start + SLOTS_AT_ONCE)
-            yield self._marks(state, flat[some], None if sample is None else sample[some], tables, number, blocks)
+        sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots)
+        # A portion holds whole samples or parts of one, so that a batch adds up in the order of its elements.
+        together = batch if is_exporting() else max(1, SLOTS_AT_ONCE // max(1, slots))
+        for row in range(0, batch, together):
+            flat = points[row : row + together].reshape(-1, COLUMNS)
+            whose = None if batch == 1 else sample[row : row + together].reshape(-1)
+            if is_exporting() or together > 1:
+                yield self._marks(state, flat, whose, tables, number, blocks)
+                continue
+            for start in range(0, slots, SLOTS_AT_ONCE):
+                some = slice(start, start + SLOTS_AT_ONCE)
+                yield self._marks(state, flat[some], None if whose is None else whose[some], tables, number, blocks)
 
     def _marks(
         self,
@@ -266,7 +281,7 @@ class Population(nn.Module):
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         focal_of = focal[0] if sample is None else focal[sample]
         thinning = math.log(self.focal_px * self.headroom()) - torch.log(focal_of)
-        quantiles, most = getattr(self, f"footprint_{number}"), getattr(self, f"tail_most_{number}")
+        quantiles, most = getattr(self, f"footprint_{number}").float(), getattr(self, f"tail_most_{number}").float()
         cell, share = _cell(points[:, COLUMN_DEPTH] * (len(quantiles) - 1), len(quantiles))
         bound = tables.bounds[number]  # (B, nodes) ln of N_>(D_cut; R)
         cut_level = _read(bound, cell, share, sample)
@@ -367,14 +382,22 @@ class Population(nn.Module):
         for number in range(len(self.tables.listed)):
             for marks in self.marks(state, noise, tables, number, blocks):
                 if fog_per_m is not None:
-                    fog = fog_per_m[0] if marks.sample is None else fog_per_m[marks.sample]
-                    marks = replace(marks, clearness=torch.exp(-fog * marks.depth_m))
+                    marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
                 if is_exporting():
                     total, faded = add_static(total, faded, marks, depth, (height, width), self._footprint_px(number))
                 else:
                     total, faded = add_listed(total, faded, marks, depth, (height, width), blocks)
         shape = (b, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
+
+    def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor) -> Tensor:
+        """Share of each particle's light that the fog lets through, along its ray."""
+        fog, own = fog_per_m[0], state.intrinsics.float()[0]
+        if marks.sample is not None:
+            fog = fog_per_m[marks.sample]
+            own = state.intrinsics.float().expand(state.batch, 4)[marks.sample]
+        x, y, _ = self.undistorted(marks.u_px, marks.v_px, own)
+        return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
 
     def _footprint_px(self, number: int) -> tuple[int, int]:
         """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""
@@ -460,19 +483,29 @@ class Population(nn.Module):
         variance = read(tables.haze_variance) * scale
         deviation = self._deviation(tables, variance, smooth, scale)
         # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
-        centre = (mean + 0.5 * variance).clamp_min(FLOOR)
+        there = (mean > LEAST) & (variance > LEAST)
+        variance = torch.where(there, variance, torch.ones_like(variance))
+        centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
         spread = torch.log1p(variance / centre.square())
-        unit = deviation / torch.sqrt(variance.clamp_min(FLOOR))
-        optical = centre * torch.exp(torch.sqrt(spread.clamp_min(FLOOR)) * unit - 0.5 * spread)
-        optical = torch.where(mean > 0, optical, torch.zeros_like(optical))
+        unit = deviation / torch.sqrt(variance)
+        optical = centre * torch.exp(torch.sqrt(spread) * unit - 0.5 * spread)
+        optical = torch.where(there, optical, mean)
         if fog_per_m is None:
             return optical, None
+        # Weighted with the fog's transmission along the ray, for rays of a few lengths per depth, and between them.
+        ray = state.ray_per_depth[..., first:last, :].float().expand(b, 1, last - first, width)
+        longest = state.ray_per_depth.amax().float() - 1
         steps = tables.haze_depth[:, 1:] - tables.haze_depth[:, :-1]
         middle = torch.arange(nodes - 1, device=steps.device) + 0.5
         middle_m = torch.exp(t.log_footprint_low + t.log_footprint_step * middle) * focal[:, None]
-        clear = torch.cumsum(steps * torch.exp(-fog_per_m[:, None] * middle_m), 1)
-        weighted = read(torch.nn.functional.pad(clear, (1, 0))) * scale
-        return optical, optical * weighted / mean.clamp_min(FLOOR)
+        stop = (ray - 1) / longest.clamp_min(1e-6) * (RAY_NODES - 1)
+        weighted = torch.zeros_like(mean)
+        for node_of_ray in range(RAY_NODES):
+            length_m = middle_m * (1 + longest * node_of_ray / (RAY_NODES - 1))
+            clear = torch.cumsum(steps * torch.exp(-fog_per_m[:, None] * length_m), 1)
+            near = (1 - (stop - node_of_ray).abs()).clamp_min(0)
+            weighted = weighted + near * read(torch.nn.functional.pad(clear, (1, 0)))
+        return optical, optical * weighted * scale / mean.clamp_min(FLOOR)
 
     def _deviation(self, tables: _AtRate, variance: Tensor, smooth: Tensor, scale: Tensor) -> Tensor:
         """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""

@@ -3,8 +3,9 @@
 The mark is the exposure-averaged coverage: a disk of (blurred) width b convolved with the path of length L,
 divided by L, averaged over each pixel (``PHYSICS.md`` 4.5). Along the path's major image axis it is a trapezoid,
 across it the disk's chord profile; both are integrated over the pixel through their distribution functions, so
-the sum over pixels is ``opacity pi b^2 / 4`` whatever the speed. Marks multiply: optical depths
-``-ln(1 - m)`` add up.
+the sum over pixels is ``opacity pi b^2 / 4`` whatever the speed. A slanted mark is a sheared upright one with the
+same second moments; its single pixels may differ from the exact mark's by some ten percent. Marks multiply:
+optical depths ``-ln(1 - m)`` add up.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ BOX_OF_DISK = math.sqrt(12 / 16)  # width of the box with the variance of a unit
 SMALLEST_PX = 1e-2  # a path or chord below this is as good as a point
 FULL = 1.0 - 2.0**-20  # largest coverage, so that the optical depth stays finite
 WIDE_PX = 1.0  # from this width on the chord differs from column to column
-# A slanted path smears across its row: box of width |slope|, variance slope^2 / 12 = b^2 / 16.
-SMEAR = 16 / 12
+# Equal variances of a box of width s and a disk of width b: s^2 / 12 = b^2 / 16.
+DISK_OF_BOX = 16 / 12
 # Footprints are rounded up to these sizes, so that marks of like size are handled together.
 CLASSES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 4096)
 UNSEEN = 0  # kind of a mark that covers no pixel in front of the scene
@@ -136,7 +137,7 @@ def _frame(marks: Marks) -> _Frame:
     if marks.motion_u_px is None:
         major, minor = marks.v_px, marks.u_px
         length = marks.motion_v_px.abs().clamp_min(SMALLEST_PX)
-        shortened, across = width, width
+        across = width
     else:
         steep = marks.motion_v_px.abs() >= marks.motion_u_px.abs()
         major = torch.where(steep, marks.v_px, marks.u_px)
@@ -145,14 +146,9 @@ def _frame(marks: Marks) -> _Frame:
         aside = torch.where(steep, marks.motion_u_px, marks.motion_v_px)
         length = along.abs().clamp_min(SMALLEST_PX)
         resting = along.abs() < SMALLEST_PX
-        slope = torch.where(
-            resting, torch.zeros_like(aside), aside / torch.where(resting, torch.ones_like(along), along)
-        )
-        secant = torch.sqrt(1 + slope.square())
-        shortened = width / secant
-        across = torch.sqrt((width * secant).square() + SMEAR * slope.square())
-    chord = (BOX_OF_DISK * shortened).clamp_min(SMALLEST_PX)
-    chord_most = torch.where(width > WIDE_PX, shortened, chord)
+        slope, across = _sheared(length, aside, torch.where(resting, torch.ones_like(along), along), width)
+    chord = (BOX_OF_DISK * width).clamp_min(SMALLEST_PX)
+    chord_most = torch.where(width > WIDE_PX, width, chord)
     across = across.clamp_min(SMALLEST_PX)
     return _Frame(
         sample=marks.sample,
@@ -171,6 +167,21 @@ def _frame(marks: Marks) -> _Frame:
         depth_m=marks.depth_m,
         clearness=marks.clearness,
     )
+
+
+def _sheared(length: Tensor, aside: Tensor, along: Tensor, width: Tensor) -> tuple[Tensor, Tensor]:
+    """Lean of a slanted mark per step along its major axis, and its width across.
+
+    A disk moved along a slanted path is described as a sheared upright mark with the same second moments: the lean
+    is the regression of the minor on the major coordinate, ``slope L^2 / (L^2 + 3/4 b^2)``, and what it leaves is
+    the width. A long path leans as it runs; a disk at rest does not lean.
+    """
+    slope = aside / along
+    square, disk = length.square(), 0.75 * width.square()
+    lean = slope * square / (square + disk)
+    left_over = slope.square() * width.square() * square / (square + disk)
+    # Inside one row the lean smears the mark like a box.
+    return lean, torch.sqrt(width.square() + left_over + DISK_OF_BOX * lean.square())
 
 
 def _steps(number: int, like: Tensor) -> Tensor:
@@ -194,9 +205,7 @@ def _coverage(frame: _Frame, rows: int, columns: int) -> tuple[Tensor, Tensor]:
         minor, first_minor = frame.minor[:, None, None], frame.first_minor[:, None, None]
     else:
         offset = frame.first_major[:, None] + _steps(rows, frame.major) - frame.major[:, None]
-        half = 0.5 * frame.length[:, None]
-        within = torch.maximum(torch.minimum(offset, half), -half)
-        minor = (frame.minor[:, None] + frame.slope[:, None] * within)[..., None]  # (P, rows, 1)
+        minor = (frame.minor[:, None] + frame.slope[:, None] * offset)[..., None]  # (P, rows, 1)
         first_minor = torch.floor(minor - 0.5 * frame.across[:, None, None] + 0.5)
     coverage = frame.area[:, None, None]
     side = None
@@ -367,8 +376,8 @@ def _kinds(marks: Marks, frame: _Frame, size: tuple[int, int], blocks: DepthBloc
         top, left, tall, broad = frame.first_major, frame.first_minor, rows, columns
     else:
         columns = torch.floor(frame.across) + 2
-        # The path leans aside by half of its drift in each direction.
-        lean = 0.5 * frame.slope.abs() * frame.length
+        # The mark leans aside by half of its drift in each direction.
+        lean = 0.5 * frame.slope.abs() * (frame.length + frame.chord_most)
         minor_low, minor_size = torch.floor(frame.first_minor - lean), columns + 2 * lean + 2
         top, tall = torch.where(frame.steep, frame.first_major, minor_low), torch.where(frame.steep, rows, minor_size)
         left, broad = torch.where(frame.steep, minor_low, frame.first_major), torch.where(frame.steep, minor_size, rows)
