@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -20,6 +19,7 @@ from torchweather.scenes.lighting import DiffuseLight, SlabShade, SphereShade
 from torchweather.scenes.materials import MATERIALS, Material, surface_reflectance
 from torchweather.scenes.primitives import Point, Shape, enclosing_sphere
 from torchweather.sensors import Camera
+from torchweather.threads import one_thread_an_operation
 
 __all__ = ["Hit", "Part", "Scene", "SceneLabel", "SceneObject", "SceneView"]
 
@@ -345,7 +345,7 @@ class Scene:
     ) -> tuple[Hit, Tensor]:
         """Hits and radiance of ``(N, 3)`` rays, block by block, so that intermediate arrays stay in the cache."""
         hits, colours = [], []
-        with _one_thread_an_operation():
+        with one_thread_an_operation():
             for start in range(0, max(len(direction), 1), BLOCK_RAYS):
                 rays = direction[start : start + BLOCK_RAYS]
                 hits.append(self._hit(origin, rays, pixel_angle_rad))
@@ -433,21 +433,6 @@ class Scene:
                 target = ground[near]
                 lit[target] = lit[target] * (1 - shade.hidden_share(where[near]))
         return 1 - lit
-
-
-@contextmanager
-def _one_thread_an_operation() -> Iterator[None]:
-    """Torch with one processor thread for each operation, for a while.
-
-    Blocks are small. Split over threads, each of their thousands of operations would wait longer for its threads than
-    it works: up to 20 times slower, measured on a busy machine.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _as_rows(bounds: list[tuple[Point, float]]) -> Tensor:

@@ -6,9 +6,12 @@ A fresh tensor of a whole frame costs more in page faults than the arithmetic on
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
+
+from torchweather.threads import one_thread_an_operation, side_by_side
 
 __all__ = ["by_rows", "is_exporting"]
 
@@ -40,15 +43,24 @@ def by_rows(
     if is_exporting() or (torch.is_grad_enabled() and like.requires_grad):
         return tuple(function(0, height, None))
     rows = max(2, BAND_PIXELS // max(1, b * width) // 2 * 2)
+    bands = [(first, min(first + rows, height)) for first in range(0, height, rows)]
     results = [] if out is None else [out.view(tuple(shape))]
-    for first in range(0, height, rows):
-        last = min(first + rows, height)
+
+    def fill(first: int, last: int) -> bool:
         into = results[0][..., first:last, :] if results else None
-        for number, part in enumerate(function(first, last, into)):
-            if part.requires_grad:  # through a knob
-                return tuple(function(0, height, None))
+        parts = function(first, last, into)
+        if any(part.requires_grad for part in parts):  # through a knob
+            return False
+        for number, part in enumerate(parts):
             if number == len(results):
                 results.append(torch.empty(tuple(shape), dtype=like.dtype, device=like.device))
             if number or part is not into:
                 results[number][..., first:last, :] = part
+        return True
+
+    with one_thread_an_operation():
+        plain = all(fill(*band) for band in bands[:1])
+    if not plain:
+        return tuple(function(0, height, None))
+    side_by_side([partial(fill, *band) for band in bands[1:]])
     return tuple(results)

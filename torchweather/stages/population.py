@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from torchweather.stages.depth_blocks import BLOCK_PX, DepthBlocks
 from torchweather.stages.particle_tables import MarkOptics, particle_tables
 from torchweather.stages.states import CameraState
 from torchweather.stages.streaks import Marks, add_listed, add_static
+from torchweather.threads import side_by_side
 from torchweather.weather import Rain, Snow
 
 __all__ = ["Population"]
@@ -26,6 +28,7 @@ RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
 LEAST = 1e-16  # optical depth and variance below which the haze does not fluctuate
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 RAY_NODES = 4  # lengths of ray per depth between which the haze's fading is interpolated
+SUMS = 4  # partial sums of the optical depth, filled side by side
 SLOTS_AT_ONCE = 1 << 18  # points whose arrays stay in the cache
 # Columns of a point: image column and row, depth, level.
 COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
@@ -235,33 +238,34 @@ class Population(nn.Module):
         yy = radial + y * y * slope + 6 * c.p1 * y + 2 * c.p2 * x
         return xx, xy, xy, yy
 
-    def marks(
-        self,
-        state: CameraState,
-        noise: Mapping[str, Tensor],
-        tables: _AtRate,
-        number: int,
-        blocks: DepthBlocks | None = None,
-    ) -> Iterator[Marks]:
+    def marks(self, state: CameraState, noise: Mapping[str, Tensor], tables: _AtRate, number: int) -> Iterator[Marks]:
         """The particles of one listed shell as marks in the image, in portions.
 
-        Absent particles, and with ``blocks`` those behind the scene, are left out; while a graph is traced they
-        stay, with opacity 0.
+        Absent particles are left out; while a graph is traced they stay, with opacity 0.
+        """
+        for points, sample in self._portions(state, noise, number):
+            yield self._marks(state, points, sample, tables, number, None)
+
+    def _portions(
+        self, state: CameraState, noise: Mapping[str, Tensor], number: int
+    ) -> Iterator[tuple[Tensor, Tensor | None]]:
+        """Points ``(P, 4)`` of a shell and the sample of each (``None``: one sample), in portions.
+
+        A portion holds whole samples or a part of one, so that a batch adds up in the order of its elements.
         """
         points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
         batch, slots, _ = points.shape
         sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots)
-        # A portion holds whole samples or parts of one, so that a batch adds up in the order of its elements.
         together = batch if is_exporting() else max(1, SLOTS_AT_ONCE // max(1, slots))
         for row in range(0, batch, together):
             flat = points[row : row + together].reshape(-1, COLUMNS)
             whose = None if batch == 1 else sample[row : row + together].reshape(-1)
             if is_exporting() or together > 1:
-                yield self._marks(state, flat, whose, tables, number, blocks)
+                yield flat, whose
                 continue
             for start in range(0, slots, SLOTS_AT_ONCE):
                 some = slice(start, start + SLOTS_AT_ONCE)
-                yield self._marks(state, flat[some], None if whose is None else whose[some], tables, number, blocks)
+                yield flat[some], None if whose is None else whose[some]
 
     def _marks(
         self,
@@ -377,16 +381,36 @@ class Population(nn.Module):
         depth = state.depth_m.float().expand(b, 1, height, width)
         blocks = None if is_exporting() else DepthBlocks.of(depth)
         depth = depth.reshape(-1)
-        total = torch.zeros(b * height * width, device=depth.device, dtype=torch.float32)
-        faded = None if fog_per_m is None else torch.zeros_like(total)
-        for number in range(len(self.tables.listed)):
-            for marks in self.marks(state, noise, tables, number, blocks):
-                if fog_per_m is not None:
-                    marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
-                if is_exporting():
-                    total, faded = add_static(total, faded, marks, depth, (height, width), self._footprint_px(number))
-                else:
-                    total, faded = add_listed(total, faded, marks, depth, (height, width), blocks)
+        # Shells add to these sums in turn, and the sums to each other: the same order on any number of threads.
+        sums = 1 if is_exporting() else SUMS
+        totals = [torch.zeros(b * height * width, device=depth.device, dtype=torch.float32) for _ in range(sums)]
+        fadeds = [None if fog_per_m is None else torch.zeros_like(total) for total in totals]
+
+        def add(which: int) -> None:
+            for number in range(len(self.tables.listed)):
+                for portion, points in enumerate(self._portions(state, noise, number)):
+                    if (number + portion) % sums != which:
+                        continue
+                    marks = self._marks(state, *points, tables, number, blocks)
+                    if fog_per_m is not None:
+                        marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
+                    place = (marks, depth, (height, width))
+                    if is_exporting():
+                        footprint = self._footprint_px(number)
+                        totals[which], fadeds[which] = add_static(totals[which], fadeds[which], *place, footprint)
+                    else:
+                        totals[which], fadeds[which] = add_listed(totals[which], fadeds[which], *place, blocks)
+
+        tasks = [partial(add, which) for which in range(sums)]
+        if is_exporting() or (torch.is_grad_enabled() and tables.outline_m.requires_grad):
+            for task in tasks:
+                task()
+        else:
+            side_by_side(tasks)
+        total, faded = totals[0], fadeds[0]
+        for more, more_faded in zip(totals[1:], fadeds[1:], strict=True):
+            total = total + more
+            faded = None if faded is None or more_faded is None else faded + more_faded
         shape = (b, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
 

@@ -26,11 +26,12 @@ from torchweather.stages.population import (
     COLUMNS,
     Population,
 )
+from torchweather.threads import one_thread_an_operation
 
 __all__ = ["next_frame"]
 
-MOST_ROUNDS = 64  # of rejection; each one fills what the motion leaves open
-CANDIDATES = 1 << 18
+MOST_ROUNDS = 64  # of rejection
+FEWEST_CANDIDATES, MOST_CANDIDATES = 1 << 10, 1 << 18  # of a round
 
 
 def next_frame(
@@ -59,10 +60,11 @@ def next_frame(
     moved: dict[str, Tensor] = {}
     kind = population.weather.kind
     motion = _Motion(population, size, interval_s)
-    for number in range(len(population.tables.listed)):
-        name = f"{kind}_shell_{number}"
-        generator = keyed_stream(seed, f"{stream}.{name}.frame_{frame}")
-        moved[name] = motion.advance(noise[name], number, generator)
+    with one_thread_an_operation():
+        for number in range(len(population.tables.listed)):
+            name = f"{kind}_shell_{number}"
+            generator = keyed_stream(seed, f"{stream}.{name}.frame_{frame}")
+            moved[name] = motion.advance(noise[name], number, generator)
     name = f"{kind}_haze"
     moved[name] = _rolled(population, noise[name], interval_s, frame)
     return moved
@@ -87,11 +89,12 @@ class _Motion:
         left = present & ~_inside(after)
         cube = torch.where((present & ~left)[:, None], after, cube)
         missing = left.nonzero().squeeze(1)
-        filled = 0
+        filled, tried = 0, FEWEST_CANDIDATES + 4 * len(missing)
         for _ in range(MOST_ROUNDS):
             if filled == len(missing):
                 break
-            fresh = torch.from_numpy(generator.random((CANDIDATES, COLUMNS), dtype=np.float32)).double()
+            tried = min(2 * tried, MOST_CANDIDATES)
+            fresh = torch.from_numpy(generator.random((tried, COLUMNS), dtype=np.float32)).double()
             entering = fresh[~_inside(self._flow(fresh, number, -1.0))][: len(missing) - filled]
             cube[missing[filled : filled + len(entering)]] = entering
             filled += len(entering)

@@ -18,6 +18,7 @@ from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Quantise, Stage
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import estimate_airlight, three_colours
+from torchweather.threads import one_thread_an_operation
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.weather import Fog, Rain, Snow, Weather
 
@@ -271,7 +272,8 @@ class BayerWeather(nn.Module):
         check_bayer(bayer, self.camera, self)
         self._check_knobs(bayer.shape[:-3])
         height, width = bayer.shape[-2:]
-        linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
+        with one_thread_an_operation():
+            linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
         depth_m = self._depth(bayer, depth, linear)
         return CameraState(
             signal=linear,

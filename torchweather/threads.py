@@ -1,0 +1,78 @@
+"""Work in portions on a few threads, each of which runs torch's operations alone.
+
+Rendering is thousands of operations on arrays that fit the cache. Split over torch's own thread pool, each of them
+waits at a barrier, milliseconds long where another process has the core. So portions run side by side, and every
+operation on one thread.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import torch
+
+__all__ = ["one_thread_an_operation", "side_by_side"]
+
+_lock = threading.Lock()
+_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+
+
+@contextmanager
+def one_thread_an_operation() -> Iterator[None]:
+    """Torch with one processor thread for each operation, for a while, on the calling thread."""
+    threads = torch.get_num_threads()
+    if threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def side_by_side(tasks: Sequence[Callable[[], object]]) -> None:
+    """Run tasks that write to places of their own; on as many threads as torch uses.
+
+    Gradients do not flow out of other threads: where they are wanted, call the tasks one after the other.
+    """
+    threads = min(torch.get_num_threads(), len(tasks))
+    if threads <= 1:
+        with one_thread_an_operation():
+            for task in tasks:
+                task()
+        return
+    for done in [_pool().submit(_alone, task) for task in tasks]:
+        done.result()
+
+
+def _alone(task: Callable[[], object]) -> None:
+    with torch.no_grad():
+        task()
+
+
+def _pool() -> ThreadPoolExecutor:
+    """The pool of this process (threads do not survive a fork) for the present number of threads."""
+    threads = torch.get_num_threads()
+    key = (os.getpid(), threads)
+    with _lock:
+        if key not in _pools:
+            started = threading.Barrier(threads + 1)
+
+            def start() -> None:
+                # The number of threads is a property of the thread that sets it, and the default of new ones.
+                torch.set_num_threads(1)
+                started.wait()
+
+            pool = ThreadPoolExecutor(threads, thread_name_prefix="torchweather")
+            for _ in range(threads):
+                pool.submit(start)
+            started.wait()
+            torch.set_num_threads(threads)
+            _pools.clear()
+            _pools[key] = pool
+        return _pools[key]
