@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from torchweather.errors import check_one_of
+# torch is imported where it is needed: the noise of an exported graph is drawn without it.
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 __all__ = ["ABSENT", "Variate", "draw_variates", "keyed_stream", "sample_seeds", "sizes_of"]
 
@@ -55,7 +58,10 @@ class Variate:
     columns: int = 0
 
     def __post_init__(self) -> None:
-        check_one_of("law", self.law, LAWS, owner=self)
+        if self.law not in LAWS:
+            from torchweather.errors import check_one_of
+
+            check_one_of("law", self.law, LAWS, owner=self)
         object.__setattr__(self, "shape", tuple(self.shape))
 
     def to_dict(self) -> dict[str, Any]:
@@ -123,12 +129,18 @@ def draw_variates(
         drawn[stream] = array
         tasks += [(seed, stream, variate, sizes, array[row]) for row, seed in enumerate(seeds)]
     if len(tasks) > 1 and sum(array.size for array in drawn.values()) >= THREADED_FROM:
-        with ThreadPoolExecutor(max_workers=min(len(tasks), torch.get_num_threads())) as pool:
+        with ThreadPoolExecutor(max_workers=min(len(tasks), _threads())) as pool:
             list(pool.map(lambda task: _fill(*task), tasks))
     else:
         for task in tasks:
             _fill(*task)
     return drawn
+
+
+def _threads() -> int:
+    """As many threads as torch uses (one in a ``DataLoader``'s worker), or the machine's cores without torch."""
+    torch = sys.modules.get("torch")
+    return os.cpu_count() or 1 if torch is None else int(torch.get_num_threads())
 
 
 def sample_seeds(
@@ -150,10 +162,12 @@ def sample_seeds(
         >>> sample_seeds((3,), seed=7)
         [7, 8, 9]
     """
+    import torch
+
     number = math.prod(batch_shape)
     if seed is not None and generator is not None:
         raise ValueError("draw: give either seed or generator, not both.")
-    if isinstance(seed, Tensor):
+    if isinstance(seed, torch.Tensor):
         if tuple(seed.shape) != tuple(batch_shape) and seed.numel() != 1:
             raise ValueError(
                 f"draw: seed must be one integer or a tensor of the batch shape {tuple(batch_shape)}; "

@@ -1,0 +1,84 @@
+"""The noise inputs of an exported graph, from a seed, without torch: the numbers that ``transform.draw`` gives."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.random import Variate, draw_variates, sizes_of
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+__all__ = ["METADATA_KEY", "draw_feed", "variates_to_metadata"]
+
+METADATA_KEY = "torchweather_variates"
+
+
+def draw_feed(
+    model: str | os.PathLike[str] | bytes | InferenceSession, *, height: int, width: int, seed: int
+) -> dict[str, NDArray[np.float32]]:
+    """The noise inputs of an exported graph for a frame size and a seed, as numpy arrays.
+
+    Args:
+        model: the onnxruntime session that runs the graph, or the graph's file or bytes (read anew at each call).
+        height, width: of the frame, pixels, even.
+        seed: the sample's integer; the numbers equal ``transform.draw(frame, seed=seed)``.
+
+    Returns:
+        Input name to float32 array with a leading 1; empty for fog.
+
+    Raises:
+        TorchweatherError: the model was not written by ``to_onnx``.
+    """
+    if height < 2 or width < 2 or height % 2 or width % 2:
+        raise ValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
+    by_stage: dict[str, list[Variate]] = defaultdict(list)
+    for key, variate in _variates_of(model).items():
+        by_stage[key.partition(".")[0]].append(variate)
+    feed: dict[str, NDArray[np.float32]] = {}
+    for stage, variates in by_stage.items():
+        feed.update(draw_variates([seed], stage, variates, sizes_of(height, width)))
+    return feed
+
+
+def variates_to_metadata(variates: Mapping[str, Variate]) -> str:
+    """Graph inputs and the variates that fill them, as the graph's metadata hold them."""
+    return json.dumps([{"input": key, **variate.to_dict()} for key, variate in variates.items()])
+
+
+def _variates_of(model: str | os.PathLike[str] | bytes | InferenceSession) -> dict[str, Variate]:
+    session = model if hasattr(model, "get_modelmeta") else _opened(model)
+    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    if text is None:
+        from torchweather.errors import TorchweatherError
+
+        raise TorchweatherError(
+            "draw_feed: wanted a graph written by torchweather.export.to_onnx; this one does not say which noise it "
+            f"needs (metadata {METADATA_KEY!r})."
+        )
+    entries: Sequence[Mapping[str, Any]] = json.loads(text)
+    return {entry["input"]: Variate(**{k: v for k, v in entry.items() if k != "input"}) for entry in entries}
+
+
+def _opened(model: str | os.PathLike[str] | bytes) -> InferenceSession:
+    import onnxruntime
+
+    # Only the metadata are read: optimising the graph for it would take longer than the draw.
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    options.log_severity_level = 3
+    source = model if isinstance(model, bytes) else os.fspath(model)
+    try:
+        return onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's own classes are not public
+        from torchweather.errors import TorchweatherError
+
+        name = "the bytes" if isinstance(model, bytes) else os.fspath(model)
+        raise TorchweatherError(f"draw_feed: {name}: wanted an ONNX graph; {error}") from error
