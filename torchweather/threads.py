@@ -64,7 +64,9 @@ def _pool() -> ThreadPoolExecutor:
             started = threading.Barrier(threads + 1)
 
             def start() -> None:
-                # The number of threads is a property of the thread that sets it, and the default of new ones.
+                # The number of threads is a property of the thread that sets it, and the default of new ones. Torch
+                # gives a thread that default on its first look, so look before setting it.
+                torch.get_num_threads()
                 torch.set_num_threads(1)
                 started.wait()
 
