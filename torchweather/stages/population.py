@@ -243,15 +243,16 @@ class Population(nn.Module):
 
         Absent particles are left out; while a graph is traced they stay, with opacity 0.
         """
-        for points, sample in self._portions(state, noise, number):
+        for _, points, sample in self._portions(state, noise, number):
             yield self._marks(state, points, sample, tables, number, None)
 
     def _portions(
         self, state: CameraState, noise: Mapping[str, Tensor], number: int
-    ) -> Iterator[tuple[Tensor, Tensor | None]]:
+    ) -> Iterator[tuple[int, Tensor, Tensor | None]]:
         """Points ``(P, 4)`` of a shell and the sample of each (``None``: one sample), in portions.
 
-        A portion holds whole samples or a part of one, so that a batch adds up in the order of its elements.
+        A portion holds whole samples or a part of one, and has its number in its sample, so that a batch adds up in
+        the order of its elements.
         """
         points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
         batch, slots, _ = points.shape
@@ -261,11 +262,11 @@ class Population(nn.Module):
             flat = points[row : row + together].reshape(-1, COLUMNS)
             whose = None if batch == 1 else sample[row : row + together].reshape(-1)
             if is_exporting() or together > 1:
-                yield flat, whose
+                yield 0, flat, whose
                 continue
-            for start in range(0, slots, SLOTS_AT_ONCE):
+            for portion, start in enumerate(range(0, slots, SLOTS_AT_ONCE)):
                 some = slice(start, start + SLOTS_AT_ONCE)
-                yield flat[some], None if whose is None else whose[some]
+                yield portion, flat[some], None if whose is None else whose[some]
 
     def _marks(
         self,
@@ -388,10 +389,10 @@ class Population(nn.Module):
 
         def add(which: int) -> None:
             for number in range(len(self.tables.listed)):
-                for portion, points in enumerate(self._portions(state, noise, number)):
+                for portion, points, sample in self._portions(state, noise, number):
                     if (number + portion) % sums != which:
                         continue
-                    marks = self._marks(state, *points, tables, number, blocks)
+                    marks = self._marks(state, points, sample, tables, number, blocks)
                     if fog_per_m is not None:
                         marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
                     place = (marks, depth, (height, width))
