@@ -93,7 +93,7 @@ class ParticleVeil(Stage):
             "cut": cut,
             "crowding": crowding,
             "ego_speed_m_per_s": ego_speed_m_per_s,
-            "ambient": ambient,
+            "ambient": list(ambient) if isinstance(ambient, Sequence) else ambient,
             "drop_view": drop_view,
             "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
             "variant": variant,
