@@ -291,6 +291,23 @@ class Camera(Sensor):
             xu, yu = xu + (x - xd), yu + (y - yd)
         return xu, yu
 
+    def distortion_jacobian(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Derivatives of the distorted by the undistorted coordinates: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+        r2 = x * x + y * y
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        slope = 2 * (self.k1 + r2 * (2 * self.k2 + 3 * self.k3 * r2))  # d radial / d r2, times 2
+        xx = radial + x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
+        xy = x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
+        yy = radial + y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
+        return xx, xy, xy, yy
+
+    def magnification(self, x: Tensor, y: Tensor) -> Tensor:
+        """Areal magnification of the lens distortion at undistorted coordinates; 1 without distortion."""
+        if not self.distorted:
+            return torch.ones_like(x)
+        xx, xy, yx, yy = self.distortion_jacobian(x, y)
+        return (xx * yy - xy * yx).clamp_min(1e-3)
+
     def ray_directions(
         self,
         height: int | None = None,

@@ -14,6 +14,7 @@ from torchweather.random import Variate
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import by_rows
 from torchweather.stages.camera import estimate_airlight, frame_mean
+from torchweather.stages.haze import haze_depth
 from torchweather.stages.population import Population
 from torchweather.stages.registry import register
 from torchweather.stages.sequence import next_frame
@@ -198,7 +199,7 @@ class ParticleVeil(Stage):
             rows = (..., slice(first, last), slice(None))
             depths, lights = [], []
             for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
-                haze, haze_faded = part.haze_depth(state, noise, table, first, last, fog_per_m)
+                haze, haze_faded = haze_depth(part, state, noise, table, first, last, fog_per_m)
                 depths.append(by_cells(sharp[rows] + haze))
                 if sharp_faded is not None and haze_faded is not None:
                     faded = by_cells(sharp_faded[rows] + haze_faded)

@@ -25,9 +25,7 @@ from torchweather.weather import Rain, Snow
 __all__ = ["Population"]
 
 RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
-LEAST = 1e-16  # optical depth and variance below which the haze does not fluctuate
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
-RAY_NODES = 4  # lengths of ray per depth between which the haze's fading is interpolated
 SUMS = 4  # partial sums of the optical depth, filled side by side
 SLOTS_AT_ONCE = 1 << 18  # points whose arrays stay in the cache
 # Columns of a point: image column and row, depth, level.
@@ -35,7 +33,7 @@ COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
-class _AtRate:
+class AtRate:
     """The tables at each sample's rate."""
 
     bounds: list[Tensor]
@@ -160,7 +158,8 @@ class Population(nn.Module):
         u = torch.linspace(-0.5, w - 0.5, 33, dtype=torch.float64)[None].expand(33, 33)
         v = torch.linspace(-0.5, h - 0.5, 33, dtype=torch.float64)[:, None].expand(33, 33)
         intrinsics = torch.tensor([self.camera.intrinsics], dtype=torch.float64)
-        *_, scale = self.undistorted(u.reshape(-1), v.reshape(-1), intrinsics.expand(u.numel(), 4))
+        x, y = self.undistorted(u, v, intrinsics[0])
+        scale = self.camera.magnification(x, y)
         return max(1.0, float((1 / scale).max()) * 1.05)
 
     def check_rate(self) -> None:
@@ -176,7 +175,7 @@ class Population(nn.Module):
 
     # ---- tables at a rate --------------------------------------------------------------------------------------
 
-    def at_rate(self, batch: int) -> _AtRate:
+    def at_rate(self, batch: int) -> AtRate:
         """Interpolate every table in ln(rate), one row per sample."""
         rate = self.rate_mm_per_h.float().reshape(-1).expand(batch)
         falls = rate > 0
@@ -199,7 +198,7 @@ class Population(nn.Module):
             weight = held.reshape(-1, *[1] * (table.ndim - 1))
             return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
 
-        return _AtRate(
+        return AtRate(
             [rows(getattr(self, f"tail_at_cut_{number}")) for number in range(len(self.tables.listed))],
             torch.exp(rows(self.outline)),  # type: ignore[arg-type]
             torch.exp(rows(self.speed)),  # type: ignore[arg-type]
@@ -212,33 +211,12 @@ class Population(nn.Module):
 
     # ---- listed particles --------------------------------------------------------------------------------------
 
-    def undistorted(self, u: Tensor, v: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Undistorted normalised coordinates and the lens's areal magnification there (1 without distortion)."""
+    def undistorted(self, u: Tensor, v: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
+        """Undistorted normalised coordinates of image positions, for intrinsics ``(..., 4)``."""
         fx, fy, cx, cy = intrinsics.unbind(-1)
-        x, y = self.camera.undistort((u - cx) / fx, (v - cy) / fy)
-        if not self.camera.distorted:
-            return x, y, torch.ones_like(x)
-        return x, y, self.magnification(x, y)
+        return self.camera.undistort((u - cx) / fx, (v - cy) / fy)
 
-    def magnification(self, x: Tensor, y: Tensor) -> Tensor:
-        """Areal magnification of the lens distortion at undistorted coordinates; 1 without distortion."""
-        if not self.camera.distorted:
-            return torch.ones_like(x)
-        xx, xy, yx, yy = self._jacobian(x, y)
-        return (xx * yy - xy * yx).clamp_min(1e-3)
-
-    def _jacobian(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Derivatives of the distorted by the undistorted normalised coordinates: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
-        c = self.camera
-        r2 = x * x + y * y
-        radial = 1 + r2 * (c.k1 + r2 * (c.k2 + r2 * c.k3))
-        slope = 2 * (c.k1 + r2 * (2 * c.k2 + 3 * c.k3 * r2))  # d radial / d r2, times 2
-        xx = radial + x * x * slope + 2 * c.p1 * y + 6 * c.p2 * x
-        xy = x * y * slope + 2 * c.p1 * x + 2 * c.p2 * y
-        yy = radial + y * y * slope + 6 * c.p1 * y + 2 * c.p2 * x
-        return xx, xy, xy, yy
-
-    def marks(self, state: CameraState, noise: Mapping[str, Tensor], tables: _AtRate, number: int) -> Iterator[Marks]:
+    def marks(self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, number: int) -> Iterator[Marks]:
         """The particles of one listed shell as marks in the image, in portions.
 
         Absent particles are left out; while a graph is traced they stay, with opacity 0.
@@ -273,7 +251,7 @@ class Population(nn.Module):
         state: CameraState,
         points: Tensor,
         sample: Tensor | None,
-        tables: _AtRate,
+        tables: AtRate,
         number: int,
         blocks: DepthBlocks | None,
     ) -> Marks:
@@ -313,7 +291,8 @@ class Population(nn.Module):
                     sample, own, focal_of = sample[before], own[before], focal_of[before]
         x = y = scale = None
         if not self.vertical:
-            x, y, scale = self.undistorted(u, v, own)
+            x, y = self.undistorted(u, v, own)
+            scale = self.camera.magnification(x, y)
         if self.camera.distorted and scale is not None:
             log_level = torch.log(points[:, COLUMN_LEVEL].clamp_min(FLOOR)) + _read(most, cell, share)
             log_level = log_level + thinning + torch.log(scale)
@@ -347,7 +326,7 @@ class Population(nn.Module):
         per_depth = self.optics.exposure_s / depth_m
         dx, dy = (vx - x * vz) * per_depth, (vy - y * vz) * per_depth
         if self.camera.distorted:
-            xx, xy, yx, yy = self._jacobian(x, y)
+            xx, xy, yx, yy = self.camera.distortion_jacobian(x, y)
             dx, dy = xx * dx + xy * dy, yx * dx + yy * dy
         return dx * own[..., 0], dy * own[..., 1]
 
@@ -367,7 +346,7 @@ class Population(nn.Module):
         return width, opacity
 
     def listed_depth(
-        self, state: CameraState, noise: Mapping[str, Tensor], tables: _AtRate, fog_per_m: Tensor | None = None
+        self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, fog_per_m: Tensor | None = None
     ) -> tuple[Tensor, Tensor | None]:
         """Optical depth of the listed particles, ``(B, 1, H, W)``.
 
@@ -421,7 +400,7 @@ class Population(nn.Module):
         if marks.sample is not None:
             fog = fog_per_m[marks.sample]
             own = state.intrinsics.float().expand(state.batch, 4)[marks.sample]
-        x, y, _ = self.undistorted(marks.u_px, marks.v_px, own)
+        x, y = self.undistorted(marks.u_px, marks.v_px, own)
         return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
 
     def _footprint_px(self, number: int) -> tuple[int, int]:
@@ -431,129 +410,6 @@ class Population(nn.Module):
         slanted = 0 if self.vertical else 2
         along = math.ceil(2 * max(reach_u, reach_v)) if not self.vertical else math.ceil(2 * reach_v)
         return along + 1, math.ceil(shell.width_max_px * math.sqrt(1.0 if self.vertical else 2.0)) + 2 + slanted
-
-    # ---- haze --------------------------------------------------------------------------------------------------
-
-    def _filtered(self, noise: Tensor, kernel: Tensor, first: int, last: int, *, rows: bool, slope: float) -> Tensor:
-        """Correlate rows ``first..last`` of a periodic noise map ``(B, J, H, W)`` along one image axis.
-
-        Args:
-            noise: the map; along ``rows`` it is the whole map, otherwise the band itself.
-            kernel: ``(B, J, taps)`` symmetric.
-            rows: along the rows (down the image) or along the columns.
-            slope: shift along the other axis per step, for slanted streaks.
-        """
-        taps = kernel.shape[-1] // 2
-        total = None
-        for tap in range(-taps, taps + 1):
-            part = _row_window(noise, first + tap, last + tap) if rows else torch.roll(noise, -tap, -1)
-            if slope:
-                aside = tap * slope
-                whole = math.floor(aside)
-                axis = -1 if rows else -2
-                near, far = torch.roll(part, -whole, axis), torch.roll(part, -whole - 1, axis)
-                share = aside - whole
-                # Weights of equal energy, not of equal sum: interpolation must not lower the variance.
-                energy = math.hypot(1 - share, share)
-                part = near * ((1 - share) / energy) + far * (share / energy)
-            term = part * kernel[:, :, tap + taps, None, None]
-            total = term if total is None else total + term
-        assert total is not None  # a kernel has at least one tap
-        return total
-
-    def haze_depth(
-        self,
-        state: CameraState,
-        noise: Mapping[str, Tensor],
-        tables: _AtRate,
-        first: int,
-        last: int,
-        fog_per_m: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor | None]:
-        """Optical depth of the particles that are too faint to be drawn one by one, rows ``first..last``.
-
-        Mean and variance are those of the particles in front of the scene, exactly; the field is log-normal, so it
-        is positive and skewed like shot noise; its correlation is the streaks'.
-
-        Returns:
-            Optical depth ``(B, 1, rows, W)`` and, with fog, its share weighted with the fog's transmission.
-        """
-        t = self.tables
-        b, _, _, width = state.signal.shape
-        fields = noise[f"{self.weather.kind}_haze"].to(state.signal.device)  # (B, J, H, W)
-        along, across = tables.kernel_along, tables.kernel_across
-        if self.haze_steep:
-            smooth = self._filtered(fields, along, first, last, rows=True, slope=self.haze_slope)
-            smooth = self._filtered(smooth, across, 0, 0, rows=False, slope=0.0)
-        else:
-            smooth = self._filtered(fields, across, first, last, rows=True, slope=0.0)
-            smooth = self._filtered(smooth, along, 0, 0, rows=False, slope=self.haze_slope)
-
-        intrinsics = state.intrinsics.float()
-        focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1]).expand(b)
-        depth = state.depth_m[..., first:last, :].float().expand(b, 1, last - first, width)
-        foot = depth.clamp(1e-6, self.far_m) / focal.view(-1, 1, 1, 1)
-        node = (torch.log(foot) - t.log_footprint_low) / t.log_footprint_step
-        nodes = tables.haze_depth.shape[1]
-        cell, share = _cell(node, nodes)
-        at = (cell + (torch.arange(b, device=cell.device) * nodes).view(-1, 1, 1, 1)).reshape(-1)
-
-        def read(table: Tensor) -> Tensor:
-            flat = table.reshape(-1)
-            low = flat.index_select(0, at).view_as(share)
-            return low + share * (flat.index_select(0, at + 1).view_as(share) - low)
-
-        scale = focal.view(-1, 1, 1, 1)
-        mean = read(tables.haze_depth) * scale
-        variance = read(tables.haze_variance) * scale
-        deviation = self._deviation(tables, variance, smooth, scale)
-        # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
-        there = (mean > LEAST) & (variance > LEAST)
-        variance = torch.where(there, variance, torch.ones_like(variance))
-        centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
-        spread = torch.log1p(variance / centre.square())
-        unit = deviation / torch.sqrt(variance)
-        optical = centre * torch.exp(torch.sqrt(spread) * unit - 0.5 * spread)
-        optical = torch.where(there, optical, mean)
-        if fog_per_m is None:
-            return optical, None
-        # Weighted with the fog's transmission along the ray, for rays of a few lengths per depth, and between them.
-        ray = state.ray_per_depth[..., first:last, :].float().expand(b, 1, last - first, width)
-        longest = state.ray_per_depth.amax().float() - 1
-        steps = tables.haze_depth[:, 1:] - tables.haze_depth[:, :-1]
-        middle = torch.arange(nodes - 1, device=steps.device) + 0.5
-        middle_m = torch.exp(t.log_footprint_low + t.log_footprint_step * middle) * focal[:, None]
-        stop = (ray - 1) / longest.clamp_min(1e-6) * (RAY_NODES - 1)
-        weighted = torch.zeros_like(mean)
-        for node_of_ray in range(RAY_NODES):
-            length_m = middle_m * (1 + longest * node_of_ray / (RAY_NODES - 1))
-            clear = torch.cumsum(steps * torch.exp(-fog_per_m[:, None] * length_m), 1)
-            near = (1 - (stop - node_of_ray).abs()).clamp_min(0)
-            weighted = weighted + near * read(torch.nn.functional.pad(clear, (1, 0)))
-        return optical, optical * weighted * scale / mean.clamp_min(FLOOR)
-
-    def _deviation(self, tables: _AtRate, variance: Tensor, smooth: Tensor, scale: Tensor) -> Tensor:
-        """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
-        total = torch.zeros_like(variance)
-        for number, shell in enumerate(self.tables.haze):
-            low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
-            high = tables.haze_variance[:, shell.last_node].view(-1, 1, 1, 1) * scale
-            inside = torch.minimum(variance, high) - low
-            positive = inside > 0
-            root = torch.sqrt(torch.where(positive, inside, torch.ones_like(inside)))
-            total = total + torch.where(positive, root, torch.zeros_like(root)) * smooth[:, number : number + 1]
-        return total
-
-
-def _row_window(image: Tensor, first: int, last: int) -> Tensor:
-    """Rows ``first..last`` of an image that repeats downwards."""
-    height = image.shape[-2]
-    if is_exporting():
-        return torch.roll(image, -first, -2)
-    if first >= 0 and last <= height:
-        return image[..., first:last, :]
-    index = torch.arange(first, last, device=image.device) % height
-    return image.index_select(-2, index)
 
 
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:

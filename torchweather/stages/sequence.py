@@ -115,7 +115,8 @@ class _Motion:
         most = _interpolate(cube[:, COLUMN_DEPTH], nodes, most_nodes)
         u = cube[:, COLUMN_U] * (self.width + 2 * reach_u) - (reach_u + 0.5)
         v = cube[:, COLUMN_V] * (self.height + 2 * reach_v) - (reach_v + 0.5)
-        x, y, scale = p.undistorted(u, v, self.intrinsics)
+        x, y = p.undistorted(u, v, self.intrinsics)
+        scale = p.camera.magnification(x, y)
         log_level = torch.log(cube[:, COLUMN_LEVEL].clamp(1e-30, 1.0)) + most + torch.log(scale)
         log_level = log_level + math.log(p.headroom())
         stop = ((log_level - t.log_level_low) / t.log_level_step).numpy()
@@ -137,7 +138,7 @@ class _Motion:
             out[:, COLUMN_DEPTH] = torch.from_numpy(rank)
         if bool((vz != 0).any()) or p.camera.distorted:
             new_most = _interpolate(out[:, COLUMN_DEPTH].clamp(0, 1), nodes, most_nodes)
-            new_scale = p.magnification(new_x, new_y)
+            new_scale = p.camera.magnification(new_x, new_y)
             out[:, COLUMN_LEVEL] = torch.exp(log_level - math.log(p.headroom()) - new_most - torch.log(new_scale))
         return out
 
