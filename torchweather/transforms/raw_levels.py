@@ -23,7 +23,8 @@ def levels(camera: Camera, dtype: torch.dtype) -> tuple[float, float]:
     if dtype.is_floating_point:
         return 0.0, 1.0
     scale = 2.0 ** (8 - camera.bit_depth) if dtype == torch.uint8 and camera.bit_depth > 8 else 1.0
-    white = 255.0 if scale < 1 and camera.saturation_level == 2**camera.bit_depth - 1 else camera.saturation_level * scale
+    whole_range = scale < 1 and camera.saturation_level == 2**camera.bit_depth - 1
+    white = 255.0 if whole_range else camera.saturation_level * scale
     return camera.black_level * scale, white
 
 
@@ -68,7 +69,9 @@ def raw_to_linear(bayer: Tensor, camera: Camera, owner: object) -> Tensor:
                 f"{raw_high:g}. Set Camera(bit_depth=..., white_level=...) or scale the frame."
             )
         if bayer.is_floating_point() and low < 0:
-            raise ValueError(f"{owner_name(owner)}: float frames must lie in 0..1; got {low:g}. Subtract the black level and clip.")
+            raise ValueError(
+                f"{owner_name(owner)}: float frames must lie in 0..1; got {low:g}. Subtract the black level and clip."
+            )
     return expand(linear, camera.response_knots) if camera.response_knots else linear
 
 
