@@ -95,7 +95,9 @@ def to_onnx(transform: BayerWeather, path: str | os.PathLike[str], *, height: in
 
     Note:
         Lens distortion, pattern, exposure, cut and the size distribution are fixed in the graph. The focal length may
-        be set freely; above the transform's own, the faintest listed particles become fewer.
+        be set freely; above the transform's own, the faintest listed particles become fewer. The margins around the
+        frame, from which moving particles reach into it, are those of the transform's camera: for a frame much larger
+        than it, with a tilted or distorting camera or a moving one, export the transform of the larger camera.
 
     Example:
         >>> from torchweather.sensors import Camera
