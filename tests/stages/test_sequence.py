@@ -103,7 +103,7 @@ class Drops:
         self.place_m = np.stack([x * self.depth_m, y * self.depth_m, self.depth_m], -1)
         # The level is the number of larger drops per m^3; the table says how fast the drop of that level falls.
         most = np.interp(cube[:, COLUMN_DEPTH], quantile, t.log_at(t.tail_most, shell.log_footprint))
-        scale = part.magnification(torch.from_numpy(x), torch.from_numpy(y)).numpy()
+        scale = part.camera.magnification(torch.from_numpy(x), torch.from_numpy(y)).numpy()
         log_level = np.log(np.clip(cube[:, COLUMN_LEVEL], 1e-30, 1)) + most + np.log(scale * part.headroom())
         stop = (log_level - t.log_level_low) / t.log_level_step
         table = part.at_rate(1).fall_speed[0].double().numpy()
