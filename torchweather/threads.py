@@ -18,20 +18,26 @@ import torch
 __all__ = ["one_thread_an_operation", "side_by_side"]
 
 _lock = threading.Lock()
+_outside = threading.local()  # number of threads that torch had before `one_thread_an_operation`
 _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
 @contextmanager
 def one_thread_an_operation() -> Iterator[None]:
-    """Torch with one processor thread for each operation, for a while, on the calling thread."""
+    """Torch with one processor thread for each operation, for a while; ``side_by_side`` still uses all of them.
+
+    A thread of the user's own that runs torch for the first time in this while gets one thread as well.
+    """
     threads = torch.get_num_threads()
     if threads == 1:
         yield
         return
     torch.set_num_threads(1)
+    _outside.threads = threads
     try:
         yield
     finally:
+        _outside.threads = None
         torch.set_num_threads(threads)
 
 
@@ -40,13 +46,13 @@ def side_by_side(tasks: Sequence[Callable[[], object]]) -> None:
 
     Gradients do not flow out of other threads: where they are wanted, call the tasks one after the other.
     """
-    threads = min(torch.get_num_threads(), len(tasks))
-    if threads <= 1:
+    threads = getattr(_outside, "threads", None) or torch.get_num_threads()
+    if min(threads, len(tasks)) <= 1:
         with one_thread_an_operation():
             for task in tasks:
                 task()
         return
-    for done in [_pool().submit(_alone, task) for task in tasks]:
+    for done in [_pool(threads).submit(_alone, task) for task in tasks]:
         done.result()
 
 
@@ -55,12 +61,12 @@ def _alone(task: Callable[[], object]) -> None:
         task()
 
 
-def _pool() -> ThreadPoolExecutor:
-    """The pool of this process (threads do not survive a fork) for the present number of threads."""
-    threads = torch.get_num_threads()
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """The pool of this process (threads do not survive a fork) with this number of threads."""
     key = (os.getpid(), threads)
     with _lock:
         if key not in _pools:
+            present = torch.get_num_threads()
             started = threading.Barrier(threads + 1)
 
             def start() -> None:
@@ -74,7 +80,7 @@ def _pool() -> ThreadPoolExecutor:
             for _ in range(threads):
                 pool.submit(start)
             started.wait()
-            torch.set_num_threads(threads)
+            torch.set_num_threads(present)
             _pools.clear()
             _pools[key] = pool
         return _pools[key]

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchweather.errors import check_one_of
 from torchweather.image.bayer import PATTERNS, RCCB_TO_RGB, cfa_colour_index, check_even
+from torchweather.threads import side_by_side
 
 __all__ = ["METHODS", "demosaic"]
 
@@ -133,7 +134,8 @@ def _malvar_in_bands(frames: Tensor, kernel: Tensor, out: Tensor) -> None:
     count, _, height, width = frames.shape
     rows = max(2, min(height, _BAND_ROWS // max(count, 1))) // 2 * 2
     cells_out = out.view(count, 3, height // 2, 2, width // 2, 2)
-    for start in range(0, height, rows):
+
+    def fill(start: int) -> None:
         stop = min(start + rows, height)
         # Three rows or more are needed to reflect two; so the border bands always take a full cell more than they fill.
         first, last = max(start - 2, 0), min(stop + 2, height)
@@ -141,6 +143,8 @@ def _malvar_in_bands(frames: Tensor, kernel: Tensor, out: Tensor) -> None:
         band = F.pad(frames[:, :, first:last], (2, 2, above, below), mode="reflect")
         cells = F.conv2d(band, kernel, stride=2).view(count, 3, 2, 2, (stop - start) // 2, width // 2)
         cells_out[:, :, start // 2 : stop // 2] = cells.permute(0, 1, 4, 2, 5, 3)
+
+    side_by_side([functools.partial(fill, start) for start in range(0, height, rows)])
 
 
 @functools.cache

@@ -166,10 +166,11 @@ class BayerWeather(nn.Module):
         """
         state = self._state(bayer, depth)
         drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
-        if out is not None:
-            self._run_into(state, out)
-            return out
-        return self._raw(self.chain(state, drawn), state, bayer)
+        with one_thread_an_operation():
+            if out is not None:
+                self._run_into(state, out)
+                return out
+            return self._raw(self.chain(state, drawn), state, bayer)
 
     def run(
         self, bayer: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None
@@ -177,7 +178,10 @@ class BayerWeather(nn.Module):
         """The frame, and with it transmission, airlight and particle mask."""
         state = self._state(bayer, depth, keep_truth=True)
         drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
-        after: CameraState = self.chain(state, drawn)
+        with one_thread_an_operation():
+            return self._result(self.chain(state, drawn), state, bayer)
+
+    def _result(self, after: CameraState, state: CameraState, bayer: Tensor) -> CameraResult:
         batch = bayer.shape[:-3]
         airlight = after.airlight
         if airlight is None:
