@@ -57,7 +57,7 @@ def _shown(value: object) -> str:
 
 def _all(value: Any, holds: Any) -> bool:
     if isinstance(value, Tensor):
-        if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
+        if torch.compiler.is_compiling():
             return True
         return bool(holds(value.detach()).all())
     # numbers.Real: numpy's scalars are numbers too.

@@ -145,7 +145,7 @@ class _Precipitation(Weather):
     def _warn_outside_fit(self) -> None:
         low, high = self.rate_range_mm_per_h
         rates = torch.as_tensor(self.rate_mm_per_h).detach().reshape(-1)
-        if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
+        if torch.compiler.is_compiling():
             return
         outside = rates[(rates > 0) & ((rates < low) | (rates > high))]
         if outside.numel():

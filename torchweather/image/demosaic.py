@@ -111,7 +111,7 @@ def demosaic(
         rgb = _bilinear(frames, pattern, matrix)
         return rgb.reshape(*batch, 3, height, width) if out is None else out.copy_(rgb.view_as(out))
     kernel = _malvar_kernel(pattern, matrix, bayer)
-    plain = torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() or bayer.device.type != "cpu"
+    plain = torch.compiler.is_compiling() or bayer.device.type != "cpu"
     if out is None and (plain or (torch.is_grad_enabled() and (bayer.requires_grad or kernel.requires_grad))):
         cells = F.conv2d(F.pad(frames, (2, 2, 2, 2), mode="reflect"), kernel, stride=2)
         return F.pixel_shuffle(cells, 2).reshape(*batch, 3, height, width)

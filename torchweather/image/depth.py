@@ -349,7 +349,7 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
         raise ValueError(f"{name}: depth must have shape {wanted}, metres; got {tuple(depth_m.shape)}.")
     if not depth_m.is_floating_point():
         raise TypeError(f"{name}: depth must be floating point, metres; got {depth_m.dtype}.")
-    if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
+    if torch.compiler.is_compiling():
         return
     # One pass without a temporary: the minimum of a map with NaN is NaN.
     if depth_m.numel() and not bool(depth_m.amin() >= 0):

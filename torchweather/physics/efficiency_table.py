@@ -65,7 +65,7 @@ def size_nodes_mm(
         parts.append(_evenly_spaced(max(low, start), min(high, stop), step))
     large = LARGE_LOG_STEP_BACKSCATTER if for_backscatter else LARGE_LOG_STEP
     parts.append(_log_spaced(max(low, RIPPLES[-1][1]), high, large))
-    x = np.unique(np.concatenate(parts))
+    x = np.sort(np.concatenate(parts))
     x = x[np.concatenate([[True], np.diff(x) > 1e-9 * x[1:]])]
     log_x = np.log(x)
     width = np.zeros_like(x)

@@ -21,7 +21,7 @@ BAND_PIXELS = 1 << 17
 
 def is_exporting() -> bool:
     """True while a graph is traced: then nothing may depend on values."""
-    return bool(torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export())
+    return torch.compiler.is_compiling()
 
 
 def by_rows(

@@ -72,7 +72,7 @@ def haze_depth(
     if fog_per_m is None:
         return optical, None
     ray = state.ray_per_depth[rows].float().expand(b, 1, last - first, width)
-    longest = state.ray_per_depth.amax().float()
+    longest = state.ray_per_depth.flatten().amax(0).float()
     clear = _mean_clear(population, tables, read, ray, longest, focal, fog_per_m)
     return optical, optical * clear * scale / mean.clamp_min(FLOOR)
 
@@ -190,4 +190,8 @@ def _row_window(image: Tensor, first: int, last: int) -> Tensor:
     height = image.shape[-2]
     if not is_exporting() and first >= 0 and last <= height:
         return image[..., first:last, :]
-    return image.index_select(-2, torch.arange(first, last, device=image.device) % height)
+    index = torch.arange(first, last, device=image.device)
+    if is_exporting():  # ONNX has no remainder by a size; the window is shorter than two images
+        index = torch.where(index < 0, index + height, index)
+        return image.index_select(-2, torch.where(index >= height, index - height, index))
+    return image.index_select(-2, index % height)

@@ -77,6 +77,7 @@ class Population(nn.Module):
         focus = math.inf if camera.focus_distance_m is None else camera.focus_distance_m
         self.optics = MarkOptics(camera.exposure_s, camera.aperture_m, focus, camera.lens_blur_px, published_blend)
         self.focal_px = math.sqrt(camera.fx * camera.fy)
+        self._headroom = self._lens_headroom()
         capacity = rate_capacity_mm_per_h or RATE_CAPACITY_MM_PER_H[weather.kind]
         rate = weather.rate_mm_per_h
         highest = float(rate.detach().max()) if isinstance(rate, Tensor) and rate.numel() else rate
@@ -152,6 +153,9 @@ class Population(nn.Module):
 
     def headroom(self) -> float:
         """Slots that the lens distortion asks for, per slot of an undistorted lens; 1 without distortion."""
+        return self._headroom
+
+    def _lens_headroom(self) -> float:
         if not self.camera.distorted:
             return 1.0
         w, h = self.camera.width, self.camera.height

@@ -376,8 +376,9 @@ def _kinds(marks: Marks, frame: _Frame, size: tuple[int, int], blocks: DepthBloc
         top, left, tall, broad = frame.first_major, frame.first_minor, rows, columns
     else:
         columns = torch.floor(frame.across) + 2
-        # The mark leans aside by half of its drift in each direction.
-        lean = 0.5 * frame.slope.abs() * (frame.length + frame.chord_most)
+        # The mark leans aside by half of its drift in each direction; its end rows' centres lie up to half a pixel
+        # beyond its ends.
+        lean = 0.5 * frame.slope.abs() * (frame.length + frame.chord_most + 1)
         minor_low, minor_size = torch.floor(frame.first_minor - lean), columns + 2 * lean + 2
         top, tall = torch.where(frame.steep, frame.first_major, minor_low), torch.where(frame.steep, rows, minor_size)
         left, broad = torch.where(frame.steep, minor_low, frame.first_major), torch.where(frame.steep, minor_size, rows)
@@ -387,7 +388,9 @@ def _kinds(marks: Marks, frame: _Frame, size: tuple[int, int], blocks: DepthBloc
     rows_class, columns_class = _class_of(rows, classes), _class_of(columns, classes)
     spare = (bounds.index_select(0, rows_class) - rows) + (bounds.index_select(0, columns_class) - columns)
     bottom, right = top + tall, left + broad
-    simple = (top >= 0) & (left >= 0) & (bottom + spare < height) & (right + spare < width)
+    # The rows that a class adds go on leaning, to either side.
+    before = spare if frame.slope is not None else torch.zeros_like(spare)
+    simple = (top >= before) & (left >= before) & (bottom + spare < height) & (right + spare < width)
     unseen = (bottom < 0) | (right < 0) | (top >= height) | (left >= width) | (frame.area <= 0)
     if blocks is None:
         simple = torch.zeros_like(simple)
