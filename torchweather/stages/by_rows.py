@@ -11,7 +11,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from torchweather.threads import one_thread_an_operation, side_by_side
+from torchweather.threads import side_by_side
 
 __all__ = ["by_rows", "is_exporting"]
 
@@ -29,6 +29,8 @@ def by_rows(
     shape: Sequence[int],
     like: Tensor,
     out: Tensor | None = None,
+    *,
+    apart: bool = False,
 ) -> tuple[Tensor, ...]:
     """Assemble the results of a function over the bands of an image of ``shape`` ``(B, 1, H, W)``.
 
@@ -38,6 +40,7 @@ def by_rows(
         shape: of the results.
         like: gives dtype and device of the results; where gradients flow, the image is one band.
         out: where to write the first result; ``None`` allocates.
+        apart: run the bands side by side on threads of their own, for functions of very many operations.
     """
     b, _, height, width = shape
     if is_exporting() or (torch.is_grad_enabled() and like.requires_grad):
@@ -58,9 +61,12 @@ def by_rows(
                 results[number][..., first:last, :] = part
         return True
 
-    with one_thread_an_operation():
-        plain = all(fill(*band) for band in bands[:1])
-    if not plain:
+    if not all(fill(*band) for band in bands[:1]):
         return tuple(function(0, height, None))
-    side_by_side([partial(fill, *band) for band in bands[1:]])
+    rest = [partial(fill, *band) for band in bands[1:]]
+    if apart:
+        side_by_side(rest)
+    else:
+        for task in rest:
+            task()
     return tuple(results)

@@ -30,7 +30,7 @@ OPAQUE = 80.0  # optical depth that leaves nothing to see; beyond it float32 tur
 OPAQUE_TRANSMISSION = 2.0 * math.exp(-OPAQUE)  # reported as 0
 FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
-SKY_STRIDE = 4  # the sky is estimated on every fourth CFA cell in each direction
+SKY_STRIDE = 8  # the sky is estimated on every eighth CFA cell in each direction
 EXTINCTION_MODELS = ("mie", "koschmieder")
 
 
@@ -237,8 +237,8 @@ class ExtinctionAndAirlight(Stage):
         def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))
             depth_m = state.depth_m[rows].clamp_max(FARTHEST_M) if clip else state.depth_m[rows]
-            optical = by_cells(depth_m * state.ray_per_depth[rows]) * alpha_rows
-            clear = torch.exp(optical.clamp_min(-OPAQUE))
+            clear = by_cells(depth_m * state.ray_per_depth[rows]) * alpha_rows
+            clear = clear.clamp_min_(-OPAQUE).exp_()
             # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.
             ends = light_rows.expand_as(clear), by_cells(state.signal[rows])
             if into is not None and not clear.requires_grad:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.random import Variate
 from torchweather.sensors import Camera
-from torchweather.stages.by_rows import by_rows
+from torchweather.stages.by_rows import by_rows, is_exporting
 from torchweather.stages.camera import estimate_airlight, frame_mean
 from torchweather.stages.haze import haze_depth
 from torchweather.stages.population import Population
@@ -20,6 +20,7 @@ from torchweather.stages.registry import register
 from torchweather.stages.sequence import next_frame
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import CameraState, by_cells
+from torchweather.threads import one_thread_an_operation
 from torchweather.weather import Rain, Snow, weather_from_dict
 
 __all__ = ["ParticleVeil"]
@@ -183,6 +184,12 @@ class ParticleVeil(Stage):
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The frame behind its particles."""
+        if is_exporting():
+            return self._render(state, noise)
+        with one_thread_an_operation():
+            return self._render(state, noise)
+
+    def _render(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         if state.signal.numel() == 0:
             return replace(state, particle_mask=state.signal if state.keep_truth else None)
         for part in self.parts:
@@ -214,7 +221,7 @@ class ParticleVeil(Stage):
             signal = torch.lerp(by_cells(state.signal[rows]), light.to(mask.dtype), mask).flatten(2, 3)
             return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
 
-        results = by_rows(band, state.signal.shape, state.signal)
+        results = by_rows(band, state.signal.shape, state.signal, apart=True)
         return replace(state, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
 
     def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:

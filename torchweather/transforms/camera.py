@@ -18,7 +18,6 @@ from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Quantise, Stage
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import estimate_airlight, three_colours
-from torchweather.threads import one_thread_an_operation
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.weather import Fog, Rain, Snow, Weather
 
@@ -166,11 +165,10 @@ class BayerWeather(nn.Module):
         """
         state = self._state(bayer, depth)
         drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
-        with one_thread_an_operation():
-            if out is not None:
-                self._run_into(state, out)
-                return out
-            return self._raw(self.chain(state, drawn), state, bayer)
+        if out is not None:
+            self._run_into(state, out)
+            return out
+        return self._raw(self.chain(state, drawn), state, bayer)
 
     def run(
         self, bayer: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None
@@ -178,10 +176,7 @@ class BayerWeather(nn.Module):
         """The frame, and with it transmission, airlight and particle mask."""
         state = self._state(bayer, depth, keep_truth=True)
         drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
-        with one_thread_an_operation():
-            return self._result(self.chain(state, drawn), state, bayer)
-
-    def _result(self, after: CameraState, state: CameraState, bayer: Tensor) -> CameraResult:
+        after: CameraState = self.chain(state, drawn)
         batch = bayer.shape[:-3]
         airlight = after.airlight
         if airlight is None:
@@ -276,8 +271,7 @@ class BayerWeather(nn.Module):
         check_bayer(bayer, self.camera, self)
         self._check_knobs(bayer.shape[:-3])
         height, width = bayer.shape[-2:]
-        with one_thread_an_operation():
-            linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
+        linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
         depth_m = self._depth(bayer, depth, linear)
         return CameraState(
             signal=linear,
