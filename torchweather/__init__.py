@@ -35,10 +35,14 @@ _HOMES = {
     "torchweather.transforms": ("AsBayer", "BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"),
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
+# Parts of the library that `torchweather.<part>` reaches without an import of its own.
+_PARTS = frozenset({"export", "image", "io", "physics", "scenes", "stages", "transforms"})
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
+    if name in _PARTS:
+        return importlib.import_module(f"{__name__}.{name}")
     home = _HOME_OF.get(name)
     if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -48,4 +52,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_PARTS})
