@@ -165,17 +165,25 @@ def test_the_scene_hides_particles_pixel_by_pixel() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weather", [Rain(50.0), Snow(3.0)], ids=["rain", "snow"])
-def test_the_sum_of_listed_and_haze_does_not_depend_on_the_cut(weather: Rain | Snow) -> None:
+@pytest.mark.parametrize(
+    ("limit", "values_of_limit"),
+    [("cut", (1 / 256, 1 / 1024, 1 / 4096)), ("crowding", (0.1, 0.25, 1e9))],
+    ids=["cut", "crowding"],
+)
+def test_the_sum_of_listed_and_haze_does_not_depend_on_what_is_listed(
+    weather: Rain | Snow, limit: str, values_of_limit: tuple[float, ...]
+) -> None:
     n_seeds, camera = 24, camera_of()
     mean, std = [], []
-    for cut in (1 / 256, 1 / 1024, 1 / 4096):
-        found = masks(BayerWeather(weather, camera, near_m=1.5, airlight=0.7, cut=cut), range(n_seeds), 8.0).double()
+    for value in values_of_limit:
+        options: dict[str, float] = {"near_m": 1.5, "airlight": 0.7, limit: value}
+        found = masks(BayerWeather(weather, camera, **options), range(n_seeds), 8.0).double()  # type: ignore[arg-type]
         mean.append(found.mean((1, 2)))
         std.append(found.std((1, 2), correction=0))
     for values, share in ((mean, 0.01), (std, 0.03)):
         middle = values[1].mean()
         for other in (values[0], values[2]):
-            # Draws at another cut are other draws: two independent means.
+            # Draws at another limit are other draws: two independent means.
             error = math.sqrt(float(other.var() + values[1].var()) / n_seeds)
             assert float(other.mean()) == pytest.approx(float(middle), abs=3.5 * error + share * float(middle))
 
