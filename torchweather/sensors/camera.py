@@ -1,4 +1,4 @@
-"""Camera, Lidar, Radar: geometry, optics and link budget of a sensor, as frozen dataclasses with presets.
+"""Camera: geometry, optics and converter of a camera that delivers its raw mosaic.
 
 Frames: the vehicle's x forward, y left, z up; the camera's x right, y down, z along the axis. A pixel's
 centre (row i, column j) lies at y = i, x = j.
@@ -7,73 +7,22 @@ centre (row i, column j) lies at y = i, x = j.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
-from importlib import resources
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import torch
-import yaml
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive, nearest_name
+from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.sensors.base import Sensor
 
-__all__ = ["BAYER_PATTERNS", "Camera", "Lidar", "Radar", "Sensor", "sensor_preset"]
+__all__ = ["BAYER_PATTERNS", "Camera"]
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG", "RCCB")
-SENSOR_KINDS = ("camera", "lidar", "radar")
 
 # Iterations of the fixed point that inverts Brown-Conrady; each one gains a factor |distortion| < 0.3.
 UNDISTORT_ITERATIONS = 12
-
-
-@lru_cache(maxsize=1)
-def _presets() -> dict[str, dict[str, dict[str, Any]]]:
-    text = resources.files("torchweather").joinpath("presets", "sensors.yaml").read_text(encoding="utf-8")
-    loaded = yaml.safe_load(text)
-    return {kind: dict(loaded[kind]) for kind in SENSOR_KINDS}
-
-
-class Sensor:
-    """What the three sensors share: presets, a plain dictionary and back."""
-
-    kind: ClassVar[str] = ""
-
-    @classmethod
-    def preset(cls, name: str, **overrides: Any) -> Self:
-        """The named sensor of the library, with any field replaced.
-
-        Example:
-            >>> Camera.preset("lucid-triton").width
-            1936
-        """
-        known = _presets()[cls.kind]
-        check_one_of("preset", name, known, owner=cls)
-        values = {key: value for key, value in known[name].items() if key != "source"}
-        return cls.from_dict({**values, **overrides})
-
-    @classmethod
-    def presets(cls) -> dict[str, str]:
-        """Names of the presets and where their numbers come from."""
-        return {name: str(values.get("source", "")) for name, values in _presets()[cls.kind].items()}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Build the sensor from plain values; unknown keys are refused with the nearest name."""
-        known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
-        for key in values:
-            if key not in known:
-                raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
-        return cls(**values)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values that ``from_dict`` takes and YAML can hold."""
-        return {
-            key: [list(row) if isinstance(row, tuple) else row for row in value] if isinstance(value, tuple) else value
-            for key, value in asdict(self).items()  # type: ignore[call-overload]
-        }
 
 
 @dataclass(frozen=True)
@@ -331,81 +280,3 @@ class Camera(Sensor):
         y = (torch.arange(h, device=device, dtype=dtype) - cy) / self.fy
         xu, yu = self.undistort(x.expand(h, w), y[:, None].expand(h, w))
         return torch.stack([xu, yu, torch.ones_like(xu)])
-
-
-@dataclass(frozen=True)
-class Lidar(Sensor):
-    """A scanning LiDAR: what the optics of weather need to know of it.
-
-    Args:
-        wavelength_nm: laser wavelength.
-        exit_diameter_mm: beam diameter at the exit window.
-        divergence_mrad: full angle of the beam (FWHM).
-        pulse_width_ns: pulse width (FWHM).
-        range_at_10_percent_m: range at which a 10 % Lambertian target is just detected.
-    """
-
-    kind: ClassVar[str] = "lidar"
-
-    wavelength_nm: float
-    exit_diameter_mm: float = 10.0
-    divergence_mrad: float = 2.0
-    pulse_width_ns: float = 10.0
-    range_at_10_percent_m: float = 50.0
-
-    def __post_init__(self) -> None:
-        check_between("wavelength_nm", self.wavelength_nm, 300.0, 2500.0, unit="nm", owner=self)
-        for name, unit in (
-            ("exit_diameter_mm", "mm"),
-            ("divergence_mrad", "mrad"),
-            ("pulse_width_ns", "ns"),
-            ("range_at_10_percent_m", "m"),
-        ):
-            check_positive(name, getattr(self, name), unit=unit, owner=self)
-
-    @property
-    def bands(self) -> dict[str, float]:
-        """The laser line: its name and wavelength, nm."""
-        return {"laser": self.wavelength_nm}
-
-
-@dataclass(frozen=True)
-class Radar(Sensor):
-    """A millimetre-wave radar: what the attenuation of weather needs to know of it.
-
-    Args:
-        frequency_ghz: carrier frequency.
-        polarisation: ``h`` or ``v``.
-        elevation_rad: elevation of the path.
-    """
-
-    kind: ClassVar[str] = "radar"
-
-    frequency_ghz: float = 77.0
-    polarisation: str = "h"
-    elevation_rad: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_between("frequency_ghz", self.frequency_ghz, 1.0, 1000.0, unit="GHz", owner=self)
-        check_one_of("polarisation", self.polarisation, ("h", "v"), owner=self)
-        check_between("elevation_rad", self.elevation_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
-
-
-SENSOR_CLASSES: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"camera": Camera, "lidar": Lidar, "radar": Radar}
-DEFAULT_PRESETS = {"camera": "lucid-triton", "lidar": "ouster-os1-128", "radar": "imaging-77ghz"}
-
-
-def sensor_preset(text: str) -> tuple[str, Camera | Lidar | Radar]:
-    """Read ``kind`` or ``kind:preset`` as the command line takes it.
-
-    Returns:
-        The full name and the sensor.
-
-    Example:
-        >>> sensor_preset("lidar")[0]
-        'lidar:ouster-os1-128'
-    """
-    kind, _, name = text.partition(":")
-    check_one_of("sensor", kind, SENSOR_CLASSES, owner="torchweather")
-    name = name or DEFAULT_PRESETS[kind]
-    return f"{kind}:{name}", SENSOR_CLASSES[kind].preset(name)
