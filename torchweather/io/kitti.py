@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError
 from torchweather.io.calibration import CameraLidarCalibration
-from torchweather.io.point_files import read_float32_rows
+from torchweather.io.points import read_points
 
 __all__ = ["read_kitti_calibration", "read_kitti_points"]
 
@@ -40,7 +40,7 @@ def read_kitti_points(path: str | os.PathLike[str]) -> Tensor:
     Raises:
         TorchweatherError: the file is missing, truncated, or not float32 rows of four.
     """
-    return read_float32_rows(path, 4, "x, y, z in metres, reflectance")
+    return read_points(path, format="kitti").points
 
 
 def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibration:

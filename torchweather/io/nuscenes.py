@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.io.calibration import CameraLidarCalibration
-from torchweather.io.point_files import read_float32_rows
+from torchweather.io.points import read_points
 
 __all__ = ["read_nuscenes_calibration", "read_nuscenes_points"]
 
@@ -29,7 +29,7 @@ def read_nuscenes_points(path: str | os.PathLike[str]) -> Tensor:
     Raises:
         TorchweatherError: the file is missing, truncated, or not float32 rows of five.
     """
-    return read_float32_rows(path, 5, "x, y, z in metres, intensity, ring")
+    return read_points(path, format="nuscenes").points
 
 
 def read_nuscenes_calibration(path: str | os.PathLike[str], camera: str = "CAM_FRONT") -> CameraLidarCalibration:

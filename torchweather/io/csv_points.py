@@ -1,0 +1,121 @@
+"""Point clouds as comma-separated text, with or without a line of names (RADIATE has none)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from torchweather.errors import TorchweatherError
+from torchweather.io.atomic import atomic_write
+from torchweather.io.number_text import column_text, parse_columns
+from torchweather.io.stored_points import PointField, PointLayout, StoredPoints
+
+__all__ = ["CSV_COLUMNS", "read_csv_points", "write_csv_points"]
+
+# RADIATE's columns; a file without names is taken to have these.
+CSV_COLUMNS = ("x", "y", "z", "intensity", "ring")
+_LINE_ENDS = {"lf": "\n", "crlf": "\r\n"}
+
+
+def read_csv_points(path: str | os.PathLike[str]) -> StoredPoints:
+    """The columns of a table of numbers.
+
+    Without a line of names the columns are `CSV_COLUMNS`, then ``column_5`` and so on. A text has no dtype: a column
+    is float32 where its numbers are written with no more digits than a float32 needs, else float64.
+
+    Raises:
+        TorchweatherError: empty without a line of names, not numbers, or rows of different length.
+    """
+    source = Path(path)
+    try:
+        with source.open(encoding="utf-8", newline="") as file:
+            text = file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
+    encoding = "crlf" if "\r\n" in text else "lf"
+    lines = text.removeprefix("\ufeff").split("\n")
+    first = [word.strip() for word in lines[0].split(",")]
+    named = not all(_is_number(word) for word in first) and any(first)
+    if not named and not text.strip():
+        raise TorchweatherError(
+            f"{source}: wanted rows of numbers x, y, z, intensity; the file is empty. An empty cloud needs a line of "
+            "names."
+        )
+    names = [word.strip("\"'") for word in first] if named else list(_default_names(len(first)))
+    if not all(names):
+        raise TorchweatherError(f"{source}: wanted a name for each column; got {lines[0].strip()!r}.")
+    header = lines[0].rstrip("\r").encode("utf-8") if named else b""
+    columns = parse_columns(
+        lines[1:] if named else lines,
+        [np.dtype(np.float64)] * len(names),
+        None,
+        source=source,
+        first_line=2 if named else 1,
+        delimiter=",",
+    )
+    kept = [_narrow(column) for column in columns]
+    fields = tuple(PointField(name, column.dtype.str) for name, column in zip(names, kept, strict=True))
+    return StoredPoints(PointLayout("csv", fields, encoding, header), tuple(kept))
+
+
+def write_csv_points(path: str | os.PathLike[str], stored: StoredPoints) -> None:
+    """Write the fields as a table: with names, unless they are the first of `CSV_COLUMNS` and the file had none.
+
+    Raises:
+        TorchweatherError: an empty cloud without a line of names, which could not be told from a broken file.
+    """
+    names = tuple(one.name for one in stored.layout.fields)
+    header = ",".join(names)
+    before = stored.layout.header.decode("utf-8")
+    if before and [word.strip().strip("\"'") for word in before.split(",")] == list(names):
+        header = before
+    bare = not before and bool(stored.layout.encoding) and names == _default_names(len(names))
+    if bare and not stored.rows:
+        raise TorchweatherError(f"{path}: a csv without a line of names cannot hold an empty cloud.")
+    if any("," in name or "\n" in name or _is_number(name) for name in names):
+        raise TorchweatherError(f"{path}: csv cannot hold columns named {', '.join(names)}.")
+    end = _LINE_ENDS[stored.layout.encoding or "lf"]
+    columns = [column_text(np.asarray(array)) for array in stored.arrays]
+    with atomic_write(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        if not bare:
+            file.write(header + end)
+        file.write("".join(",".join(row) + end for row in zip(*columns, strict=True)))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _default_names(count: int) -> tuple[str, ...]:
+    return tuple(CSV_COLUMNS[k] if k < len(CSV_COLUMNS) else f"column_{k}" for k in range(count))
+
+
+def _narrow(column: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+    """Float32 where the file has no more digits than a float32 needs to be told from its neighbours, else as it is."""
+    with np.errstate(over="ignore"):
+        narrow = column.astype(np.float32)
+    rest = np.flatnonzero((narrow != column) & ~np.isnan(column))
+    rest = rest[~_has_six_digits(column[rest])]
+    # The shortest text of the float32 against that of the file; most other columns show it in the first few numbers.
+    for some in (rest[:1000], rest[1000:]):
+        if some.size and not np.array_equal(narrow[some].astype("U").astype(np.float64), column[some]):
+            return column
+    return narrow
+
+
+def _has_six_digits(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Where six digits or fewer make the number, which float32 keeps between 1e-37 and 1e38; a quick first look."""
+    magnitude = np.abs(numbers)
+    inside = (magnitude > 1e-37) & (magnitude < 1e38)
+    magnitude = np.where(inside, magnitude, 1.0)
+    scaled = magnitude * 10.0 ** (5.0 - np.floor(np.log10(magnitude)))  # 100000..999999
+    # The product is rounded to 1e-16 of itself; a seventh digit stands at 0.1.
+    return np.asarray(inside & (np.abs(scaled - np.rint(scaled)) < 1e-6))
