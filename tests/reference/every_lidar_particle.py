@@ -347,15 +347,13 @@ def _breaks(needed_m: Callable[[Array], Array], start: float, end: float, link: 
     kinks: list[float] = []
     for level in (*levels_m.tolist(), None):
 
-        def excess(r: float, level: float | None = level) -> float:
-            at = np.array(r)
-            target = link.beam_diameter_m(at) if level is None else np.array(level)
-            with np.errstate(divide="ignore"):
-                return float(np.log(target) - np.log(needed_m(at)))
+        def excess(r: Array, level: float | None = level) -> Array:
+            target = link.beam_diameter_m(r) if level is None else level
+            return np.log(target) - np.log(needed_m(r))
 
-        values = np.array([excess(r) for r in search.tolist()])
+        values = excess(search)
         for i in np.flatnonzero(values[:-1] * values[1:] < 0.0).tolist():
-            kinks.append(brentq(excess, search[i], search[i + 1], xtol=1e-12))
+            kinks.append(brentq(lambda r, f=excess: float(f(np.array(r))), search[i], search[i + 1], xtol=1e-12))
     full_m = min(max(link.near_full_m, start), end)
     ends: list[float] = np.unique(np.concatenate([grid[::8], grid[-1:], kinks, [full_m]])).tolist()
     return ends
