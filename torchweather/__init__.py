@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchweather.sensors import Camera, Lidar, Radar
-    from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
+    from torchweather.stages import PointKind
+    from torchweather.transforms import (
+        AsBayer,
+        BayerFog,
+        BayerRain,
+        BayerSnow,
+        BayerWeather,
+        CameraResult,
+        LidarFog,
+        LidarRain,
+        LidarResult,
+        LidarSnow,
+        LidarWeather,
+    )
     from torchweather.weather import Fog, Mixture, Rain, Snow
 
 __version__ = "0.1.0"
@@ -22,7 +35,13 @@ __all__ = [
     "CameraResult",
     "Fog",
     "Lidar",
+    "LidarFog",
+    "LidarRain",
+    "LidarResult",
+    "LidarSnow",
+    "LidarWeather",
     "Mixture",
+    "PointKind",
     "Radar",
     "Rain",
     "Snow",
@@ -32,7 +51,20 @@ __all__ = [
 # Where each public name lives. It is imported at its first use, so that `torchweather --help` does not load torch.
 _HOMES = {
     "torchweather.sensors": ("Camera", "Lidar", "Radar"),
-    "torchweather.transforms": ("AsBayer", "BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"),
+    "torchweather.stages": ("PointKind",),
+    "torchweather.transforms": (
+        "AsBayer",
+        "BayerFog",
+        "BayerRain",
+        "BayerSnow",
+        "BayerWeather",
+        "CameraResult",
+        "LidarFog",
+        "LidarRain",
+        "LidarResult",
+        "LidarSnow",
+        "LidarWeather",
+    ),
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.

@@ -189,7 +189,7 @@ def unit_directions(directions: Tensor, owner: object) -> Tensor:
             f"{type(owner).__name__}: directions must be floating point of shape (..., N, 3), x forward, y left, z up; "
             f"got {directions.dtype}, {tuple(directions.shape)}."
         )
-    length = directions.norm(dim=-1, keepdim=True)
+    length: Tensor = directions.norm(dim=-1, keepdim=True)
     if not torch.compiler.is_compiling() and not bool((torch.isfinite(length) & (length > 0)).all()):
         raise ValueError(f"{type(owner).__name__}: directions must be finite and none of them zero.")
     return directions / length

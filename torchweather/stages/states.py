@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import torch
 from torch import Tensor
 
-__all__ = ["CameraState"]
+__all__ = ["CameraState", "LidarState", "PointKind"]
 
 
 @dataclass(frozen=True)
@@ -70,4 +71,79 @@ def by_cells(image: Tensor) -> Tensor:
     return image.reshape(b, c, h // 2, 2, w)
 
 
-torch.export.register_dataclass(CameraState, serialized_type_name="torchweather.CameraState")
+class PointKind(IntEnum):
+    """What a point of the output is.
+
+    Example:
+        >>> PointKind(1).name
+        'PARTICLE'
+    """
+
+    OBJECT = 0
+    """A return of the scene, weakened by the weather."""
+    PARTICLE = 1
+    """A return of a drop, a flake or of fog."""
+    LOST = 2
+    """No return: the object's went under the threshold, or the beam had none to begin with."""
+
+
+@dataclass(frozen=True)
+class LidarState:
+    """Beams of a LiDAR on their way through the chain; B is the flattened batch, E the number of echoes.
+
+    Signals are N/K of ``PHYSICS.md`` 5.3, 1/(m^2 sr): photons over the sensor's system constant. A stage changes
+    ``range_m`` and ``signal``; ``to_points`` compares them with their clear-air values, so what no stage touched
+    comes out with the input's own bits.
+
+    Args:
+        points_in: ``(B, N, C)`` the cloud as it came, floating point: x, y, z in metres, intensity, further columns.
+        empty_direction: ``(1 or B, N, 3)`` unit vectors for beams without a return, or ``None`` where not known.
+        clear_range_m: ``(B, N)`` range of the object; 0 is a beam without return.
+        clear_signal: ``(B, N)`` its signal in clear air; 0 for a beam without return.
+        range_m, signal: ``(B, N, E)`` of each echo; echo 0 is the object. After detection: the echoes reported.
+        kind: ``(B, N, E)`` int8, ``PointKind`` of each echo.
+        reach_m: ``(B, N)`` range to which particles are seen: the object's, or the sensor's maximum where the beam has
+            no return but a direction; 0 where it has neither.
+        threshold: ``()`` signal that is detected.
+        extinction_per_m: ``(B,)`` effective extinction of all weather together; ``None`` is clear air.
+        grid: rows and columns of an organised cloud, or ``None``.
+        points: ``(B, N, C)`` the cloud that goes out; ``None`` until ``to_points``.
+        second: ``(B, N, C)`` second returns of a dual-return sensor, likewise.
+    """
+
+    points_in: Tensor
+    empty_direction: Tensor | None
+    clear_range_m: Tensor
+    clear_signal: Tensor
+    range_m: Tensor
+    signal: Tensor
+    kind: Tensor
+    reach_m: Tensor
+    threshold: Tensor
+    extinction_per_m: Tensor | None = None
+    grid: tuple[int, int] | None = None
+    points: Tensor | None = None
+    second: Tensor | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The named sizes that variates refer to."""
+        return {"N": self.points_in.shape[-2]}
+
+    @property
+    def batch(self) -> int:
+        """Number of samples."""
+        return self.points_in.shape[0]
+
+    @property
+    def direction(self) -> Tensor:
+        """``(B, N, 3)`` unit vector of each beam; zero where the input does not tell it."""
+        range_m = self.clear_range_m[..., None]
+        seen = self.points_in[..., :3] / torch.where(range_m > 0, range_m, torch.ones_like(range_m))
+        if self.empty_direction is None:
+            return seen
+        return torch.where(range_m > 0, seen, self.empty_direction.to(seen.dtype))
+
+
+for _state in (CameraState, LidarState):
+    torch.export.register_dataclass(_state, serialized_type_name=f"torchweather.{_state.__name__}")

@@ -2,5 +2,18 @@
 
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
+from torchweather.transforms.lidar import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
 
-__all__ = ["AsBayer", "BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"]
+__all__ = [
+    "AsBayer",
+    "BayerFog",
+    "BayerRain",
+    "BayerSnow",
+    "BayerWeather",
+    "CameraResult",
+    "LidarFog",
+    "LidarRain",
+    "LidarResult",
+    "LidarSnow",
+    "LidarWeather",
+]

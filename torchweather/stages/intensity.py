@@ -1,0 +1,109 @@
+"""Intensity of a LiDAR's point, in the sensor's unit, to signal and back.
+
+Units (``Lidar.intensity_unit``): ``reflectivity`` (1 = Lambertian white), ``reflectivity_percent``, ``uint8_linear``
+(255 = 1), ``uint8_calibrated`` (0-100 percent, above that retroreflective), ``photons``, ``none``. A signal is
+X = N/K of ``PHYSICS.md`` 5.3, 1/(m^2 sr).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+__all__ = ["FULL_SCALE", "dimmed_intensity", "intensity_from_signal", "reflectivity_from_intensity"]
+
+# Largest value of a unit; None where there is no end.
+FULL_SCALE: dict[str, float | None] = {
+    "reflectivity": None,
+    "reflectivity_percent": None,
+    "uint8_linear": 255.0,
+    "uint8_calibrated": 255.0,
+    "photons": None,
+    "none": None,
+}
+# Value of a white Lambertian target.
+WHITE = {"reflectivity": 1.0, "reflectivity_percent": 100.0, "uint8_linear": 255.0, "uint8_calibrated": 100.0}
+# uint8_calibrated above 100 is logarithmic up to this reflectivity at 255 (generic: makers do not publish it).
+RETROREFLECTIVE_AT_255 = 100.0
+_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0
+# Units whose values may be integers; those are then rounded down.
+COUNTED = ("reflectivity_percent", "uint8_linear", "uint8_calibrated", "photons")
+
+
+def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) -> Tensor:
+    """Apparent Lambertian reflectivity; for every unit but ``photons``.
+
+    Args:
+        intensity: in the unit.
+        unit: see the module.
+        assumed: reflectivity where the unit is ``none``.
+    """
+    if unit == "none":
+        return torch.full_like(intensity, assumed)
+    linear = intensity / WHITE[unit]
+    if unit != "uint8_calibrated":
+        return linear
+    return torch.where(intensity > 100.0, torch.exp((intensity - 100.0) * _LOG_STEP), linear)
+
+
+def _intensity_from_reflectivity(reflectivity: Tensor, unit: str) -> Tensor:
+    linear = reflectivity * WHITE[unit]
+    if unit != "uint8_calibrated":
+        return linear
+    return torch.where(reflectivity > 1.0, 100.0 + reflectivity.clamp_min(1.0).log() / _LOG_STEP, linear)
+
+
+def dimmed_intensity(intensity: Tensor, gain: Tensor, unit: str, integral: Tensor) -> Tensor:
+    """Intensity of an object whose signal became ``gain`` times what it was; bit for bit the input where gain is 1.
+
+    Args:
+        intensity: ``(B, N)`` in the unit.
+        gain: ``(B, N)``.
+        unit: see the module.
+        integral: ``(B, 1)`` whether the sample's values are integers. They were rounded down by the sensor, so the
+            middle of the step is dimmed and rounded down again.
+    """
+    if unit == "none":
+        return intensity
+    # The middle of the step an integer stands for: the sensor rounded down.
+    middle = intensity + 0.5 * integral if unit in COUNTED else intensity
+    if unit == "uint8_calibrated":
+        # In the logarithmic part the logarithm of the gain adds; below it the value is linear again.
+        brighter = middle + gain.clamp_min(1e-30).log() / _LOG_STEP
+        above = torch.where(brighter > 100.0, brighter, 100.0 * torch.exp((brighter - 100.0) * _LOG_STEP))
+        dimmed = torch.where(middle > 100.0, above, middle * gain)
+    else:
+        dimmed = middle * gain
+    if unit in COUNTED:
+        dimmed = torch.where(integral, dimmed.floor(), dimmed)
+    ceiling = FULL_SCALE[unit]
+    if ceiling is not None:
+        dimmed = torch.where(integral, dimmed.clamp_max(ceiling), dimmed)
+    return torch.where(gain == 1.0, intensity, dimmed)
+
+
+def intensity_from_signal(
+    signal: Tensor, range_m: Tensor, unit: str, integral: Tensor, photons_per_signal: Tensor
+) -> Tensor:
+    """Intensity of a particle, from its equivalent reflectivity ``pi X R^2``; integers are rounded down.
+
+    Args:
+        signal: X, ``(B, N)``.
+        range_m: R, ``(B, N)``.
+        unit: see the module; ``none`` gives 1.
+        integral: ``(B, 1)``, as above.
+        photons_per_signal: K, photons m^2 sr, for the unit ``photons``.
+    """
+    if unit == "none":
+        return torch.ones_like(signal)
+    if unit == "photons":
+        found = signal * photons_per_signal
+    else:
+        found = _intensity_from_reflectivity(math.pi * signal * range_m.square(), unit)
+    if unit in COUNTED:
+        rounded = torch.floor(found)
+        ceiling = FULL_SCALE[unit]
+        found = torch.where(integral, rounded if ceiling is None else rounded.clamp_max(ceiling), found)
+    return found

@@ -1,0 +1,515 @@
+"""LiDAR stages: to_energy, extinction, particle_returns, detection, to_points."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.errors import check_at_least, check_one_of
+from torchweather.physics import Q_EFF, KnobTable, extinction_from_mor, extinction_per_m
+from torchweather.random import Variate
+from torchweather.sensors import RETURN_MODES, Lidar
+from torchweather.stages.beam import Beam
+from torchweather.stages.beam_particles import (
+    PUBLISHED_DOMAIN_MM,
+    RATE_HIGH_MM_PER_H,
+    RATE_LOW_MM_PER_H,
+    RATE_NODES,
+    BeamParticles,
+)
+from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.intensity import (
+    COUNTED,
+    dimmed_intensity,
+    intensity_from_signal,
+    reflectivity_from_intensity,
+)
+from torchweather.stages.registry import register
+from torchweather.stages.soft_return import MOR_NODES, SoftReturn, mor_range_m
+from torchweather.stages.stage import Stage
+from torchweather.stages.states import LidarState, PointKind
+from torchweather.stages.strongest import ReturnTable, strongest_before
+from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
+
+__all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
+
+DB = math.log(10.0) / 10.0
+OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
+
+
+def _sensor(sensor: Lidar | Mapping[str, Any]) -> Lidar:
+    return sensor if isinstance(sensor, Lidar) else Lidar.from_dict(sensor)
+
+
+def _config(sensor: Lidar) -> dict[str, Any]:
+    """Plain values of a sensor; the directions belong to the data, not to the stage."""
+    return replace(sensor, directions=None).to_dict()
+
+
+@register
+class ToEnergy(Stage):
+    """Signal of each object in clear air, from its intensity.
+
+    ``X = (I / pi) xi(R) / R^2`` from a reflectivity, ``X = I / K`` from photons. A return in the input was detected, so
+    ``X >= X_thr 10^(m/10)`` with a margin m of exponential law (``PHYSICS.md`` 5.3).
+
+    Args:
+        sensor: the LiDAR, or its dictionary.
+    """
+
+    default_name: ClassVar[str] = "to_energy"
+    margin_db: Tensor
+    photons_at_threshold: Tensor
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        self.beam = Beam(self.sensor)
+        self.register_buffer("margin_db", torch.tensor(self.sensor.margin_db))
+        self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"sensor": _config(self.sensor)}
+
+    def variates(self) -> tuple[Variate, ...]:
+        """The margin of each beam."""
+        return (Variate("margin", "exponential", ("N",)),)
+
+    def signal_of_intensity(self, intensity: Tensor, range_m: Tensor) -> Tensor:
+        """X of an object from its intensity, without the floor, ``(B, N)``; 0 for a beam without return."""
+        unit = self.sensor.intensity_unit
+        seen = range_m > 0
+        if unit == "photons":
+            return torch.where(seen, intensity * (self.beam.threshold / self.photons_at_threshold), 0.0)
+        reflectivity = reflectivity_from_intensity(intensity, unit, self.sensor.assumed_reflectivity)
+        square = torch.where(seen, range_m, torch.ones_like(range_m)).square()
+        signal = reflectivity * self.beam.near_response(range_m) / (math.pi * square)
+        return torch.where(seen, signal, torch.zeros_like(signal))
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the objects' signals."""
+
+        range_m, margin = state.clear_range_m, noise["margin"]
+        seen = range_m > 0
+        floor = self.beam.threshold * torch.exp(DB * self.margin_db * margin.to(range_m))
+        signal = torch.maximum(self.signal_of_intensity(state.points_in[..., 3], range_m), floor)
+        signal = torch.where(seen, signal, 0.0)
+        kind = torch.where(seen, OBJECT, LOST).to(torch.int8)
+        return replace(
+            state,
+            clear_signal=signal,
+            signal=signal[..., None],
+            range_m=range_m[..., None],
+            kind=kind[..., None],
+            threshold=self.beam.threshold,
+        )
+
+
+@lru_cache(maxsize=64)
+def _extinction_table(weather: Weather, wavelength_nm: float, published: bool) -> KnobTable:
+    """Full extinction, 1/m, over the knob of a weather (given with its knob at rest)."""
+    if isinstance(weather, Fog):
+
+        def of_mor(mor_m: Tensor) -> Tensor:
+            return extinction_per_m(weather.distribution(mor_m), wavelength_nm, temperature_c=weather.temperature_c)
+
+        return KnobTable(of_mor, *mor_range_m(weather), MOR_NODES, zero_at_inf=True)
+    assert isinstance(weather, (Rain, Snow))
+    falling = weather
+
+    def of_rate(rate: Tensor) -> Tensor:
+        distribution = falling.distribution(rate)
+        if published:
+            distribution = distribution.within(*PUBLISHED_DOMAIN_MM)
+        return extinction_per_m(distribution, wavelength_nm, temperature_c=falling.temperature_c)
+
+    return KnobTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+
+
+class _PartExtinction(nn.Module):
+    """Effective extinction of one weather: ``alpha q_eff / 2``."""
+
+    q_eff: Tensor
+    knob: Tensor
+
+    def __init__(self, weather: Weather, sensor: Lidar, q_eff: float, *, koschmieder: bool, published: bool) -> None:
+        super().__init__()
+        self.weather, self.koschmieder = weather, koschmieder
+        at_rest = replace(weather, **{weather.knob_name: math.inf if isinstance(weather, Fog) else 0.0})  # type: ignore[type-var]
+        self.table = copy.deepcopy(_extinction_table(at_rest, float(sensor.wavelength_nm), published))
+        self.register_buffer("q_eff", torch.tensor(float(q_eff)))
+        self.register_buffer(weather.knob_name, torch.as_tensor(weather.knob, dtype=torch.float32))
+
+    def forward(self) -> Tensor:
+        """1/m, of the knob's shape flattened."""
+        knob = getattr(self, self.weather.knob_name).reshape(-1)
+        if self.koschmieder and isinstance(self.weather, Fog):
+            return extinction_from_mor(knob, self.weather.contrast).to(knob) * (0.5 * self.q_eff)
+        full: Tensor = self.table(knob)
+        return full * (0.5 * self.q_eff)
+
+
+@register
+class Extinction(Stage):
+    """The way through the weather and back: ``X exp(-2 alpha R)``, for every beam, with the extinctions added.
+
+    Identity: rates 0, visibility infinite.
+
+    Args:
+        weathers: or their dictionaries.
+        sensor: the LiDAR, or its dictionary.
+        q_eff: extinction efficiency that the sensor sees, 1 (blocking only) to 2 (the whole forward lobe is lost);
+            ``None`` is 1.1 for rain and snow, 2 for fog (``PHYSICS.md`` 3.2).
+        fog_extinction: ``mie``, or ``koschmieder`` (ln(1/contrast) / MOR at the laser's wavelength too).
+        variant: ``d3_4``: drops of 0.5-6 mm and half the extinction (the published pi/8).
+    """
+
+    default_name: ClassVar[str] = "extinction"
+
+    def __init__(
+        self,
+        weathers: Sequence[Weather | Mapping[str, Any]],
+        sensor: Lidar | Mapping[str, Any],
+        q_eff: float | None = None,
+        fog_extinction: str = "mie",
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        if q_eff is not None:
+            check_at_least("q_eff", q_eff, 0.0, owner=self)
+        check_one_of("fog_extinction", fog_extinction, ("mie", "koschmieder"), owner=self)
+        self.options = {"q_eff": q_eff, "fog_extinction": fog_extinction, "variant": variant}
+        built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]
+        published = variant == "d3_4"
+        self.parts = nn.ModuleDict()
+        for weather in sorted(built, key=lambda part: part.kind):
+            default = 1.0 if published else Q_EFF[weather.kind]
+            self.parts[weather.kind] = _PartExtinction(
+                weather,
+                self.sensor,
+                default if q_eff is None else q_eff,
+                koschmieder=fog_extinction == "koschmieder",
+                published=published,
+            )
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        weathers = [part.weather.to_dict() for part in self.parts.values()]  # type: ignore[union-attr,operator]
+        return {"weathers": weathers, "sensor": _config(self.sensor), **self.options}
+
+    def extinction_per_m(self, batch: int) -> Tensor:
+        """Effective extinction of all weather together, 1/m, ``(B,)``."""
+        parts = [part().expand(batch) for part in self.parts.values()]
+        return torch.stack(parts).sum(0)
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the objects' signals weakened."""
+        extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
+        clear = torch.exp(-2.0 * extinction[:, None] * state.clear_range_m)
+        return replace(state, signal=state.signal * clear[..., None], extinction_per_m=extinction)
+
+
+@register
+class ParticleReturns(Stage):
+    """Returns of drops, flakes and fog in front of each object, or up to the maximum range where there is none.
+
+    The strongest particles of each beam are drawn exactly without listing them all (``stages/strongest.py``): one where
+    the sensor reports the strongest return, else so many that more are above threshold in one beam of 10,000.
+
+    Identity: rates 0, visibility infinite.
+
+    Args:
+        weathers: or their dictionaries.
+        sensor: the LiDAR, or its dictionary.
+        q_back: backscatter efficiency of drops, ``"glints"``, or ``None`` for the default (``BeamParticles``).
+        fog_backscatter: ``mie`` or ``hahner`` (``SoftReturn``).
+        variant: ``d3_4``: the published cylinder, drops and limit of detection; rain only.
+    """
+
+    default_name: ClassVar[str] = "particle_returns"
+
+    def __init__(
+        self,
+        weathers: Sequence[Weather | Mapping[str, Any]],
+        sensor: Lidar | Mapping[str, Any],
+        q_back: float | str | None = None,
+        fog_backscatter: str = "mie",
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        self.beam = Beam(self.sensor)
+        self.options = {"q_back": q_back, "fog_backscatter": fog_backscatter, "variant": variant}
+        built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]
+        self.parts = nn.ModuleDict()
+        for weather in sorted(built, key=lambda part: part.kind):
+            part: nn.Module
+            if isinstance(weather, Fog):
+                part = SoftReturn(weather, self.sensor, backscatter=fog_backscatter)
+            elif isinstance(weather, (Rain, Snow)):
+                given = q_back if isinstance(weather, Rain) else None
+                part = BeamParticles(weather, self.sensor, q_back=given, published=variant == "d3_4")
+            else:
+                raise TypeError(f"ParticleReturns: weathers must be Rain, Fog or Snow; got {type(weather).__name__}.")
+            self.parts[weather.kind] = part
+        self._last_tables: dict[str, tuple[list[Tensor], ReturnTable]] = {}
+
+    @property
+    def kinds(self) -> dict[str, BeamParticles | SoftReturn]:
+        """What returns, by the kind of weather."""
+        return dict(self.parts.items())  # type: ignore[arg-type]
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        weathers = [part.weather.to_dict() for part in self.kinds.values()]
+        return {"weathers": weathers, "sensor": _config(self.sensor), **self.options}
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Arrival and place of the strongest returns of each kind."""
+        return tuple(variate for part in self.kinds.values() for variate in part.variates())
+
+    def extra_repr(self) -> str:
+        """How many returns of each kind a beam has at most."""
+        return ", ".join(f"{kind}_echoes={part.echoes}" for kind, part in self.kinds.items())
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with an echo more for each return that a beam may have."""
+        extinction = state.extinction_per_m
+        if extinction is None:
+            extinction = torch.zeros(state.batch, dtype=state.signal.dtype, device=state.signal.device)
+        ranges, signals = [state.range_m], [state.signal]
+        extinction = extinction.to(self.beam.threshold.dtype)
+        for kind, part in self.kinds.items():
+            arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
+            range_m, signal = self._drawn(part, extinction, arrival, place, state.reach_m.to(extinction.dtype))
+            ranges.append(range_m.to(state.range_m.dtype))
+            signals.append(signal.to(state.signal.dtype))
+        kinds = [state.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
+        return replace(state, range_m=_joined(ranges), signal=_joined(signals), kind=_joined(kinds))
+
+    def _drawn(
+        self, part: BeamParticles | SoftReturn, extinction: Tensor, arrival: Tensor, place: Tensor, reach_m: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
+        reach, start = part.grid.position(reach_m), part.start(reach_m)
+        ranges, signals = [], []
+        arrived = torch.zeros_like(reach)
+        for echo in range(part.echoes):
+            arrived, own_place = arrived + arrival[:, echo].to(reach), place[:, echo].to(reach)
+            if start is None:
+                row, column, exists = self._table(part, extinction).strongest_before(arrived, own_place, reach)
+            else:
+                between = part.between(self.beam, extinction)
+                row, column, exists = strongest_before(between, arrived, own_place, reach, start)
+            ranges.append(part.grid.range_m(column) * exists)
+            signals.append(part.signal_at(row, self.beam) * exists)
+        return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
+
+    def _table(self, part: BeamParticles | SoftReturn, extinction: Tensor) -> ReturnTable:
+        """The table at this weather and sensor; the last one is kept while nothing it depends on has changed."""
+        inputs = [extinction, *part.parameters_of_table(), *self.beam.buffers()]
+        if is_exporting() or any(value.requires_grad for value in inputs):
+            return ReturnTable.of(part.between(self.beam, extinction))
+        before, table = self._last_tables.get(part.kind, (None, None))
+        if before is None or table is None or not all(map(_same, before, inputs)):
+            with torch.no_grad():
+                table = ReturnTable.of(part.between(self.beam, extinction))
+            self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
+        return table
+
+
+def _same(one: Tensor, other: Tensor) -> bool:
+    return one.device == other.device and one.dtype == other.dtype and torch.equal(one, other)
+
+
+def _joined(echoes: Sequence[Tensor]) -> Tensor:
+    """Echoes ``(B, N, E)`` of several kinds in one tensor, each echo by itself in memory."""
+    return torch.cat([echo.transpose(1, 2) for echo in echoes], 1).transpose(1, 2)
+
+
+@register
+class Detection(Stage):
+    """What the receiver reports: echoes above threshold, merged where they are close, chosen by the return mode.
+
+    An echo within ``echo_separation_m`` of a stronger one is part of that one. An object nearer than ``near_start_m``
+    has nothing in front of it and is always reported, as it was in the input.
+
+    Identity: none; where nothing was weakened and nothing added, every object is reported.
+
+    Args:
+        sensor: the LiDAR, or its dictionary.
+        return_mode: ``strongest``, ``last``, ``first`` or ``dual``; ``None`` is the sensor's.
+    """
+
+    default_name: ClassVar[str] = "detection"
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any], return_mode: str | None = None) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        self.return_mode = return_mode or self.sensor.return_mode
+        check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)
+        self.given_mode = return_mode
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"sensor": _config(self.sensor), "return_mode": self.given_mode}
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the reported echoes: one, or two of a dual-return sensor."""
+        threshold, clear_range_m = state.threshold, state.clear_range_m
+        echoes = [
+            _Echoes(*parts)
+            for parts in zip(*(values.unbind(-1) for values in (state.range_m, state.signal, state.kind)), strict=True)
+        ]
+        zero = torch.zeros_like(clear_range_m)
+        # Strength decides; 0 is an echo that is not seen.
+        strengths = [torch.where(echo.signal >= threshold, echo.signal, zero) for echo in echoes]
+        near = (clear_range_m > 0) & (clear_range_m < self.sensor.near_start_m)
+        strengths[0] = torch.where(near, torch.inf, torch.where(clear_range_m > 0, strengths[0], zero))
+        strongest = _best(strengths, echoes)
+        chosen = [strongest]
+        if self.return_mode != "strongest":
+            strengths = self._merged([echo.range_m for echo in echoes], strengths)
+            power = -1.0 if self.return_mode == "first" else 1.0
+            scores = [
+                torch.where(strength > 0, echo.range_m**power, zero)
+                for strength, echo in zip(strengths, echoes, strict=True)
+            ]
+            end = _best(scores, echoes)
+            chosen = [end]
+            if self.return_mode == "dual":
+                # One echo is reported once: a beam whose strongest echo is its last has no second return.
+                again = end.range_m == strongest.range_m
+                second = [torch.where(again, x, y) for x, y in zip(_nothing(end), end.parts, strict=True)]
+                chosen = [strongest, _Echoes(*second)]
+        columns = zip(*(echo.parts for echo in chosen), strict=True)
+        range_m, signal, kind = (torch.stack(values, 1).transpose(1, 2) for values in columns)
+        return replace(state, range_m=range_m, signal=signal, kind=kind)
+
+    def _merged(self, ranges: Sequence[Tensor], strengths: Sequence[Tensor]) -> list[Tensor]:
+        """Strengths with 0 for every echo that is part of a stronger one."""
+        apart = self.sensor.echo_separation
+        merged = []
+        for k, (range_m, strength) in enumerate(zip(ranges, strengths, strict=True)):
+            absorbed = torch.zeros_like(strength, dtype=torch.bool)
+            for other, (other_range, other_strength) in enumerate(zip(ranges, strengths, strict=True)):
+                if other != k:
+                    # Of two equal echoes the earlier in the list counts as the stronger.
+                    stronger = other_strength >= strength if other < k else other_strength > strength
+                    absorbed = absorbed | (stronger & ((other_range - range_m).abs() < apart))
+            merged.append(torch.where(absorbed, torch.zeros_like(strength), strength))
+        return merged
+
+
+@dataclass(frozen=True)
+class _Echoes:
+    """One echo of each beam."""
+
+    range_m: Tensor
+    signal: Tensor
+    kind: Tensor
+
+    @property
+    def parts(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.range_m, self.signal, self.kind
+
+
+def _nothing(like: _Echoes) -> tuple[Tensor, Tensor, Tensor]:
+    return torch.zeros_like(like.range_m), torch.zeros_like(like.signal), torch.full_like(like.kind, LOST)
+
+
+def _best(scores: Sequence[Tensor], echoes: Sequence[_Echoes]) -> _Echoes:
+    """The echo of the highest score in each beam, the first of equals; none where all scores are 0."""
+    best, found = torch.zeros_like(scores[0]), _nothing(echoes[0])
+    for score, echo in zip(scores, echoes, strict=True):
+        better = score > best
+        best = torch.where(better, score, best)
+        found = tuple(torch.where(better, new, old) for new, old in zip(echo.parts, found, strict=True))  # type: ignore[assignment]
+    return _Echoes(*found)
+
+
+@register
+class ToPoints(Stage):
+    """Points of the reported echoes: along the beam, in the unit of the input's intensity.
+
+    What no stage touched comes out with the input's own bits. A particle's intensity is that of its equivalent
+    reflectivity ``pi X R^2``; its range gets the sensor's noise and resolution.
+
+    Identity: untouched echoes.
+
+    Args:
+        sensor: the LiDAR, or its dictionary.
+    """
+
+    default_name: ClassVar[str] = "to_points"
+    photons_at_threshold: Tensor
+    range_noise_m: Tensor
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
+        self.register_buffer("range_noise_m", torch.tensor(float(self.sensor.range_noise_m)))
+        self.reported = 2 if self.sensor.return_mode == "dual" else 1
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"sensor": _config(self.sensor)}
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Range noise of the reported echoes, where the sensor has any."""
+        if self.sensor.range_noise_m == 0:
+            return ()
+        return (Variate("range_noise", "normal", (self.reported, "N")),)
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the points that go out."""
+        intensity = state.points_in[..., 3]
+        if self.sensor.intensity_unit in COUNTED:
+            integral = (intensity == intensity.floor()).all(-1, keepdim=True)
+        else:
+            integral = torch.zeros_like(intensity[..., :1], dtype=torch.bool)
+        drawn = noise.get("range_noise")
+        clouds = [
+            self._cloud(state, echo, None if drawn is None else drawn[:, echo], integral)
+            for echo in range(state.range_m.shape[-1])
+        ]
+        return replace(state, points=clouds[0], second=clouds[1] if len(clouds) > 1 else None)
+
+    def _measured(self, range_m: Tensor, noise: Tensor | None) -> Tensor:
+        """Range of a particle as the sensor measures it."""
+        if noise is not None:
+            range_m = (range_m + self.range_noise_m * noise.to(range_m)).clamp_min(0.0)
+        step = self.sensor.range_resolution_m
+        return torch.round(range_m / step) * step if step > 0 else range_m
+
+    def _cloud(self, state: LidarState, echo: int, noise: Tensor | None, integral: Tensor) -> Tensor:
+        """Points ``(B, N, C)`` of one reported echo."""
+        points, clear = state.points_in, state.clear_range_m
+        range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
+        particle, lost, seen = kind == PARTICLE, kind == LOST, clear > 0
+        range_m = torch.where(particle, self._measured(range_m, noise), range_m)
+        # 1 for an object that stayed where it was.
+        scale = range_m / torch.where(seen, clear, 1.0)
+        columns = list(points[..., :3].unbind(-1))  # one by one: several times faster than under a mask of one column
+        if state.empty_direction is not None:
+            along = state.empty_direction.to(points).unbind(-1)
+            here = seen | lost
+            columns = [torch.where(here, own, given) for own, given in zip(columns, along, strict=True)]
+        columns = [torch.where(lost, 0.0, column * scale) for column in columns]
+        gain = signal / torch.where(seen, state.clear_signal, 1.0)
+        unit, intensity = self.sensor.intensity_unit, points[..., 3]
+        returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
+        value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
+        # A beam that was empty and stayed so keeps what it came with.
+        value = torch.where(lost, torch.where(seen, 0.0, intensity), value)
+        return torch.stack([*columns, value, *points[..., 4:].unbind(-1)], -1)

@@ -1,0 +1,199 @@
+r"""The strongest particle of a beam, drawn exactly without listing particles.
+
+The particles of a beam are a Poisson process. Let ``Lambda(e, R)`` be the expected number with a signal above e in
+front of range R. Then the strongest signal has ``P(e_max <= e) = exp(-Lambda(e, R))``: with a standard exponential E,
+solve ``Lambda(e*, R) = E``. The next strongest solve it with the sum of two exponentials, and so on. The range of a
+particle of signal e* has the distribution function ``d_e Lambda(e*, r) / d_e Lambda(e*, R)``: between two rows of the
+table, ``W(r) = Lambda(e_i, r) - Lambda(e_{i+1}, r)``, solve ``W(r) = u W(R)``. (``Lambda(e*, r) / Lambda(e*, R)`` would
+be the range of all particles above e*.) The finite difference keeps the atom that a particle larger than the beam puts
+at the full-beam signal.
+
+``strongest_before`` solves both equations by bisection for every beam. ``ReturnTable`` solves them once on a grid of E
+and of u, and reads the solutions; tests hold the two together.
+
+Signals and ranges are places on the table's axes: a fraction of nodes.
+
+References:
+    PHYSICS.md 5.3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+__all__ = ["ReturnTable", "expected_number", "strongest_before"]
+
+FEW = 1e-20  # expected number that stands for none, so that logarithms stay finite
+NOTHING = 1e-9  # the same, where its logarithm must keep a gradient
+FAINTER = 4.0  # nodes below the faintest signal to which a solution is continued
+
+# Grid of the solutions. Arrivals: ln E from ARRIVAL_LOW to ARRIVAL_HIGH; a smaller E comes once in 1e6 beams.
+ARRIVAL_LOW, ARRIVAL_HIGH, ARRIVAL_NODES = 1e-6, 1e2, 257
+# Places: over v with W(r) / W(end) = 1 - (1 - v^2)^2, which spreads both ends: W starts as a power of the range and
+# ends in a long tail.
+PLACE_NODES = 513
+
+
+def strongest_before(
+    between: Tensor, arrivals: Tensor, place: Tensor, reach: Tensor, start: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The strongest particles in front of each beam's reach, by bisection.
+
+    Args:
+        between: ``(B, E, P)`` expected number of particles with a signal from node i to node i + 1 (the last: above
+            node E - 1), from the first place on the grid to place p.
+        arrivals: ``(B, N)`` standard exponential E for the strongest, the sum of k of them for the k-th strongest.
+        place: ``(B, N)`` standard uniform u.
+        reach: ``(B, N)`` place on the grid up to which particles count, 0 to P - 1.
+        start: ``(B, N)`` place from which they count; ``None`` is the first node.
+
+    Returns:
+        ``(B, N)`` each: signal, 0 to E - 1; range; and whether there is such a particle at all.
+    """
+    signal = _signal(between, arrivals, reach, start)
+    batch, signals, places = between.shape
+    cells = between.reshape(batch, signals * places)
+    base = _below(signal, signals) * places
+    column = _below(reach, places)
+    wanted = place * _lerp(cells, base + column, reach - column)
+    if start is not None:
+        begin = _below(start, places)
+        wanted = wanted + (1.0 - place) * _lerp(cells, base + begin, start - begin)
+    found = _place(cells, base, wanted, places)
+    return signal.clamp_min(0.0), torch.minimum(found, reach), signal > 0.0
+
+
+def expected_number(between: Tensor, signal: Tensor, reach: Tensor) -> Tensor:
+    """Lambda: expected number of particles with more than a signal in front of the reach, ``(B, N)``.
+
+    Args:
+        between: ``(B, E, P)``, as in ``strongest_before``.
+        signal: ``(B, N)`` place on the axis of signals.
+        reach: ``(B, N)`` place on the grid.
+    """
+    batch, signals, places = between.shape
+    flat = _above(between).reshape(batch, signals * places)
+    row, column = _below(signal, signals), _below(reach, places)
+    index = row * places + column
+    here, louder = _lerp(flat, index, reach - column), _lerp(flat[:, places:], index, reach - column)
+    # A power law inside the cell, as in the drawing.
+    return torch.exp(torch.lerp((here + NOTHING).log(), (louder + NOTHING).log(), signal - row)) - NOTHING
+
+
+@dataclass(frozen=True)
+class ReturnTable:
+    """The solutions of both equations on a grid.
+
+    Args:
+        signal: ``(B, P * ARRIVAL_NODES)`` signal of the strongest particle for each reach and arrival.
+        share: ``(B, E * P)`` W(r) / W(end) of each signal's cell.
+        place: ``(B, E * PLACE_NODES)`` its inverse, over v.
+        places: P.
+        signals: E.
+    """
+
+    signal: Tensor
+    share: Tensor
+    place: Tensor
+    places: int
+    signals: int
+
+    @classmethod
+    def of(cls, between: Tensor) -> ReturnTable:
+        """Solve for every node of the grid; ``between`` as in ``strongest_before``."""
+        batch, signals, places = between.shape
+        step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
+        arrivals = torch.exp(math.log(ARRIVAL_LOW) + step * torch.arange(ARRIVAL_NODES).to(between))
+        reach = torch.arange(places).to(between)[:, None].expand(places, ARRIVAL_NODES).reshape(1, -1)
+        signal = _signal(between, arrivals.repeat(places).expand(batch, -1), reach.expand(batch, -1), None)
+        end = between[..., -1:]
+        v = torch.arange(PLACE_NODES).to(between) / (PLACE_NODES - 1)
+        base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
+        wanted = (end * (1.0 - (1.0 - v * v).square())).reshape(batch, -1)
+        cells = between.reshape(batch, signals * places)
+        place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted, places)
+        share = (between / end.clamp_min(FEW)).reshape(batch, -1)
+        return cls(signal, share, place, places, signals)
+
+    def strongest_before(self, arrivals: Tensor, place: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """As the function of that name, read from the grid."""
+        step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
+        late = (torch.log(arrivals) * (1.0 / step) - math.log(ARRIVAL_LOW) / step).clamp(0.0, ARRIVAL_NODES - 1)
+        column, early = _floor(reach, self.places), _floor(late, ARRIVAL_NODES)
+        share, own = reach - column, late - early
+        index = _index(column * ARRIVAL_NODES + early)
+        here, farther = _lerp(self.signal, index, own), _lerp(self.signal[:, ARRIVAL_NODES:], index, own)
+        signal = torch.lerp(here, farther, share)
+        row = _floor(signal, self.signals)
+        before = (_lerp(self.share, _index(row * self.places + column), share) * place).clamp(0.0, 1.0)
+        v = (before / (1.0 + (1.0 - before).sqrt())).sqrt() * (PLACE_NODES - 1)
+        node = _floor(v, PLACE_NODES)
+        found = _lerp(self.place, _index(row * PLACE_NODES + node), v - node)
+        return signal.clamp_min(0.0), torch.minimum(found, reach), signal > 0.0
+
+
+def _signal(between: Tensor, arrivals: Tensor, reach: Tensor, start: Tensor | None) -> Tensor:
+    """Solve ``Lambda(e*, R) = E`` for the signal; 0 or less where there is no such particle."""
+    batch, signals, places = between.shape
+    flat = _above(between).reshape(batch, signals * places)
+    column = _below(reach, places)
+    begin = column if start is None else _below(start, places)
+
+    def before(row: Tensor) -> Tensor:
+        """Lambda of a row up to the reach, from the start."""
+        number = _lerp(flat, row * places + column, reach - column)
+        return number if start is None else number - _lerp(flat, row * places + begin, start - begin)
+
+    row = _last(lambda i: before(i) > arrivals, torch.zeros_like(column), signals - 1)
+    # A power law inside the cell: Lambda falls by a factor from node to node.
+    log_above, log_below = before(row).clamp_min(FEW).log(), before(row + 1).clamp_min(FEW).log()
+    fall = (log_above - log_below).clamp_min(1e-6)
+    return row + ((log_above - arrivals.clamp_min(FEW).log()) / fall).clamp(-FAINTER, 1.0)
+
+
+def _place(cells: Tensor, base: Tensor, wanted: Tensor, places: int) -> Tensor:
+    """Solve ``W(r) = wanted`` for the range, W being the cells from ``base`` on."""
+    found = _last(lambda j: cells.gather(1, base + j) <= wanted, torch.zeros_like(base), places - 1)
+    low, high = cells.gather(1, base + found), cells.gather(1, base + found + 1)
+    return found + ((wanted - low) / (high - low).clamp_min(FEW)).clamp(0.0, 1.0)
+
+
+def _above(between: Tensor) -> Tensor:
+    """Lambda at the nodes, ``(B, E, P)``, from the numbers between them."""
+    return between.flip(1).cumsum(1).flip(1)
+
+
+def _floor(position: Tensor, nodes: int) -> Tensor:
+    """Node at or below a place, such that there is one after it; floating point, which multiplies faster."""
+    return position.detach().floor().clamp(0, nodes - 2)
+
+
+def _index(node: Tensor) -> Tensor:
+    return node.to(torch.int64)
+
+
+def _below(position: Tensor, nodes: int) -> Tensor:
+    return _index(_floor(position, nodes))
+
+
+def _lerp(flat: Tensor, index: Tensor, share: Tensor) -> Tensor:
+    return torch.lerp(flat.gather(1, index), flat[:, 1:].gather(1, index), share)
+
+
+def _last(holds: Callable[[Tensor], Tensor], first: Tensor, cells: int) -> Tensor:
+    """Largest index below ``cells`` at which a condition holds that does so up to some index; ``first`` at least."""
+    index = first
+    step = 1 << (cells - 1).bit_length() >> 1
+    exact = 2 * step == cells
+    while step:
+        ahead = index + step
+        here = ahead if exact else ahead.clamp_max(cells - 1)
+        found = holds(here) if exact else holds(here) & (ahead < cells)
+        index = index + step * found
+        step >>= 1
+    return index

@@ -1,0 +1,162 @@
+"""The border of the LiDAR transforms: checks of a cloud, beams without return, and what is lost."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import TorchweatherWarning, owner_name
+from torchweather.sensors import Lidar
+from torchweather.sensors.lidar import unit_directions
+from torchweather.stages.by_rows import is_exporting
+
+__all__ = ["Beams", "beams_of", "check_points"]
+
+COLUMNS_WANTED = "x, y, z in metres and intensity"
+# Intensities that contradict the declared unit: reflectivity of more than this is no reflectivity, and 8-bit values
+# that all lie below this, some of them no integers, are no 8-bit values.
+BRIGHTEST_REFLECTIVITY = 4.0
+FAINTEST_FULL_SCALE = 1.0
+
+
+def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
+    """Refuse what is no point cloud ``(..., N, 4 or more)``; warn where intensities contradict the declared unit."""
+    name = owner_name(owner)
+    if not isinstance(points, Tensor):
+        raise TypeError(
+            f"{name}: points must be a tensor (..., N, 4 or more); got {type(points).__name__}. For a numpy array call "
+            "on_numpy(points)."
+        )
+    if points.ndim < 2 or points.shape[-1] < 4:
+        raise ValueError(
+            f"{name}: points must have shape (..., N, 4 or more) = {COLUMNS_WANTED}; got {tuple(points.shape)}. If "
+            'your sensor gives no intensity, append a column of ones and set Lidar(intensity_unit="none").'
+        )
+    if not points.is_floating_point():
+        raise TypeError(f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float().")
+    if is_exporting() or not points.numel():
+        return
+    # One sum sees every NaN and every infinity; only then is it worth looking for them.
+    if not bool(torch.isfinite(points.detach().sum(dtype=torch.float64))):
+        _refuse_not_finite(points, name)
+    intensity = points.detach()[..., 3]
+    low, high = (float(value) for value in torch.aminmax(intensity))
+    if low < 0:
+        raise ValueError(
+            f"{name}: intensities must be 0 or more ({sensor.intensity_unit}); got {low:g}. Clip or rescale the column."
+        )
+    _warn_of_unit(intensity, high, sensor, name)
+
+
+def _refuse_not_finite(points: Tensor, name: str) -> None:
+    bad = ~torch.isfinite(points)
+    rows = bad.any(-1)
+    columns = sorted({int(column) for column in bad.reshape(-1, points.shape[-1]).any(0).nonzero().flatten()})
+    raise ValueError(
+        f"{name}: points must be finite; got {int(rows.sum())} rows with NaN or infinity (columns {columns}). Give a "
+        "beam without return the coordinates 0, 0, 0."
+    )
+
+
+def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> None:
+    unit = sensor.intensity_unit
+    evidence = ""
+    if unit == "reflectivity" and high > BRIGHTEST_REFLECTIVITY:
+        guess = "uint8_linear (0-255)" if high <= 255 else "photons"
+        evidence = f"the largest is {high:g}, where a white target has 1. Is the unit {guess}?"
+    elif unit in ("uint8_linear", "uint8_calibrated") and high > 255:
+        evidence = f"the largest is {high:g}, above 255. Is the unit photons?"
+    elif (
+        unit in ("uint8_linear", "uint8_calibrated", "reflectivity_percent")
+        and 0 < high <= FAINTEST_FULL_SCALE
+        and bool((intensity != intensity.floor()).any())
+    ):
+        evidence = f"the largest is {high:g} and not all are integers. Is the unit reflectivity (0-1)?"
+    if evidence:
+        warnings.warn(
+            f"{name}: the sensor declares intensity_unit={unit!r}, but of the cloud's intensities {evidence} Set "
+            "Lidar(intensity_unit=...).",
+            TorchweatherWarning,
+            stacklevel=5,
+        )
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The beams of a cloud.
+
+    Args:
+        points: ``(B, N, C)`` in at least float32; N with the beams that were appended.
+        empty_direction: ``(1 or B, N, 3)`` unit vectors for rows without return, or ``None``.
+        scan: how beams without return were treated, in words.
+        appended: rows at the end that are not in the input.
+    """
+
+    points: Tensor
+    empty_direction: Tensor | None
+    scan: str
+    appended: int
+
+
+def beams_of(points: Tensor, sensor: Lidar, directions: Tensor | None, *, complete_scan: bool, owner: object) -> Beams:
+    """Flatten the batch and find the direction of beams without return.
+
+    Args:
+        points: ``(..., N, C)``.
+        sensor: the LiDAR; its ``directions`` are taken where none are given.
+        directions: ``(N, 3)`` or ``(..., N, 3)``.
+        complete_scan: append the beams that the scan pattern lacks.
+        owner: for messages.
+    """
+    count, columns = points.shape[-2:]
+    batch = math.prod(points.shape[:-2])
+    flat = points.reshape(batch, count, columns)
+    if flat.dtype not in (torch.float32, torch.float64):
+        flat = flat.float()
+    directions = sensor.directions if directions is None else unit_directions(directions, owner=owner)
+    if directions is not None:
+        if complete_scan:
+            raise ValueError(
+                f"{owner_name(owner)}: complete_scan is for clouds without directions; give one or the other."
+            )
+        return Beams(flat, _fitting(directions, points, owner).to(flat), "directions given for every row", 0)
+    if not complete_scan:
+        return Beams(flat, None, "the rows that exist; a row without return has no direction and stays empty", 0)
+    return _completed(flat, sensor)
+
+
+def _fitting(directions: Tensor, points: Tensor, owner: object) -> Tensor:
+    count = points.shape[-2]
+    batch = points.shape[:-2]
+    if directions.shape[-2] != count:
+        raise ValueError(
+            f"{owner_name(owner)}: directions must have one row for each of the {count} points; got "
+            f"{tuple(directions.shape)}. An organised cloud keeps a row for every beam, range 0 where none returned."
+        )
+    if directions.ndim == 2:
+        return directions[None]
+    if directions.shape[:-2] != batch:
+        raise ValueError(
+            f"{owner_name(owner)}: directions {tuple(directions.shape)} must lead with the batch shape {tuple(batch)}."
+        )
+    return directions.reshape(-1, count, 3)
+
+
+def _completed(flat: Tensor, sensor: Lidar) -> Beams:
+    """Append the beams that the scan pattern has and the cloud lacks; samples that lack fewer get rows of zeros."""
+    from torchweather.sensors.scan import empty_beams
+
+    batch, count, columns = flat.shape
+    missing: Sequence[Tensor] = [empty_beams(cloud, sensor)[0] for cloud in flat]
+    most = max((len(one) for one in missing), default=0)
+    rows = flat.new_zeros(batch, most, columns)
+    direction = flat.new_zeros(batch, count + most, 3)
+    for sample, one in enumerate(missing):
+        direction[sample, count : count + len(one)] = one.to(flat)
+    found = ", ".join(str(len(one)) for one in missing)
+    return Beams(torch.cat([flat, rows], 1), direction, f"completed from the scan pattern with {found} beams", most)

@@ -1,0 +1,516 @@
+"""LidarRain, LidarFog, LidarSnow: weather on the point cloud of a LiDAR."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from torchweather.errors import check_one_of
+from torchweather.sensors import Lidar
+from torchweather.stages import (
+    Chain,
+    Detection,
+    Extinction,
+    LidarState,
+    ParticleReturns,
+    PointKind,
+    ToEnergy,
+    ToPoints,
+)
+from torchweather.stages.lidar import DB
+from torchweather.stages.soft_return import SoftReturn
+from torchweather.transforms.clouds import Beams, beams_of, check_points
+from torchweather.weather import Weather
+
+__all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
+
+VARIANTS = ("d3_4",)
+LOST_AS = ("zero", "nan", "drop")
+# Gauss-Laguerre nodes for the margin of points on the floor.
+MARGIN_NODES = 8
+
+Cloud = Tensor | list[Tensor]
+
+
+@dataclass(frozen=True)
+class LidarResult:
+    """What the weather did to a cloud. With ``lost="drop"`` the clouds of a batch are lists, one entry a sample.
+
+    Args:
+        points: ``(..., N, C)`` the cloud, in the columns and the dtype of the input.
+        kind: ``(..., N)`` int8, ``PointKind`` of each point: OBJECT 0, PARTICLE 1, LOST 2 (no return: lost, or empty
+            in the input).
+        source: ``(..., N)`` row of the input that the beam belongs to; -1 for a beam that ``complete_scan`` appended.
+        transmission: ``(..., N)`` two-way transmission of the weather to the object of each beam (to the maximum range
+            where there is none).
+        second: ``(..., N, C)`` second returns of a dual-return sensor (the last echo, where it is not the strongest);
+            ``None`` in the other modes.
+        second_source: ``(..., N)`` row of the input that the second return's beam belongs to, -1 where there is none.
+        second_kind: ``(..., N)`` ``PointKind`` of the second returns.
+        empty_beams: ``(...)`` rows without return in the input (with those that ``complete_scan`` appended).
+        floored_points: ``(...)`` returns whose intensity says less than the detection threshold; they were detected,
+            so they stand on it.
+        scan: how beams without return were treated, in words.
+    """
+
+    points: Cloud
+    kind: Cloud
+    source: Cloud
+    transmission: Cloud
+    second: Cloud | None
+    second_source: Cloud | None
+    second_kind: Cloud | None
+    empty_beams: Tensor
+    floored_points: Tensor
+    scan: str
+
+
+class LidarWeather(nn.Module):
+    """Weather on LiDAR point clouds, organised or not.
+
+    The signal of each object follows from its intensity and weakens with the extinction of the weather, on the way out
+    and back. Drops, flakes and fog in the beam return light of their own; the receiver reports what its return mode
+    picks from everything above its threshold.
+
+    Args:
+        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them.
+        sensor: the LiDAR.
+        q_eff: extinction efficiency that the sensor sees; ``None`` is 1.1 for rain and snow and 2 for fog.
+        q_back: backscatter efficiency of raindrops; ``None`` is 0.2 (0.06 at 1550 nm), ``"glints"`` the lower bound
+            0.094; 0.6 is the upper end of what is plausible.
+        fog_extinction: ``mie`` or ``koschmieder`` (ln 20 / MOR at every wavelength).
+        fog_backscatter: ``mie`` or ``hahner`` (0.046 / MOR).
+        lost: lost points become ``zero`` rows (further columns stay), ``nan``, or are left out (``drop``).
+        complete_scan: infer the beams without return that an unorganised cloud lacks from the sensor's scan pattern.
+        variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
+            ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
+
+    Note:
+        Single scattering. The beam is uniform inside its cone. Rows without return are simulated only where their
+        direction is known: ``Lidar(directions=...)``, ``directions=`` at the call, or ``complete_scan``.
+
+    References:
+        PHYSICS.md 5.
+
+    Example:
+        >>> from torchweather.weather import Fog, Mixture, Rain
+        >>> lidar = LidarWeather(Mixture(Rain(10), Fog(mor_m=200)), Lidar.preset("velodyne-hdl-64e"))
+        >>> points = torch.tensor([[20.0, 0.0, 0.0, 120.0], [0.0, 80.0, 1.0, 9.0]])
+        >>> lidar(points).shape
+        torch.Size([2, 4])
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
+
+    def __init__(
+        self,
+        weather: Weather,
+        sensor: Lidar,
+        *,
+        q_eff: float | None = None,
+        q_back: float | str | None = None,
+        fog_extinction: str = "mie",
+        fog_backscatter: str = "mie",
+        lost: str = "zero",
+        complete_scan: bool = False,
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self._check(weather, sensor, variant)
+        check_one_of("lost", lost, LOST_AS, owner=self)
+        if variant == "hahner":
+            fog_backscatter, fog_extinction = "hahner", "koschmieder"
+        self.weather, self.sensor = weather, sensor
+        self.lost, self.complete_scan = lost, complete_scan
+        published = "d3_4" if variant == "d3_4" else None
+        parts = weather.parts
+        self.chain = Chain(
+            {
+                "to_energy": ToEnergy(sensor),
+                "extinction": Extinction(parts, sensor, q_eff, fog_extinction, published),
+                "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published),
+                "detection": Detection(sensor),
+                "to_points": ToPoints(sensor),
+            }
+        )
+
+    def _check(self, weather: Weather, sensor: Lidar, variant: str | None) -> None:
+        name = type(self).__name__
+        if not isinstance(weather, Weather):
+            raise TypeError(f"{name}: weather must be Rain, Fog, Snow or a Mixture; got {type(weather).__name__}.")
+        kinds = [part.kind for part in weather.parts]
+        wrong = [kind for kind in kinds if kind not in self.takes]
+        if wrong:
+            raise TypeError(f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. LidarWeather takes all.")
+        if not isinstance(sensor, Lidar):
+            raise TypeError(f"{name}: sensor must be a Lidar; got {type(sensor).__name__}.")
+        if variant is None:
+            return
+        check_one_of("variant", variant, (*VARIANTS, "hahner"), owner=self)
+        if variant == "d3_4" and kinds != ["rain"]:
+            raise ValueError(
+                f'{name}: variant="d3_4" exists for rain alone. The published fog and snow signals have no system '
+                "constant (a target reflectivity of 150, flakes 2.8e6 times brighter than the object, pulses of 10 fs) "
+                "and follow from no sensor. Use the default."
+            )
+        if variant == "hahner" and "fog" not in kinds:
+            raise ValueError(f'{name}: variant="hahner" is the backscatter of fog; this weather has none.')
+
+    # ---- what the weather is, readable -------------------------------------------------------------------------
+
+    @property
+    def extinction_per_m(self) -> Tensor:
+        """Effective extinction of all weather together, 1/m, one value for each value of the knob."""
+        stage = self._stage(Extinction)
+        values = [part() for part in stage.parts.values()]
+        most = max(value.numel() for value in values)
+        return torch.stack([value.expand(most) for value in values]).sum(0)
+
+    @property
+    def backscatter_per_m_sr(self) -> Tensor:
+        """Backscatter coefficient of fog, 1/(m sr); 0 without fog."""
+        fog = self._stage(ParticleReturns).kinds.get("fog")
+        if not isinstance(fog, SoftReturn):
+            return torch.zeros(1)
+        return fog.backscatter_per_m_sr(fog.mor_m.reshape(-1))
+
+    @property
+    def mor_m(self) -> Tensor:
+        """Visibility of the fog, m; infinity without fog."""
+        fog = self._stage(ParticleReturns).kinds.get("fog")
+        return fog.mor_m.reshape(-1) if isinstance(fog, SoftReturn) else torch.full((1,), math.inf)
+
+    def _stage(self, kind: type[Any]) -> Any:
+        for stage in self.chain.stages.values():
+            if isinstance(stage, kind):
+                return stage
+        raise ValueError(f"{type(self).__name__}: the chain has no {kind.__name__} stage.")
+
+    # ---- calls -------------------------------------------------------------------------------------------------
+
+    def forward(
+        self, points: Tensor, noise: Mapping[str, Tensor] | None = None, *, directions: Tensor | None = None
+    ) -> Cloud:
+        """The cloud in the weather.
+
+        Args:
+            points: ``(..., N, 4 or more)``: x, y, z in metres, intensity in the sensor's unit, further columns.
+            noise: what ``draw`` gave; ``None`` draws anew.
+            directions: ``(N, 3)`` or ``(..., N, 3)`` direction of every row, for beams without return.
+
+        Returns:
+            The input's shape, columns and dtype; rows more with ``complete_scan``; a shorter cloud (a list of them for
+            a batch) with ``lost="drop"``.
+        """
+        beams, state = self._begin(points, directions)
+        state = self._through(state, noise)
+        assert state.points is not None
+        return self._outgoing(state.points, state.kind[..., 0], points, beams)
+
+    def run(
+        self, points: Tensor, noise: Mapping[str, Tensor] | None = None, *, directions: Tensor | None = None
+    ) -> LidarResult:
+        """The cloud, and what happened to each of its points; arguments as ``forward``."""
+        beams, before = self._begin(points, directions)
+        state = self._through(before, noise)
+        assert state.points is not None
+        batch, count = state.kind.shape[:2]
+        rows = torch.arange(count, device=points.device)
+        source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
+        extinction = self._stage(Extinction).extinction_per_m(batch).to(state.reach_m)
+        transmission = torch.exp(-2.0 * extinction[:, None] * state.reach_m)
+        second = second_source = second_kind = None
+        if state.second is not None:
+            kind = state.kind[..., 1]
+            there = torch.where(kind == PointKind.LOST, -1, source)
+            second = self._outgoing(state.second, kind, points, beams)
+            second_source = self._outgoing(there, kind, points, beams)
+            second_kind = self._outgoing(kind, kind, points, beams)
+        kind = state.kind[..., 0]
+        lead = points.shape[:-2]
+        return LidarResult(
+            points=self._outgoing(state.points, kind, points, beams),
+            kind=self._outgoing(kind, kind, points, beams),
+            source=self._outgoing(source, kind, points, beams),
+            transmission=self._outgoing(transmission.to(points.dtype), kind, points, beams),
+            second=second,
+            second_source=second_source,
+            second_kind=second_kind,
+            empty_beams=(state.clear_range_m == 0).sum(-1).reshape(lead),
+            floored_points=self._floored(before).reshape(lead),
+            scan=beams.scan,
+        )
+
+    def draw(
+        self, points: Tensor, generator: torch.Generator | None = None, seed: int | Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Noise for ``forward``; depends on the number of points alone, not on where they are.
+
+        Args:
+            points: ``(..., N, C)``; with ``complete_scan`` also the beams that they lack count.
+            generator: torch generator that gives one integer a sample; ``None`` is the global one.
+            seed: those integers themselves: a tensor of the batch shape, or the first of them.
+
+        Returns:
+            ``<stage>.<variate>`` to a tensor that leads with the batch shape.
+        """
+        check_points(points, self.sensor, self)
+        batch = points.shape[:-2]
+        flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
+        count = points.shape[-2]
+        if self.complete_scan:
+            count = beams_of(points, self.sensor, None, complete_scan=True, owner=self).points.shape[-2]
+        drawn = self.chain.draw(_Sizes(math.prod(batch), count), generator, flat_seed)
+        return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+
+    def on_numpy(
+        self, points: NDArray[Any], seed: int | None = None, directions: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
+        """Numpy in, numpy out: the cloud of a simulator's sensor callback in the weather.
+
+        Args:
+            points: ``(N, 4 or more)``, floating point.
+            seed: the same seed gives the same weather; ``None`` draws from torch's global generator.
+            directions: ``(N, 3)`` for beams without return.
+
+        Returns:
+            A new array of the dtype of ``points``.
+
+        Example:
+            >>> from torchweather.weather import Snow
+            >>> lidar = LidarSnow(Snow(rate_mm_per_h=1), Lidar.preset("velodyne-hdl-64e"))
+            >>> lidar.on_numpy(np.array([[9.0, 1.0, 0.5, 40.0]], dtype=np.float32), seed=1).dtype
+            dtype('float32')
+        """
+        array = np.ascontiguousarray(points)
+        with torch.no_grad():
+            cloud = torch.from_numpy(array)
+            along = None if directions is None else torch.from_numpy(np.ascontiguousarray(directions))
+            noise = self.draw(cloud, seed=seed)
+            out = self(cloud, noise, directions=along)
+        found: NDArray[Any] = out.numpy()
+        return found
+
+    def expected(self, points: Tensor, *, directions: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Expected signal of each object and the probability that the sensor reports it; smooth, nothing is drawn.
+
+        The signal is X of ``PHYSICS.md`` 5.3 in the weather, 1/(m^2 sr). A point is reported if it stays above
+        threshold and nothing in front beats it (``strongest``) or is seen at all (``first``). The step at the threshold
+        is rounded by the photon noise of the light that the weather takes away: of N photons, N T arrive,
+        +- sqrt(N T (1 - T)).
+
+        Args:
+            points: as in ``forward``.
+            directions: likewise.
+
+        Returns:
+            ``(..., N)`` each; 0 for rows without return. Differentiable in rates, visibility and sensor parameters.
+        """
+        _, state = self._begin(points, directions)
+        to_energy = self._stage(ToEnergy)
+        returns = self._stage(ParticleReturns)
+        extinction = self._stage(Extinction).extinction_per_m(state.batch).to(state.reach_m)
+        range_m, seen = state.clear_range_m, state.clear_range_m > 0
+        clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m)
+        threshold = to_energy.beam.threshold
+        transmission = torch.exp(-2.0 * extinction[:, None] * range_m)
+        floored = torch.maximum(clear, threshold * torch.ones_like(clear))
+        # Photons before and after: those that the weather removes make the noise.
+        per_threshold = to_energy.photons_at_threshold / threshold
+        before = floored * per_threshold
+        spread = torch.sqrt((before * transmission * (1.0 - transmission)).clamp_min(1e-12))
+        above = torch.special.ndtr((clear * transmission * per_threshold - to_energy.photons_at_threshold) / spread)
+        margin = -torch.log(transmission) / (DB * to_energy.margin_db)  # in units of its mean
+        stays = torch.exp(-margin)
+
+        def unbeaten(signal: Tensor) -> Tensor:
+            """Probability that no particle keeps an object of this signal from being reported."""
+            mode = self._stage(Detection).return_mode
+            if mode in ("last", "dual"):
+                return torch.ones_like(signal)
+            rival = signal if mode == "strongest" else threshold.expand_as(signal)
+            number = [
+                part.expected_above(returns.beam, rival.float(), extinction.float(), range_m.float())
+                for part in returns.kinds.values()
+            ]
+            return torch.exp(-torch.stack(number).sum(0).clamp_min(0.0)).to(signal)
+
+        # A point on the floor that stays has an exponential margin again: the law has no memory.
+        nodes, weights = np.polynomial.laguerre.laggauss(MARGIN_NODES)
+        on_floor = sum(
+            float(weight) * unbeaten(threshold * torch.exp(DB * to_energy.margin_db * float(node)).expand_as(clear))
+            for node, weight in zip(nodes, weights, strict=True)
+        )
+        reported = above * unbeaten(clear * transmission) + (1.0 - above) * stays * on_floor
+        near = seen & (range_m < self.sensor.near_start_m)
+        reported = torch.where(near, torch.ones_like(reported), reported)
+        zero = torch.zeros_like(reported)
+        signal = torch.where(seen, floored * transmission, zero)
+        lead = points.shape[:-1]
+        return signal.reshape(lead), torch.where(seen, reported, zero).reshape(lead)
+
+    # ---- the border --------------------------------------------------------------------------------------------
+
+    def _begin(self, points: Tensor, directions: Tensor | None) -> tuple[Beams, LidarState]:
+        check_points(points, self.sensor, self)
+        self._check_knobs(points.shape[:-2])
+        beams = beams_of(points, self.sensor, directions, complete_scan=self.complete_scan, owner=self)
+        flat = beams.points
+        x, y, z = flat[..., :3].unbind(-1)
+        range_m = (x * x + y * y + z * z).sqrt()
+        reach_m = range_m
+        if beams.empty_direction is not None:
+            farthest: float | Tensor = self.sensor.max_range_m
+            if beams.appended:  # a row of padding points nowhere
+                farthest = (beams.empty_direction != 0).any(-1).to(range_m) * self.sensor.max_range_m
+            reach_m = torch.where(range_m > 0, range_m, farthest)
+        nothing = torch.zeros_like(range_m)[..., None]
+        state = LidarState(
+            points_in=flat,
+            empty_direction=beams.empty_direction,
+            clear_range_m=range_m,
+            clear_signal=nothing[..., 0],
+            range_m=range_m[..., None],
+            signal=nothing,
+            kind=nothing.to(torch.int8),
+            reach_m=reach_m,
+            threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
+            grid=self._grid(flat.shape[1]),
+        )
+        return beams, state
+
+    def _grid(self, count: int) -> tuple[int, int] | None:
+        """Rows and columns where the cloud is the whole scan pattern."""
+        rings, columns = self.sensor.elevations_deg, self.sensor.columns
+        if rings is None or columns is None or len(rings) * columns != count:
+            return None
+        return len(rings), columns
+
+    def _check_knobs(self, batch: Sequence[int]) -> None:
+        for part in self.weather.parts:
+            knob = part.knob
+            if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
+                raise ValueError(
+                    f"{type(self).__name__}: {part.knob_name} must be one value or one for each sample, shape "
+                    f"{tuple(batch)}; got shape {tuple(knob.shape)}."
+                )
+
+    def _through(self, state: LidarState, noise: Mapping[str, Tensor] | None) -> LidarState:
+        if noise is None:
+            drawn = self.chain.draw(state)
+            flat = {key: value.to(state.points_in.device) for key, value in drawn.items()}
+        else:
+            flat = self._flat(noise, state)
+        found: LidarState = self.chain(state, flat)
+        return found
+
+    def _flat(self, noise: Mapping[str, Tensor], state: LidarState) -> dict[str, Tensor]:
+        flat = {}
+        for name, stage in self.chain.stages.items():
+            for variate in stage.variates():
+                key, shape = f"{name}.{variate.name}", variate.sample_shape(state.sizes)
+                if key not in noise:
+                    raise ValueError(
+                        f"{type(self).__name__}: the noise lacks {key}; use what draw() of this transform (or of one "
+                        "with the same weather and sensor) gave."
+                    )
+                value = noise[key]
+                fits = tuple(value.shape[value.ndim - len(shape) :]) == shape
+                if not fits or value.numel() != state.batch * math.prod(shape):
+                    raise ValueError(
+                        f"{type(self).__name__}: noise {key!r} must hold {shape} for each of {state.batch} samples; "
+                        f"got {tuple(value.shape)}. Draw again for this cloud."
+                    )
+                flat[key] = value.reshape(state.batch, *shape).to(state.points_in.device)
+        return flat
+
+    def _floored(self, state: LidarState) -> Tensor:
+        stage = self._stage(ToEnergy)
+        signal = stage.signal_of_intensity(state.points_in[..., 3], state.clear_range_m)
+        floored: Tensor = (state.clear_range_m > 0) & (signal < stage.beam.threshold)
+        return floored.sum(-1)
+
+    def _outgoing(self, values: Tensor, kind: Tensor, points: Tensor, beams: Beams) -> Cloud:
+        """Values ``(B, N, ...)`` of the beams as they leave: shape and dtype of the input, lost points as asked for."""
+        batch = points.shape[:-2]
+        if values.ndim == 3:  # the cloud itself
+            values = values.to(points.dtype)
+            if self.lost == "nan":
+                gone = (kind == PointKind.LOST) & (beams.points[..., :3] != 0).any(-1)
+                first = torch.arange(values.shape[-1], device=values.device) < 4
+                values = torch.where(gone[..., None] & first, torch.full_like(values, torch.nan), values)
+        if self.lost != "drop":
+            return values.reshape(*batch, *values.shape[1:])
+        kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
+        return kept if batch else kept[0]
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """Just enough of a state for drawing."""
+
+    batch: int
+    points: int
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        return {"N": self.points}
+
+
+class LidarRain(LidarWeather):
+    """Rain on a LiDAR's point cloud: weaker returns, lost ones, and drops near the sensor.
+
+    Arguments as ``LidarWeather``.
+
+    Example:
+        >>> from torchweather.weather import Rain
+        >>> lidar = LidarRain(Rain(rate_mm_per_h=25), Lidar.preset("ouster-os1-128"))
+        >>> points = torch.tensor([[20.0, 0.0, 0.0, 40.0], [0.0, 60.0, 1.0, 9.0]])
+        >>> noise = lidar.draw(points, seed=7)
+        >>> torch.equal(lidar(points, noise), lidar(points, noise))
+        True
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("rain",)
+
+
+class LidarFog(LidarWeather):
+    """Fog on a LiDAR's point cloud: objects fade, and the fog itself returns a few metres ahead.
+
+    Arguments as ``LidarWeather``.
+
+    Example:
+        >>> from torchweather.weather import Fog
+        >>> lidar = LidarFog(Fog(mor_m=50), Lidar.preset("ouster-os1-128"))
+        >>> points = torch.tensor([[60.0, 0.0, 0.0, 40.0]])
+        >>> int(lidar.run(points, lidar.draw(points, seed=1)).kind)
+        1
+        >>> [round(float(v), 4) for v in (lidar.extinction_per_m, lidar.backscatter_per_m_sr, lidar.mor_m)]
+        [0.0633, 0.003, 50.0]
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("fog",)
+
+
+class LidarSnow(LidarWeather):
+    """Snow on a LiDAR's point cloud: flakes in the near range, weaker returns beyond.
+
+    Arguments as ``LidarWeather``.
+
+    Example:
+        >>> from torchweather.weather import Snow
+        >>> lidar = LidarSnow(Snow(rate_mm_per_h=2), Lidar.preset("velodyne-hdl-64e", return_mode="dual"))
+        >>> points = torch.tensor([[25.0, 0.0, 0.0, 10.0]]).expand(1000, 4)
+        >>> result = lidar.run(points, lidar.draw(points, seed=1))
+        >>> bool((result.kind == PointKind.PARTICLE).any()), result.second.shape
+        (True, torch.Size([1000, 4]))
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("snow",)
