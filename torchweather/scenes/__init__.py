@@ -5,10 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from torchweather.scenes.fog_tunnel import fog_tunnel
+from torchweather.scenes.lidar_view import LidarView, lidar_view
+from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.scene import Hit, Scene, SceneLabel, SceneObject, SceneView
 from torchweather.scenes.test_track import test_track
 
-__all__ = ["SCENES", "Hit", "Scene", "SceneLabel", "SceneObject", "SceneView", "fog_tunnel", "test_track"]
+__all__ = [
+    "SCENES",
+    "Hit",
+    "LidarView",
+    "Scene",
+    "SceneLabel",
+    "SceneObject",
+    "SceneView",
+    "fog_tunnel",
+    "lidar_view",
+    "object_boxes",
+    "test_track",
+]
 
 SCENES: dict[str, Callable[[], Scene]] = {"test-track": test_track, "fog-tunnel": fog_tunnel}
 """The scenes by the name that the command line takes."""
