@@ -139,7 +139,7 @@ def test_a_stream_that_promises_more_than_lzf_can_hold_is_refused(tmp_path: Path
                 "WIDTH 2\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 2",
                 "WIDTH 3\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 3",
             ),
-            "wanted 3 points of 54 bytes",
+            "wanted 3 points of at least 54 bytes",
         ),
         (
             (

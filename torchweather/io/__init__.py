@@ -1,35 +1,103 @@
-"""Readers and writers: images, depth maps, KITTI and nuScenes clouds, disdrometers."""
+"""Readers and writers: images, depth maps, point clouds, labels, boxes, Ouster recordings, disdrometers."""
 
 from __future__ import annotations
 
 from torchweather.io.atomic import atomic_write
+from torchweather.io.batches import (
+    collate_indexed,
+    collate_list,
+    collate_padded,
+    join_indexed,
+    split_indexed,
+    split_padded,
+)
+from torchweather.io.box_visibility import BoxVisibility, box_visibility
+from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.io.calibration import CameraLidarCalibration
 from torchweather.io.depth import DEPTH_ENCODINGS, read_depth
 from torchweather.io.disdrometer import read_disdrometer
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts, spectrum_from_drops
 from torchweather.io.images import IMAGE_SUFFIXES, ImageInfo, read_image, write_image
-from torchweather.io.kitti import read_kitti_calibration, read_kitti_points
+from torchweather.io.kitti import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
+from torchweather.io.kitti_boxes import read_kitti_boxes, write_kitti_boxes
+from torchweather.io.labels import (
+    FALLING_SNOW,
+    LYING_SNOW,
+    UNLABELLED,
+    PointLabels,
+    merge_kind,
+    read_labels,
+    write_labels,
+)
+from torchweather.io.npz_points import NPZ_ENCODINGS
 from torchweather.io.nuscenes import read_nuscenes_calibration, read_nuscenes_points
+from torchweather.io.nuscenes_boxes import (
+    boxes_from_nuscenes,
+    boxes_to_nuscenes,
+    read_nuscenes_boxes,
+    write_nuscenes_boxes,
+)
+from torchweather.io.ouster import OUSTER_INTENSITIES, OusterFrame, read_ouster
 from torchweather.io.parsivel import parsivel_area_mm2, parsivel_edges_mm, parsivel_speeds_m_per_s
+from torchweather.io.pcd import PCD_ENCODINGS
+from torchweather.io.ply import PLY_ENCODINGS
+from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
+from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, write_points
 
 __all__ = [
     "DEPTH_ENCODINGS",
+    "FALLING_SNOW",
     "IMAGE_SUFFIXES",
+    "INTENSITY_NAMES",
+    "LYING_SNOW",
+    "NPZ_ENCODINGS",
+    "OUSTER_INTENSITIES",
+    "PCD_ENCODINGS",
+    "PLY_ENCODINGS",
+    "POINT_FORMATS",
+    "POINT_SUFFIXES",
+    "UNLABELLED",
+    "BoxVisibility",
+    "Boxes",
     "CameraLidarCalibration",
     "DropSpectrum",
     "ImageInfo",
+    "OusterFrame",
+    "PointCloud",
+    "PointLabels",
     "atomic_write",
+    "box_visibility",
+    "boxes_from_nuscenes",
+    "boxes_to_nuscenes",
+    "collate_indexed",
+    "collate_list",
+    "collate_padded",
+    "join_indexed",
+    "merge_kind",
     "parsivel_area_mm2",
     "parsivel_edges_mm",
     "parsivel_speeds_m_per_s",
+    "points_in_boxes",
     "read_depth",
     "read_disdrometer",
     "read_image",
+    "read_kitti_boxes",
     "read_kitti_calibration",
     "read_kitti_points",
+    "read_kitti_rectified_from_lidar",
+    "read_labels",
+    "read_nuscenes_boxes",
     "read_nuscenes_calibration",
     "read_nuscenes_points",
+    "read_ouster",
+    "read_points",
     "spectrum_from_counts",
     "spectrum_from_drops",
+    "split_indexed",
+    "split_padded",
     "write_image",
+    "write_kitti_boxes",
+    "write_labels",
+    "write_nuscenes_boxes",
+    "write_points",
 ]

@@ -12,7 +12,7 @@ from torchweather.errors import TorchweatherError
 from torchweather.io.calibration import CameraLidarCalibration
 from torchweather.io.points import read_points
 
-__all__ = ["read_kitti_calibration", "read_kitti_points"]
+__all__ = ["read_kitti_calibration", "read_kitti_points", "read_kitti_rectified_from_lidar"]
 
 # Calibration of recording day 2011_09_26, as in the calibration files of KITTI's object data set: rectifying
 # rotation, and Velodyne (x forward, y left, z up) to the unrectified reference camera.
@@ -70,7 +70,32 @@ def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibrati
         raise TorchweatherError(f"{source}: wanted an invertible camera matrix in P2; got {camera_matrix.tolist()}.")
     offset = torch.eye(4, dtype=torch.float64)
     offset[:3, 3] = torch.linalg.solve(camera_matrix, projection[:, 3])
+    rectified_from_lidar = _rectified_from_lidar(entries, source)
     missing = [key for key in ("R0_rect", "Tr_velo_to_cam") if key not in entries]
+    assumption = f"{' and '.join(missing)} of KITTI's recording day 2011_09_26" if missing else ""
+    return CameraLidarCalibration(camera_matrix, offset @ rectified_from_lidar, assumption)
+
+
+def read_kitti_rectified_from_lidar(path: str | os.PathLike[str]) -> Tensor:
+    """From the Velodyne to the rectified frame of camera 0, in which KITTI's labels place their boxes.
+
+    ``T = R0_rect Tr_velo_to_cam``; `read_kitti_calibration` goes on from there to camera 2, 6 cm beside.
+
+    Args:
+        path: ``calib/*.txt``. Where it lacks ``R0_rect`` or ``Tr_velo_to_cam``, those of recording day 2011_09_26 are
+            taken.
+
+    Returns:
+        ``(4, 4)`` float64.
+
+    Raises:
+        TorchweatherError: the file is missing or broken.
+    """
+    source = Path(path)
+    return _rectified_from_lidar(_entries(source), source)
+
+
+def _rectified_from_lidar(entries: dict[str, list[float]], source: Path) -> Tensor:
     rectify, to_reference = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
     try:
         rectify[:3, :3] = torch.tensor(entries.get("R0_rect", _R0_RECT), dtype=torch.float64).view(3, 3)
@@ -80,8 +105,7 @@ def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibrati
             f"{source}: wanted 9 numbers in R0_rect and 12 in Tr_velo_to_cam; "
             f"got {len(entries.get('R0_rect', ()))} and {len(entries.get('Tr_velo_to_cam', ()))}."
         ) from error
-    assumption = f"{' and '.join(missing)} of KITTI's recording day 2011_09_26" if missing else ""
-    return CameraLidarCalibration(camera_matrix, offset @ rectify @ to_reference, assumption)
+    return rectify @ to_reference
 
 
 def _entries(source: Path) -> dict[str, list[float]]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import tokenize
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -19,6 +21,19 @@ __all__ = ["NPZ_ENCODINGS", "read_npz_points", "write_npz_points"]
 
 # "table": an array `points` (N, C) or (H, W, C), names in `columns`; "columns": an array for each column.
 NPZ_ENCODINGS = ("table", "table_compressed", "columns", "columns_compressed")
+# What numpy and zipfile raise for files that are none of theirs; RuntimeError is an encrypted archive.
+_BROKEN = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    RuntimeError,
+    SyntaxError,
+    OverflowError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 # Deflate makes at most 1032 bytes out of one (zlib's technical notes).
 _MAX_RATIO = 1032
 _USUAL = ("x", "y", "z", "intensity", "ring")
@@ -99,11 +114,12 @@ def write_npz_points(path: str | os.PathLike[str], stored: StoredPoints) -> None
 
 def _loaded(source: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
     try:
-        with zipfile.ZipFile(source) as archive:
+        with zipfile.ZipFile(source) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy's, about headers that it repairs or refuses right after
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
             arrays = {member.filename[:-4]: _member(archive, member, source) for member in members}
             return arrays, any(member.compress_type != zipfile.ZIP_STORED for member in members)
-    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+    except _BROKEN as error:
         raise TorchweatherError(
             f"{source}: wanted arrays as numpy.savez writes them; it cannot be read ({type(error).__name__}: {error}). "
             "The file may be truncated or hold pickled objects, which are never loaded."

@@ -32,6 +32,8 @@ _KIND = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 # A header is a dozen short lines; what is longer is no PCD file.
 _MAX_HEADER_BYTES = 1 << 20
+# Descriptors have some hundred numbers for a point; what is longer is a broken header.
+_MAX_ROW_BYTES = 1 << 20
 _VIEWPOINT = "0 0 0 1 0 0 0"
 
 
@@ -159,6 +161,11 @@ def _parsed(raw: bytes, source: Path) -> _Header:
                 f"or more; got TYPE {letter}, SIZE {size}, COUNT {count}."
             )
         fields.append(PointField(name, f"<{_KIND[letter]}{size}" if size > 1 else f"|{_KIND[letter]}1", count))
+    row_bytes = sum(size * count for size, count in zip(sizes, counts, strict=True))
+    if row_bytes > _MAX_ROW_BYTES:
+        raise TorchweatherError(
+            f"{source}: wanted at most {_MAX_ROW_BYTES} bytes for a point; SIZE and COUNT say {row_bytes}."
+        )
     if min(width, height, points) < 0 or width * height != points:
         raise TorchweatherError(
             f"{source}: wanted POINTS = WIDTH x HEIGHT, none negative; got POINTS {points}, WIDTH {width}, "

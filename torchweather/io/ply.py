@@ -146,6 +146,8 @@ def _parsed(raw: bytes, source: Path) -> _Header:
                 case ["element", name, count]:
                     elements.append(_Element(name, int(count), ()))
                 case ["property", "list", count_type, item_type, name]:
+                    if _TYPES[count_type][0] == "f":
+                        raise ValueError("the length of a list is a whole number")
                     more = _Property(name, _ordered(item_type, encoding), _ordered(count_type, encoding))
                     elements[-1] = _with(elements[-1], more)
                 case ["property", item_type, name]:
@@ -188,10 +190,12 @@ def _vertex(header: _Header, source: Path) -> tuple[tuple[_Element, ...], _Eleme
 def _skip(file: Any, element: _Element, source: Path) -> None:
     """Step over an element that stands before the vertices."""
     end = os.fstat(file.fileno()).st_size
+    # Refused before a walk of hours; an element without properties takes no room and no time.
+    smallest = sum(np.dtype(one.count_dtype or one.dtype).itemsize for one in element.properties)
+    check_rows_fit(source, element.count, smallest, end - file.tell())
     if not element.has_lists:
-        file.seek(element.count * row_dtype(element.fields).itemsize, os.SEEK_CUR)
+        file.seek(element.count * smallest, os.SEEK_CUR)
     else:
-        check_rows_fit(source, element.count, 1, end - file.tell())
         for _ in range(element.count):
             for one in element.properties:
                 count = 1
@@ -201,6 +205,8 @@ def _skip(file: Any, element: _Element, source: Path) -> None:
                     if len(stored) < length.itemsize:
                         break
                     count = max(int(np.frombuffer(stored, length)[0]), 0)
+                    if file.tell() > end:
+                        break
                 file.seek(count * np.dtype(one.dtype).itemsize, os.SEEK_CUR)
     if file.tell() > end:
         raise TorchweatherError(f"{source}: wanted {element.count} rows of {element.name}; the file ends within them.")

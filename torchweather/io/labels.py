@@ -1,0 +1,142 @@
+"""SemanticKITTI's label files (also WADS'): class and instance of every point, and what weather does to them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchweather.errors import TorchweatherError, check_between
+from torchweather.io.atomic import atomic_write
+from torchweather.stages.states import PointKind
+
+__all__ = ["FALLING_SNOW", "LYING_SNOW", "UNLABELLED", "PointLabels", "merge_kind", "read_labels", "write_labels"]
+
+# Class 0 of SemanticKITTI is "unlabeled"; WADS adds two (SOURCE of the data set: CRFOR, sequences/36).
+UNLABELLED = 0
+FALLING_SNOW = 110
+LYING_SNOW = 111
+_HIGHEST = 0xFFFF
+
+
+@dataclass(frozen=True, eq=False)
+class PointLabels:
+    """Labels of N points.
+
+    Args:
+        classes: ``(..., N)`` int64, 0..65535.
+        instances: ``(..., N)`` int64, 0..65535; 0 is none.
+    """
+
+    classes: Tensor
+    instances: Tensor
+
+    def __post_init__(self) -> None:
+        if self.classes.shape != self.instances.shape or not self.classes.ndim:
+            raise ValueError(
+                "PointLabels: classes and instances must have one shape (..., N); got "
+                f"{tuple(self.classes.shape)} and {tuple(self.instances.shape)}."
+            )
+        for name, values in (("classes", self.classes), ("instances", self.instances)):
+            if values.is_floating_point() or values.is_complex() or values.dtype == torch.bool:
+                raise TypeError(f"PointLabels: {name} must be whole numbers; got {values.dtype}.")
+            check_between(name, values.long(), 0, _HIGHEST, owner=self) if values.numel() else None
+
+
+def read_labels(path: str | os.PathLike[str], n_points: int | None = None) -> PointLabels:
+    """The labels of a cloud.
+
+    Args:
+        path: ``labels/*.label``: uint32 for each point, class in the lower 16 bits, instance in the upper.
+        n_points: rows of the cloud that they belong to; checked.
+
+    Raises:
+        TorchweatherError: the file is missing, truncated, or has another number of labels. An empty file is refused
+            unless ``n_points`` is 0.
+    """
+    source = Path(path)
+    try:
+        size = source.stat().st_size
+        packed = np.fromfile(source, "<u4") if size % 4 == 0 else np.zeros(0, "<u4")
+    except OSError as error:
+        raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
+    if size % 4 or (n_points is None and not size) or (n_points is not None and n_points * 4 != size):
+        wanted = "at least one" if n_points is None else str(n_points)
+        raise TorchweatherError(
+            f"{source}: wanted {wanted} labels of 4 bytes (class and instance, 16 bits each); got {size} bytes. The "
+            "file is truncated or belongs to another cloud."
+        )
+    labels = torch.from_numpy(packed.astype(np.int64))
+    return PointLabels(labels & _HIGHEST, labels >> 16)
+
+
+def write_labels(path: str | os.PathLike[str], labels: PointLabels) -> None:
+    """Write the labels of one cloud, ``(N,)``; the inverse of `read_labels`, bit for bit."""
+    if labels.classes.ndim != 1:
+        raise ValueError(
+            f"write_labels: labels must be of one cloud, shape (N,); got {tuple(labels.classes.shape)}. Write each "
+            "sample of a batch to its own file."
+        )
+    packed = labels.classes.long().cpu() | (labels.instances.long().cpu() << 16)
+    with atomic_write(path) as unfinished:
+        packed.numpy().astype("<u4").tofile(unfinished)
+
+
+def merge_kind(
+    labels: PointLabels,
+    kind: Tensor,
+    source: Tensor | None = None,
+    *,
+    particle_class: int = FALLING_SNOW,
+    lost_class: int = UNLABELLED,
+) -> PointLabels:
+    """Labels after weather: particles and lost points get classes of their own, without instance.
+
+    Args:
+        labels: of the cloud that went in, ``(..., N)``.
+        kind: ``(..., K)`` `PointKind` of each point that came out.
+        source: ``(..., K)`` row of the input of each point, -1 for a beam that had none; ``None`` where row i is row i
+            (K = N).
+        particle_class: class of a point that is a drop, a flake or fog.
+        lost_class: class of a beam without a return.
+
+    Returns:
+        ``(..., K)`` labels.
+
+    Example:
+        >>> before = PointLabels(torch.tensor([40, 50, 10]), torch.tensor([0, 0, 7]))
+        >>> merge_kind(before, torch.tensor([0, 1, 2])).classes
+        tensor([ 40, 110,   0])
+    """
+    for name, value in (("particle_class", particle_class), ("lost_class", lost_class)):
+        check_between(name, value, 0, _HIGHEST, owner="merge_kind")
+    rows = labels.classes.shape[-1]
+    shape = kind.shape if source is None else source.shape
+    if kind.shape != shape or (source is None and kind.shape != labels.classes.shape):
+        raise ValueError(
+            f"merge_kind: kind must have the shape of {'labels' if source is None else 'source'}, "
+            f"{tuple(labels.classes.shape if source is None else shape)}; got {tuple(kind.shape)}."
+            f"{' Give source, where points were dropped or appended.' if source is None else ''}"
+        )
+    classes, instances = labels.classes, labels.instances
+    none = torch.zeros_like(kind, dtype=torch.bool)
+    if source is not None:
+        index = source.to(device=classes.device, dtype=torch.long)
+        none = index < 0
+        if index.numel() and (int(index.min()) < -1 or int(index.max()) >= rows):
+            raise ValueError(f"merge_kind: source must lie in -1..{rows - 1}.")
+        if rows:
+            classes = classes.gather(-1, index.clamp_min(0))
+            instances = instances.gather(-1, index.clamp_min(0))
+        else:
+            classes = instances = torch.zeros_like(index)
+    device = classes.device
+    particle = kind.to(device) == int(PointKind.PARTICLE)
+    lost = (kind.to(device) == int(PointKind.LOST)) | (none.to(device) & ~particle)
+    new = torch.where(particle, torch.full_like(classes, particle_class), classes)
+    new = torch.where(lost, torch.full_like(classes, lost_class), new)
+    return PointLabels(new, torch.where(particle | lost, torch.zeros_like(instances), instances))
