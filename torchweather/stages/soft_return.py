@@ -40,7 +40,7 @@ __all__ = ["MOR_HIGH_M", "MOR_LOW_M", "SoftReturn", "mor_range_m"]
 MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
 BACKSCATTERS = ("mie", "hahner")
 HAHNER_BETA_MOR_PER_SR = 0.046  # Rasshofer 2011, Hahner 2021: beta = 0.046 / MOR, a lidar ratio of 65 sr
-PULSE_NODES = 16
+PULSE_NODES = 32
 COUNT_NODES = 65  # cells by powers of two: the search in strongest.py halves them
 FEWEST_PHOTONS = 0.1  # of those at the threshold: a reading below it is not drawn
 PHOTON_LOW, PHOTON_HIGH, PHOTON_NODES = 1e-2, 1e5, 2048
