@@ -320,6 +320,7 @@ class LidarWeather(nn.Module):
         range_m, seen = state.clear_range_m, state.clear_range_m > 0
         clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m)
         threshold = to_energy.beam.threshold
+        own = returns.beam.threshold.dtype
         transmission = torch.exp(-2.0 * extinction[:, None] * range_m)
         floored = torch.maximum(clear, threshold * torch.ones_like(clear))
         # Photons before and after: those that the weather removes make the noise.
@@ -337,18 +338,26 @@ class LidarWeather(nn.Module):
                 return torch.ones_like(signal)
             rival = signal if mode == "strongest" else threshold.expand_as(signal)
             number = [
-                part.expected_above(returns.beam, rival.float(), extinction.float(), range_m.float())
+                part.expected_above(returns.beam, rival.to(own), extinction.to(own), range_m.to(own))
                 for part in returns.kinds.values()
             ]
             return torch.exp(-torch.stack(number).sum(0).clamp_min(0.0)).to(signal)
 
-        # A point on the floor that stays has an exponential margin again: the law has no memory.
-        nodes, weights = np.polynomial.laguerre.laggauss(MARGIN_NODES)
-        on_floor = sum(
-            float(weight) * unbeaten(threshold * torch.exp(DB * to_energy.margin_db * float(node)).expand_as(clear))
-            for node, weight in zip(nodes, weights, strict=True)
-        )
-        reported = above * unbeaten(clear * transmission) + (1.0 - above) * stays * on_floor
+        def unbeaten_above(signal: Tensor) -> Tensor:
+            """The same, of objects that stand an exponential margin above this signal."""
+            nodes, weights = np.polynomial.laguerre.laggauss(MARGIN_NODES)
+            parts = [
+                float(weight) * unbeaten(signal * torch.exp(DB * to_energy.margin_db * float(node)))
+                for node, weight in zip(nodes, weights, strict=True)
+            ]
+            return torch.stack(parts).sum(0)
+
+        # The exponential law has no memory: what of the margin is left above any level is exponential again.
+        on_margin = (threshold / floored) ** (1.0 / (DB * to_energy.margin_db))  # probability to stand on the margin
+        dimmed = clear * transmission
+        strong = torch.lerp(unbeaten(dimmed), unbeaten_above(dimmed), on_margin)
+        weak = stays * unbeaten_above(threshold * torch.ones_like(clear))
+        reported = torch.lerp(weak, strong, above)
         near = seen & (range_m < self.sensor.near_start_m)
         reported = torch.where(near, torch.ones_like(reported), reported)
         zero = torch.zeros_like(reported)
