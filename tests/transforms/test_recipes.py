@@ -10,8 +10,17 @@ import yaml
 
 from torchweather.errors import TorchweatherError
 from torchweather.image import DepthMap, FlatGround
-from torchweather.sensors import Camera
-from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerWeather
+from torchweather.sensors import Camera, Lidar
+from torchweather.transforms import (
+    AsBayer,
+    BayerFog,
+    BayerRain,
+    BayerWeather,
+    LidarFog,
+    LidarRain,
+    LidarSnow,
+    LidarWeather,
+)
 from torchweather.transforms.recipes import (
     FORMAT,
     list_recipes,
@@ -23,6 +32,7 @@ from torchweather.transforms.recipes import (
 from torchweather.weather import Fog, Mixture, Rain, Snow
 
 SMALL = Camera.from_intrinsics(40.0, 40.0, 15.5, 11.5, 32, 24)
+HDL = Lidar.preset("velodyne-hdl-64e")
 
 # Conditions of the camera tables of ROADVIEW D3.4: rain rates mm/h, fog visibilities m, snow rates mm/h (Table 4).
 D34_RAIN, D34_FOG, D34_SNOW = {10.0, 25.0, 50.0}, {10.0, 20.0, 30.0, 50.0}, {2.59, 2.70, 3.03}
@@ -46,15 +56,17 @@ def written(folder: Path, values: object) -> Path:
 @pytest.mark.parametrize("name", [recipe.name for recipe in list_recipes()])
 def test_every_recipe_builds_its_transform(name: str) -> None:
     recipe = read_recipe(name)
-    transform = load_recipe(name, sensor=SMALL, depth=30.0, airlight=0.7)
+    given = {"sensor": SMALL, "depth": 30.0, "airlight": 0.7} if recipe.sensor_kind == "camera" else {}
+    transform = load_recipe(name, **given)
     assert type(transform).__name__ == recipe.transform
-    assert isinstance(transform, BayerWeather)
+    assert isinstance(transform, (BayerWeather, LidarWeather))
+    assert recipe.name.startswith(f"{recipe.sensor_kind}/")
     assert transform.weather.to_dict() == recipe.build_weather().to_dict()
     assert recipe.title
 
 
 def test_the_conditions_of_d34_are_there() -> None:
-    weathers = [recipe.build_weather() for recipe in list_recipes()]
+    weathers = [recipe.build_weather() for recipe in list_recipes() if recipe.sensor_kind == "camera"]
     rain = {float(w.rate_mm_per_h) for w in weathers if isinstance(w, Rain)}
     fog = {float(w.mor_m) for w in weathers if isinstance(w, Fog)}
     snow = {float(w.rate_mm_per_h) for w in weathers if isinstance(w, Snow) and w.size_distribution == "brandes"}
@@ -122,6 +134,68 @@ def test_a_saved_recipe_gives_the_same_pixels(tmp_path: Path) -> None:
     assert isinstance(again, BayerWeather)
     first, second = (each(frame, noise=each.draw(frame, seed=5)) for each in (transform, again))
     assert torch.equal(first, second)
+
+
+@pytest.mark.parametrize(
+    "transform",
+    [
+        LidarRain(Rain(12.0), HDL, q_back=0.6, lost="nan"),
+        LidarFog(Fog(mor_m=77.0), HDL, variant="hahner"),
+        LidarSnow(Snow(1.5), Lidar.preset("pandar64-wads"), complete_scan=True, q_eff=1.5),
+        LidarRain(Rain(12.0), HDL, variant="d3_4"),
+        LidarWeather(Mixture(Snow(1.5), Fog(mor_m=300.0)), HDL, fog_extinction="koschmieder"),
+    ],
+    ids=["rain", "fog", "snow", "d3.4", "mixture"],
+)
+def test_what_is_saved_of_a_lidar_comes_back_and_gives_the_same_cloud(transform: LidarWeather, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    save_recipe(transform, path, title="Mine")
+    again = load_recipe(path)
+    assert isinstance(again, LidarWeather)
+    assert type(again) is type(transform)
+    assert again.sensor == transform.sensor
+    assert again.chain.to_dict() == transform.chain.to_dict()
+    assert (again.lost, again.complete_scan) == (transform.lost, transform.complete_scan)
+    if not transform.complete_scan:  # which wants a cloud of the scan pattern
+        points = torch.rand(200, 4, generator=torch.Generator().manual_seed(1)) * 40
+        first, second = (each(points, each.draw(points, seed=5)) for each in (transform, again))
+        assert isinstance(first, torch.Tensor)
+        assert isinstance(second, torch.Tensor)
+        assert torch.equal(first.nan_to_num(-1), second.nan_to_num(-1))
+
+
+def test_a_lidar_recipe_takes_overrides_of_its_own_kind() -> None:
+    fog = load_recipe("os1-fog-50m", sensor={"return_mode": "dual"}, lost="drop")
+    assert isinstance(fog, LidarFog)
+    assert (fog.sensor.return_mode, fog.sensor.wavelength_nm, fog.lost) == ("dual", 865.0, "drop")
+    mixed = load_recipe("os1-fog-50m", weather="rain:rate=5+fog:mor=80", sensor="lidar:velodyne-vlp-16")
+    assert type(mixed) is LidarWeather
+    with pytest.raises(ValueError, match="depth"):
+        load_recipe("os1-fog-50m", depth=3.0)
+    with pytest.raises(TorchweatherError, match="must be a lidar; got camera"):
+        load_recipe("os1-fog-50m", sensor="camera")
+    with pytest.raises(TorchweatherError, match="lost"):
+        load_recipe("os1-fog-50m", lost="gone")
+
+
+def test_a_lidar_recipe_is_not_for_images_and_holds_no_directions(tmp_path: Path) -> None:
+    lidar_fog = {
+        **{key: value for key, value in WELL.items() if key != "options"},
+        "transform": "LidarFog",
+        "sensor": {"kind": "lidar", "preset": "velodyne-vlp-16"},
+    }
+    assert read_recipe(written(tmp_path, lidar_fog)).build_sensor() == Lidar.preset("velodyne-vlp-16")
+    for change, said in (
+        ({"rgb": True}, "rgb belongs to a camera"),
+        ({"options": {"depth": 3.0}}, "'depth'"),
+        ({"sensor": {"kind": "camera"}}, "must be lidar"),
+        ({"sensor": {"kind": "lidar", "preset": "velodyne-vlp-16", "return_mode": "all"}}, "return_mode"),
+    ):
+        with pytest.raises(TorchweatherError, match=said):
+            read_recipe(written(tmp_path, {**lidar_fog, **change}))
+    along = Lidar.preset("velodyne-vlp-16", directions=torch.eye(3))
+    with pytest.raises(ValueError, match="directions"):
+        save_recipe(LidarFog(Fog(mor_m=50.0), along), tmp_path / "mine.yaml", title="t")
 
 
 def test_what_a_recipe_cannot_hold_is_refused_and_leaves_no_file(tmp_path: Path) -> None:

@@ -3,16 +3,16 @@
 A recipe holds ``format: torchweather-recipe/1`` and
 
 - ``title``: what it does, in words;
-- ``transform``: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather``;
+- ``transform``: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather`` for a camera, ``LidarRain``,
+  ``LidarFog``, ``LidarSnow`` or ``LidarWeather`` for a LiDAR;
 - ``weather``: ``kind`` and the weather's fields (``parts`` for a mixture);
 - ``sensor``: ``kind``, and a ``preset`` or the sensor's fields; fields beside a preset replace the preset's;
-- ``options``: keyword arguments of the transform; ``depth`` is a number of metres or ``ground``;
-- ``rgb``: true for RGB images, through ``AsBayer`` (default false).
+- ``options``: keyword arguments of the transform; a camera's ``depth`` is a number of metres or ``ground``;
+- ``rgb``: true for a camera's RGB images, through ``AsBayer`` (default false).
 """
 
 from __future__ import annotations
 
-import inspect
 import os
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -25,11 +25,19 @@ from torch import nn
 
 import torchweather
 from torchweather.errors import TorchweatherError, nearest_name
-from torchweather.image.depth import ConstantDepth, FlatGround
-from torchweather.sensors import Camera, sensor_preset
-from torchweather.stages import Chain, ExtinctionAndAirlight, ParticleVeil
+from torchweather.image.depth import FlatGround
+from torchweather.sensors import Camera, Lidar, sensor_preset
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather
+from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
+from torchweather.transforms.recipe_options import (
+    GROUND,
+    OPTIONS,
+    RecipeTransform,
+    options_of,
+    sensor_of,
+    sensor_values,
+)
 from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
@@ -38,15 +46,10 @@ FORMAT = "torchweather-recipe/1"
 SUFFIXES = (".yaml", ".yml")
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
-TRANSFORMS: dict[str, type[BayerWeather]] = {
-    transform.__name__: transform for transform in (BayerRain, BayerFog, BayerSnow, BayerWeather)
+TRANSFORMS: dict[str, type[BayerWeather] | type[LidarWeather]] = {
+    transform.__name__: transform
+    for transform in (BayerRain, BayerFog, BayerSnow, BayerWeather, LidarRain, LidarFog, LidarSnow, LidarWeather)
 }
-OPTIONS: dict[str, Any] = {
-    name: parameter.default
-    for name, parameter in inspect.signature(BayerWeather.__init__).parameters.items()
-    if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-}
-GROUND = "ground"
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,11 @@ class Recipe:
     path: Path | None = None
 
     @property
+    def sensor_kind(self) -> str:
+        """``camera`` or ``lidar``, as the transform wants it."""
+        return kind_of(TRANSFORMS[self.transform])
+
+    @property
     def sensor_name(self) -> str:
         """``kind:preset``, or the kind where the fields are given."""
         preset = self.sensor.get("preset")
@@ -83,6 +91,10 @@ class Recipe:
     def build_weather(self) -> Weather:
         """The weather object."""
         return weather_from_dict(self.weather)
+
+    def build_sensor(self) -> Camera | Lidar:
+        """The sensor object."""
+        return lidar_of(self.sensor) if self.sensor_kind == "lidar" else camera_of(self.sensor)
 
     def build_camera(self) -> Camera:
         """The camera object."""
@@ -136,12 +148,13 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
 
     Args:
         name_or_path: as in ``read_recipe``.
-        overrides: ``weather`` (an object, text such as ``rain:rate=25``, or plain values), ``sensor`` (a ``Camera``,
-            text such as ``camera:gopro-hero5-acdc``, or fields to replace), ``rgb``, or any option of the transform,
-            such as ``depth``.
+        overrides: ``weather`` (an object, text such as ``rain:rate=25``, or plain values), ``sensor`` (of the recipe's
+            kind: an object, text such as ``camera:gopro-hero5-acdc``, or fields to replace), ``rgb``, or any option of
+            the transform, such as ``depth``.
 
     Returns:
-        ``BayerWeather`` or one of its kinds; inside ``AsBayer`` where the recipe is for RGB images.
+        ``BayerWeather`` or ``LidarWeather`` or one of their kinds; inside ``AsBayer`` where the recipe is for RGB
+        images.
 
     Example:
         >>> fog = load_recipe("fog-30m", depth=40.0, airlight=0.7)
@@ -149,7 +162,8 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
         30.0
     """
     recipe = read_recipe(name_or_path)
-    known = ["weather", "sensor", "rgb", *OPTIONS]
+    kind = recipe.sensor_kind
+    known = ["weather", "sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
     for key in overrides:
         if key not in known:
             raise ValueError(
@@ -160,31 +174,35 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
     where = recipe.path or recipe.name
     try:
         chosen = recipe.build_weather() if weather is None else _as_weather(weather)
-        camera = recipe.build_camera() if sensor is None else _as_camera(sensor, recipe)
+        built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
         options = {**recipe.options, **overrides}
         if isinstance(options.get("depth"), str):
             options["depth"] = FlatGround()
-        kind = TRANSFORMS[recipe.transform]
-        # A mixture in place of a single weather needs the class that takes any.
-        if not all(part.kind in kind.takes for part in chosen.parts):
-            kind = BayerWeather
-        transform = kind(chosen, camera, **options)
+        transform = transform_class(recipe, chosen)(chosen, built, **options)  # type: ignore[arg-type]
     except (TypeError, ValueError) as error:
         raise TorchweatherError(f"{where}: {error}") from error
-    return AsBayer(transform) if rgb else transform
+    return AsBayer(transform) if rgb and isinstance(transform, BayerWeather) else transform
+
+
+def transform_class(recipe: Recipe, weather: Weather) -> type[BayerWeather] | type[LidarWeather]:
+    """The recipe's class; for a weather that it does not take, the one that takes any."""
+    kind = TRANSFORMS[recipe.transform]
+    if all(part.kind in kind.takes for part in weather.parts):
+        return kind
+    return LidarWeather if issubclass(kind, LidarWeather) else BayerWeather
 
 
 def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: str) -> None:
     """Write a transform as a recipe, whole or not at all.
 
     Args:
-        transform: ``BayerWeather`` or one of its kinds, or ``AsBayer`` around one.
+        transform: ``BayerWeather``, ``LidarWeather`` or one of their kinds, or ``AsBayer`` around one.
         path: the file, ending in ``.yaml``.
         title: what it does, in words.
 
     Raises:
-        ValueError: something that a recipe cannot hold: a depth map or function, stages put in (``Chain.save`` holds
-            those), another demosaicing.
+        ValueError: something that a recipe cannot hold: a depth map or function, directions of beams, stages put in
+            (``Chain.save`` holds those), another demosaicing.
 
     Example:
         >>> import tempfile
@@ -198,7 +216,7 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
         raise ValueError(f"save_recipe: the file must end in .yaml; got {target.name!r}.")
     rgb = isinstance(transform, AsBayer)
     inner = transform.transform if isinstance(transform, AsBayer) else transform
-    if not isinstance(inner, BayerWeather) or type(inner).__name__ not in TRANSFORMS:
+    if not isinstance(inner, RecipeTransform) or type(inner).__name__ not in TRANSFORMS:
         raise TypeError(
             f"save_recipe: transform must be one of {', '.join(TRANSFORMS)}, or AsBayer around one; got "
             f"{type(inner).__name__}."
@@ -210,8 +228,8 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
         "title": str(title),
         "transform": type(inner).__name__,
         "weather": inner.weather.to_dict(),
-        "sensor": {"kind": "camera", **_without_none(inner.camera.to_dict())},
-        "options": _options_of(inner),
+        "sensor": sensor_values(sensor_of(inner)),
+        "options": options_of(inner),
     }
     if rgb:
         values["rgb"] = True
@@ -264,18 +282,21 @@ def _checked(values: Any, path: Path) -> Recipe:
     for key, value in (("weather", values["weather"]), ("sensor", values["sensor"]), ("options", options)):
         if not isinstance(value, Mapping):
             raise TorchweatherError(f"{path}: {key} must be keys with values; got {value!r}.")
-    _refuse_unknown(options, OPTIONS, path, "option")
     transform = values["transform"]
     if transform not in TRANSFORMS:
         raise TorchweatherError(
             f"{path}: transform must be one of {', '.join(TRANSFORMS)}; got {transform!r}."
             f"{nearest_name(transform, TRANSFORMS)}"
         )
+    kind = kind_of(TRANSFORMS[transform])
+    _refuse_unknown(options, OPTIONS[kind], path, "option")
     depth = options.get("depth")
     if isinstance(depth, str) and depth != GROUND:
         raise TorchweatherError(f"{path}: options.depth must be a number of metres or {GROUND!r}; got {depth!r}.")
     if not isinstance(values.get("rgb", False), bool):
         raise TorchweatherError(f"{path}: rgb must be true or false; got {values['rgb']!r}.")
+    if values.get("rgb", False) and kind != "camera":
+        raise TorchweatherError(f"{path}: rgb belongs to a camera; the transform is {transform}. Leave it out.")
     recipe = Recipe(
         name=_name(path),
         title=str(values["title"]),
@@ -288,21 +309,37 @@ def _checked(values: Any, path: Path) -> Recipe:
     )
     try:
         recipe.build_weather()
-        recipe.build_camera()
+        recipe.build_sensor()
     except (TypeError, ValueError, KeyError) as error:
         raise TorchweatherError(f"{path}: {error}") from error
     return recipe
 
 
+def kind_of(transform: type[BayerWeather] | type[LidarWeather]) -> str:
+    """Kind of the sensor that a transform takes."""
+    return "lidar" if issubclass(transform, LidarWeather) else "camera"
+
+
 def camera_of(values: Mapping[str, Any]) -> Camera:
     """The camera of a recipe's ``sensor``: a preset with fields replaced, or all fields."""
+    preset, fields = _preset_and_fields(values, "camera")
+    return Camera.from_dict(fields) if preset is None else Camera.preset(preset, **fields)
+
+
+def lidar_of(values: Mapping[str, Any]) -> Lidar:
+    """The LiDAR of a recipe's ``sensor``: a preset with fields replaced, or all fields."""
+    preset, fields = _preset_and_fields(values, "lidar")
+    return Lidar.from_dict(fields) if preset is None else Lidar.preset(preset, **fields)
+
+
+def _preset_and_fields(values: Mapping[str, Any], wanted: str) -> tuple[str | None, dict[str, Any]]:
     fields = dict(values)
     kind, preset = fields.pop("kind", None), fields.pop("preset", None)
-    if kind != "camera":
-        raise ValueError(f"sensor.kind must be camera; got {kind!r}.")
+    if kind != wanted:
+        raise ValueError(f"sensor.kind must be {wanted}; got {kind!r}.")
     # A list of YAML stands for a tuple of the dataclass.
     fields = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
-    return Camera.from_dict(fields) if preset is None else Camera.preset(str(preset), **fields)
+    return None if preset is None else str(preset), fields
 
 
 def _as_weather(weather: Any) -> Weather:
@@ -312,13 +349,16 @@ def _as_weather(weather: Any) -> Weather:
     return built
 
 
-def _as_camera(sensor: Any, recipe: Recipe) -> Camera:
+def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar:
+    kind = recipe.sensor_kind
     if isinstance(sensor, Mapping):
         base = {} if "preset" in sensor else recipe.sensor
-        return camera_of({"kind": "camera", **base, **sensor})
+        values = {"kind": kind, **base, **sensor}
+        return lidar_of(values) if kind == "lidar" else camera_of(values)
     built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
-    if not isinstance(built, Camera):
-        raise TypeError(f"sensor must be a camera; got {getattr(built, 'kind', type(built).__name__)}.")
+    wanted = Lidar if kind == "lidar" else Camera
+    if not isinstance(built, wanted):
+        raise TypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
     return built
 
 
@@ -329,54 +369,3 @@ def _refuse_unknown(values: Mapping[str, Any], known: Iterable[str], path: Path,
             raise TorchweatherError(
                 f"{path}: unknown {what} {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
             )
-
-
-# ---- writing -------------------------------------------------------------------------------------------------------
-
-
-def _options_of(transform: BayerWeather) -> dict[str, Any]:
-    """The keyword arguments that the transform was built with, where they differ from the defaults."""
-    expected = type(transform)(transform.weather, transform.camera).chain.stages
-    stages = transform.chain.stages
-    if list(stages) != list(expected):
-        raise ValueError(
-            f"save_recipe: the chain has the stages {', '.join(stages)}, the transform makes {', '.join(expected)}; a "
-            "recipe cannot hold that. Use transform.chain.save(path)."
-        )
-    found: dict[str, Any] = {"airlight": transform.airlight}
-    for stage in stages.values():
-        if isinstance(stage, ExtinctionAndAirlight):
-            found |= {"extinction": stage.extinction_model, "variant": stage.variant}
-        elif isinstance(stage, ParticleVeil):
-            found |= {key: value for key, value in stage.options.items() if key in OPTIONS}
-    if transform.depth_source is not None:
-        found["depth"] = _depth_option(transform.depth_source)
-    plain = {key: list(value) if isinstance(value, tuple) else value for key, value in found.items()}
-    rebuilt = {key: value for key, value in plain.items() if value != OPTIONS[key]}
-    _check_same_chain(transform, rebuilt)
-    return rebuilt
-
-
-def _depth_option(source: object) -> float | str:
-    if isinstance(source, ConstantDepth):
-        return source.depth_m
-    if source == FlatGround():
-        return GROUND
-    raise ValueError(
-        f"save_recipe: a recipe holds a depth in metres or flat ground at the camera's height and pitch; got "
-        f"{type(source).__name__}. Build the transform without depth and give it at the call."
-    )
-
-
-def _check_same_chain(transform: BayerWeather, options: Mapping[str, Any]) -> None:
-    arguments = {key: value for key, value in options.items() if key != "depth"}
-    again: Chain = type(transform)(transform.weather, transform.camera, **arguments).chain
-    if again.to_dict() != transform.chain.to_dict():
-        raise ValueError(
-            "save_recipe: a stage of the chain was changed after the transform was built; a recipe cannot hold that. "
-            "Use transform.chain.save(path)."
-        )
-
-
-def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if value is not None}

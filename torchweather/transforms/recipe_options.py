@@ -1,0 +1,103 @@
+"""What a recipe says of a transform: its sensor, and its options where they differ from the defaults."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from torchweather.image.depth import ConstantDepth, FlatGround
+from torchweather.sensors import Camera, Lidar
+from torchweather.stages import Chain, Extinction, ExtinctionAndAirlight, ParticleReturns, ParticleVeil
+from torchweather.transforms.camera import BayerWeather
+from torchweather.transforms.lidar import LidarWeather
+
+__all__ = ["GROUND", "OPTIONS", "RecipeTransform", "options_of", "sensor_of", "sensor_values"]
+
+RecipeTransform = BayerWeather | LidarWeather
+GROUND = "ground"
+# By the kind of the sensor: options of the transform and their defaults.
+OPTIONS: dict[str, dict[str, Any]] = {
+    kind: {
+        name: parameter.default
+        for name, parameter in inspect.signature(transform.__init__).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    }
+    for kind, transform in (("camera", BayerWeather), ("lidar", LidarWeather))
+}
+
+
+def sensor_of(transform: RecipeTransform) -> Camera | Lidar:
+    """The sensor that a transform was built for."""
+    return transform.camera if isinstance(transform, BayerWeather) else transform.sensor
+
+
+def sensor_values(sensor: Camera | Lidar) -> dict[str, Any]:
+    """A sensor as a recipe holds it: all its fields that are set."""
+    if isinstance(sensor, Lidar) and sensor.directions is not None:
+        raise ValueError(
+            "save_recipe: directions belong to the data and not to a recipe. Save without them "
+            "(dataclasses.replace(lidar, directions=None)) and give them at the call."
+        )
+    fields = {key: value for key, value in sensor.to_dict().items() if value is not None}
+    return {"kind": sensor.kind, **fields}
+
+
+def options_of(transform: RecipeTransform) -> dict[str, Any]:
+    """The keyword arguments that the transform was built with, where they differ from the defaults."""
+    expected = type(transform)(transform.weather, sensor_of(transform)).chain.stages  # type: ignore[arg-type]
+    stages = transform.chain.stages
+    if list(stages) != list(expected):
+        raise ValueError(
+            f"save_recipe: the chain has the stages {', '.join(stages)}, the transform makes {', '.join(expected)}; a "
+            "recipe cannot hold that. Use transform.chain.save(path)."
+        )
+    if isinstance(transform, BayerWeather):
+        known, found = OPTIONS["camera"], _camera_options(transform)
+    else:
+        known, found = OPTIONS["lidar"], _lidar_options(transform)
+    plain = {key: list(value) if isinstance(value, tuple) else value for key, value in found.items()}
+    rebuilt = {key: value for key, value in plain.items() if value != known[key]}
+    _check_same_chain(transform, rebuilt)
+    return rebuilt
+
+
+def _camera_options(transform: BayerWeather) -> dict[str, Any]:
+    found: dict[str, Any] = {"airlight": transform.airlight}
+    for stage in transform.chain.stages.values():
+        if isinstance(stage, ExtinctionAndAirlight):
+            found |= {"extinction": stage.extinction_model, "variant": stage.variant}
+        elif isinstance(stage, ParticleVeil):
+            found |= {key: value for key, value in stage.options.items() if key in OPTIONS["camera"]}
+    if transform.depth_source is not None:
+        found["depth"] = _depth_option(transform.depth_source)
+    return found
+
+
+def _lidar_options(transform: LidarWeather) -> dict[str, Any]:
+    found: dict[str, Any] = {"lost": transform.lost, "complete_scan": transform.complete_scan}
+    for stage in transform.chain.stages.values():
+        if isinstance(stage, (Extinction, ParticleReturns)):
+            found |= stage.options
+    return found
+
+
+def _depth_option(source: object) -> float | str:
+    if isinstance(source, ConstantDepth):
+        return source.depth_m
+    if source == FlatGround():
+        return GROUND
+    raise ValueError(
+        f"save_recipe: a recipe holds a depth in metres or flat ground at the camera's height and pitch; got "
+        f"{type(source).__name__}. Build the transform without depth and give it at the call."
+    )
+
+
+def _check_same_chain(transform: RecipeTransform, options: Mapping[str, Any]) -> None:
+    arguments = {key: value for key, value in options.items() if key != "depth"}
+    again: Chain = type(transform)(transform.weather, sensor_of(transform), **arguments).chain  # type: ignore[arg-type]
+    if again.to_dict() != transform.chain.to_dict():
+        raise ValueError(
+            "save_recipe: a stage of the chain was changed after the transform was built; a recipe cannot hold that. "
+            "Use transform.chain.save(path)."
+        )
