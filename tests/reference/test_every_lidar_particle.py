@@ -179,6 +179,24 @@ def test_thinned_slabs_draw_what_plain_rejection_in_a_box_draws(kind: Kind, rate
     assert ks_distance(drawn.range_m, r) < ks_critical(len(drawn), x.size)
 
 
+def test_a_flake_wider_than_the_beam_is_as_bright_as_one_that_fills_it() -> None:
+    # A pencil beam, 1-4 mm wide: many flakes fill it, and an atom of the signals lies at the cap g(r).
+    link = Link(0.001, 0.0003, 40.0, near_start_m=0.0, near_full_m=1e-9, min_range_m=1.0, max_range_m=10.0)
+    medium = default_medium("snow", 3.0)
+    distance = np.full(2_000_000, np.inf)
+    particles = every_particle(distance, link, medium, rng=np.random.default_rng(10))
+    cap = 0.9 / math.pi * np.exp(-2.0 * medium.extinction_per_m * particles.range_m) / particles.range_m**2
+    assert np.all(particles.signal <= cap * (1.0 + 1e-12))
+    filled = particles.signal >= cap * (1.0 - 1e-12)
+    physical_m = 1e-3 * np.maximum(2.2947 * particles.diameter_mm**1.4437, 1.0293 * particles.diameter_mm)
+    assert np.array_equal(filled, physical_m >= link.beam_diameter_m(particles.range_m))
+    assert 0.05 < filled.mean() < 0.95
+    for energy in (link.threshold, 0.004, 0.01, 0.05):  # the last two above g(10 m) and g(5 m)
+        mean = distance.size * lambda_by_quadrature(energy, 10.0, link, medium)
+        assert mean > 100.0
+        assert abs(int((particles.signal >= energy).sum()) - mean) < 4.0 * math.sqrt(mean)
+
+
 def test_lower_floor_only_adds_weaker_particles() -> None:
     medium = default_medium("snow", 1.0)
     distance = np.full(40_000, 28.0)
