@@ -73,9 +73,10 @@ def test_windows_line_ends_in_the_header(tmp_path: Path) -> None:
         (ply("binary_little_endian", VERTEX) + bytes(25), "wanted 2 points of at least 13 bytes"),
         (ply("binary_little_endian", VERTEX.replace("vertex 2", "vertex 9999999999")) + bytes(26), "9999999999 points"),
         (ply("ascii", VERTEX.replace("vertex 2", "vertex 9999999999")) + bytes(26), "9999999999 points"),
-        (ply("binary_little_endian", CAMERA, VERTEX) + bytes(4), "ends within them"),
-        (ply("binary_little_endian", FACE, VERTEX) + bytes(8), "ends within them|wanted 2 points"),
+        (ply("binary_little_endian", CAMERA, VERTEX) + bytes(4), "wanted 1 rows of camera of at least 10 bytes"),
+        (ply("binary_little_endian", FACE, VERTEX) + bytes(8), "wanted 2 rows of face of at least 5 bytes"),
         (ply("binary_little_endian", FACE.replace("2", "999999999999", 1), VERTEX) + bytes(8), "999999999999"),
+        (ply("binary_little_endian", FACE, VERTEX) + bytes([255]) + bytes(20), "ends within them"),
         (ply("ascii", VERTEX) + b"1 2 3 4\n5 6 7 x\n", "x"),
     ],
 )

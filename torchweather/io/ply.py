@@ -192,7 +192,7 @@ def _skip(file: Any, element: _Element, source: Path) -> None:
     end = os.fstat(file.fileno()).st_size
     # Refused before a walk of hours; an element without properties takes no room and no time.
     smallest = sum(np.dtype(one.count_dtype or one.dtype).itemsize for one in element.properties)
-    check_rows_fit(source, element.count, smallest, end - file.tell())
+    check_rows_fit(source, element.count, smallest, end - file.tell(), f"rows of {element.name}")
     if not element.has_lists:
         file.seek(element.count * smallest, os.SEEK_CUR)
     else:

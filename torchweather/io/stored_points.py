@@ -126,10 +126,10 @@ def text_columns(stored: StoredPoints) -> list[npt.NDArray[Any]]:
     return columns
 
 
-def check_rows_fit(source: Path, rows: int, row_bytes: int, available_bytes: int) -> None:
+def check_rows_fit(source: Path, rows: int, row_bytes: int, available_bytes: int, what: str = "points") -> None:
     """Refuse a header that promises more than the file holds, before any memory is taken for it."""
     if rows * row_bytes > available_bytes:
         raise TorchweatherError(
-            f"{source}: wanted {rows} points of at least {row_bytes} bytes, as its header says; got {available_bytes} "
+            f"{source}: wanted {rows} {what} of at least {row_bytes} bytes, as its header says; got {available_bytes} "
             "bytes of data. The file is truncated or its header is wrong."
         )
