@@ -26,6 +26,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ def beams_of_recording(points: Tensor, snow: Tensor) -> tuple[Beams, Tensor, Ten
     scanner = tw.Lidar.preset(SCANNER)
     azimuth = torch.round(azimuth_deg(points) * AZIMUTH_STEPS_PER_DEG).long()
     key = recover_ring(points, scanner) * 1_000_000 + azimuth
-    _, beam = key.unique(return_inverse=True)
+    _, beam = torch.unique(key, return_inverse=True)
     count = int(beam.max()) + 1
     rows = torch.arange(len(points))
     last = torch.full((count,), len(points)).scatter_reduce(0, beam, rows, "amin")
@@ -183,6 +184,8 @@ def simulated(cloud: Tensor, along: Tensor, case: Case, rate_mm_per_h: float, se
             result = lidar.run(cloud, noise, directions=along)
         assert isinstance(result.points, Tensor)
         assert isinstance(result.second, Tensor)
+        assert isinstance(result.kind, Tensor)
+        assert isinstance(result.second_kind, Tensor)
         both = torch.stack([result.points, result.second], 1)
         kinds = torch.stack([result.kind, result.second_kind], 1)
         there = kinds != tw.PointKind.LOST
@@ -271,7 +274,7 @@ def rows_of(found: dict[str, Any]) -> dict[str, float]:
         elif name in ("snow without object, by elevation", "histogram"):
             continue
         elif name == "snow, given the object's range":
-            edges = zip(RANGE_EDGES_M, RANGE_EDGES_M[1:], strict=False)
+            edges = pairwise(RANGE_EDGES_M)
             flat |= {f"snow, object at {a:g} to {b:g} m": v for (a, b), v in zip(edges, value, strict=True)}
         elif name == "snow by azimuth sector":
             flat["sectors of 30 degrees: most over least"] = max(value) / max(min(value), 1e-9)
@@ -306,7 +309,7 @@ def draw(found: dict[str, Any], runs: Mapping[tuple[str, str, float], Any], path
     figure, axes = plt.subplots(2, 3, figsize=(15, 8.5), layout="constrained")
     rates = sorted({rate for _, _, rate in runs})
     colours = [plt.get_cmap("viridis")(0.9 * k / max(len(rates) - 1, 1)) for k in range(len(rates))]
-    middles = [0.5 * (a + b) for a, b in zip(RANGE_EDGES_M, RANGE_EDGES_M[1:], strict=False)]
+    middles = [0.5 * (a + b) for a, b in pairwise(RANGE_EDGES_M)]
     names = list(dict.fromkeys(name for name, _, _ in runs))
     for axis, name in zip(axes[0], names, strict=True):
         for colour, rate in zip(colours, rates, strict=True):
