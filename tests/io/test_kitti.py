@@ -11,7 +11,12 @@ import torch
 
 from torchweather.errors import TorchweatherError
 from torchweather.image import project_points
-from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+from torchweather.io import (
+    read_image,
+    read_kitti_calibration,
+    read_kitti_points,
+    read_kitti_rectified_from_lidar,
+)
 
 P2 = "721.5377 0.0 609.5593 44.85728 0.0 721.5377 172.854 0.2163791 0.0 0.0 1.0 0.002745884"
 
@@ -55,6 +60,22 @@ def test_full_calibration_chains_rectification_and_camera_offset(tmp_path: Path)
     assert point[2].item() == pytest.approx(projected[2].item())
     assert (x.item(), y.item()) == pytest.approx((projected[:2] / projected[2]).tolist(), abs=1e-9)
     assert depth.item() == pytest.approx(projected[2].item())
+
+
+def test_labels_are_placed_in_the_rectified_frame_of_camera_0(tmp_path: Path) -> None:
+    """First to the camera (z ahead), then a rectification by a quarter turn about z; no way on to camera 2."""
+    text = f"P2: {P2}\nR0_rect: 0 -1 0 1 0 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\n"
+    (tmp_path / "c.txt").write_text(text)
+    point = torch.tensor([10.0, 1.0, -1.0, 1.0], dtype=torch.float64)
+    # By hand: (-1, 1 - 0.08, 10 - 0.27) in the camera, x and y turned.
+    placed = read_kitti_rectified_from_lidar(tmp_path / "c.txt") @ point
+    assert placed.tolist() == pytest.approx([-0.92, -1.0, 9.73, 1.0])
+    # P2's own offset: K^-1 p.
+    seen = read_kitti_calibration(tmp_path / "c.txt").T_camera_from_lidar @ point
+    assert (seen - placed)[2].item() == pytest.approx(0.002745884)
+    (tmp_path / "d.txt").write_text("Tr_velo_to_cam: 1 2 3")
+    with pytest.raises(TorchweatherError, match="12 in Tr_velo_to_cam"):
+        read_kitti_rectified_from_lidar(tmp_path / "d.txt")
 
 
 def test_bare_projection_says_what_it_assumes(tmp_path: Path) -> None:
