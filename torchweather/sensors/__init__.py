@@ -7,8 +7,22 @@ from torchweather.sensors.base import Sensor
 from torchweather.sensors.camera import BAYER_PATTERNS, Camera
 from torchweather.sensors.lidar import INTENSITY_UNITS, RETURN_MODES, Lidar
 from torchweather.sensors.radar import Radar
+from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
 
-__all__ = ["BAYER_PATTERNS", "INTENSITY_UNITS", "RETURN_MODES", "Camera", "Lidar", "Radar", "Sensor", "sensor_preset"]
+__all__ = [
+    "BAYER_PATTERNS",
+    "INTENSITY_UNITS",
+    "RETURN_MODES",
+    "Camera",
+    "Lidar",
+    "Radar",
+    "Sensor",
+    "empty_beams",
+    "estimate_elevations",
+    "recover_ring",
+    "scan_directions",
+    "sensor_preset",
+]
 
 SENSOR_CLASSES: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"camera": Camera, "lidar": Lidar, "radar": Radar}
 DEFAULT_PRESETS = {"camera": "lucid-triton", "lidar": "ouster-os1-128", "radar": "imaging-77ghz"}

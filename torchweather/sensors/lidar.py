@@ -40,8 +40,8 @@ class Lidar(Sensor):
         near_start_m, near_full_m, near_power: near-range response of the receiver (overlap, defocus, gain),
             ``xi(R) = clip((R - near_start) / (near_full - near_start), 0, 1) ** near_power``. It decides most of what
             fog and snow look like.
-        min_range_m, max_range_m: particles nearer or farther are not reported; a beam without return is simulated
-            to ``max_range_m``.
+        min_range_m, max_range_m: nothing nearer is a return (rows of a cloud that lie there hold none), no particle
+            farther is reported; a beam without return is simulated to ``max_range_m``.
         photons_at_threshold: photons of a signal at the detection threshold, for photon noise and the unit ``photons``.
         range_resolution_m, range_noise_m: rounding and standard deviation of the range of a particle's return (the
             input's own returns have theirs already).
@@ -56,6 +56,9 @@ class Lidar(Sensor):
         elevations_deg: elevation of each ring, in the order of the sensor's ring numbers; ``None`` is unknown.
         columns: firings of each ring per turn.
         azimuth_offsets_deg: azimuth of each ring relative to its column; ``None`` is 0.
+        origin_heights_m: height of each ring's laser over the cloud's origin; ``None`` is 0.
+        ring_column: column of the cloud that holds the ring, 4 or more; ``None`` recovers it from the elevation where
+            it is needed.
         directions: ``(N, 3)`` direction of every row of an organised cloud, so that beams without return can be
             simulated too; not compared by ``==``.
 
@@ -88,6 +91,8 @@ class Lidar(Sensor):
     elevations_deg: tuple[float, ...] | None = None
     columns: int | None = None
     azimuth_offsets_deg: tuple[float, ...] | None = None
+    origin_heights_m: tuple[float, ...] | None = None
+    ring_column: int | None = None
     directions: Tensor | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -130,23 +135,28 @@ class Lidar(Sensor):
             )
 
     def _check_pattern(self) -> None:
-        for name in ("elevations_deg", "azimuth_offsets_deg"):
+        for name, limit, unit in (
+            ("elevations_deg", 90.0, "degrees"),
+            ("azimuth_offsets_deg", 360.0, "degrees"),
+            ("origin_heights_m", 10.0, "m"),
+        ):
             values = getattr(self, name)
             if values is None:
                 continue
             plain = tuple(float(value) for value in values)
             object.__setattr__(self, name, plain)
             for value in plain:
-                check_between(name, value, -360.0, 360.0, unit="degrees", owner=self)
+                check_between(name, value, -limit, limit, unit=unit, owner=self)
+            if len(plain) != len(self.elevations_deg or ()):
+                raise ValueError(
+                    f"Lidar: {name} must have one value for each of the {len(self.elevations_deg or ())} "
+                    f"elevations_deg; got {len(plain)}."
+                )
+        if self.ring_column is not None:
+            check_at_least("ring_column", self.ring_column, 4, owner=self)
         if self.columns is not None:
             check_at_least("columns", self.columns, 1, owner=self)
             object.__setattr__(self, "columns", int(self.columns))
-        offsets = self.azimuth_offsets_deg
-        if offsets is not None and len(offsets) != len(self.elevations_deg or ()):
-            raise ValueError(
-                f"Lidar: azimuth_offsets_deg must have one value for each of the {len(self.elevations_deg or ())} "
-                f"elevations_deg; got {len(offsets)}."
-            )
 
     @property
     def bands(self) -> dict[str, float]:

@@ -75,9 +75,9 @@ def recover_ring(points: Tensor, lidar: Lidar, *, origin_heights_m: Sequence[flo
     Args:
         points: ``(..., N, 3 or more)`` x, y, z in metres, in the sensor's own frame and not compensated for motion.
         lidar: with ``elevations_deg``, in the order of the sensor's ring numbers.
-        origin_heights_m: one height per ring; ``None`` is 0. The HDL-64E needs it: 0.204 m for its upper and 0.124 m
-            for its lower block in KITTI (fitted to one frame), which is 1 degree, three rings, at 10 m. Ouster's own
-            coordinates have 0.036 m (OS2: 0.078 m).
+        origin_heights_m: one height per ring; ``None`` takes the sensor's. The HDL-64E needs it: 0.204 m for its upper
+            and 0.124 m for its lower block in KITTI (fitted to one frame), which is 1 degree, three rings, at 10 m.
+            Ouster's own coordinates have 0.036 m (OS2: 0.078 m).
 
     Returns:
         int64 ``(..., N)``; -1 where there is no return (range 0, or a coordinate that is not finite).
@@ -99,7 +99,7 @@ def recover_ring(points: Tensor, lidar: Lidar, *, origin_heights_m: Sequence[flo
     """
     _check_points(points, "recover_ring")
     elevations = _elevations(lidar, "recover_ring", points.device)
-    heights = _heights(origin_heights_m, elevations, "recover_ring")
+    heights = _heights(origin_heights_m or lidar.origin_heights_m, elevations, "recover_ring")
     flat = points[..., :2].norm(dim=-1)
     best = torch.full_like(flat, math.inf)
     ring = torch.full(flat.shape, -1, dtype=torch.int64, device=points.device)
@@ -199,7 +199,7 @@ def empty_beams(
     ``max_gap_deg`` of azimuth. Rings without points there take the phase of the whole cloud.
 
     Args:
-        points: one cloud ``(N, 3 or more)``: x, y, z in metres; range 0 is no return.
+        points: one cloud ``(N, 3 or more)``: x, y, z in metres; range 0 or below ``min_range_m`` is no return.
         lidar: with ``elevations_deg``, ``columns`` (of this cloud: twice the turns per second halve it) and
             ``azimuth_offsets_deg``.
         ring: int ``(N,)`` ring of each point, below 0 for none; ``None`` takes ``recover_ring``.
@@ -230,7 +230,7 @@ def empty_beams(
     if ring is None:
         ring = recover_ring(points, lidar, origin_heights_m=origin_heights_m)
     _check_ring(ring, points, len(elevations))
-    seen = _has_return(points) & (ring >= 0)
+    seen = _has_return(points, lidar.min_range_m) & (ring >= 0)
     ring = ring[seen].long()
     azimuth = torch.rad2deg(torch.atan2(points[seen, 1].double(), points[seen, 0].double())) % TURN_DEG
     if not len(azimuth):
@@ -426,10 +426,11 @@ def _unit(elevation_deg: Tensor, azimuth_deg: Tensor) -> Tensor:
     return torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), elevation.sin()], dim=-1)
 
 
-def _has_return(points: Tensor) -> Tensor:
-    """Whether a row is a return: finite and not at the origin, ``(..., N)``."""
+def _has_return(points: Tensor, nearest_m: float = 0.0) -> Tensor:
+    """Whether a row is a return: finite, not at the origin, not nearer than the sensor measures, ``(..., N)``."""
     xyz = points[..., :3]
-    return torch.isfinite(xyz).all(-1) & (xyz != 0).any(-1)
+    found: Tensor = torch.isfinite(xyz).all(-1) & (xyz != 0).any(-1)
+    return found & (xyz.norm(dim=-1) >= nearest_m) if nearest_m > 0 else found
 
 
 def _elevations(lidar: Lidar, owner: str, device: torch.device | None) -> Tensor:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchweather.errors import TorchweatherWarning, owner_name
-from torchweather.sensors import Lidar
+from torchweather.sensors import Lidar, empty_beams
 from torchweather.sensors.lidar import unit_directions
 from torchweather.stages.by_rows import is_exporting
 
@@ -32,10 +31,15 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
             f"{name}: points must be a tensor (..., N, 4 or more); got {type(points).__name__}. For a numpy array call "
             "on_numpy(points)."
         )
+    wanted = max(4, (sensor.ring_column or 0) + 1)
     if points.ndim < 2 or points.shape[-1] < 4:
         raise ValueError(
             f"{name}: points must have shape (..., N, 4 or more) = {COLUMNS_WANTED}; got {tuple(points.shape)}. If "
             'your sensor gives no intensity, append a column of ones and set Lidar(intensity_unit="none").'
+        )
+    if points.shape[-1] < wanted:
+        raise ValueError(
+            f"{name}: Lidar(ring_column={sensor.ring_column}) needs {wanted} columns; got {tuple(points.shape)}."
         )
     if not points.is_floating_point():
         raise TypeError(f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float().")
@@ -149,10 +153,10 @@ def _fitting(directions: Tensor, points: Tensor, owner: object) -> Tensor:
 
 def _completed(flat: Tensor, sensor: Lidar) -> Beams:
     """Append the beams that the scan pattern has and the cloud lacks; samples that lack fewer get rows of zeros."""
-    from torchweather.sensors.scan import empty_beams
-
     batch, count, columns = flat.shape
-    missing: Sequence[Tensor] = [empty_beams(cloud, sensor)[0] for cloud in flat]
+    column = sensor.ring_column
+    rings = [None if column is None else cloud[:, column].long() for cloud in flat]
+    missing = [empty_beams(cloud, sensor, ring)[0] for cloud, ring in zip(flat, rings, strict=True)]
     most = max((len(one) for one in missing), default=0)
     rows = flat.new_zeros(batch, most, columns)
     direction = flat.new_zeros(batch, count + most, 3)

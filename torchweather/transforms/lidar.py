@@ -289,10 +289,9 @@ class LidarWeather(nn.Module):
             >>> lidar.on_numpy(np.array([[9.0, 1.0, 0.5, 40.0]], dtype=np.float32), seed=1).dtype
             dtype('float32')
         """
-        array = np.ascontiguousarray(points)
         with torch.no_grad():
-            cloud = torch.from_numpy(array)
-            along = None if directions is None else torch.from_numpy(np.ascontiguousarray(directions))
+            cloud = _from_numpy(points)
+            along = None if directions is None else _from_numpy(directions)
             noise = self.draw(cloud, seed=seed)
             out = self(cloud, noise, directions=along)
         found: NDArray[Any] = out.numpy()
@@ -372,8 +371,7 @@ class LidarWeather(nn.Module):
         self._check_knobs(points.shape[:-2])
         beams = beams_of(points, self.sensor, directions, complete_scan=self.complete_scan, owner=self)
         flat = beams.points
-        x, y, z = flat[..., :3].unbind(-1)
-        range_m = (x * x + y * y + z * z).sqrt()
+        range_m = _range_m(flat, self.sensor.min_range_m)
         reach_m = range_m
         if beams.empty_direction is not None:
             farthest: float | Tensor = self.sensor.max_range_m
@@ -452,13 +450,26 @@ class LidarWeather(nn.Module):
         if values.ndim == 3:  # the cloud itself
             values = values.to(points.dtype)
             if self.lost == "nan":
-                gone = (kind == PointKind.LOST) & (beams.points[..., :3] != 0).any(-1)
+                had_return = _range_m(beams.points, self.sensor.min_range_m) > 0
+                gone = (kind == PointKind.LOST) & had_return
                 first = torch.arange(values.shape[-1], device=values.device) < 4
                 values = torch.where(gone[..., None] & first, torch.full_like(values, torch.nan), values)
         if self.lost != "drop":
             return values.reshape(*batch, *values.shape[1:])
         kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
+
+
+def _range_m(points: Tensor, min_range_m: float) -> Tensor:
+    """Range of each row, 0 where it holds no return: at the origin, or nearer than the sensor measures."""
+    x, y, z = points[..., :3].unbind(-1)
+    range_m = (x * x + y * y + z * z).sqrt()
+    return torch.where(range_m < min_range_m, 0.0, range_m) if min_range_m > 0 else range_m
+
+
+def _from_numpy(array: NDArray[Any]) -> Tensor:
+    # A simulator's buffer may be read-only, which torch warns of: that one is copied.
+    return torch.from_numpy(np.require(array, requirements=("C", "W")))
 
 
 @dataclass(frozen=True)
