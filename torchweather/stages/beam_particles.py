@@ -125,8 +125,8 @@ class BeamParticles(nn.Module):
         position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1)
         node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
         tails = self._tails(batch)
-        flat = node.reshape(batch, -1)
-        per_m3 = torch.lerp(tails.gather(1, flat), tails.gather(1, flat + 1), (position - node).reshape(batch, -1))
+        flat = node.flatten(1)
+        per_m3 = torch.lerp(tails.gather(1, flat), tails.gather(1, flat + 1), (position - node).flatten(1))
         per_m = torch.where(ratio < 1.0, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))

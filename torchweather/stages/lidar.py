@@ -498,18 +498,19 @@ class ToPoints(Stage):
         range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
         particle, lost, seen = kind == PARTICLE, kind == LOST, clear > 0
         range_m = torch.where(particle, self._measured(range_m, noise), range_m)
-        # 1 for an object that stayed where it was.
-        scale = range_m / torch.where(seen, clear, 1.0)
+        gone = lost & seen
+        # 1 for an object that stayed where it was, and for a beam that was empty and stayed so.
+        scale = torch.where(lost, 1.0, range_m / torch.where(seen, clear, 1.0))
         columns = list(points[..., :3].unbind(-1))  # one by one: several times faster than under a mask of one column
         if state.empty_direction is not None:
             along = state.empty_direction.to(points).unbind(-1)
             here = seen | lost
             columns = [torch.where(here, own, given) for own, given in zip(columns, along, strict=True)]
-        columns = [torch.where(lost, 0.0, column * scale) for column in columns]
+        columns = [torch.where(gone, 0.0, column * scale) for column in columns]
         gain = signal / torch.where(seen, state.clear_signal, 1.0)
         unit, intensity = self.sensor.intensity_unit, points[..., 3]
         returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
         value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
         # A beam that was empty and stayed so keeps what it came with.
-        value = torch.where(lost, torch.where(seen, 0.0, intensity), value)
+        value = torch.where(gone, 0.0, torch.where(lost, intensity, value))
         return torch.stack([*columns, value, *points[..., 4:].unbind(-1)], -1)

@@ -114,10 +114,10 @@ class ReturnTable:
         end = between[..., -1:]
         v = torch.arange(PLACE_NODES).to(between) / (PLACE_NODES - 1)
         base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
-        wanted = (end * (1.0 - (1.0 - v * v).square())).reshape(batch, -1)
+        wanted = (end * (1.0 - (1.0 - v * v).square())).flatten(1)
         cells = between.reshape(batch, signals * places)
         place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted, places)
-        share = (between / end.clamp_min(FEW)).reshape(batch, -1)
+        share = (between / end.clamp_min(FEW)).flatten(1)
         return cls(signal, share, place, places, signals)
 
     def strongest_before(self, arrivals: Tensor, place: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
