@@ -1,4 +1,4 @@
-"""ONNX: camera transforms as graphs (``to_onnx``), and the noise to feed them, drawn without torch (``draw_feed``)."""
+"""ONNX: camera and LiDAR transforms as graphs (``to_onnx``), their noise drawn without torch (``draw_feed``)."""
 
 from __future__ import annotations
 

@@ -22,30 +22,54 @@ METADATA_KEY = "torchweather_variates"
 
 
 def draw_feed(
-    model: str | os.PathLike[str] | bytes | InferenceSession, *, height: int, width: int, seed: int
+    model: str | os.PathLike[str] | bytes | InferenceSession,
+    *,
+    height: int | None = None,
+    width: int | None = None,
+    points: int | None = None,
+    seed: int | Sequence[int],
 ) -> dict[str, NDArray[np.float32]]:
-    """The noise inputs of an exported graph for a frame size and a seed, as numpy arrays.
+    """The noise inputs of an exported graph for a size of the data and a seed, as numpy arrays.
 
     Args:
         model: the onnxruntime session that runs the graph, or the graph's file or bytes (read anew at each call).
-        height, width: of the frame, pixels, even.
-        seed: the sample's integer; the numbers equal ``transform.draw(frame, seed=seed)``.
+        height, width: of a camera's frame, pixels, even.
+        points: rows of a LiDAR's cloud.
+        seed: the sample's integer, or one for each sample of a batch; the numbers equal
+            ``transform.draw(data, seed=seed)``.
 
     Returns:
-        Input name to float32 array with a leading 1; empty for fog.
+        Input name to float32 array that leads with the batch, 1 for a single integer; empty for a camera's fog.
 
     Raises:
         TorchweatherError: the model was not written by ``to_onnx``.
     """
-    if height < 2 or width < 2 or height % 2 or width % 2:
-        raise ValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
+    sizes = _sizes(height, width, points)
+    variates = _variates_of(model)
+    of_clouds = any("N" in variate.shape for variate in variates.values())
+    if variates and of_clouds != ("N" in sizes):
+        wanted, given = ("points", "height and width") if of_clouds else ("height and width", "points")
+        raise ValueError(f"draw_feed: the noise of this graph is made from {wanted}; got {given}.")
+    seeds = [int(one) for one in seed] if isinstance(seed, Sequence) else [int(seed)]
     by_stage: dict[str, list[Variate]] = defaultdict(list)
-    for key, variate in _variates_of(model).items():
+    for key, variate in variates.items():
         by_stage[key.partition(".")[0]].append(variate)
     feed: dict[str, NDArray[np.float32]] = {}
-    for stage, variates in by_stage.items():
-        feed.update(draw_variates([seed], stage, variates, sizes_of(height, width)))
+    for stage, own in by_stage.items():
+        feed.update(draw_variates(seeds, stage, own, sizes))
     return feed
+
+
+def _sizes(height: int | None, width: int | None, points: int | None) -> dict[str, int]:
+    if points is not None and height is None and width is None:
+        if points < 0:
+            raise ValueError(f"draw_feed: points must be 0 or more; got {points}.")
+        return {"N": points}
+    if points is not None or height is None or width is None:
+        raise ValueError("draw_feed: give height and width of a camera's frame, or the points of a LiDAR's cloud.")
+    if height < 2 or width < 2 or height % 2 or width % 2:
+        raise ValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
+    return sizes_of(height, width)
 
 
 def variates_to_metadata(variates: Mapping[str, Variate]) -> str:

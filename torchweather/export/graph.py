@@ -1,4 +1,4 @@
-"""A camera transform as one ONNX graph, with its noise, its knob and the intrinsics as inputs.
+"""A camera or LiDAR transform as one ONNX graph, with its noise, its knob and what depends on the data as inputs.
 
 The graph draws nothing; ``draw_feed`` makes its noise inputs from a seed.
 """
@@ -12,92 +12,64 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
 
+from torchweather.export.camera_graph import traceable_camera
 from torchweather.export.feed import METADATA_KEY, variates_to_metadata
-from torchweather.image.bayer import cfa_colour_index
-from torchweather.random import draw_variates, sizes_of
-from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
+from torchweather.export.lidar_graph import traceable_lidar
+from torchweather.export.traceable import Traceable
 from torchweather.transforms.camera import BayerWeather
+from torchweather.transforms.lidar import LidarWeather
 
 __all__ = ["to_onnx"]
 
-INTRINSICS = ("fx", "fy", "cx", "cy")
 OPSET = 20
 
 
-class _Graph(nn.Module):
-    """A camera transform as a function of tensors only."""
+def to_onnx(
+    transform: BayerWeather | LidarWeather,
+    path: str | os.PathLike[str],
+    *,
+    height: int = 64,
+    width: int = 96,
+    points: int = 1000,
+    columns: int = 4,
+    directions: bool | None = None,
+) -> list[str]:
+    """Write a camera or LiDAR transform as an ONNX graph; everything in it is float32.
 
-    def __init__(self, transform: BayerWeather) -> None:
-        super().__init__()
-        self.chain = transform.chain
-        self.camera = transform.camera
-        self.register_buffer("cfa_index", torch.tensor(cfa_colour_index(self.camera.bayer_pattern)))
-        self.cfa_index: Tensor
-        self.variates = {
-            f"{name}.{variate.name}": variate
-            for name, stage in self.chain.stages.items()
-            for variate in stage.variates()
-        }
-        self.knobs = _knobs(transform)
+    Inputs of a camera's graph: ``bayer`` and ``depth`` ``(1, 1, H, W)`` (linear, black 0, saturation 1; metres),
+    ``fx, fy, cx, cy`` in pixels, the knob (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its names
+    (``draw_feed``). Output: ``signal`` ``(1, 1, H, W)``. H and W are dynamic and even.
 
-    def forward(
-        self, bayer: Tensor, depth: Tensor, intrinsics: list[Tensor], knobs: list[Tensor], noise: list[Tensor]
-    ) -> Tensor:
-        height, width = bayer.shape[-2:]
-        fx, fy, cx, cy = intrinsics
-        x = (torch.arange(width, device=bayer.device).to(bayer.dtype) - cx) / fx
-        y = (torch.arange(height, device=bayer.device).to(bayer.dtype) - cy) / fy
-        x, y = self.camera.undistort(x[None, :], y[:, None])
-        ray = torch.sqrt(1 + x.square() + y.square())[None, None]
-        state = CameraState(
-            signal=bayer,
-            depth_m=depth,
-            ray_per_depth=ray,
-            cfa_index=self.cfa_index,
-            intrinsics=torch.stack([fx, fy, cx, cy])[None],
-        )
-        named_noise = dict(zip(self.variates, noise, strict=True))
-        named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))
-        after: CameraState = torch.func.functional_call(self.chain, named_knobs, (state, named_noise))
-        return after.signal
+    Inputs of a LiDAR's graph: ``points`` ``(B, N, columns)``, ``directions`` ``(N, 3)`` if asked for, the knob
+    ``(B,)``, and the noise. Outputs: ``cloud`` ``(B, N, columns)`` and ``kind`` ``(B, N)`` int8 (``PointKind``); for a
+    dual-return sensor also ``second`` and ``second_kind``, whose row i is of the same beam as row i of ``points``. B
+    and N are dynamic.
 
-
-def _knobs(transform: BayerWeather) -> dict[str, str]:
-    """Graph input name to buffer name of every knob."""
-    found: dict[str, str] = {}
-    for name, stage in transform.chain.stages.items():
-        if isinstance(stage, ExtinctionAndAirlight):
-            found["mor_m"] = f"_stages.{name}.mor_m"
-        if isinstance(stage, ParticleVeil):
-            alone = len(stage.parts) == 1
-            for number, part in enumerate(stage.parts):
-                key = "rate_mm_per_h" if alone else f"{part.weather.kind}_rate_mm_per_h"
-                found[key] = f"_stages.{name}.populations.{number}.rate_mm_per_h"
-    return found
-
-
-def to_onnx(transform: BayerWeather, path: str | os.PathLike[str], *, height: int = 64, width: int = 96) -> list[str]:
-    """Write a camera transform as an ONNX graph.
-
-    Inputs: ``bayer`` and ``depth`` ``(1, 1, H, W)`` float32 (linear, black 0, saturation 1; metres), ``fx, fy, cx, cy``
-    in pixels, the knob (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its names (``draw_feed``).
-    Output: ``signal`` ``(1, 1, H, W)``. H and W are dynamic and even.
+    In a mixture of rain and snow the rates are ``rain_rate_mm_per_h`` and ``snow_rate_mm_per_h``.
 
     Args:
-        transform: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather``.
+        transform: ``BayerRain``, ``LidarFog``, ... , ``BayerWeather`` or ``LidarWeather``.
         path: where to write; under a temporary name first.
-        height, width: size of the traced frame; any even size runs.
+        height, width: of a camera's traced frame; any even size runs.
+        points: of a LiDAR's traced cloud; any number runs.
+        columns: of every cloud of a LiDAR: x, y, z, intensity and others that are carried along.
+        directions: whether a LiDAR's graph takes the direction of every row, so that beams without return are simulated
+            too; ``None``: if the transform's sensor has directions.
 
     Returns:
         Names of the graph's inputs, in order.
 
     Note:
-        Lens distortion, pattern, exposure, cut and the size distribution are fixed in the graph. The focal length may
-        be set freely; above the transform's own, the faintest listed particles become fewer. The margins around the
-        frame, from which moving particles reach into it, are those of the transform's camera: for a frame much larger
-        than it, with a tilted or distorting camera or a moving one, export the transform of the larger camera.
+        Camera: lens distortion, pattern, exposure, cut and the size distribution are fixed in the graph. The focal
+        length may be set freely; above the transform's own, the faintest listed particles become fewer. The margins
+        around the frame, from which moving particles reach into it, are those of the transform's camera: for a frame
+        much larger than it, with a tilted or distorting camera or a moving one, export the transform of the larger
+        camera.
+
+        LiDAR: sensor, return mode and the number of particles in a beam are fixed in the graph; the last follows from
+        the transform's rate in the modes ``last``, ``first`` and ``dual``, so export the largest rate that will be fed.
+        The graph checks nothing: coordinates must be finite and directions not 0.
 
     Example:
         >>> from torchweather.sensors import Camera
@@ -115,26 +87,44 @@ def to_onnx(transform: BayerWeather, path: str | os.PathLike[str], *, height: in
         raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
     if height % 2 or width % 2 or height < 4 or width < 4:
         raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
-    if not isinstance(transform, BayerWeather):
-        raise TypeError(
-            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera); got "
-            f"{type(transform).__name__}."
-        )
+    if points < 2 or columns < 4:
+        raise ValueError(f"to_onnx: points must be 2 or more and columns 4 or more; got {points} and {columns}.")
     target = Path(path)
+    if not isinstance(transform, (BayerWeather, LidarWeather)):
+        raise TypeError(
+            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), or a LiDAR transform, "
+            f"such as LidarRain(Rain(25), lidar); got {type(transform).__name__}."
+        )
     if not target.parent.is_dir():
         raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")
-    device = next(transform.buffers()).device
-    graph = _Graph(transform).to(device)
-    arguments, shapes, names = _example(graph, height, width, device)
+    if isinstance(transform, LidarWeather):
+        traceable = traceable_lidar(transform, points, columns, directions)
+    else:
+        traceable = traceable_camera(transform, height, width)
+    model = _traced(traceable)
+    onnx.checker.check_model(model)
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(model.SerializeToString())
+        os.replace(temporary, target)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return traceable.inputs
+
+
+def _traced(traceable: Traceable) -> Any:
+    """The graph, as onnx holds it."""
     with torch.no_grad(), warnings.catch_warnings():
         # The exporter's own: deprecated calls inside torch, and inputs that it names by position.
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
-            graph,
-            arguments,
-            input_names=names,
-            output_names=["signal"],
-            dynamic_shapes=shapes,
+            traceable.module,
+            traceable.arguments,
+            input_names=traceable.inputs,
+            output_names=traceable.outputs,
+            dynamic_shapes=traceable.dynamic_shapes,
             opset_version=OPSET,
             dynamo=True,
             optimize=False,
@@ -145,17 +135,8 @@ def to_onnx(transform: BayerWeather, path: str | os.PathLike[str], *, height: in
     model = program.model_proto
     entry = model.metadata_props.add()
     entry.key = METADATA_KEY
-    entry.value = variates_to_metadata(graph.variates)
-    onnx.checker.check_model(model)
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(model.SerializeToString())
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return names
+    entry.value = variates_to_metadata(traceable.variates)
+    return model
 
 
 def _tidy(model: Any) -> None:
@@ -171,31 +152,3 @@ def _tidy(model: Any) -> None:
     optimizer.fold_constants(model)
     common.CommonSubexpressionEliminationPass()(model)
     optimizer.remove_unused_nodes(model)
-
-
-def _example(
-    graph: _Graph, height: int, width: int, device: torch.device
-) -> tuple[tuple[Any, ...], tuple[Any, ...], list[str]]:
-    """Arguments to trace with, their dynamic dimensions, and the names of the inputs."""
-    sizes = sizes_of(height, width)
-    half_h, half_w = torch.export.Dim("half_height", min=1), torch.export.Dim("half_width", min=1)
-    dims = {"H": 2 * half_h, "W": 2 * half_w}
-    frame = {2: dims["H"], 3: dims["W"]}
-    noise, noise_shapes = [], []
-    for number, (key, variate) in enumerate(graph.variates.items()):
-        stage, _, _ = key.partition(".")
-        array = draw_variates([0], stage, [variate], sizes)[key]
-        noise.append(torch.from_numpy(array).to(device))
-        if variate.law == "points":
-            noise_shapes.append({1: torch.export.Dim(f"points_{number}", min=2)})
-        else:
-            noise_shapes.append({i + 1: dims[d] for i, d in enumerate(variate.shape) if isinstance(d, str)})
-    knobs = [torch.full((1,), 50.0, device=device) for _ in graph.knobs]
-    camera = graph.camera
-    intrinsics = [torch.tensor(float(value), device=device) for value in camera.intrinsics]
-    generator = torch.Generator().manual_seed(0)
-    bayer = torch.rand(1, 1, height, width, generator=generator).to(device)
-    depth = 5.0 + 20.0 * torch.rand(1, 1, height, width, generator=generator).to(device)
-    arguments = (bayer, depth, intrinsics, knobs, noise)
-    shapes: tuple[Any, ...] = (frame, frame, [{} for _ in intrinsics], [{} for _ in knobs], noise_shapes)
-    return arguments, shapes, ["bayer", "depth", *INTRINSICS, *graph.knobs, *graph.variates]

@@ -1,0 +1,106 @@
+"""A camera transform as a function of tensors: frame, depth, intrinsics, knobs and noise in, signal out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.export.traceable import Traceable
+from torchweather.image.bayer import cfa_colour_index
+from torchweather.random import draw_variates, sizes_of
+from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
+from torchweather.transforms.camera import BayerWeather
+
+__all__ = ["traceable_camera"]
+
+INTRINSICS = ("fx", "fy", "cx", "cy")
+
+
+def traceable_camera(transform: BayerWeather, height: int, width: int) -> Traceable:
+    """What the exporter needs of a camera transform; ``height`` and ``width`` are those of the traced frame."""
+    device = next(transform.buffers()).device
+    graph = _CameraGraph(transform).to(device)
+    arguments, shapes, names = _example(graph, height, width, device)
+    return Traceable(graph, arguments, shapes, names, ["signal"], graph.variates)
+
+
+class _CameraGraph(nn.Module):
+    """A camera transform as a function of tensors only."""
+
+    def __init__(self, transform: BayerWeather) -> None:
+        super().__init__()
+        self.chain = transform.chain
+        self.camera = transform.camera
+        self.register_buffer("cfa_index", torch.tensor(cfa_colour_index(self.camera.bayer_pattern)))
+        self.cfa_index: Tensor
+        self.variates = {
+            f"{name}.{variate.name}": variate
+            for name, stage in self.chain.stages.items()
+            for variate in stage.variates()
+        }
+        self.knobs = _knobs(transform)
+
+    def forward(
+        self, bayer: Tensor, depth: Tensor, intrinsics: list[Tensor], knobs: list[Tensor], noise: list[Tensor]
+    ) -> Tensor:
+        height, width = bayer.shape[-2:]
+        fx, fy, cx, cy = intrinsics
+        x = (torch.arange(width, device=bayer.device).to(bayer.dtype) - cx) / fx
+        y = (torch.arange(height, device=bayer.device).to(bayer.dtype) - cy) / fy
+        x, y = self.camera.undistort(x[None, :], y[:, None])
+        ray = torch.sqrt(1 + x.square() + y.square())[None, None]
+        state = CameraState(
+            signal=bayer,
+            depth_m=depth,
+            ray_per_depth=ray,
+            cfa_index=self.cfa_index,
+            intrinsics=torch.stack([fx, fy, cx, cy])[None],
+        )
+        named_noise = dict(zip(self.variates, noise, strict=True))
+        named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))
+        after: CameraState = torch.func.functional_call(self.chain, named_knobs, (state, named_noise))
+        return after.signal
+
+
+def _knobs(transform: BayerWeather) -> dict[str, str]:
+    """Graph input name to buffer name of every knob."""
+    found: dict[str, str] = {}
+    for name, stage in transform.chain.stages.items():
+        if isinstance(stage, ExtinctionAndAirlight):
+            found["mor_m"] = f"_stages.{name}.mor_m"
+        if isinstance(stage, ParticleVeil):
+            alone = len(stage.parts) == 1
+            for number, part in enumerate(stage.parts):
+                key = "rate_mm_per_h" if alone else f"{part.weather.kind}_rate_mm_per_h"
+                found[key] = f"_stages.{name}.populations.{number}.rate_mm_per_h"
+    return found
+
+
+def _example(
+    graph: _CameraGraph, height: int, width: int, device: torch.device
+) -> tuple[tuple[Any, ...], tuple[Any, ...], list[str]]:
+    """Arguments to trace with, their dynamic dimensions, and the names of the inputs."""
+    sizes = sizes_of(height, width)
+    half_h, half_w = torch.export.Dim("half_height", min=1), torch.export.Dim("half_width", min=1)
+    dims = {"H": 2 * half_h, "W": 2 * half_w}
+    frame = {2: dims["H"], 3: dims["W"]}
+    noise, noise_shapes = [], []
+    for number, (key, variate) in enumerate(graph.variates.items()):
+        stage, _, _ = key.partition(".")
+        array = draw_variates([0], stage, [variate], sizes)[key]
+        noise.append(torch.from_numpy(array).to(device))
+        if variate.law == "points":
+            noise_shapes.append({1: torch.export.Dim(f"points_{number}", min=2)})
+        else:
+            noise_shapes.append({i + 1: dims[d] for i, d in enumerate(variate.shape) if isinstance(d, str)})
+    knobs = [torch.full((1,), 50.0, device=device) for _ in graph.knobs]
+    camera = graph.camera
+    intrinsics = [torch.tensor(float(value), device=device) for value in camera.intrinsics]
+    generator = torch.Generator().manual_seed(0)
+    bayer = torch.rand(1, 1, height, width, generator=generator).to(device)
+    depth = 5.0 + 20.0 * torch.rand(1, 1, height, width, generator=generator).to(device)
+    arguments = (bayer, depth, intrinsics, knobs, noise)
+    shapes: tuple[Any, ...] = (frame, frame, [{} for _ in intrinsics], [{} for _ in knobs], noise_shapes)
+    return arguments, shapes, ["bayer", "depth", *INTRINSICS, *graph.knobs, *graph.variates]

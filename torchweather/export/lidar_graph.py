@@ -1,0 +1,134 @@
+"""A LiDAR transform as a function of tensors: points, directions, knobs and noise in, points and their kind out."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.export.traceable import Traceable
+from torchweather.random import Variate, draw_variates
+from torchweather.stages import Extinction, ParticleReturns
+from torchweather.transforms.lidar import LidarWeather
+from torchweather.weather import Mixture
+
+__all__ = ["traceable_lidar"]
+
+OUTPUTS = ("cloud", "kind", "second", "second_kind")
+TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
+FALLING = ("rain", "snow")
+
+
+def traceable_lidar(transform: LidarWeather, points: int, columns: int, directions: bool | None) -> Traceable:
+    """What the exporter needs of a LiDAR transform.
+
+    Args:
+        transform: whose lost points stay rows and whose clouds are not completed; anything else is refused.
+        points: of the traced cloud.
+        columns: of every cloud.
+        directions: whether the graph takes the direction of every row; ``None``: if the transform's sensor has them.
+    """
+    if transform.lost == "drop":
+        raise ValueError(
+            f'to_onnx: {type(transform).__name__}(lost="drop") gives as many points as are left, which no graph can '
+            'say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
+        )
+    if transform.complete_scan:
+        raise ValueError(
+            f"to_onnx: {type(transform).__name__}(complete_scan=True) appends as many beams as a cloud lacks, which no "
+            "graph can say beforehand. Give the graph an organised cloud and its directions (directions=True)."
+        )
+    if directions is None:
+        directions = transform.sensor.directions is not None
+    graph = _LidarGraph(transform)
+    batch, count = torch.export.Dim("batch", min=1), torch.export.Dim("points", min=1)
+    device = next(transform.buffers()).device
+    generator = torch.Generator().manual_seed(0)
+    cloud = (1.0 + 50.0 * torch.rand(TRACED_BATCH, points, columns, generator=generator)).to(device)
+    along = [torch.nn.functional.normalize(cloud[0, :, :3], dim=-1)] if directions else []
+    knobs = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.knobs]
+    noise, noise_shapes = [], []
+    for key, variate in graph.variates.items():
+        stage, _, _ = key.partition(".")
+        array = draw_variates(range(TRACED_BATCH), stage, [variate], {"N": points})[key]
+        noise.append(torch.from_numpy(array).to(device))
+        noise_shapes.append({0: batch} | {i + 1: count for i, size in enumerate(variate.shape) if size == "N"})
+    shapes: tuple[Any, ...] = (
+        {0: batch, 1: count},
+        [{0: count} for _ in along],
+        [{0: batch} for _ in knobs],
+        noise_shapes,
+    )
+    inputs = ["points", *(["directions"] if directions else []), *graph.knobs, *graph.variates]
+    outputs = list(OUTPUTS if transform.sensor.return_mode == "dual" else OUTPUTS[:2])
+    return Traceable(graph, (cloud, along, knobs, noise), shapes, inputs, outputs, graph.variates)
+
+
+class _LidarGraph(nn.Module):
+    """A LiDAR transform as a function of tensors only."""
+
+    def __init__(self, transform: LidarWeather) -> None:
+        super().__init__()
+        self.weathered = _Weathered(_for_any_cloud(transform))
+        self.variates = _variates(transform)
+        self.knobs = _knobs(transform)
+
+    def forward(
+        self, points: Tensor, directions: list[Tensor], knobs: list[Tensor], noise: list[Tensor]
+    ) -> tuple[Tensor, ...]:
+        named_noise = dict(zip(self.variates, noise, strict=True))
+        named_knobs = {
+            f"transform.chain.{buffer}": knob
+            for buffers, knob in zip(self.knobs.values(), knobs, strict=True)
+            for buffer in buffers
+        }
+        along = directions[0] if directions else None
+        found: tuple[Tensor, ...] = torch.func.functional_call(
+            self.weathered, named_knobs, (points, along, named_noise)
+        )
+        return found
+
+
+class _Weathered(nn.Module):
+    """The tensors of ``LidarWeather.run`` that a graph gives."""
+
+    def __init__(self, transform: LidarWeather) -> None:
+        super().__init__()
+        self.transform = transform
+
+    def forward(self, points: Tensor, directions: Tensor | None, noise: dict[str, Tensor]) -> tuple[Tensor, ...]:
+        result = self.transform.run(points, noise, directions=directions)
+        found = (result.points, result.kind, result.second, result.second_kind)
+        return tuple(tensor for tensor in found if isinstance(tensor, Tensor))
+
+
+def _for_any_cloud(transform: LidarWeather) -> LidarWeather:
+    """The transform without what fits one cloud alone: directions, number of columns, a knob for each sample."""
+    fits_any = copy.copy(transform)
+    fits_any.sensor = replace(transform.sensor, directions=None, columns=None)
+    parts = transform.weather.parts
+    fits_any.weather = Mixture(*(replace(part, **{part.knob_name: 1.0}) for part in parts))  # type: ignore[type-var]
+    return fits_any
+
+
+def _variates(transform: LidarWeather) -> dict[str, Variate]:
+    return {
+        f"{name}.{variate.name}": variate
+        for name, stage in transform.chain.stages.items()
+        for variate in stage.variates()
+    }
+
+
+def _knobs(transform: LidarWeather) -> dict[str, list[str]]:
+    """Graph input name to the names of the buffers of the chain that it sets."""
+    found: dict[str, list[str]] = {}
+    alone = sum(part.kind in FALLING for part in transform.weather.parts) == 1
+    for name, stage in transform.chain.stages.items():
+        if isinstance(stage, (Extinction, ParticleReturns)):
+            for part in transform.weather.parts:
+                key = part.knob_name if alone or part.kind not in FALLING else f"{part.kind}_{part.knob_name}"
+                found.setdefault(key, []).append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")
+    return found
