@@ -55,7 +55,7 @@ def test_any_float64_keeps_its_bits_through_text(tmp_path: Path) -> None:
 
 def test_shortest_text() -> None:
     numbers = np.array([0, -0.0, 1e-10, 16777216, 0.1, 1 / 3, np.inf], np.float32)
-    assert column_text(numbers) == ["0", "-0", "1e-10", "1.6777216e+07", "0.1", "0.33333334", "inf"]
+    assert column_text(numbers) == ["0", "-0", "1e-10", "16777216", "0.1", "0.33333334", "inf"]
     assert column_text(np.array([2**64 - 1], np.uint64)) == ["18446744073709551615"]
     assert column_text(np.zeros(0)) == []
 

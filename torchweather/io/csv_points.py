@@ -25,7 +25,7 @@ def read_csv_points(path: str | os.PathLike[str]) -> StoredPoints:
     """The columns of a table of numbers.
 
     Without a line of names the columns are `CSV_COLUMNS`, then ``column_5`` and so on. A text has no dtype: a column
-    is float32 where its numbers are written with no more digits than a float32 needs, else float64.
+    is float32 where its decimals can be told from float32 numbers (six digits always can), else float64.
 
     Raises:
         TorchweatherError: empty without a line of names, not numbers, or rows of different length.
@@ -99,23 +99,33 @@ def _default_names(count: int) -> tuple[str, ...]:
 
 
 def _narrow(column: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
-    """Float32 where the file has no more digits than a float32 needs to be told from its neighbours, else as it is."""
+    """Float32 where the file's decimals can be told from it, else as it is."""
     with np.errstate(over="ignore"):
         narrow = column.astype(np.float32)
     rest = np.flatnonzero((narrow != column) & ~np.isnan(column))
-    rest = rest[~_has_six_digits(column[rest])]
-    # The shortest text of the float32 against that of the file; most other columns show it in the first few numbers.
+    # A column that needs float64 mostly shows it in its first numbers.
     for some in (rest[:1000], rest[1000:]):
-        if some.size and not np.array_equal(narrow[some].astype("U").astype(np.float64), column[some]):
+        if not bool(_tells(narrow[some], column[some]).all()):
             return column
     return narrow
 
 
-def _has_six_digits(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-    """Where six digits or fewer make the number, which float32 keeps between 1e-37 and 1e38; a quick first look."""
-    magnitude = np.abs(numbers)
+def _tells(narrow: npt.NDArray[np.float32], numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Where a number has at most nine digits, and its float32 rounded to as many digits is the number.
+
+    Any decimal of six digits passes, and any float32 written in its shortest form: nine digits tell all of them apart.
+    """
+    magnitude, near = np.abs(numbers), np.abs(narrow.astype(np.float64))
     inside = (magnitude > 1e-37) & (magnitude < 1e38)
-    magnitude = np.where(inside, magnitude, 1.0)
-    scaled = magnitude * 10.0 ** (5.0 - np.floor(np.log10(magnitude)))  # 100000..999999
-    # The product is rounded to 1e-16 of itself; a seventh digit stands at 0.1.
-    return np.asarray(inside & (np.abs(scaled - np.rint(scaled)) < 1e-6))
+    exponent = np.floor(np.log10(np.where(inside, magnitude, 1.0)))
+    told = np.zeros(numbers.shape, np.bool_)
+    for digits in (6, 7, 8, 9):
+        scale = 10.0 ** (digits - 1 - exponent)
+        scaled = np.where(inside, magnitude, 1.0) * scale
+        whole = np.rint(scaled)
+        # The product of a billion at most is rounded by 4e-7; another digit stands at 0.1.
+        told |= (np.abs(scaled - whole) < 1e-4) & (np.rint(np.where(inside, near, 1.0) * scale) == whole)
+    odd = np.flatnonzero(~inside)  # at the ends of float32's range, where it has fewer digits: compare the text
+    texts = np.array([float(text) for text in column_text(narrow[odd])], np.float64)
+    told[odd] = texts == numbers[odd]
+    return told

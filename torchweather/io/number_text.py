@@ -27,13 +27,30 @@ def column_text(column: npt.NDArray[Any]) -> list[str]:
     """
     if column.dtype.kind in "iu":
         return [str(number) for number in column.tolist()]
-    # Six digits suffice for most numbers that came out of a text; the others are written by the slow exact way.
+    # Six digits suffice for most numbers that came out of a text, nine for every float32, Python's repr for the rest.
     numbers = column.tolist()
-    texts = ("%.6g\n" * len(numbers) % tuple(numbers)).split("\n")[:-1]
-    again = np.array(texts, dtype=np.float64).astype(column.dtype) if texts else column
-    for index in np.flatnonzero((again != column) & ~np.isnan(column)).tolist():
-        texts[index] = str(column[index]).removesuffix(".0")
+    texts = _with_digits(numbers, 6)
+    wrong = _misread(texts, column)
+    for digits in (7, 8, 9) if column.dtype.itemsize <= 4 else ():
+        some = column[wrong]
+        longer = _with_digits(some.tolist(), digits)
+        for index, text in zip(wrong.tolist(), longer, strict=True):
+            texts[index] = text
+        wrong = wrong[_misread(longer, some)]
+    for index in wrong.tolist():
+        texts[index] = repr(numbers[index]).removesuffix(".0")
     return texts
+
+
+def _with_digits(numbers: list[float], digits: int) -> list[str]:
+    return (f"%.{digits}g\n" * len(numbers) % tuple(numbers)).split("\n")[:-1]
+
+
+def _misread(texts: list[str], column: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    """Places where a text reads back as another number."""
+    with np.errstate(over="ignore"):
+        again = np.fromiter(map(float, texts), np.float64, len(texts)).astype(column.dtype)
+    return np.flatnonzero((again != column) & ~np.isnan(column))
 
 
 def parse_columns(

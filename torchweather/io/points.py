@@ -117,7 +117,7 @@ def write_points(
         format: one of `POINT_FORMATS`, where the suffix does not tell.
         encoding: ``ascii``, ``binary`` (default), ``binary_compressed`` for PCD; ``ascii``, ``binary_little_endian``
             (default), ``binary_big_endian`` for PLY; ``table`` (default), ``columns`` and each with ``_compressed``
-            for NPZ. Compression of PCD is slow, some seconds for a million points.
+            for NPZ. Text and the compression of PCD are slow, some seconds for a million points.
         columns: names of the columns of a tensor (default x, y, z, intensity, ring), or of a cloud's columns to write.
 
     Raises:
