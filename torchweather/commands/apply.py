@@ -1,45 +1,39 @@
-"""``torchweather apply``: weather on image files; every output keeps the name and the format of its input."""
+"""``torchweather apply``: weather on image and point cloud files; outputs keep the name and format of their inputs."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from torchweather.commands.frames import add_camera_arguments, add_depth_arguments
+from torchweather.commands.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
+from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments
 
 if TYPE_CHECKING:
-    from torchweather.sensors import Camera
+    from torchweather.transforms.recipes import Recipe
     from torchweather.weather import Weather
 
 NAME = "apply"
-SUMMARY = "weather on image files"
-DESCRIPTION = """Puts a weather on camera frames: a file with one value per pixel is a raw Bayer mosaic, a colour file
-goes through its mosaic and back. Each output keeps the name and format of its input and is written whole or not at
-all. Sample i takes the random numbers of seed + i."""
+SUMMARY = "weather on image and point cloud files"
+DESCRIPTION = """Puts a weather on the frames of a camera or a LiDAR. Of an image, a file with one value per pixel is a
+raw Bayer mosaic, a colour file goes through its mosaic and back. A point cloud is KITTI or WADS .bin, nuScenes
+.pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Each output keeps the name and format of
+its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers
+of seed + i."""
 
-
-@dataclass(frozen=True)
-class Plan:
-    """What to do to every frame."""
-
-    weather: Weather
-    camera: Camera
-    options: Mapping[str, Any]
-    depth: str
+# What no image is: without --sensor it asks for a LiDAR.
+CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("inputs", nargs="+", type=Path, metavar="IN", help="images, or folders of images")
+    parser.add_argument("inputs", nargs="+", type=Path, metavar="IN", help="images or point clouds, or folders of them")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--weather", help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +")
     parser.add_argument("--recipe", help="a ready-made pipeline (see torchweather list), or a file of one's own")
-    parser.add_argument("--sensor", help="camera, or camera:PRESET; default the recipe's, else camera:lucid-triton")
+    parser.add_argument(
+        "--sensor", help="camera or lidar, with :PRESET; default the recipe's, else camera:lucid-triton"
+    )
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
     parser.add_argument(
@@ -47,42 +41,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("R", "G", "B"),
-        help="linear signal of the sky, 0..1 of saturation; default the frame's own",
+        help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
     )
-    parser.add_argument("--ego-speed-m-per-s", type=float, help="speed of the vehicle, forward")
+    parser.add_argument("--ego-speed-m-per-s", type=float, help="of a camera: speed of the vehicle, forward")
     add_depth_arguments(parser)
     add_camera_arguments(parser)
+    add_lidar_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Process the files."""
-    from tqdm import tqdm
-
-    from torchweather.commands.frames import gathered
-    from torchweather.commands.output import note, print_json, print_lines
-
-    plan = planned(args)
-    frames = gathered(args.inputs)
-    targets = _targets(frames, args.out)
-    if args.depth is None and plan.depth == "ground":
-        note(
-            f"no --depth: flat ground {plan.camera.height_m:g} m below the camera, sky above the horizon.",
-            quiet=args.quiet,
-        )
-    work = _Work(plan, args)
-    done = []
-    for frame in tqdm(frames, unit="frame", file=sys.stderr, disable=args.quiet or not sys.stderr.isatty()):
-        done.append(work.process(frame, targets[frame]))
-    if args.json:
-        print_json({"files": done})
-    else:
-        print_lines("\n".join(_line(entry) for entry in done))
-    return 0
-
-
-def planned(args: argparse.Namespace) -> Plan:
-    """Weather, camera and options from the recipe and the arguments, the arguments first."""
-    from torchweather.transforms.recipes import camera_of, read_recipe
+    from torchweather.commands.output import print_json, print_lines
+    from torchweather.transforms.recipes import read_recipe
     from torchweather.weather import parse_weather
 
     recipe = None if args.recipe is None else read_recipe(args.recipe)
@@ -92,127 +62,43 @@ def planned(args: argparse.Namespace) -> Plan:
         weather = recipe.build_weather()
     else:
         raise ValueError("apply: give --weather, such as fog:mor=30, or --recipe (see torchweather list).")
-    from torchweather.commands.frames import camera_fields
+    kind, preset = _sensor(args, recipe)
+    done, text = _process(args, weather, recipe, kind, preset)
+    if args.json:
+        print_json({"files": done})
+    else:
+        print_lines(text)
+    return 0
 
+
+def _process(
+    args: argparse.Namespace, weather: Weather, recipe: Recipe | None, kind: str, preset: str
+) -> tuple[list[dict[str, object]], str]:
+    """What was done to every frame, as values and as text."""
+    if kind == "lidar":
+        from torchweather.commands import apply_lidar as work
+    else:
+        from torchweather.commands import apply_camera as work  # type: ignore[no-redef]
+    done = work.process(args, weather, recipe, preset)
+    return done, "\n".join(work.line(entry) for entry in done)
+
+
+def _sensor(args: argparse.Namespace, recipe: Recipe | None) -> tuple[str, str]:
+    """Kind and preset of the sensor ('' where none is named); arguments of the other kind are refused."""
     if args.sensor is None:
-        sensor = {"kind": "camera", "preset": "lucid-triton"} if recipe is None else dict(recipe.sensor)
+        kind, preset = ("camera", "") if recipe is None else (recipe.sensor_kind, "")
+        clouds = [path for path in args.inputs if path.suffix.lower() in CLOUDS_ONLY]
+        if recipe is None and clouds:
+            raise ValueError(
+                f"apply: {clouds[0]} is a point cloud; give --sensor lidar:PRESET (see torchweather list)."
+            )
     else:
         kind, _, preset = args.sensor.partition(":")
-        if kind != "camera":
-            raise ValueError(f"apply: --sensor must be camera or camera:PRESET; got {args.sensor!r}.")
-        sensor = {"kind": "camera", "preset": preset or "lucid-triton"}
-    options = {} if recipe is None else dict(recipe.options)
-    depth = options.pop("depth", "ground") if args.depth is None else args.depth
-    given = {"airlight": args.airlight, "ego_speed_m_per_s": args.ego_speed_m_per_s}
-    options |= {key: value for key, value in given.items() if value is not None}
-    return Plan(weather, camera_of({**sensor, **camera_fields(args)}), options, str(depth))
-
-
-def _targets(frames: list[Path], out: Path) -> dict[Path, Path]:
-    """Where each result goes; two frames of one name, or a result in place of its frame, are refused."""
-    targets: dict[Path, Path] = {}
-    taken: dict[Path, Path] = {}
-    for frame in frames:
-        target = out / frame.name
-        if target in taken:
-            raise ValueError(f"apply: {taken[target]} and {frame} would both be written to {target}.")
-        if target.resolve() == frame.resolve():
-            raise ValueError(f"apply: {frame} would be overwritten; give another folder to --out.")
-        targets[frame] = taken[target] = target
-    return targets
-
-
-class _Work:
-    """Transforms by camera, depth maps by file, and how many samples have been drawn."""
-
-    def __init__(self, plan: Plan, args: argparse.Namespace) -> None:
-        self.plan, self.args = plan, args
-        self.samples = 0
-        self.said: set[str] = set()
-        self.transforms: dict[tuple[Camera, bool], Any] = {}
-        self.depths: dict[Path | None, Any] = {}
-
-    def process(self, frame: Path, target: Path) -> dict[str, Any]:
-        """One file: read, weather, write; what was done, as plain values."""
-        from torchweather.errors import TorchweatherError
-        from torchweather.io import read_image, write_image
-
-        started = time.perf_counter()
-        image, info = read_image(frame)
-        seed = self.args.seed + self.samples
-        self.samples += image.shape[:-3].numel()
-        try:
-            result, after = self._weathered(frame, image, info.kind == "rgb", seed)
-        except (ValueError, TypeError) as error:
-            raise TorchweatherError(f"{frame}: {error}") from error
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_image(target, after)
-        return {
-            "input": str(frame),
-            "output": str(target),
-            "seed": seed,
-            "weather": self.plan.weather.to_dict(),
-            "transmission_mean": float(result.transmission.mean()),
-            "particle_mask_mean": float(result.particle_mask.mean()),
-            "airlight": result.airlight.tolist(),
-            "seconds": time.perf_counter() - started,
-        }
-
-    def _weathered(self, frame: Path, image: Any, rgb: bool, seed: int) -> tuple[Any, Any]:
-        from torchweather.commands.frames import fitted_camera
-        from torchweather.commands.output import note
-
-        height, width = image.shape[-2:]
-        camera, said = fitted_camera(self.plan.camera, height, width, self.args)
-        if said and said not in self.said:
-            self.said.add(said)
-            note(said, quiet=self.args.quiet)
-        if not rgb:
-            _check_range(image, camera)
-        transform = self._transform(camera, rgb)
-        depth = self._depth(frame)(camera, height, width, image=image)
-        noise = transform.draw(image, seed=seed)
-        result = transform.run(image, depth, noise)
-        return result, result.rgb if rgb else result.bayer
-
-    def _transform(self, camera: Camera, rgb: bool) -> Any:
-        from torchweather.transforms import AsBayer, BayerWeather
-
-        key = (camera, rgb)
-        if key not in self.transforms:
-            transform = BayerWeather(self.plan.weather, camera, **self.plan.options)
-            self.transforms = {key: AsBayer(transform) if rgb else transform}
-        return self.transforms[key]
-
-    def _depth(self, frame: Path) -> Any:
-        from torchweather.commands.frames import depth_source
-
-        # One source serves all frames, except a folder of maps.
-        key = frame if Path(self.plan.depth).is_dir() else None
-        if key not in self.depths:
-            self.depths = {key: depth_source(self.plan.depth, self.args.depth_encoding, frame)}
-        return self.depths[key]
-
-
-def _check_range(image: Any, camera: Camera) -> None:
-    """Raise where a 16-bit mosaic has more bits than its camera, in the words of the command line."""
-    import torch
-
-    if image.dtype == torch.uint16:
-        highest = int(image.to(torch.int32).max())
-        if highest > camera.saturation_level:
-            raise ValueError(
-                f"the frame contradicts its camera: wanted raw values up to {camera.saturation_level:g} "
-                f"({camera.bit_depth} bits); got up to {highest}. Give --bit-depth or --white-level."
-            )
-
-
-def _line(entry: Mapping[str, Any]) -> str:
-    airlight = entry["airlight"]
-    light = "" if airlight and isinstance(airlight[0], list) else " ".join(f"{value:.3f}" for value in airlight)
-    return (
-        f"{entry['input']} -> {entry['output']}  seed {entry['seed']}  "
-        f"transmission {entry['transmission_mean']:.3f}  particle mask {entry['particle_mask_mean']:.4f}  "
-        + (f"airlight {light}  " if light else "")
-        + f"{entry['seconds']:.2f} s"
-    )
+    if kind not in ("camera", "lidar"):
+        raise ValueError(f"apply: --sensor must be camera or lidar, with :PRESET; got {args.sensor!r}.")
+    if recipe is not None and recipe.sensor_kind != kind:
+        raise ValueError(f"apply: recipe {recipe.name} is for a {recipe.sensor_kind}; got --sensor {args.sensor}.")
+    for name, other in (*((n, "camera") for n in CAMERA_ARGUMENTS), *((n, "lidar") for n in LIDAR_ARGUMENTS)):
+        if other != kind and getattr(args, name) not in (None, False):
+            raise ValueError(f"apply: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
+    return kind, preset

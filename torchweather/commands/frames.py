@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from torchweather.sensors import Camera
 
 __all__ = [
+    "CAMERA_ARGUMENTS",
     "add_camera_arguments",
     "add_depth_arguments",
     "camera_fields",
@@ -23,6 +24,11 @@ __all__ = [
 ]
 
 GROUND = "ground"
+# All arguments below that belong to a camera.
+CAMERA_ARGUMENTS = (
+    *("pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy", "exposure_s", "height_m"),
+    *("pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
+)
 DEPTH_SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
 
 

@@ -1,0 +1,162 @@
+"""Weather on image files: the camera's part of ``torchweather apply``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
+from torchweather.commands.output import note
+from torchweather.errors import TorchweatherError
+from torchweather.io import read_image, write_image
+from torchweather.sensors import Camera
+from torchweather.transforms import AsBayer, BayerWeather
+from torchweather.transforms.recipes import Recipe, camera_of
+from torchweather.weather import Weather
+
+__all__ = ["line", "process"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to do to every frame."""
+
+    weather: Weather
+    camera: Camera
+    options: Mapping[str, Any]
+    depth: str
+
+
+def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+    """Read, weather and write every frame; what was done, as plain values."""
+    plan = _planned(args, weather, recipe, preset)
+    frames = gathered(args.inputs)
+    targets = _targets(frames, args.out)
+    if args.depth is None and plan.depth == "ground":
+        note(
+            f"no --depth: flat ground {plan.camera.height_m:g} m below the camera, sky above the horizon.",
+            quiet=args.quiet,
+        )
+    work = _Work(plan, args)
+    bar = tqdm(frames, unit="frame", file=sys.stderr, disable=args.quiet or not sys.stderr.isatty())
+    return [work.process(frame, targets[frame]) for frame in bar]
+
+
+def _planned(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> Plan:
+    """Camera and options from the recipe and the arguments, the arguments first."""
+    if args.sensor is None and recipe is not None:
+        sensor = dict(recipe.sensor)
+    else:
+        sensor = {"kind": "camera", "preset": preset or "lucid-triton"}
+    options = {} if recipe is None else dict(recipe.options)
+    depth = options.pop("depth", "ground") if args.depth is None else args.depth
+    given = {"airlight": args.airlight, "ego_speed_m_per_s": args.ego_speed_m_per_s}
+    options |= {key: value for key, value in given.items() if value is not None}
+    return Plan(weather, camera_of({**sensor, **camera_fields(args)}), options, str(depth))
+
+
+def _targets(frames: list[Path], out: Path) -> dict[Path, Path]:
+    """Where each result goes; two frames of one name, or a result in place of its frame, are refused."""
+    targets: dict[Path, Path] = {}
+    taken: dict[Path, Path] = {}
+    for frame in frames:
+        target = out / frame.name
+        if target in taken:
+            raise ValueError(f"apply: {taken[target]} and {frame} would both be written to {target}.")
+        if target.resolve() == frame.resolve():
+            raise ValueError(f"apply: {frame} would be overwritten; give another folder to --out.")
+        targets[frame] = taken[target] = target
+    return targets
+
+
+class _Work:
+    """Transforms by camera, depth maps by file, and how many samples have been drawn."""
+
+    def __init__(self, plan: Plan, args: argparse.Namespace) -> None:
+        self.plan, self.args = plan, args
+        self.samples = 0
+        self.said: set[str] = set()
+        self.transforms: dict[tuple[Camera, bool], Any] = {}
+        self.depths: dict[Path | None, Any] = {}
+
+    def process(self, frame: Path, target: Path) -> dict[str, Any]:
+        """One file: read, weather, write; what was done, as plain values."""
+        started = time.perf_counter()
+        image, info = read_image(frame)
+        seed = self.args.seed + self.samples
+        self.samples += image.shape[:-3].numel()
+        try:
+            result, after = self._weathered(frame, image, info.kind == "rgb", seed)
+        except (ValueError, TypeError) as error:
+            raise TorchweatherError(f"{frame}: {error}") from error
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_image(target, after)
+        return {
+            "input": str(frame),
+            "output": str(target),
+            "seed": seed,
+            "weather": self.plan.weather.to_dict(),
+            "transmission_mean": float(result.transmission.mean()),
+            "particle_mask_mean": float(result.particle_mask.mean()),
+            "airlight": result.airlight.tolist(),
+            "seconds": time.perf_counter() - started,
+        }
+
+    def _weathered(self, frame: Path, image: Any, rgb: bool, seed: int) -> tuple[Any, Any]:
+        height, width = image.shape[-2:]
+        camera, said = fitted_camera(self.plan.camera, height, width, self.args)
+        if said and said not in self.said:
+            self.said.add(said)
+            note(said, quiet=self.args.quiet)
+        if not rgb:
+            _check_range(image, camera)
+        transform = self._transform(camera, rgb)
+        depth = self._depth(frame)(camera, height, width, image=image)
+        noise = transform.draw(image, seed=seed)
+        result = transform.run(image, depth, noise)
+        return result, result.rgb if rgb else result.bayer
+
+    def _transform(self, camera: Camera, rgb: bool) -> Any:
+        key = (camera, rgb)
+        if key not in self.transforms:
+            transform = BayerWeather(self.plan.weather, camera, **self.plan.options)
+            self.transforms = {key: AsBayer(transform) if rgb else transform}
+        return self.transforms[key]
+
+    def _depth(self, frame: Path) -> Any:
+        # One source serves all frames, except a folder of maps.
+        key = frame if Path(self.plan.depth).is_dir() else None
+        if key not in self.depths:
+            self.depths = {key: depth_source(self.plan.depth, self.args.depth_encoding, frame)}
+        return self.depths[key]
+
+
+def _check_range(image: Any, camera: Camera) -> None:
+    """Raise where a 16-bit mosaic has more bits than its camera, in the words of the command line."""
+    if image.dtype == torch.uint16:
+        highest = int(image.to(torch.int32).max())
+        if highest > camera.saturation_level:
+            raise ValueError(
+                f"the frame contradicts its camera: wanted raw values up to {camera.saturation_level:g} "
+                f"({camera.bit_depth} bits); got up to {highest}. Give --bit-depth or --white-level."
+            )
+
+
+def line(entry: Mapping[str, Any]) -> str:
+    """What was done to a frame, as text."""
+    airlight = entry["airlight"]
+    light = "" if airlight and isinstance(airlight[0], list) else " ".join(f"{value:.3f}" for value in airlight)
+    return (
+        f"{entry['input']} -> {entry['output']}  seed {entry['seed']}  "
+        f"transmission {entry['transmission_mean']:.3f}  particle mask {entry['particle_mask_mean']:.4f}  "
+        + (f"airlight {light}  " if light else "")
+        + f"{entry['seconds']:.2f} s"
+    )

@@ -1,0 +1,241 @@
+"""Weather on point cloud files: the LiDAR's part of ``torchweather apply``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from torchweather.commands.cloud_files import CloudFiles
+from torchweather.commands.clouds import CloudFrame, clouds_in, gathered_clouds, lidar_fields
+from torchweather.commands.output import note
+from torchweather.errors import TorchweatherError
+from torchweather.explain import explain
+from torchweather.io import PointCloud
+from torchweather.sensors import DEFAULT_PRESETS, Lidar
+from torchweather.stages import PointKind
+from torchweather.transforms import LidarResult, LidarWeather
+from torchweather.transforms.recipes import Recipe, lidar_of, transform_class
+from torchweather.weather import Weather
+
+__all__ = ["counts", "line", "process"]
+
+RING = "ring"
+# Share of a cloud's points on the detection floor from which on a wrong unit is likely.
+MANY_FLOORED = 0.5
+
+
+def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+    """Read, weather and write every cloud; what was done, as plain values."""
+    if args.labels_in is not None and args.labels != "label":
+        raise ValueError("apply: --labels-in carries labels on into new ones; give --labels label too.")
+    sensor, build = _builder(args, weather, recipe, preset)
+    if recipe is None and not preset:
+        note(f"no preset: the sensor is lidar:{DEFAULT_PRESETS['lidar']}.", quiet=args.quiet)
+    files = gathered_clouds(args.inputs)
+    out = CloudFiles(files, args.out, labels=args.labels, labels_in=args.labels_in)
+    numbers = {"mor_m": explain(weather, sensor)["mor_m"]}
+    work = _Work(sensor, build, args, out, numbers)
+    quiet = args.quiet or not sys.stderr.isatty()
+    done = []
+    # Recordings hold many frames: the bar counts frames, and knows their total where each file is one.
+    total = None if any(file.suffix.lower() == ".pcap" for file in files) else len(files)
+    with tqdm(total=total, unit="frame", file=sys.stderr, disable=quiet) as bar:
+        for file in files:
+            for frame in clouds_in(file, args):
+                done.append(work.process(frame))
+                bar.update()
+    return done
+
+
+def _builder(
+    args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str
+) -> tuple[Lidar, Callable[[Lidar], LidarWeather]]:
+    """The sensor, and what makes the transform for it, from the recipe and the arguments, the arguments first."""
+    if args.sensor is None and recipe is not None:
+        sensor = dict(recipe.sensor)
+    else:
+        sensor = {"kind": "lidar", "preset": preset or DEFAULT_PRESETS["lidar"]}
+    options = {} if recipe is None else dict(recipe.options)
+    if args.lost is not None:
+        options["lost"] = args.lost
+    if args.complete_scan:
+        options["complete_scan"] = True
+    kind = LidarWeather
+    if recipe is not None:
+        chosen = transform_class(recipe, weather)
+        assert issubclass(chosen, LidarWeather)  # a recipe for another sensor was refused before
+        kind = chosen
+    return lidar_of({**sensor, **lidar_fields(args)}), partial(kind, weather, **options)
+
+
+class _Work:
+    """The transform, where the results go, and how many samples have been drawn."""
+
+    def __init__(
+        self,
+        sensor: Lidar,
+        build: Callable[[Lidar], LidarWeather],
+        args: argparse.Namespace,
+        files: CloudFiles,
+        numbers: Mapping[str, float],
+    ) -> None:
+        self.build, self.args, self.files, self.numbers = build, args, files, numbers
+        self.transform = build(sensor)
+        self.samples = 0
+        self.by_ring_column: dict[int, LidarWeather] = {}
+        self.said: set[str] = set()
+
+    def process(self, frame: CloudFrame) -> dict[str, Any]:
+        """One cloud: weather and write; what was done, as plain values."""
+        started = time.perf_counter()
+        seed = self.args.seed + self.samples
+        self.samples += 1
+        without_intensity = self.args.intensity == "none"
+        clear = _with_ones(frame.cloud) if without_intensity else frame.cloud
+        transform = self._transform(clear.columns)
+        hit = _hit(clear.points, transform.sensor)
+        try:
+            with torch.no_grad():
+                noise = transform.draw(clear.points, seed=seed)
+                result = transform.run(clear.points, noise, directions=frame.directions)
+        except (ValueError, TypeError) as error:
+            raise TorchweatherError(f"{frame.name}: {error}") from error
+        self._say_what_stands_out(frame, hit, result)
+        assert isinstance(result.points, Tensor)
+        first = self._outgoing(frame.cloud, result.points, result.kind, without_intensity)
+        second = None
+        if isinstance(result.second, Tensor):
+            second = self._outgoing(frame.cloud, result.second, result.second_kind, without_intensity)
+        written = self.files.write(frame, first, second, result)
+        return {
+            "input": str(frame.path),
+            **({} if frame.number is None else {"frame": frame.number}),
+            **written,
+            "seed": seed,
+            "weather": self.transform.weather.to_dict(),
+            **counts(hit, result),
+            "extinction_per_m": float(self.transform.extinction_per_m),
+            **self.numbers,
+            "scan": result.scan,
+            "seconds": time.perf_counter() - started,
+        }
+
+    def _transform(self, columns: Sequence[str]) -> LidarWeather:
+        """The transform, told which column of this file holds the ring where beams are to be inferred."""
+        sensor = self.transform.sensor
+        if not self.transform.complete_scan or sensor.ring_column is not None or RING not in columns[4:]:
+            return self.transform
+        index = columns.index(RING)
+        if index not in self.by_ring_column:
+            self.by_ring_column[index] = self.build(replace(sensor, ring_column=index))
+        return self.by_ring_column[index]
+
+    def _outgoing(self, cloud: PointCloud, points: Tensor, kind: Any, without_intensity: bool) -> PointCloud:
+        """A result in the columns of its input; a file that marks lost beams by NaN gets the new ones so too."""
+        if without_intensity:
+            points = torch.cat([points[:, :3], points[:, 4:]], -1)
+        found = cloud.with_points(points)
+        if found.missing is not None and self.args.lost is None and self.transform.lost == "zero":
+            lost = (kind == PointKind.LOST)[:, None] & found.missing.any(0)
+            found = replace(found, missing=found.missing | lost)
+        return found
+
+    def _say_what_stands_out(self, frame: CloudFrame, hit: Tensor, result: LidarResult) -> None:
+        """Once in a run: beams that are left out, and intensities that do not fit the sensor."""
+        empty, floored, points = int(result.empty_beams), int(result.floored_points), int(hit.sum())
+        if empty and frame.directions is None and not self.transform.complete_scan:
+            self._say_once(
+                "empty",
+                f"{frame.name}: {empty} rows without a return have no direction and stay empty; rain, snow and fog "
+                "can return light there too (--complete-scan infers such beams from the sensor's pattern).",
+            )
+        if floored > MANY_FLOORED * points:
+            self._say_once(
+                "floored",
+                f"{frame.name}: {floored} of {points} points are, by their intensity, fainter than the sensor can "
+                "detect; little weather removes them. Check --intensity-unit and --range-at-10-percent-m.",
+            )
+
+    def _say_once(self, what: str, text: str) -> None:
+        if what not in self.said:
+            self.said.add(what)
+            note(text, quiet=self.args.quiet)
+
+
+def _hit(points: Tensor, sensor: Lidar) -> Tensor:
+    """Rows with a return: those at the origin, or nearer than the sensor measures, have none."""
+    x, y, z = points[:, :3].unbind(-1)
+    range_m = (x * x + y * y + z * z).sqrt()
+    return (range_m > 0) & (range_m >= sensor.min_range_m)
+
+
+def _with_ones(cloud: PointCloud) -> PointCloud:
+    """A cloud without intensity, with a column of ones in its place."""
+    ones = torch.ones_like(cloud.points[:, :1])
+    return PointCloud(
+        torch.cat([cloud.points[:, :3], ones, cloud.points[:, 3:]], -1),
+        (*cloud.columns[:3], "intensity", *cloud.columns[3:]),
+    )
+
+
+def counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
+    """What became of the points of one cloud.
+
+    Args:
+        hit: ``(N,)`` rows of the input with a return.
+        result: of that input.
+
+    Returns:
+        ``points`` rows of the input; ``objects``, ``particles`` reported; ``lost`` points of the input whose beam
+        reports nothing now; ``empty_beams`` without return before the weather; ``floored_points`` at the detection
+        threshold; ``transmission_mean``, two way, of the beams that met an object; of a dual sensor
+        ``second_objects`` and ``second_particles``.
+    """
+    kind, source, transmission = result.kind, result.source, result.transmission
+    assert isinstance(kind, Tensor)
+    assert isinstance(source, Tensor)
+    assert isinstance(transmission, Tensor)
+    from_hit = source >= 0
+    from_hit[from_hit.clone()] = hit[source[from_hit]]
+    reports = from_hit & (kind != PointKind.LOST)
+    found: dict[str, Any] = {
+        "points": len(hit),
+        "objects": int((kind == PointKind.OBJECT).sum()),
+        "particles": int((kind == PointKind.PARTICLE).sum()),
+        "lost": int(hit.sum() - reports.sum()),
+        "empty_beams": int(result.empty_beams),
+        "floored_points": int(result.floored_points),
+        "transmission_mean": float(transmission[from_hit].double().mean()) if bool(from_hit.any()) else None,
+    }
+    if isinstance(result.second_kind, Tensor):
+        found["second_objects"] = int((result.second_kind == PointKind.OBJECT).sum())
+        found["second_particles"] = int((result.second_kind == PointKind.PARTICLE).sum())
+    return found
+
+
+def line(entry: Mapping[str, Any]) -> str:
+    """What was done to a cloud, as text."""
+    frame = f" frame {entry['frame']}" if "frame" in entry else ""
+    second = ""
+    if "second_objects" in entry:
+        second = f"  second: objects {entry['second_objects']}, particles {entry['second_particles']}"
+    return (
+        f"{entry['input']}{frame} -> {entry['output']}  seed {entry['seed']}  points {entry['points']}: "
+        f"objects {entry['objects']}, particles {entry['particles']}, lost {entry['lost']}{second}  "
+        f"empty beams {entry['empty_beams']}  on the detection floor {entry['floored_points']}  "
+        f"extinction {entry['extinction_per_m']:.3g} 1/m  visibility {_metres(entry['mor_m'])}  "
+        f"{entry['seconds']:.2f} s"
+    )
+
+
+def _metres(value: float) -> str:
+    return f"{value:.0f} m" if value < 1e6 else "unlimited"

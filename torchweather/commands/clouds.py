@@ -1,0 +1,143 @@
+"""Point clouds on the command line: the arguments of a LiDAR, which files there are, and the frames in them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from torchweather.io import PointCloud
+
+__all__ = [
+    "LIDAR_ARGUMENTS",
+    "CloudFrame",
+    "add_lidar_arguments",
+    "clouds_in",
+    "gathered_clouds",
+    "lidar_fields",
+    "stem",
+]
+
+PCAP = ".pcap"
+# Named as they stand in the arguments.
+LIDAR_FIELDS = (
+    "return_mode",
+    "intensity_unit",
+    "range_at_10_percent_m",
+    "near_start_m",
+    "near_full_m",
+    "max_range_m",
+    "columns",
+)
+LIDAR_ARGUMENTS = (*LIDAR_FIELDS, "intensity", "lost", "complete_scan", "labels", "labels_in", "meta")
+
+
+def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
+    """What is known of the LiDAR beyond its preset, and what is to be written."""
+    group = parser.add_argument_group("lidar", "replaces what the preset says")
+    group.add_argument("--return-mode", help="strongest, last, first, or dual (second returns get a file NAME_second)")
+    group.add_argument(
+        "--intensity-unit",
+        help="reflectivity, reflectivity_percent, uint8_linear, uint8_calibrated, photons or none",
+    )
+    group.add_argument(
+        "--intensity", metavar="COLUMN", help="the intensity's column, or none; signal has the unit photons"
+    )
+    group.add_argument("--range-at-10-percent-m", type=float, help="range at which 10 %% reflectivity is just seen, m")
+    group.add_argument("--near-start-m", type=float, help="nearer than this, m, it sees nothing of the weather")
+    group.add_argument("--near-full-m", type=float, help="from here on, m, it sees the weather in full")
+    group.add_argument("--max-range-m", type=float, help="largest range, m")
+    group.add_argument("--columns", type=int, help="firings of each ring in a turn, for --complete-scan")
+    group.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")
+    group.add_argument("--lost", help="lost points become zero (default; other columns stay), nan, or drop: left out")
+    group.add_argument(
+        "--labels",
+        choices=("label", "npz"),
+        help="also write NAME.label (SemanticKITTI: class 110 is a particle, 0 lost or unlabelled), or NAME_labels.npz "
+        "(kind: 0 object, 1 particle, 2 lost; source: row of the input, -1 none; transmission)",
+    )
+    group.add_argument("--labels-in", type=Path, metavar="DIR", help="folder of the clear clouds' .label, to carry on")
+    group.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
+
+
+def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
+    """Fields of the LiDAR that the arguments replace."""
+    given = {name: getattr(args, name) for name in LIDAR_FIELDS}
+    # What the column is called says its unit.
+    if args.intensity_unit is None and args.intensity in ("none", "signal"):
+        given["intensity_unit"] = "none" if args.intensity == "none" else "photons"
+    return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class CloudFrame:
+    """One cloud of a file.
+
+    Args:
+        path: the file.
+        number: of the frame, in a recording of several; ``None`` in a file of one.
+        cloud: its points.
+        directions: ``(N, 3)`` of every beam, where the recording knows them.
+    """
+
+    path: Path
+    number: int | None
+    cloud: PointCloud
+    directions: Tensor | None = None
+
+    @property
+    def name(self) -> str:
+        """File name and frame, for messages."""
+        return str(self.path) if self.number is None else f"{self.path}, frame {self.number}"
+
+
+def stem(path: Path) -> tuple[str, str]:
+    """Name and ending of a cloud; nuScenes' is ``.pcd.bin``.
+
+    Example:
+        >>> stem(Path("sweep.pcd.bin")), stem(Path("000008.bin"))
+        (('sweep', '.pcd.bin'), ('000008', '.bin'))
+    """
+    for suffix in (".pcd.bin", path.suffix):
+        if path.name.lower().endswith(suffix.lower()):
+            return path.name[: len(path.name) - len(suffix)], path.name[len(path.name) - len(suffix) :]
+    return path.name, ""
+
+
+def gathered_clouds(inputs: list[Path]) -> list[Path]:
+    """The files: as they are, of a folder all point clouds and recordings in it by name."""
+    from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
+
+    known = (*POINT_SUFFIXES, PCAP)
+    found: list[Path] = []
+    for path in inputs:
+        if path.is_dir():
+            inside = sorted(file for file in path.iterdir() if file.name.lower().endswith(known))
+            if not inside:
+                raise ValueError(f"{path}: no point clouds; wanted {', '.join(known)}.")
+            found += inside
+        elif not path.exists():
+            raise ValueError(f"{path}: no such file.")
+        elif not path.name.lower().endswith(known):
+            image = " For images give --sensor camera:PRESET." if path.suffix.lower() in IMAGE_SUFFIXES else ""
+            raise ValueError(f"{path}: wanted a point cloud ({', '.join(known)}).{image}")
+        else:
+            found.append(path)
+    return found
+
+
+def clouds_in(path: Path, args: argparse.Namespace) -> Iterator[CloudFrame]:
+    """The clouds of a file, one after another."""
+    from torchweather.io import read_ouster, read_points
+
+    if path.suffix.lower() != PCAP:
+        yield CloudFrame(path, None, read_points(path, intensity=args.intensity or "auto"))
+        return
+    frames = read_ouster(path, args.meta, intensity=args.intensity or "reflectivity")
+    for number, frame in enumerate(frames):
+        yield CloudFrame(path, number, frame.cloud, frame.directions)
