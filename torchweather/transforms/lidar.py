@@ -301,8 +301,8 @@ class LidarWeather(nn.Module):
         """Expected signal of each object and the probability that the sensor reports it; smooth, nothing is drawn.
 
         The signal is X of ``PHYSICS.md`` 5.3 in the weather, 1/(m^2 sr). A point is reported if it stays above
-        threshold and nothing in front beats it (``strongest``) or is seen at all (``first``). The step at the threshold
-        is rounded by the photon noise of the light that the weather takes away: of N photons, N T arrive,
+        threshold and nothing in front beats it (``strongest``), is seen apart from it (``first``) or swallows it (all but
+        ``strongest``; of fog approximately). The step at the threshold is rounded by the photon noise of the light that the weather takes away: of N photons, N T arrive,
         +- sqrt(N T (1 - T)).
 
         Args:
@@ -333,14 +333,34 @@ class LidarWeather(nn.Module):
         def unbeaten(signal: Tensor) -> Tensor:
             """Probability that no particle keeps an object of this signal from being reported."""
             mode = self._stage(Detection).return_mode
-            if mode in ("last", "dual"):
-                return torch.ones_like(signal)
-            rival = signal if mode == "strongest" else threshold.expand_as(signal)
-            number = [
-                part.expected_above(returns.beam, rival.to(own), extinction.to(own), range_m.to(own))
-                for part in returns.kinds.values()
-            ]
-            return torch.exp(-torch.stack(number).sum(0).clamp_min(0.0)).to(signal)
+
+            # What is close and stronger swallows the object; what is close and weaker is part of it.
+            apart_m = (range_m - self.sensor.echo_separation).clamp_min(0.0)
+            faint = threshold.expand_as(signal)
+            kept = torch.ones_like(signal)
+            for part in returns.kinds.values():
+
+                def above(rival: Tensor, reach_m: Tensor, part: Any = part) -> Tensor:
+                    number: Tensor = part.expected_above(
+                        returns.beam, rival.to(own), extinction.to(own), reach_m.to(own)
+                    )
+                    return number.clamp_min(0.0).to(signal)
+
+                stronger = above(signal, range_m)
+                if mode == "strongest":
+                    kept = kept * torch.exp(-stronger)
+                    continue
+                stronger_apart, seen_apart = above(signal, apart_m), above(faint, apart_m)
+                if isinstance(part, SoftReturn):  # one return, as far as its share of the range
+                    apart = stronger_apart / stronger.clamp_min(1e-12)
+                    swallowed = -torch.expm1(-stronger) * (1.0 - apart)
+                    in_front = -torch.expm1(-stronger) * apart
+                    weaker = (torch.exp(-stronger) - torch.exp(-above(faint, range_m))).clamp_min(0.0)
+                    in_front = in_front + weaker * seen_apart / above(faint, range_m).clamp_min(1e-12)
+                    kept = kept * (1.0 - swallowed - (in_front if mode == "first" else 0.0))
+                else:
+                    kept = kept * torch.exp(stronger_apart - stronger - (seen_apart if mode == "first" else 0.0))
+            return kept.clamp(0.0, 1.0)
 
         def unbeaten_above(signal: Tensor) -> Tensor:
             """The same, of objects that stand an exponential margin above this signal."""
