@@ -301,8 +301,9 @@ class LidarWeather(nn.Module):
         """Expected signal of each object and the probability that the sensor reports it; smooth, nothing is drawn.
 
         The signal is X of ``PHYSICS.md`` 5.3 in the weather, 1/(m^2 sr). A point is reported if it stays above
-        threshold and nothing in front beats it (``strongest``), is seen apart from it (``first``) or swallows it (all but
-        ``strongest``; of fog approximately). The step at the threshold is rounded by the photon noise of the light that the weather takes away: of N photons, N T arrive,
+        threshold and nothing in front beats it (``strongest``), is seen apart from it (``first``) or swallows it (all
+        but ``strongest``; of fog approximately). The step at the threshold is rounded by the photon noise of the light
+        that the weather takes away: of N photons, N T arrive,
         +- sqrt(N T (1 - T)).
 
         Args:
