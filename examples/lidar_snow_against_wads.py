@@ -46,7 +46,7 @@ RATES_MM_PER_H = (0.25, 0.5, 1.0, 2.0, 3.0)
 RULES = ("strongest and last", "last and strongest other")
 RANGE_EDGES_M = (0.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0)
 ELEVATION_EDGES_DEG = (-25.0, -12.0, -8.0, -5.0, -3.0, -1.5, 0.0, 1.5, 3.0, 9.0, 16.0)
-# Beams that meet nothing further down end on the vehicle, nearer than the sensor measures; there is no snow in them.
+# Beams further down that return no object never return snow either: most likely they end on the vehicle.
 FREE_ABOVE_DEG = -3.0
 SECTORS = 12
 HISTOGRAM_EDGES_M = [0.5 * k for k in range(61)]
