@@ -47,7 +47,7 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     batch, count = torch.export.Dim("batch", min=1), torch.export.Dim("points", min=1)
     device = next(transform.buffers()).device
     generator = torch.Generator().manual_seed(0)
-    cloud = (1.0 + 50.0 * torch.rand(TRACED_BATCH, points, columns, generator=generator)).to(device)
+    cloud = torch.rand(TRACED_BATCH, points, columns, generator=generator).to(device)
     along = [torch.nn.functional.normalize(cloud[0, :, :3], dim=-1)] if directions else []
     knobs = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.knobs]
     noise, noise_shapes = [], []
