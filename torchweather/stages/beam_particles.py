@@ -122,7 +122,7 @@ class BeamParticles(nn.Module):
         ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
         log_diameter = 0.5 * torch.log(ratio) + torch.log(diameter_m)
         step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
-        position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1)
+        position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1.0)
         node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
         tails = self._tails(batch)
         flat = node.flatten(1)

@@ -301,12 +301,13 @@ class ParticleReturns(Stage):
     ) -> tuple[Tensor, Tensor]:
         """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
         reach, start = part.grid.position(reach_m), part.start(reach_m)
+        table = self._table(part, extinction) if start is None else None
         ranges, signals = [], []
         arrived = torch.zeros_like(reach)
         for echo in range(part.echoes):
             arrived, own_place = arrived + arrival[:, echo].to(reach), place[:, echo].to(reach)
-            if start is None:
-                row, column, exists = self._table(part, extinction).strongest_before(arrived, own_place, reach)
+            if table is not None:
+                row, column, exists = table.strongest_before(arrived, own_place, reach)
             else:
                 between = part.between(self.beam, extinction)
                 row, column, exists = strongest_before(between, arrived, own_place, reach, start)

@@ -37,6 +37,7 @@ ARRIVAL_LOW, ARRIVAL_HIGH, ARRIVAL_NODES = 1e-6, 1e2, 257
 # Places: over v with W(r) / W(end) = 1 - (1 - v^2)^2, which spreads both ends: W starts as a power of the range and
 # ends in a long tail.
 PLACE_NODES = 513
+LAST_PLACE = 1.0 - 1e-6
 
 
 def strongest_before(
@@ -114,7 +115,8 @@ class ReturnTable:
         end = between[..., -1:]
         v = torch.arange(PLACE_NODES).to(between) / (PLACE_NODES - 1)
         base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
-        wanted = (end * (1.0 - (1.0 - v * v).square())).flatten(1)
+        # Short of 1: W stays at its end behind the last particle of a signal, whose place is where it gets there.
+        wanted = (end * (1.0 - (1.0 - v * v).square()).clamp_max(LAST_PLACE)).flatten(1)
         cells = between.reshape(batch, signals * places)
         place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted, places)
         share = (between / end.clamp_min(FEW)).flatten(1)
@@ -123,7 +125,7 @@ class ReturnTable:
     def strongest_before(self, arrivals: Tensor, place: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """As the function of that name, read from the grid."""
         step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
-        late = (torch.log(arrivals) * (1.0 / step) - math.log(ARRIVAL_LOW) / step).clamp(0.0, ARRIVAL_NODES - 1)
+        late = (torch.log(arrivals) * (1.0 / step) - math.log(ARRIVAL_LOW) / step).clamp(0.0, ARRIVAL_NODES - 1.0)
         column, early = _floor(reach, self.places), _floor(late, ARRIVAL_NODES)
         share, own = reach - column, late - early
         index = _index(column * ARRIVAL_NODES + early)
