@@ -20,13 +20,14 @@ from torchweather.commands.output import note
 from torchweather.errors import TorchweatherError
 from torchweather.explain import explain
 from torchweather.io import PointCloud
+from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.sensors import DEFAULT_PRESETS, Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarResult, LidarWeather
 from torchweather.transforms.recipes import Recipe, lidar_of, transform_class
 from torchweather.weather import Weather
 
-__all__ = ["counts", "line", "process"]
+__all__ = ["line", "process"]
 
 RING = "ring"
 # Share of a cloud's points on the detection floor from which on a wrong unit is likely.
@@ -102,7 +103,7 @@ class _Work:
         without_intensity = self.args.intensity == "none"
         clear = _with_ones(frame.cloud) if without_intensity else frame.cloud
         transform = self._transform(clear.columns)
-        hit = _hit(clear.points, transform.sensor)
+        hit = has_return(clear.points, transform.sensor)
         try:
             with torch.no_grad():
                 noise = transform.draw(clear.points, seed=seed)
@@ -122,7 +123,7 @@ class _Work:
             **written,
             "seed": seed,
             "weather": self.transform.weather.to_dict(),
-            **counts(hit, result),
+            **cloud_counts(hit, result),
             "extinction_per_m": float(self.transform.extinction_per_m),
             **self.numbers,
             "scan": result.scan,
@@ -171,13 +172,6 @@ class _Work:
             note(text, quiet=self.args.quiet)
 
 
-def _hit(points: Tensor, sensor: Lidar) -> Tensor:
-    """Rows with a return: those at the origin, or nearer than the sensor measures, have none."""
-    x, y, z = points[:, :3].unbind(-1)
-    range_m = (x * x + y * y + z * z).sqrt()
-    return (range_m > 0) & (range_m >= sensor.min_range_m)
-
-
 def _with_ones(cloud: PointCloud) -> PointCloud:
     """A cloud without intensity, with a column of ones in its place."""
     ones = torch.ones_like(cloud.points[:, :1])
@@ -185,41 +179,6 @@ def _with_ones(cloud: PointCloud) -> PointCloud:
         torch.cat([cloud.points[:, :3], ones, cloud.points[:, 3:]], -1),
         (*cloud.columns[:3], "intensity", *cloud.columns[3:]),
     )
-
-
-def counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
-    """What became of the points of one cloud.
-
-    Args:
-        hit: ``(N,)`` rows of the input with a return.
-        result: of that input.
-
-    Returns:
-        ``points`` rows of the input; ``objects``, ``particles`` reported; ``lost`` points of the input whose beam
-        reports nothing now; ``empty_beams`` without return before the weather; ``floored_points`` at the detection
-        threshold; ``transmission_mean``, two way, of the beams that met an object; of a dual sensor
-        ``second_objects`` and ``second_particles``.
-    """
-    kind, source, transmission = result.kind, result.source, result.transmission
-    assert isinstance(kind, Tensor)
-    assert isinstance(source, Tensor)
-    assert isinstance(transmission, Tensor)
-    from_hit = source >= 0
-    from_hit[from_hit.clone()] = hit[source[from_hit]]
-    reports = from_hit & (kind != PointKind.LOST)
-    found: dict[str, Any] = {
-        "points": len(hit),
-        "objects": int((kind == PointKind.OBJECT).sum()),
-        "particles": int((kind == PointKind.PARTICLE).sum()),
-        "lost": int(hit.sum() - reports.sum()),
-        "empty_beams": int(result.empty_beams),
-        "floored_points": int(result.floored_points),
-        "transmission_mean": float(transmission[from_hit].double().mean()) if bool(from_hit.any()) else None,
-    }
-    if isinstance(result.second_kind, Tensor):
-        found["second_objects"] = int((result.second_kind == PointKind.OBJECT).sum())
-        found["second_particles"] = int((result.second_kind == PointKind.PARTICLE).sum())
-    return found
 
 
 def line(entry: Mapping[str, Any]) -> str:

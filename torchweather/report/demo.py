@@ -24,6 +24,8 @@ from torchweather.image import cfa_index, srgb_encode
 from torchweather.io import atomic_write
 from torchweather.report.figures import Curve, histogram_uri, map_uri, transmission_uri
 from torchweather.report.frames import Frame, Rendered, embedded_frames, user_frames
+from torchweather.report.lidar_section import lidar_part
+from torchweather.report.lidar_views import lidar_scene
 from torchweather.report.measure import light_path, mean_over_bins, populations, ray_length_m, weather_numbers
 from torchweather.report.pictures import (
     Window,
@@ -39,7 +41,8 @@ from torchweather.report.pictures import (
     tinted_raw,
 )
 from torchweather.report.tables import number_text, rows_of
-from torchweather.sensors import Camera
+from torchweather.scenes import test_track
+from torchweather.sensors import DEFAULT_PRESETS, Camera, Lidar
 from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 __all__ = ["write_demo"]
@@ -73,6 +76,8 @@ SECTIONS = (
     Section("mixture", (("rain-25-fog-100", "Rain 25 mm/h in fog 100 m", Mixture(Rain(25.0), Fog(mor_m=100.0))),), 0),
 )
 INDOOR_KINDS = ("fog",)
+# Objects of the test track whose LiDAR points are counted.
+COUNTED = ("car 28 m", "car 56 m", "pedestrian")
 
 
 def write_demo(
@@ -82,18 +87,21 @@ def write_demo(
     images: Sequence[Path] = (),
     depth: object = None,
     camera: Camera | None = None,
+    lidar: str = DEFAULT_PRESETS["lidar"],
     progress: bool = True,
 ) -> dict[str, Any]:
     """Render frames in clear weather, rain, fog, snow and rain in fog, and write a page about them.
 
     Args:
-        out_dir: gets ``index.html`` (self-contained), ``summary.json`` and the frames as PNG (16 bits for raw ones) in
-            ``frames/``. What it held before stays, unless it has the same name. Nothing is written when anything fails.
+        out_dir: gets ``index.html`` (self-contained), ``summary.json``, the frames as PNG (16 bits for raw ones) in
+            ``frames/`` and point clouds of the embedded test track in ``clouds/``. What it held before stays, unless it
+            has the same name. Nothing is written when anything fails.
         seed: of the weather, and of the sensor noise of the embedded scenes.
         images: a user's own frames, raw or RGB; none takes the embedded test track and fog tunnel.
         depth: of the images: a depth file, or what ``torchweather.image.as_depth_source`` takes, or a list with one
             for each; ``None`` is flat ground below a sky.
         camera: that took the images, or that looks at the embedded scenes; the default preset is ``lucid-triton``.
+        lidar: preset of the LiDAR that looks at the embedded test track.
         progress: show a progress bar.
 
     Returns:
@@ -117,14 +125,19 @@ def write_demo(
         else:
             camera = Camera.preset("lucid-triton") if camera is None else camera
             frames = embedded_frames(camera, seed)
+        scanner = None if images else Lidar.preset(lidar)
         plans = [(frame, _sections_of(frame)) for frame in frames]
         total = sum(len(section.weathers) for _, sections in plans for section in sections)
+        if scanner is not None:
+            total += sum(len(section.weathers) for section in SECTIONS)
         subjects, pages = [], []
         with tqdm(total=total, desc="weather", unit="frame", disable=not progress) as bar:
             for frame, sections in plans:
                 record, page = _subject(frame, sections, seed, staging, bar.update)
                 subjects.append(record)
                 pages.append(page)
+            if scanner is not None:
+                subjects[0]["lidar"], pages[0]["lidar"] = _lidar(scanner, lidar, frames[0], seed, staging, bar.update)
         summary = {
             "torchweather": __version__,
             "seed": seed,
@@ -178,6 +191,18 @@ def _all_or_nothing(out_dir: Path) -> Iterator[Path]:
         raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _lidar(
+    lidar: Lidar, preset: str, frame: Frame, seed: int, folder: Path, step: Callable[[int], object]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The test track as a LiDAR sees it, in the weathers of the camera."""
+    weathers = [
+        (name, label, section.kind, weather) for section in SECTIONS for name, label, weather in section.weathers
+    ]
+    shown = [section.weathers[section.best][0] for section in SECTIONS if section.kind != "mixture"]
+    seen = lidar_scene(test_track(), lidar, seed, COUNTED)
+    return lidar_part(seen, f"lidar:{preset}", weathers, shown, seed, folder, frame.name, step)
 
 
 # ---- one frame ------------------------------------------------------------------------------------------------------

@@ -1,0 +1,66 @@
+"""What became of the points of a cloud in the weather, in numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchweather.sensors import Lidar
+from torchweather.stages import PointKind
+from torchweather.transforms import LidarResult
+
+__all__ = ["cloud_counts", "has_return"]
+
+
+def has_return(points: Tensor, sensor: Lidar) -> Tensor:
+    """Rows ``(N,)`` with a return: those at the origin, or nearer than the sensor measures, have none."""
+    x, y, z = points[:, :3].unbind(-1)
+    range_m = (x * x + y * y + z * z).sqrt()
+    return (range_m > 0) & (range_m >= sensor.min_range_m)
+
+
+def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
+    """What became of the points of one cloud.
+
+    Args:
+        hit: ``(N,)`` rows of the input with a return.
+        result: of that input.
+
+    Returns:
+        ``points`` rows of the input; ``objects``, ``particles`` reported; ``lost`` points of the input whose beam
+        reports nothing now; ``empty_beams`` without return before the weather; ``floored_points`` at the detection
+        threshold; ``transmission_mean``, two way, of the beams that met an object (``None`` where none did); of a dual
+        sensor ``second_objects`` and ``second_particles``.
+
+    Example:
+        >>> from torchweather.transforms import LidarFog
+        >>> from torchweather.weather import Fog
+        >>> lidar = Lidar.preset("ouster-os1-128")
+        >>> points = torch.tensor([[60.0, 0.0, 0.0, 40.0], [0.0, 0.0, 0.0, 0.0]])
+        >>> fog = LidarFog(Fog(mor_m=50), lidar)
+        >>> found = cloud_counts(has_return(points, lidar), fog.run(points, fog.draw(points, seed=1)))
+        >>> found["objects"], found["particles"], found["lost"], found["empty_beams"]
+        (0, 1, 0, 1)
+    """
+    kind, source, transmission = result.kind, result.source, result.transmission
+    assert isinstance(kind, Tensor)
+    assert isinstance(source, Tensor)
+    assert isinstance(transmission, Tensor)
+    # Rows of the result whose beam had a return; its order may be another where points were left out.
+    from_hit = (source >= 0) & torch.cat([hit, hit.new_zeros(1)])[source]
+    reports = from_hit & (kind != PointKind.LOST)
+    found: dict[str, Any] = {
+        "points": len(hit),
+        "objects": int((kind == PointKind.OBJECT).sum()),
+        "particles": int((kind == PointKind.PARTICLE).sum()),
+        "lost": int(hit.sum() - reports.sum()),
+        "empty_beams": int(result.empty_beams),
+        "floored_points": int(result.floored_points),
+        "transmission_mean": float(transmission[from_hit].double().mean()) if bool(from_hit.any()) else None,
+    }
+    if isinstance(result.second_kind, Tensor):
+        found["second_objects"] = int((result.second_kind == PointKind.OBJECT).sum())
+        found["second_particles"] = int((result.second_kind == PointKind.PARTICLE).sum())
+    return found
