@@ -24,7 +24,7 @@ from torchweather.stages import (
     ToEnergy,
     ToPoints,
 )
-from torchweather.stages.lidar import DB
+from torchweather.stages.expected_detection import expected_detection
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms.clouds import Beams, beams_of, check_points
 from torchweather.weather import Weather
@@ -33,9 +33,6 @@ __all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
 
 VARIANTS = ("d3_4",)
 LOST_AS = ("zero", "nan", "drop")
-# Gauss-Laguerre nodes for the margin of points on the floor.
-MARGIN_NODES = 8
-
 Cloud = Tensor | list[Tensor]
 
 
@@ -302,9 +299,8 @@ class LidarWeather(nn.Module):
 
         The signal is X of ``PHYSICS.md`` 5.3 in the weather, 1/(m^2 sr). A point is reported if it stays above
         threshold and nothing in front beats it (``strongest``), is seen apart from it (``first``) or swallows it (all
-        but ``strongest``; of fog approximately). The step at the threshold is rounded by the photon noise of the light
-        that the weather takes away: of N photons, N T arrive,
-        +- sqrt(N T (1 - T)).
+        but ``strongest``; of fog approximately). The step at the threshold is rounded by photon noise
+        (``stages/expected_detection.py``).
 
         Args:
             points: as in ``forward``.
@@ -314,76 +310,10 @@ class LidarWeather(nn.Module):
             ``(..., N)`` each; 0 for rows without return. Differentiable in rates, visibility and sensor parameters.
         """
         _, state = self._begin(points, directions)
-        to_energy = self._stage(ToEnergy)
-        returns = self._stage(ParticleReturns)
-        extinction = self._stage(Extinction).extinction_per_m(state.batch).to(state.reach_m)
-        range_m, seen = state.clear_range_m, state.clear_range_m > 0
-        clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m)
-        threshold = to_energy.beam.threshold
-        own = returns.beam.threshold.dtype
-        transmission = torch.exp(-2.0 * extinction[:, None] * range_m)
-        floored = torch.maximum(clear, threshold * torch.ones_like(clear))
-        # Photons before and after: those that the weather removes make the noise.
-        per_threshold = to_energy.photons_at_threshold / threshold
-        before = floored * per_threshold
-        spread = torch.sqrt((before * transmission * (1.0 - transmission)).clamp_min(1e-12))
-        above = torch.special.ndtr((clear * transmission * per_threshold - to_energy.photons_at_threshold) / spread)
-        margin = -torch.log(transmission) / (DB * to_energy.margin_db)  # in units of its mean
-        stays = torch.exp(-margin)
-
-        def unbeaten(signal: Tensor) -> Tensor:
-            """Probability that no particle keeps an object of this signal from being reported."""
-            mode = self._stage(Detection).return_mode
-
-            # What is close and stronger swallows the object; what is close and weaker is part of it.
-            apart_m = (range_m - self.sensor.echo_separation).clamp_min(0.0)
-            faint = threshold.expand_as(signal)
-            kept = torch.ones_like(signal)
-            for part in returns.kinds.values():
-
-                def above(rival: Tensor, reach_m: Tensor, part: Any = part) -> Tensor:
-                    number: Tensor = part.expected_above(
-                        returns.beam, rival.to(own), extinction.to(own), reach_m.to(own)
-                    )
-                    return number.clamp_min(0.0).to(signal)
-
-                stronger = above(signal, range_m)
-                if mode == "strongest":
-                    kept = kept * torch.exp(-stronger)
-                    continue
-                stronger_apart, seen_apart = above(signal, apart_m), above(faint, apart_m)
-                if isinstance(part, SoftReturn):  # one return, as far as its share of the range
-                    apart = stronger_apart / stronger.clamp_min(1e-12)
-                    swallowed = -torch.expm1(-stronger) * (1.0 - apart)
-                    in_front = -torch.expm1(-stronger) * apart
-                    weaker = (torch.exp(-stronger) - torch.exp(-above(faint, range_m))).clamp_min(0.0)
-                    in_front = in_front + weaker * seen_apart / above(faint, range_m).clamp_min(1e-12)
-                    kept = kept * (1.0 - swallowed - (in_front if mode == "first" else 0.0))
-                else:
-                    kept = kept * torch.exp(stronger_apart - stronger - (seen_apart if mode == "first" else 0.0))
-            return kept.clamp(0.0, 1.0)
-
-        def unbeaten_above(signal: Tensor) -> Tensor:
-            """The same, of objects that stand an exponential margin above this signal."""
-            nodes, weights = np.polynomial.laguerre.laggauss(MARGIN_NODES)
-            parts = [
-                float(weight) * unbeaten(signal * torch.exp(DB * to_energy.margin_db * float(node)))
-                for node, weight in zip(nodes, weights, strict=True)
-            ]
-            return torch.stack(parts).sum(0)
-
-        # The exponential law has no memory: what of the margin is left above any level is exponential again.
-        on_margin = (threshold / floored) ** (1.0 / (DB * to_energy.margin_db))  # probability to stand on the margin
-        dimmed = clear * transmission
-        strong = torch.lerp(unbeaten(dimmed), unbeaten_above(dimmed), on_margin)
-        weak = stays * unbeaten_above(threshold * torch.ones_like(clear))
-        reported = torch.lerp(weak, strong, above)
-        near = seen & (range_m < self.sensor.near_start_m)
-        reported = torch.where(near, torch.ones_like(reported), reported)
-        zero = torch.zeros_like(reported)
-        signal = torch.where(seen, floored * transmission, zero)
-        lead = points.shape[:-1]
-        return signal.reshape(lead), torch.where(seen, reported, zero).reshape(lead)
+        stages = [self._stage(kind) for kind in (ToEnergy, Extinction, ParticleReturns, Detection)]
+        signal, reported = expected_detection(state, *stages)
+        lead = points.shape[:-2]
+        return signal.reshape(*lead, -1), reported.reshape(*lead, -1)
 
     # ---- the border --------------------------------------------------------------------------------------------
 

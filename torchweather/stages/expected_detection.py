@@ -1,0 +1,117 @@
+"""What a LiDAR reports on average: expected signal of each object and its probability of detection; nothing is drawn.
+
+Smooth in rates, visibility and sensor parameters, so that they can be fitted. The mean over draws of the chain
+``to_energy``, ``extinction``, ``particle_returns``, ``detection``, except that the step at the threshold is rounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchweather.stages.beam_particles import BeamParticles
+from torchweather.stages.lidar import DB, Detection, Extinction, ParticleReturns, ToEnergy
+from torchweather.stages.soft_return import SoftReturn
+from torchweather.stages.states import LidarState
+
+__all__ = ["expected_detection"]
+
+# Gauss-Laguerre nodes over the margin of points that stand on it.
+MARGIN_NODES = 8
+TINY = 1e-12
+
+
+def expected_detection(
+    state: LidarState, to_energy: ToEnergy, extinction: Extinction, returns: ParticleReturns, detection: Detection
+) -> tuple[Tensor, Tensor]:
+    """Signal of each object in the weather, 1/(m^2 sr), and the probability that it is reported, ``(B, N)`` each.
+
+    With X the signal in clear air and T the two-way transmission, ``max(X, X_thr) T`` is expected. The object is seen
+    if X T exceeds the threshold, or else if its margin m does: ``10^(m/10) T >= 1``. Seen, it is reported unless a
+    particle keeps it from being (``_unbeaten``).
+
+    The step at the threshold is rounded by the photon noise of the light that the weather takes away: of N photons,
+    N T arrive, +- sqrt(N T (1 - T)).
+
+    Args:
+        state: before the first stage.
+        to_energy, extinction, returns, detection: the stages.
+
+    References:
+        PHYSICS.md 5.3-5.5.
+    """
+    range_m, seen = state.clear_range_m, state.clear_range_m > 0
+    threshold, margin = to_energy.beam.threshold, DB * to_energy.margin_db
+    alpha = extinction.extinction_per_m(state.batch).to(range_m)
+    transmission = torch.exp(-2.0 * alpha[:, None] * range_m)
+    clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m)
+    floored, dimmed = torch.maximum(clear, threshold * torch.ones_like(clear)), clear * transmission
+    rivals = _Rivals(range_m, alpha, returns, detection)
+
+    def unbeaten_above(signal: Tensor) -> Tensor:
+        """Mean over objects that stand an exponential margin above this signal."""
+        nodes, weights = np.polynomial.laguerre.laggauss(MARGIN_NODES)
+        parts = [
+            float(weight) * rivals.unbeaten(signal * torch.exp(margin * float(node)))
+            for node, weight in zip(nodes, weights, strict=True)
+        ]
+        return torch.stack(parts).sum(0)
+
+    photons = to_energy.photons_at_threshold / threshold
+    spread = torch.sqrt((floored * photons * transmission * (1.0 - transmission)).clamp_min(TINY))
+    above = torch.special.ndtr((dimmed - threshold) * photons / spread)
+    # The exponential law has no memory: what of the margin is left above any level is exponential again.
+    on_margin = (threshold / floored) ** (1.0 / margin)
+    strong = torch.lerp(rivals.unbeaten(dimmed), unbeaten_above(dimmed), on_margin)
+    weak = transmission ** (1.0 / margin) * unbeaten_above(threshold * torch.ones_like(clear))
+    reported = torch.lerp(weak, strong, above)
+    near = range_m < detection.sensor.near_start_m  # nothing lies in front of these
+    reported = torch.where(near, 1.0, reported)
+    return torch.where(seen, floored * transmission, 0.0), torch.where(seen, reported, 0.0)
+
+
+@dataclass(frozen=True)
+class _Rivals:
+    """The particles and the fog in front of each object."""
+
+    range_m: Tensor
+    alpha: Tensor
+    returns: ParticleReturns
+    detection: Detection
+
+    def unbeaten(self, signal: Tensor) -> Tensor:
+        """Probability that nothing keeps an object of this signal from being reported, ``(B, N)``.
+
+        In the mode ``strongest`` that is a stronger return anywhere in front. In the others it is a stronger one so
+        close that the object is part of it, and in ``first`` also any return that is farther in front.
+        """
+        kept = torch.ones_like(signal)
+        for part in self.returns.kinds.values():
+            kept = kept * self._unbeaten_by(part, signal)
+        return kept.clamp(0.0, 1.0)
+
+    def _number(self, part: BeamParticles | SoftReturn, signal: Tensor, reach_m: Tensor) -> Tensor:
+        own = self.returns.beam.threshold.dtype
+        number = part.expected_above(self.returns.beam, signal.to(own), self.alpha.to(own), reach_m.to(own))
+        return number.clamp_min(0.0).to(signal)
+
+    def _unbeaten_by(self, part: BeamParticles | SoftReturn, signal: Tensor) -> Tensor:
+        stronger = self._number(part, signal, self.range_m)
+        if self.detection.return_mode == "strongest":
+            return torch.exp(-stronger)
+        first = self.detection.return_mode == "first"
+        apart_m = (self.range_m - self.detection.sensor.echo_separation).clamp_min(0.0)
+        stronger_apart = self._number(part, signal, apart_m)
+        faint = self.returns.beam.threshold.expand_as(signal).to(signal)
+        seen_apart = self._number(part, faint, apart_m)
+        if not isinstance(part, SoftReturn):
+            return torch.exp(stronger_apart - stronger - (seen_apart if first else 0.0))
+        # Fog returns once: approximately with the share of Lambda as the share of the place.
+        apart, seen = stronger_apart / stronger.clamp_min(TINY), self._number(part, faint, self.range_m)
+        swallowed = -torch.expm1(-stronger) * (1.0 - apart)
+        weaker = (torch.exp(-stronger) - torch.exp(-seen)).clamp_min(0.0)
+        in_front = -torch.expm1(-stronger) * apart + weaker * seen_apart / seen.clamp_min(TINY)
+        return 1.0 - swallowed - (in_front if first else 0.0)
