@@ -21,6 +21,8 @@ COLUMNS_WANTED = "x, y, z in metres and intensity"
 # that all lie below this, some of them no integers, are no 8-bit values.
 BRIGHTEST_REFLECTIVITY = 4.0
 FAINTEST_FULL_SCALE = 1.0
+# Farther than this is no return but a mark of none, such as the largest float; its square may overflow.
+FARTHEST_M = 1e9
 
 
 def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
@@ -45,9 +47,10 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
         raise TypeError(f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float().")
     if is_exporting() or not points.numel():
         return
-    # One sum sees every NaN and every infinity; only then is it worth looking for them.
-    if not bool(torch.isfinite(points.detach().sum(dtype=torch.float64))):
-        _refuse_not_finite(points, name)
+    # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
+    total = float(points.detach().sum(dtype=torch.float64))
+    if not abs(total) < FARTHEST_M:
+        _refuse_absurd(points.detach(), name)
     intensity = points.detach()[..., 3]
     low, high = (float(value) for value in torch.aminmax(intensity))
     if low < 0:
@@ -57,14 +60,21 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
     _warn_of_unit(intensity, high, sensor, name)
 
 
-def _refuse_not_finite(points: Tensor, name: str) -> None:
+def _refuse_absurd(points: Tensor, name: str) -> None:
     bad = ~torch.isfinite(points)
     rows = bad.any(-1)
-    columns = sorted({int(column) for column in bad.reshape(-1, points.shape[-1]).any(0).nonzero().flatten()})
-    raise ValueError(
-        f"{name}: points must be finite; got {int(rows.sum())} rows with NaN or infinity (columns {columns}). Give a "
-        "beam without return the coordinates 0, 0, 0."
-    )
+    if bool(rows.any()):
+        columns = sorted({int(column) for column in bad.reshape(-1, points.shape[-1]).any(0).nonzero().flatten()})
+        raise ValueError(
+            f"{name}: points must be finite; got {int(rows.sum())} rows with NaN or infinity (columns {columns}). Give "
+            "a beam without return the coordinates 0, 0, 0."
+        )
+    farthest_m = float(points[..., :3].abs().max())
+    if farthest_m >= FARTHEST_M:
+        raise ValueError(
+            f"{name}: coordinates must be metres; got {farthest_m:g}, too far for a return. Give a beam without return "
+            "the coordinates 0, 0, 0."
+        )
 
 
 def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> None:
