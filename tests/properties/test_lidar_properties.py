@@ -1,4 +1,4 @@
-"""What holds of any cloud in any weather: more weather is never brighter, no weather is no change, labels tell the truth.
+"""What holds of any cloud in any weather: more weather is never brighter, labels tell the truth.
 
 Examples are few because each builds a weather's tables anew.
 """
