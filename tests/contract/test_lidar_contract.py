@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import io
+import itertools
 import math
 import pickle
 from collections.abc import Callable
@@ -126,25 +127,22 @@ def test_the_output_has_the_format_of_the_input(make: Maker, mode: str, batch: t
 
 
 @every_transform
-@pytest.mark.parametrize("dtype", DTYPES, ids=str)
-@pytest.mark.parametrize("columns", [4, 5, 7])
 @pytest.mark.parametrize("directed", [False, True])
 def test_columns_and_dtype_are_those_of_the_input_and_further_columns_keep_their_bits(
-    make: Maker, dtype: torch.dtype, columns: int, directed: bool
+    make: Maker, directed: bool
 ) -> None:
     transform = make(sensor=replace(SENSOR, return_mode="dual"))
-    given = cloud(2, columns=columns, dtype=dtype)
-    result: Any = transform.run(given, transform.draw(given, seed=1), directions=rays() if directed else None)
-    for points in (result.points, result.second):
-        assert isinstance(points, Tensor)
-        assert points.dtype == dtype
-        assert points.shape == given.shape
-        assert bool(torch.isfinite(points).all())
-        assert same_bits(points[..., 4:], given[..., 4:])
-    assert isinstance(result.transmission, Tensor)
-    assert result.transmission.dtype == dtype
-    empty_hit = bool((result.kind[:, EMPTY] == PointKind.PARTICLE).any())
-    assert empty_hit == directed
+    noise = transform.draw(cloud(2), seed=1)
+    for dtype, columns in itertools.product(DTYPES, (4, 5, 7)):
+        given = cloud(2, columns=columns, dtype=dtype)
+        result: Any = transform.run(given, noise, directions=rays() if directed else None)
+        for points in (result.points, result.second):
+            assert points.dtype == dtype
+            assert points.shape == given.shape
+            assert bool(torch.isfinite(points).all())
+            assert same_bits(points[..., 4:], given[..., 4:])
+        assert result.transmission.dtype == dtype
+        assert bool((result.kind[:, EMPTY] == PointKind.PARTICLE).any()) == directed
 
 
 @every_transform

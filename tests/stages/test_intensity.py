@@ -124,7 +124,7 @@ def test_gradients_are_finite_everywhere() -> None:
     for unit in UNITS:
         value = torch.tensor([[0.0, 50.0, 100.0, 101.0, 255.0]], dtype=torch.float64, requires_grad=True)
         gain = torch.tensor([[1.0, 0.5, 0.0, 1e-9, 0.3]], dtype=torch.float64, requires_grad=True)
-        dimmed_intensity(value, gain, unit, FRACTIONAL).sum().backward()
+        dimmed_intensity(value, gain, unit, FRACTIONAL).sum().backward()  # type: ignore[no-untyped-call]
         for tensor in (value, gain):
             if tensor.grad is not None:
                 assert bool(torch.isfinite(tensor.grad).all()), unit
