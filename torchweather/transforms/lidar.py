@@ -313,7 +313,7 @@ class LidarWeather(nn.Module):
         stages = [self._stage(kind) for kind in (ToEnergy, Extinction, ParticleReturns, Detection)]
         signal, reported = expected_detection(state, *stages)
         lead = points.shape[:-2]
-        return signal.reshape(*lead, -1), reported.reshape(*lead, -1)
+        return signal.reshape(*lead, signal.shape[-1]), reported.reshape(*lead, signal.shape[-1])
 
     # ---- the border --------------------------------------------------------------------------------------------
 
