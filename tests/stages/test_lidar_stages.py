@@ -59,7 +59,7 @@ def beam(*echoes: tuple[float, float, int], sensor: Lidar = SENSOR) -> LidarStat
 
 def reported(state: LidarState, mode: str, sensor: Lidar = SENSOR) -> list[tuple[float, int]]:
     """(range, kind) of what the receiver reports."""
-    found = Detection(sensor, mode)(state, {})
+    found = Detection(replace(sensor, return_mode=mode))(state, {})
     return [(round(float(r), 3), int(k)) for r, k in zip(found.range_m[0, 0], found.kind[0, 0], strict=True)]
 
 

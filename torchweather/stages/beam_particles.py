@@ -102,7 +102,8 @@ class BeamParticles(nn.Module):
         if self.published:
             # A drop as wide as the beam; the same law D^2 / R^2, fixed at the published limit.
             diameter_m = torch.full_like(range_m, 2.0 * PUBLISHED_RADIUS_M)
-            full = beam.threshold * (diameter_m / (PUBLISHED_SEEN_M_PER_M * range_m)).square() * clear
+            full = beam.threshold * (diameter_m / (PUBLISHED_SEEN_M_PER_M * range_m)).square()
+            full = full.expand(extinction_per_m.shape[0], *range_m.shape)
             area = 0.25 * math.pi * diameter_m.square() / (1.0 - PUBLISHED_START)
             return full, diameter_m, area
         brightness_per_sr = self.q_back / (4.0 * math.pi)

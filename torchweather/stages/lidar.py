@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torchweather.errors import check_at_least, check_one_of
 from torchweather.physics import Q_EFF, KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.random import Variate
-from torchweather.sensors import RETURN_MODES, Lidar
+from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam
 from torchweather.stages.beam_particles import (
     PUBLISHED_DOMAIN_MM,
@@ -347,22 +347,19 @@ class Detection(Stage):
     Identity: none; where nothing was weakened and nothing added, every object is reported.
 
     Args:
-        sensor: the LiDAR, or its dictionary.
-        return_mode: ``strongest``, ``last``, ``first`` or ``dual``; ``None`` is the sensor's.
+        sensor: the LiDAR, or its dictionary; its ``return_mode`` decides.
     """
 
     default_name: ClassVar[str] = "detection"
 
-    def __init__(self, sensor: Lidar | Mapping[str, Any], return_mode: str | None = None) -> None:
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
         super().__init__()
         self.sensor = _sensor(sensor)
-        self.return_mode = return_mode or self.sensor.return_mode
-        check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)
-        self.given_mode = return_mode
+        self.return_mode = self.sensor.return_mode
 
     def config(self) -> dict[str, Any]:
         """Constructor arguments."""
-        return {"sensor": _config(self.sensor), "return_mode": self.given_mode}
+        return {"sensor": _config(self.sensor)}
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
