@@ -315,7 +315,7 @@ def test_what_changes_the_number_of_points_is_refused(options: dict[str, Any], m
 
 
 @pytest.mark.parametrize("size", [{"points": 1}, {"columns": 3}])
-def test_a_traced_cloud_that_is_none_is_refused(size: dict[str, int], tmp_path: Path) -> None:
+def test_a_traced_cloud_that_is_none_is_refused(size: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="to_onnx: points must be 2 or more and columns 4 or more"):
         to_onnx(LidarRain(Rain(5.0), lidar()), tmp_path / "rain.onnx", **size)
 
