@@ -11,10 +11,10 @@ import hashlib
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,10 @@ LAWS = ("uniform", "normal", "exponential", "points")
 ABSENT = 2.0
 
 # Below this many numbers a thread costs more than it saves.
-THREADED_FROM = 1 << 20
+THREADED_FROM = 1 << 19
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -128,13 +131,17 @@ def draw_variates(
         array = np.empty((len(seeds), *variate.sample_shape(sizes)), dtype=np.float32)
         drawn[stream] = array
         tasks += [(seed, stream, variate, sizes, array[row]) for row, seed in enumerate(seeds)]
-    if len(tasks) > 1 and sum(array.size for array in drawn.values()) >= THREADED_FROM:
-        with ThreadPoolExecutor(max_workers=min(len(tasks), _threads())) as pool:
-            list(pool.map(lambda task: _fill(*task), tasks))
-    else:
-        for task in tasks:
-            _fill(*task)
+    in_parallel(lambda task: _fill(*task), tasks, sum(array.size for array in drawn.values()))
     return drawn
+
+
+def in_parallel(function: Callable[[T], R], items: Sequence[T], numbers: int) -> list[R]:
+    """The function of each item; on threads where there are many random ``numbers`` to draw in all."""
+    workers = min(len(items), _threads())
+    if workers <= 1 or numbers < THREADED_FROM:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return list(pool.map(function, items))
 
 
 def _threads() -> int:

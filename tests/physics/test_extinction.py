@@ -16,6 +16,7 @@ from torchweather.physics import (
     brandes_table4,
     deirmendjian_fog,
     effective_extinction_per_m,
+    extinction_and_backscatter,
     extinction_per_m,
     gunn_marshall,
     lidar_ratio_sr,
@@ -251,3 +252,12 @@ def test_more_rain_stops_more_light() -> None:
 def test_bad_arguments_are_refused(call, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_extinction_and_backscatter_from_one_set_of_series_are_those_computed_apart() -> None:
+    fog = rehearse_fog(30)
+    for wavelength_nm in (865.0, 1550.0):
+        extinction, backscatter = extinction_and_backscatter(fog, wavelength_nm)
+        # The nodes for the extinction alone are coarser: 4e-4 of it.
+        torch.testing.assert_close(extinction, extinction_per_m(fog, wavelength_nm), rtol=5e-4, atol=0.0)
+        assert torch.equal(backscatter, backscatter_per_m_sr(fog, wavelength_nm, q_back="mie"))

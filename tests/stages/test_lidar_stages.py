@@ -13,6 +13,7 @@ from torch import Tensor
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import Detection, Extinction, LidarState, ParticleReturns, PointKind, ToEnergy, ToPoints
 from torchweather.stages.beam_particles import BeamParticles
+from torchweather.stages.intensity import are_integers
 from torchweather.stages.lidar import DB
 from torchweather.stages.strongest import ReturnTable, strongest_before
 from torchweather.weather import Fog, Rain, Snow
@@ -38,6 +39,7 @@ def state_of(points: Tensor, sensor: Lidar = SENSOR) -> LidarState:
         kind=nothing.to(torch.int8),
         reach_m=range_m,
         threshold=torch.tensor(sensor.threshold_per_m2_sr),
+        integral=are_integers(points[..., 3], sensor.intensity_unit),
     )
 
 
@@ -70,7 +72,7 @@ def energies(intensity: float, range_m: float, unit: str, margin: float = 0.0) -
     """Signal of an object over the threshold."""
     sensor = replace(SENSOR, intensity_unit=unit)
     state = state_of(torch.tensor([[range_m, 0.0, 0.0, intensity]], dtype=torch.float64), sensor)
-    after = ToEnergy(sensor)(state, {"margin": torch.full((1, 1), margin)})
+    after = ToEnergy(sensor)(state, {"margin": torch.full((1, 1), 1.0 - math.exp(-margin))})
     return float(after.signal) / X_THR
 
 
@@ -106,7 +108,7 @@ def test_what_was_detected_stands_on_the_threshold_times_its_margin(unit: str) -
 
 
 def test_a_beam_without_return_has_no_signal_and_is_lost() -> None:
-    state = ToEnergy(SENSOR)(state_of(torch.tensor([[0.0, 0.0, 0.0, 0.7]])), {"margin": torch.ones(1, 1)})
+    state = ToEnergy(SENSOR)(state_of(torch.tensor([[0.0, 0.0, 0.0, 0.7]])), {"margin": torch.full((1, 1), 0.5)})
     assert float(state.signal) == 0.0
     assert int(state.kind) == LOST
 
@@ -296,7 +298,7 @@ def test_a_particles_intensity_is_its_equivalent_reflectivity(unit: str) -> None
 def test_a_particle_is_rounded_down_where_the_cloud_counts() -> None:
     sensor = replace(SENSOR, intensity_unit="uint8_linear")
     state = beam((40.0, 1.1, OBJECT), (5.0, 50.0, PARTICLE), sensor=sensor)
-    state = replace(state, points_in=torch.tensor([[[40.0, 0.0, 0.0, 17.0]]]))
+    state = replace(state, points_in=torch.tensor([[[40.0, 0.0, 0.0, 17.0]]]), integral=torch.tensor([[True]]))
     after = ToPoints(sensor)(Detection(sensor)(state, {}), {})
     assert after.points is not None
     assert float(after.points[0, 0, 3]) == math.floor(0.05 * 255)

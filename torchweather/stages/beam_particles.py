@@ -155,9 +155,9 @@ class BeamParticles(nn.Module):
         return self.rate_mm_per_h, self.q_back
 
     def variates(self) -> tuple[Variate, ...]:
-        """Arrivals and places of the strongest particles of each beam."""
+        """Arrivals (the E of ``strongest.py``, as ``1 - exp(-E)``) and places of the strongest of each beam."""
         shape = (self.echoes, "N")
-        return Variate(f"{self.kind}_arrival", "exponential", shape), Variate(f"{self.kind}_place", "uniform", shape)
+        return Variate(f"{self.kind}_arrival", "uniform", shape), Variate(f"{self.kind}_place", "uniform", shape)
 
     def _echoes(self, beam: Beam) -> int:
         """How many particles a beam needs so that more are above threshold with a probability below ``SHARE_MORE``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import tempfile
 import zipfile
@@ -17,7 +18,7 @@ import yaml
 from torch import Tensor, nn
 
 from torchweather.errors import TorchweatherError, check_one_of, nearest_name
-from torchweather.random import sample_seeds
+from torchweather.random import in_parallel, sample_seeds
 from torchweather.stages.registry import STAGES
 from torchweather.stages.stage import Stage, State
 
@@ -77,11 +78,14 @@ class Chain(nn.Module):
     ) -> dict[str, Tensor]:
         """Noise of all stages, ``<stage>.<variate>`` to ``(B, ...)``; takes one integer per sample."""
         seeds = sample_seeds((state.batch,), generator, seed)
-        return {
-            f"{name}.{variate}": array
-            for name, stage in self.stages.items()
-            for variate, array in stage.draw(state, seed=seeds, name=name).items()
-        }
+
+        def drawn(name: str) -> dict[str, Tensor]:
+            found = self.stages[name].draw(state, seed=seeds, name=name)
+            return {f"{name}.{variate}": array for variate, array in found.items()}
+
+        shapes = [v.sample_shape(state.sizes) for stage in self.stages.values() for v in stage.variates()]
+        numbers = len(seeds) * sum(math.prod(shape) for shape in shapes)
+        return {key: array for part in in_parallel(drawn, list(self.stages), numbers) for key, array in part.items()}
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state after all stages."""

@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-__all__ = ["FULL_SCALE", "dimmed_intensity", "intensity_from_signal", "reflectivity_from_intensity"]
+__all__ = ["FULL_SCALE", "are_integers", "dimmed_intensity", "intensity_from_signal", "reflectivity_from_intensity"]
 
 # Largest value of a unit; None where there is no end.
 FULL_SCALE: dict[str, float | None] = {
@@ -30,6 +30,13 @@ RETROREFLECTIVE_AT_255 = 100.0
 _LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0
 # Units whose values may be integers; those are then rounded down.
 COUNTED = ("reflectivity_percent", "uint8_linear", "uint8_calibrated", "photons")
+
+
+def are_integers(intensity: Tensor, unit: str) -> Tensor:
+    """Whether all intensities of a sample ``(B, N)`` are integers of a unit that counts, bool ``(B, 1)``."""
+    if unit not in COUNTED:
+        return torch.zeros_like(intensity[..., :1], dtype=torch.bool)
+    return (intensity == intensity.floor()).all(-1, keepdim=True)
 
 
 def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) -> Tensor:
@@ -68,7 +75,7 @@ def dimmed_intensity(intensity: Tensor, gain: Tensor, unit: str, integral: Tenso
     if unit == "none":
         return intensity
     # The middle of the step an integer stands for: the sensor rounded down.
-    middle = intensity + 0.5 * integral if unit in COUNTED else intensity
+    middle = torch.where(integral, intensity + 0.5, intensity) if unit in COUNTED else intensity
     if unit == "uint8_calibrated":
         # In the logarithmic part the logarithm of the gain adds; below it the value is linear again.
         brighter = middle + gain.clamp_min(1e-30).log() / _LOG_STEP
@@ -78,9 +85,9 @@ def dimmed_intensity(intensity: Tensor, gain: Tensor, unit: str, integral: Tenso
         dimmed = middle * gain
     if unit in COUNTED:
         dimmed = torch.where(integral, dimmed.floor(), dimmed)
-    ceiling = FULL_SCALE[unit]
-    if ceiling is not None:
-        dimmed = torch.where(integral, dimmed.clamp_max(ceiling), dimmed)
+    full = FULL_SCALE[unit]
+    if full is not None:
+        dimmed = torch.where(integral, dimmed.clamp_max(full), dimmed)
     return torch.where(gain == 1.0, intensity, dimmed)
 
 

@@ -25,14 +25,14 @@ from torchweather.stages.beam_particles import (
     BeamParticles,
 )
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.fog_optics import FogOptics
 from torchweather.stages.intensity import (
-    COUNTED,
     dimmed_intensity,
     intensity_from_signal,
     reflectivity_from_intensity,
 )
 from torchweather.stages.registry import register
-from torchweather.stages.soft_return import MOR_NODES, SoftReturn, mor_range_m
+from torchweather.stages.soft_return import SoftReturn
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import LidarState, PointKind
 from torchweather.stages.strongest import ReturnTable, strongest_before
@@ -41,6 +41,7 @@ from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
 __all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
 
 DB = math.log(10.0) / 10.0
+NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
 
@@ -51,6 +52,11 @@ def _sensor(sensor: Lidar | Mapping[str, Any]) -> Lidar:
 def _config(sensor: Lidar) -> dict[str, Any]:
     """Plain values of a sensor; the directions belong to the data, not to the stage."""
     return replace(sensor, directions=None).to_dict()
+
+
+def exponential(uniform: Tensor) -> Tensor:
+    """Standard exponential variates from uniform ones, 0 to 16.6 in single precision."""
+    return -(1.0 - uniform).log()
 
 
 @register
@@ -80,26 +86,24 @@ class ToEnergy(Stage):
         return {"sensor": _config(self.sensor)}
 
     def variates(self) -> tuple[Variate, ...]:
-        """The margin of each beam."""
-        return (Variate("margin", "exponential", ("N",)),)
+        """The margin of each beam, as the probability of a smaller one."""
+        return (Variate("margin", "uniform", ("N",)),)
 
     def signal_of_intensity(self, intensity: Tensor, range_m: Tensor) -> Tensor:
         """X of an object from its intensity, without the floor, ``(B, N)``; 0 for a beam without return."""
         unit = self.sensor.intensity_unit
-        seen = range_m > 0
         if unit == "photons":
-            return torch.where(seen, intensity * (self.beam.threshold / self.photons_at_threshold), 0.0)
+            return intensity * (range_m > 0) * (self.beam.threshold / self.photons_at_threshold)
         reflectivity = reflectivity_from_intensity(intensity, unit, self.sensor.assumed_reflectivity)
-        square = torch.where(seen, range_m, torch.ones_like(range_m)).square()
-        signal = reflectivity * self.beam.near_response(range_m) / (math.pi * square)
-        return torch.where(seen, signal, torch.zeros_like(signal))
+        # At range 0 the receiver's response is 0.
+        return reflectivity * self.beam.near_response(range_m) / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2)
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the objects' signals."""
 
         range_m, margin = state.clear_range_m, noise["margin"]
         seen = range_m > 0
-        floor = self.beam.threshold * torch.exp(DB * self.margin_db * margin.to(range_m))
+        floor = self.beam.threshold * torch.exp(DB * self.margin_db * exponential(margin.to(range_m)))
         signal = torch.maximum(self.signal_of_intensity(state.points_in[..., 3], range_m), floor)
         signal = torch.where(seen, signal, 0.0)
         kind = torch.where(seen, OBJECT, LOST).to(torch.int8)
@@ -114,22 +118,14 @@ class ToEnergy(Stage):
 
 
 @lru_cache(maxsize=64)
-def _extinction_table(weather: Weather, wavelength_nm: float, published: bool) -> KnobTable:
-    """Full extinction, 1/m, over the knob of a weather (given with its knob at rest)."""
-    if isinstance(weather, Fog):
-
-        def of_mor(mor_m: Tensor) -> Tensor:
-            return extinction_per_m(weather.distribution(mor_m), wavelength_nm, temperature_c=weather.temperature_c)
-
-        return KnobTable(of_mor, *mor_range_m(weather), MOR_NODES, zero_at_inf=True)
-    assert isinstance(weather, (Rain, Snow))
-    falling = weather
+def _falling_table(weather: Rain | Snow, wavelength_nm: float, published: bool) -> KnobTable:
+    """Full extinction of rain or snow, 1/m, over the rate (the weather's own counts for nothing)."""
 
     def of_rate(rate: Tensor) -> Tensor:
-        distribution = falling.distribution(rate)
+        distribution = weather.distribution(rate)
         if published:
             distribution = distribution.within(*PUBLISHED_DOMAIN_MM)
-        return extinction_per_m(distribution, wavelength_nm, temperature_c=falling.temperature_c)
+        return extinction_per_m(distribution, wavelength_nm, temperature_c=weather.temperature_c)
 
     return KnobTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
@@ -138,22 +134,28 @@ class _PartExtinction(nn.Module):
     """Effective extinction of one weather: ``alpha q_eff / 2``."""
 
     q_eff: Tensor
-    knob: Tensor
 
     def __init__(self, weather: Weather, sensor: Lidar, q_eff: float, *, koschmieder: bool, published: bool) -> None:
         super().__init__()
         self.weather, self.koschmieder = weather, koschmieder
-        at_rest = replace(weather, **{weather.knob_name: math.inf if isinstance(weather, Fog) else 0.0})  # type: ignore[type-var]
-        self.table = copy.deepcopy(_extinction_table(at_rest, float(sensor.wavelength_nm), published))
+        if isinstance(weather, Fog):
+            self.optics = FogOptics(weather, float(sensor.wavelength_nm))
+        elif isinstance(weather, (Rain, Snow)):
+            at_rest = replace(weather, rate_mm_per_h=0.0)
+            self.table = copy.deepcopy(_falling_table(at_rest, float(sensor.wavelength_nm), published))
         self.register_buffer("q_eff", torch.tensor(float(q_eff)))
         self.register_buffer(weather.knob_name, torch.as_tensor(weather.knob, dtype=torch.float32))
 
     def forward(self) -> Tensor:
         """1/m, of the knob's shape flattened."""
         knob = getattr(self, self.weather.knob_name).reshape(-1)
-        if self.koschmieder and isinstance(self.weather, Fog):
-            return extinction_from_mor(knob, self.weather.contrast).to(knob) * (0.5 * self.q_eff)
-        full: Tensor = self.table(knob)
+        full: Tensor
+        if not isinstance(self.weather, Fog):
+            full = self.table(knob)
+        elif self.koschmieder:
+            full = extinction_from_mor(knob, self.weather.contrast).to(knob)
+        else:
+            full = self.optics.extinction_per_m(knob)
         return full * (0.5 * self.q_eff)
 
 
@@ -305,7 +307,7 @@ class ParticleReturns(Stage):
         ranges, signals = [], []
         arrived = torch.zeros_like(reach)
         for echo in range(part.echoes):
-            arrived, own_place = arrived + arrival[:, echo].to(reach), place[:, echo].to(reach)
+            arrived, own_place = arrived + exponential(arrival[:, echo].to(reach)), place[:, echo].to(reach)
             if table is not None:
                 row, column, exists = table.strongest_before(arrived, own_place, reach)
             else:
@@ -370,9 +372,9 @@ class Detection(Stage):
         ]
         zero = torch.zeros_like(clear_range_m)
         # Strength decides; 0 is an echo that is not seen.
-        strengths = [torch.where(echo.signal >= threshold, echo.signal, zero) for echo in echoes]
+        strengths = [torch.where(echo.signal >= threshold, echo.signal, 0.0) for echo in echoes]
         near = (clear_range_m > 0) & (clear_range_m < self.sensor.near_start_m)
-        strengths[0] = torch.where(near, torch.inf, torch.where(clear_range_m > 0, strengths[0], zero))
+        strengths[0] = torch.where(near, torch.inf, strengths[0])
         strongest = _best(strengths, echoes)
         chosen = [strongest]
         if self.return_mode != "strongest":
@@ -427,12 +429,16 @@ def _nothing(like: _Echoes) -> tuple[Tensor, Tensor, Tensor]:
 
 def _best(scores: Sequence[Tensor], echoes: Sequence[_Echoes]) -> _Echoes:
     """The echo of the highest score in each beam, the first of equals; none where all scores are 0."""
-    best, found = torch.zeros_like(scores[0]), _nothing(echoes[0])
-    for score, echo in zip(scores, echoes, strict=True):
+    best, found = scores[0], echoes[0].parts
+    for score, echo in zip(scores[1:], echoes[1:], strict=True):
         better = score > best
-        best = torch.where(better, score, best)
         found = tuple(torch.where(better, new, old) for new, old in zip(echo.parts, found, strict=True))  # type: ignore[assignment]
-    return _Echoes(*found)
+        best = torch.maximum(best, score)
+    none = best <= 0
+    range_m, signal, kind = found
+    return _Echoes(
+        torch.where(none, 0.0, range_m), torch.where(none, 0.0, signal), torch.where(none, LOST, kind).to(torch.int8)
+    )
 
 
 @register
@@ -471,14 +477,9 @@ class ToPoints(Stage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the points that go out."""
-        intensity = state.points_in[..., 3]
-        if self.sensor.intensity_unit in COUNTED:
-            integral = (intensity == intensity.floor()).all(-1, keepdim=True)
-        else:
-            integral = torch.zeros_like(intensity[..., :1], dtype=torch.bool)
         drawn = noise.get("range_noise")
         clouds = [
-            self._cloud(state, echo, None if drawn is None else drawn[:, echo], integral)
+            self._cloud(state, echo, None if drawn is None else drawn[:, echo])
             for echo in range(state.range_m.shape[-1])
         ]
         return replace(state, points=clouds[0], second=clouds[1] if len(clouds) > 1 else None)
@@ -490,7 +491,7 @@ class ToPoints(Stage):
         step = self.sensor.range_resolution_m
         return torch.round(range_m / step) * step if step > 0 else range_m
 
-    def _cloud(self, state: LidarState, echo: int, noise: Tensor | None, integral: Tensor) -> Tensor:
+    def _cloud(self, state: LidarState, echo: int, noise: Tensor | None) -> Tensor:
         """Points ``(B, N, C)`` of one reported echo."""
         points, clear = state.points_in, state.clear_range_m
         range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
@@ -506,7 +507,7 @@ class ToPoints(Stage):
             columns = [torch.where(here, own, given) for own, given in zip(columns, along, strict=True)]
         columns = [torch.where(gone, 0.0, column * scale) for column in columns]
         gain = signal / torch.where(seen, state.clear_signal, 1.0)
-        unit, intensity = self.sensor.intensity_unit, points[..., 3]
+        unit, intensity, integral = self.sensor.intensity_unit, points[..., 3], state.integral
         returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
         value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
         # A beam that was empty and stayed so keeps what it came with.

@@ -19,7 +19,6 @@ References:
 
 from __future__ import annotations
 
-import copy
 import math
 from functools import lru_cache
 
@@ -28,16 +27,15 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.errors import check_one_of
-from torchweather.physics import KnobTable, backscatter_per_m_sr
 from torchweather.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam, RangeGrid
+from torchweather.stages.fog_optics import FogOptics, mor_range_m
 from torchweather.stages.strongest import expected_number
-from torchweather.weather import REHEARSE, REHEARSE_MOR_M, Fog
+from torchweather.weather import Fog
 
-__all__ = ["MOR_HIGH_M", "MOR_LOW_M", "SoftReturn", "mor_range_m"]
+__all__ = ["SoftReturn"]
 
-MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
 BACKSCATTERS = ("mie", "hahner")
 HAHNER_BETA_MOR_PER_SR = 0.046  # Rasshofer 2011, Hahner 2021: beta = 0.046 / MOR, a lidar ratio of 65 sr
 PULSE_NODES = 32
@@ -45,28 +43,6 @@ COUNT_NODES = 65  # cells by powers of two: the search in strongest.py halves th
 FEWEST_PHOTONS = 0.1  # of those at the threshold: a reading below it is not drawn
 PHOTON_LOW, PHOTON_HIGH, PHOTON_NODES = 1e-2, 1e5, 2048
 NEVER = 1e-30  # -ln F of a reading that never occurs, so that logarithms stay finite
-
-
-def mor_range_m(fog: Fog) -> tuple[float, float]:
-    """Visibilities over which coefficients of a fog are tabulated, m."""
-    if fog.size_distribution == REHEARSE:
-        return float(REHEARSE_MOR_M[0]), float(REHEARSE_MOR_M[-1])
-    return MOR_LOW_M, MOR_HIGH_M
-
-
-@lru_cache(maxsize=32)
-def _backscatter_table(
-    size_distribution: str, contrast: float, temperature_c: float, wavelength_nm: float
-) -> KnobTable:
-    fog = Fog(size_distribution=size_distribution, contrast=contrast, temperature_c=temperature_c)
-    return KnobTable(
-        lambda mor_m: backscatter_per_m_sr(
-            fog.distribution(mor_m), wavelength_nm, temperature_c=temperature_c, q_back="mie"
-        ),
-        *mor_range_m(fog),
-        MOR_NODES,
-        zero_at_inf=True,
-    )
 
 
 @lru_cache(maxsize=8)
@@ -110,12 +86,7 @@ class SoftReturn(nn.Module):
         check_one_of("fog_backscatter", backscatter, BACKSCATTERS, owner=self)
         self.weather, self.backscatter = weather, backscatter
         self.grid = RangeGrid.of(sensor)
-        # A copy: .to(dtype) of one module must not reach the cached table of all others.
-        self.table = copy.deepcopy(
-            _backscatter_table(
-                weather.size_distribution, weather.contrast, weather.temperature_c, float(sensor.wavelength_nm)
-            )
-        )
+        self.optics = FogOptics(weather, float(sensor.wavelength_nm))
         place, weight = np.polynomial.legendre.leggauss(PULSE_NODES)
         weight = weight * np.cos(0.5 * np.pi * place) ** 2  # sin^2 of the pulse, from its middle; integral 1
         for name, value in (
@@ -147,8 +118,7 @@ class SoftReturn(nn.Module):
         """beta, 1/(m sr), of the shape of ``mor_m``."""
         if self.backscatter == "hahner":
             return HAHNER_BETA_MOR_PER_SR / mor_m
-        found: Tensor = self.table(mor_m)
-        return found
+        return self.optics.backscatter_per_m_sr(mor_m)
 
     def signal(self, beam: Beam, extinction_per_m: Tensor, range_m: Tensor) -> Tensor:
         """Expected soft return S over the system constant, ``(B, ...)``, at ranges ``(...)``, 1/(m^2 sr)."""
@@ -201,4 +171,4 @@ class SoftReturn(nn.Module):
 
     def variates(self) -> tuple[Variate, ...]:
         """Arrival and place of the strongest reading of each beam."""
-        return Variate("fog_arrival", "exponential", (1, "N")), Variate("fog_place", "uniform", (1, "N"))
+        return Variate("fog_arrival", "uniform", (1, "N")), Variate("fog_place", "uniform", (1, "N"))

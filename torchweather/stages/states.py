@@ -105,6 +105,7 @@ class LidarState:
         reach_m: ``(B, N)`` range to which particles are seen: the object's, or the sensor's maximum where the beam has
             no return but a direction; 0 where it has neither.
         threshold: ``()`` signal that is detected.
+        integral: ``(B, 1)`` bool, whether the sample's intensities are integers; they then stay integers.
         extinction_per_m: ``(B,)`` effective extinction of all weather together; ``None`` is clear air.
         grid: rows and columns of an organised cloud, or ``None``.
         points: ``(B, N, C)`` the cloud that goes out; ``None`` until ``to_points``.
@@ -120,6 +121,7 @@ class LidarState:
     kind: Tensor
     reach_m: Tensor
     threshold: Tensor
+    integral: Tensor
     extinction_per_m: Tensor | None = None
     grid: tuple[int, int] | None = None
     points: Tensor | None = None

@@ -25,6 +25,7 @@ from torchweather.stages import (
     ToPoints,
 )
 from torchweather.stages.expected_detection import expected_detection
+from torchweather.stages.intensity import are_integers
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms.clouds import Beams, beams_of, check_points
 from torchweather.weather import Weather
@@ -340,6 +341,7 @@ class LidarWeather(nn.Module):
             kind=nothing.to(torch.int8),
             reach_m=reach_m,
             threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
+            integral=are_integers(flat[..., 3], self.sensor.intensity_unit),
             grid=self._grid(flat.shape[1]),
         )
         return beams, state
