@@ -411,3 +411,21 @@ def test_ten_million_points() -> None:
     # Generous: a shared machine; what counts is that time and memory are linear, not that they are small.
     assert seconds < 60.0
     assert more_bytes < 4e9
+
+
+def test_a_cloud_worked_on_in_portions_comes_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    import torchweather.transforms.lidar as module
+
+    generator = torch.Generator().manual_seed(3)
+    points = torch.rand(3, 1000, 5, generator=generator) * 40.0
+    points[:, ::7, :3] = 0.0
+    directions = torch.nn.functional.normalize(torch.randn(1000, 3, generator=generator), dim=-1)
+    lidar = Lidar.preset("velodyne-hdl-64e", return_mode="dual")
+    weather = Mixture(Snow(torch.tensor([0.5, 1.0, 3.0])), Fog(mor_m=200.0))
+    transform = LidarWeather(weather, lidar)
+    noise = transform.draw(points, seed=1)
+    whole = transform.run(points, noise, directions=directions)
+    monkeypatch.setattr(module, "BEAMS_AT_ONCE", 256)  # portions of 85 beams of each sample
+    apart = transform.run(points, noise, directions=directions)
+    for name in ("points", "kind", "second", "second_source", "source"):
+        assert torch.equal(getattr(whole, name), getattr(apart, name)), name

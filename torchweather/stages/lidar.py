@@ -71,6 +71,7 @@ class ToEnergy(Stage):
     """
 
     default_name: ClassVar[str] = "to_energy"
+    each_beam_alone = True
     margin_db: Tensor
     photons_at_threshold: Tensor
 
@@ -175,6 +176,7 @@ class Extinction(Stage):
     """
 
     default_name: ClassVar[str] = "extinction"
+    each_beam_alone = True
 
     def __init__(
         self,
@@ -238,6 +240,7 @@ class ParticleReturns(Stage):
     """
 
     default_name: ClassVar[str] = "particle_returns"
+    each_beam_alone = True
 
     def __init__(
         self,
@@ -353,6 +356,7 @@ class Detection(Stage):
     """
 
     default_name: ClassVar[str] = "detection"
+    each_beam_alone = True
 
     def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
         super().__init__()
@@ -455,6 +459,7 @@ class ToPoints(Stage):
     """
 
     default_name: ClassVar[str] = "to_points"
+    each_beam_alone = True
     photons_at_threshold: Tensor
     range_noise_m: Tensor
 

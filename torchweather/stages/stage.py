@@ -39,6 +39,8 @@ class Stage(nn.Module):
     """
 
     default_name: ClassVar[str] = "stage"
+    each_beam_alone: ClassVar[bool] = False
+    """Whether a beam of a LiDAR comes out the same whatever the others are, and noise has the beams last."""
 
     def variates(self) -> tuple[Variate, ...]:
         """The standard random numbers that this stage needs; none for a deterministic stage."""

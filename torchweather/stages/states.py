@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import torch
@@ -137,6 +137,11 @@ class LidarState:
         """Number of samples."""
         return self.points_in.shape[0]
 
+    def of_beams(self, part: slice) -> LidarState:
+        """The state of a part of the beams, before detection."""
+        cut = {name: value[:, part] for name in PER_BEAM if (value := getattr(self, name)) is not None}
+        return replace(self, grid=None, **cut)
+
     @property
     def direction(self) -> Tensor:
         """``(B, N, 3)`` unit vector of each beam; zero where the input does not tell it."""
@@ -146,6 +151,18 @@ class LidarState:
             return seen
         return torch.where(range_m > 0, seen, self.empty_direction.to(seen.dtype))
 
+
+# Fields of a LidarState that have the beams second.
+PER_BEAM = (
+    "points_in",
+    "empty_direction",
+    "clear_range_m",
+    "clear_signal",
+    "range_m",
+    "signal",
+    "kind",
+    "reach_m",
+)
 
 for _state in (CameraState, LidarState):
     torch.export.register_dataclass(_state, serialized_type_name=f"torchweather.{_state.__name__}")

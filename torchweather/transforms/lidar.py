@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from torchweather.stages import (
     ToEnergy,
     ToPoints,
 )
+from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.expected_detection import expected_detection
 from torchweather.stages.intensity import are_integers
 from torchweather.stages.soft_return import SoftReturn
@@ -34,6 +35,7 @@ __all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
 
 VARIANTS = ("d3_4",)
 LOST_AS = ("zero", "nan", "drop")
+BEAMS_AT_ONCE = 1 << 19  # arrays of 2 MB
 Cloud = Tensor | list[Tensor]
 
 
@@ -368,8 +370,32 @@ class LidarWeather(nn.Module):
             flat = {key: value.to(state.points_in.device) for key, value in drawn.items()}
         else:
             flat = self._flat(noise, state)
+        if self._is_large(state):
+            return self._in_portions(state, flat)
         found: LidarState = self.chain(state, flat)
         return found
+
+    def _is_large(self, state: LidarState) -> bool:
+        """Whether the cloud is worked on in portions of its beams."""
+        batch, beams = state.clear_range_m.shape
+        if is_exporting() or batch * beams <= BEAMS_AT_ONCE or batch > beams:
+            return False
+        if not all(stage.each_beam_alone for stage in self.chain.stages.values()):
+            return False
+        learns = (state.points_in, *self.chain.buffers())
+        return not (torch.is_grad_enabled() and any(value.requires_grad for value in learns))
+
+    def _in_portions(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state after the chain, portion by portion: fresh memory for larger arrays costs more than the work."""
+        batch, beams = state.clear_range_m.shape
+        size = max(1, BEAMS_AT_ONCE // batch)
+        found = []
+        for start in range(0, beams, size):
+            part = slice(start, start + size)
+            found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
+        points, second, kind = ([getattr(part, name) for part in found] for name in ("points", "second", "kind"))
+        seconds = None if second[0] is None else torch.cat(second, 1)
+        return replace(state, points=torch.cat(points, 1), second=seconds, kind=torch.cat(kind, 1))
 
     def _flat(self, noise: Mapping[str, Tensor], state: LidarState) -> dict[str, Tensor]:
         flat = {}
