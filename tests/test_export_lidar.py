@@ -30,8 +30,8 @@ TRACED = 100
 # Batch and points, neither as traced.
 SIZES = [(1, 3000), (3, 501)]
 # float32 rounding through the tables: 3e-6 measured. Relative to range, and to the intensity's own size. The farthest
-# particles of a signal are placed by sqrt(1 - share), which magnifies a rounding of 6e-8 to 6e-8 / (2 sqrt(1 - share)) of
-# the 512 nodes: 3 times the tolerance where 1 - share is 1e-5. So one in a thousand may be off ten times as far.
+# particles of a signal are placed by sqrt(1 - share), which magnifies a rounding of 6e-8 to 6e-8 / (2 sqrt(1 - share))
+# of the 512 nodes: 3 times the tolerance where 1 - share is 1e-5. So one in a thousand may be off ten times as far.
 TOLERANCE = 1e-5
 FEW, FARTHER = 1e-3, 10.0
 Array = NDArray[Any]
