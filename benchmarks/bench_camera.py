@@ -13,16 +13,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
+from measure import machine, times_ms
 
 import torchweather as tw
 from torchweather.image import demosaic
@@ -73,44 +72,6 @@ for _ in range(3):
 print(json.dumps(dict(import_torch_s=torch_s, import_library_s=library_s, construct_s=construct_s, first_draw_s=draw_s,
                       first_render_s=first_s, later_render_s=min(again))))
 """
-
-
-def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
-    """Median, least and greatest of a call's times after two calls that do not count."""
-    for _ in range(2):
-        call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(1e3 * (time.perf_counter() - start))
-    return {
-        "median_ms": round(statistics.median(times), 3),
-        "min_ms": round(min(times), 3),
-        "max_ms": round(max(times), 3),
-        "repeats": repeats,
-    }
-
-
-def cpu_name() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor()
-
-
-def machine() -> dict[str, Any]:
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "cpu": cpu_name(),
-        "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "torch": torch.__version__,
-        "load_at_start": load,
-    }
 
 
 def elementwise(frame: torch.Tensor, repeats: int) -> dict[str, Any]:

@@ -10,36 +10,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
-import statistics
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from measure import machine, times_ms
 
 from torchweather.image import demosaic
 
 HEIGHT, WIDTH = 1464, 1936  # Sony IMX429, the sensor of the Lucid Triton TRI028S
-
-
-def median_ms(call: Callable[[], object], repeats: int) -> float:
-    for _ in range(3):
-        call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times) * 1e3
-
-
-def cpu_name() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor()
 
 
 def main() -> None:
@@ -51,18 +29,18 @@ def main() -> None:
     frame = torch.rand(1, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
     buffer, rgb = torch.empty_like(frame), torch.empty(3, HEIGHT, WIDTH)
     repeats = arguments.repeats
-    in_place = median_ms(lambda: torch.exp(frame, out=buffer), 5 * repeats)
+    in_place = times_ms(lambda: torch.exp(frame, out=buffer), 5 * repeats)["median_ms"]
     times = {
         "exp_in_place_ms": in_place,
-        "exp_fresh_ms": median_ms(lambda: torch.exp(frame), repeats),
-        "malvar_out_ms": median_ms(lambda: demosaic(frame, "RGGB", out=rgb), repeats),
-        "malvar_rccb_out_ms": median_ms(lambda: demosaic(frame, "RCCB", out=rgb), repeats),
-        "malvar_fresh_ms": median_ms(lambda: demosaic(frame, "RGGB"), repeats),
-        "bilinear_kornia_ms": median_ms(lambda: demosaic(frame, "RGGB", "bilinear"), max(3, repeats // 5)),
+        "exp_fresh_ms": times_ms(lambda: torch.exp(frame), repeats)["median_ms"],
+        "malvar_out_ms": times_ms(lambda: demosaic(frame, "RGGB", out=rgb), repeats)["median_ms"],
+        "malvar_rccb_out_ms": times_ms(lambda: demosaic(frame, "RCCB", out=rgb), repeats)["median_ms"],
+        "malvar_fresh_ms": times_ms(lambda: demosaic(frame, "RGGB"), repeats)["median_ms"],
+        "bilinear_kornia_ms": times_ms(lambda: demosaic(frame, "RGGB", "bilinear"), max(3, repeats // 5))["median_ms"],
     }
     result = {
         "what": f"demosaic {WIDTH} x {HEIGHT} float32",
-        "machine": {"cpu": cpu_name(), "threads": torch.get_num_threads(), "torch": torch.__version__},
+        "machine": machine(),
         "times": {name: round(value, 3) for name, value in times.items()},
         "malvar_out_over_exp_in_place": round(times["malvar_out_ms"] / in_place, 2),
         "target_at_most": 40,
