@@ -59,8 +59,22 @@ def exponential(uniform: Tensor) -> Tensor:
     return -(1.0 - uniform).log()
 
 
+class _SensorStage(Stage):
+    """A stage that is made from the sensor alone."""
+
+    each_beam_alone = True
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"sensor": _config(self.sensor)}
+
+
 @register
-class ToEnergy(Stage):
+class ToEnergy(_SensorStage):
     """Signal of each object in clear air, from its intensity.
 
     ``X = (I / pi) xi(R) / R^2`` from a reflectivity, ``X = I / K`` from photons. A return in the input was detected, so
@@ -71,20 +85,14 @@ class ToEnergy(Stage):
     """
 
     default_name: ClassVar[str] = "to_energy"
-    each_beam_alone = True
     margin_db: Tensor
     photons_at_threshold: Tensor
 
     def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
-        super().__init__()
-        self.sensor = _sensor(sensor)
+        super().__init__(sensor)
         self.beam = Beam(self.sensor)
         self.register_buffer("margin_db", torch.tensor(self.sensor.margin_db))
         self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
-
-    def config(self) -> dict[str, Any]:
-        """Constructor arguments."""
-        return {"sensor": _config(self.sensor)}
 
     def variates(self) -> tuple[Variate, ...]:
         """The margin of each beam, as the probability of a smaller one."""
@@ -343,7 +351,7 @@ def _joined(echoes: Sequence[Tensor]) -> Tensor:
 
 
 @register
-class Detection(Stage):
+class Detection(_SensorStage):
     """What the receiver reports: echoes above threshold, merged where they are close, chosen by the return mode.
 
     An echo within ``echo_separation_m`` of a stronger one is part of that one. An object nearer than ``near_start_m``
@@ -356,16 +364,11 @@ class Detection(Stage):
     """
 
     default_name: ClassVar[str] = "detection"
-    each_beam_alone = True
 
-    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
-        super().__init__()
-        self.sensor = _sensor(sensor)
-        self.return_mode = self.sensor.return_mode
-
-    def config(self) -> dict[str, Any]:
-        """Constructor arguments."""
-        return {"sensor": _config(self.sensor)}
+    @property
+    def return_mode(self) -> str:
+        """Which of its echoes the sensor reports."""
+        return self.sensor.return_mode
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
@@ -446,7 +449,7 @@ def _best(scores: Sequence[Tensor], echoes: Sequence[_Echoes]) -> _Echoes:
 
 
 @register
-class ToPoints(Stage):
+class ToPoints(_SensorStage):
     """Points of the reported echoes: along the beam, in the unit of the input's intensity.
 
     What no stage touched comes out with the input's own bits. A particle's intensity is that of its equivalent
@@ -459,20 +462,14 @@ class ToPoints(Stage):
     """
 
     default_name: ClassVar[str] = "to_points"
-    each_beam_alone = True
     photons_at_threshold: Tensor
     range_noise_m: Tensor
 
     def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
-        super().__init__()
-        self.sensor = _sensor(sensor)
+        super().__init__(sensor)
         self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
         self.register_buffer("range_noise_m", torch.tensor(float(self.sensor.range_noise_m)))
         self.reported = 2 if self.sensor.return_mode == "dual" else 1
-
-    def config(self) -> dict[str, Any]:
-        """Constructor arguments."""
-        return {"sensor": _config(self.sensor)}
 
     def variates(self) -> tuple[Variate, ...]:
         """Range noise of the reported echoes, where the sensor has any."""
