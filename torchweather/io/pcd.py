@@ -64,6 +64,7 @@ def read_pcd(path: str | os.PathLike[str]) -> StoredPoints:
             raw = _raw_header(file, source)
             header = _parsed(raw, source)
             available = os.fstat(file.fileno()).st_size - len(raw)
+            trailer = b""
             if header.data == "ascii":
                 arrays = _ascii(file.read(), header, raw, source)
             elif header.data == "binary":
@@ -71,11 +72,12 @@ def read_pcd(path: str | os.PathLike[str]) -> StoredPoints:
                 _check_surplus(source, available, header)
                 rows = np.fromfile(file, row_dtype(header.fields), header.points)
                 arrays = unpacked(rows, header.fields)
+                trailer = file.read()
             else:
                 arrays = _compressed(file.read(), header, source)
     except OSError as error:
         raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
-    layout = PointLayout("pcd", header.fields, header.data, raw)
+    layout = PointLayout("pcd", header.fields, header.data, raw, trailer)
     grid = (header.height, header.width) if header.height > 1 else None
     return StoredPoints(layout, arrays, grid)
 
@@ -98,6 +100,7 @@ def write_pcd(path: str | os.PathLike[str], stored: StoredPoints) -> None:
             file.write("".join(" ".join(row) + "\n" for row in zip(*columns, strict=True)).encode("ascii"))
         elif header.data == "binary":
             stored.packed().tofile(file)
+            file.write(stored.layout.trailer)
         else:
             plain = b"".join(
                 np.ascontiguousarray(array, one.dtype).tobytes()

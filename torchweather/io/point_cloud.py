@@ -15,7 +15,7 @@ from torch import Tensor
 from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.io.stored_points import PointLayout, StoredPoints
 
-__all__ = ["INTENSITY_NAMES", "PointCloud", "cloud_from_stored"]
+__all__ = ["INTENSITY_NAMES", "PointCloud", "cloud_from_stored", "exact_dtype", "flat_columns"]
 
 # Names under which files keep the strength of a return, in the order in which they are sought; case does not matter.
 INTENSITY_NAMES = ("intensity", "reflectivity", "reflectance", "i", "signal")
@@ -102,7 +102,7 @@ def cloud_from_stored(
     dtype: torch.dtype | None = None,
 ) -> PointCloud:
     """The content of a file as one tensor; the arguments are those of `read_points`."""
-    found = _flat(stored, source)
+    found = flat_columns(stored, source)
     if columns is not None:
         absent = [name for name in columns if name not in found]
         if absent:
@@ -113,7 +113,7 @@ def cloud_from_stored(
         found = {name: found[name] for name in found if name in columns}
     first = _leading(tuple(found), intensity, source)
     order = (*first, *(name for name in found if name not in first))
-    kind = _dtype(found, dtype, source)
+    kind = exact_dtype(found, dtype, source)
     table = np.empty((stored.rows, len(order)), kind)
     with np.errstate(over="ignore"):  # a dtype that was asked for; its infinities are found below
         for index, name in enumerate(order):
@@ -128,7 +128,7 @@ def cloud_from_stored(
     )
 
 
-def _flat(stored: StoredPoints, source: Path) -> dict[str, npt.NDArray[Any]]:
+def flat_columns(stored: StoredPoints, source: Path) -> dict[str, npt.NDArray[Any]]:
     """Every column by its name; fields of several numbers taken apart."""
     found: dict[str, npt.NDArray[Any]] = {}
     for one, array in zip(stored.layout.fields, stored.arrays, strict=True):
@@ -165,7 +165,7 @@ def _leading(names: tuple[str, ...], intensity: str, source: Path) -> tuple[str,
     return (*position, intensity)
 
 
-def _dtype(found: dict[str, npt.NDArray[Any]], wanted: torch.dtype | None, source: Path) -> type[np.floating[Any]]:
+def exact_dtype(found: dict[str, npt.NDArray[Any]], wanted: torch.dtype | None, source: Path) -> type[np.floating[Any]]:
     """Float32 where it holds every number exactly, else float64."""
     if wanted is not None:
         if wanted not in (torch.float32, torch.float64):

@@ -180,7 +180,9 @@ def _stored(cloud: PointCloud, kind: str, encoding: str | None, target: Path) ->
         mine = _cast(values[:, indices], np.dtype(one.dtype), one, target)
         arrays.append(mine[:, 0] if one.count == 1 else mine)
     old = before or PointLayout(kind, ())
-    layout = PointLayout(kind, tuple(fields), encoding or old.encoding or _ENCODINGS.get(kind, ""), old.header)
+    layout = PointLayout(
+        kind, tuple(fields), encoding or old.encoding or _ENCODINGS.get(kind, ""), old.header, old.trailer
+    )
     return StoredPoints(layout, tuple(arrays), cloud.grid)
 
 

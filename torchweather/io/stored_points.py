@@ -48,12 +48,14 @@ class PointLayout:
         fields: in the order of the file.
         encoding: variant within the format, such as ``ascii`` or ``binary_compressed``.
         header: the header's own bytes, used again where nothing in it changed.
+        trailer: bytes behind the last point that stand for nothing (a line feed in nuScenes' radar files).
     """
 
     format: str
     fields: tuple[PointField, ...]
     encoding: str = ""
     header: bytes = field(default=b"", repr=False)
+    trailer: bytes = field(default=b"", repr=False)
 
 
 @dataclass(frozen=True, eq=False)
