@@ -21,6 +21,7 @@ ALL: list[Weather] = [
     Rain(25.0),
     Rain(torch.tensor([1.0, 2.0]), wind_m_per_s=(1.0, -2.0, 0.5), close_rate=True),
     Snow(1.0, albedo=0.85),
+    Snow(1.0, melt_fraction=0.3),
     Fog(50.0, contrast=0.02),
     Fog(math.inf),
     Fog.rehearse(30),
@@ -68,6 +69,9 @@ def test_other_wrong_fields_are_refused() -> None:
         Fog(50.0, temperature_c=math.nan)
     with pytest.raises(ValueError, match=r"albedo must lie in 0..1"):
         Snow(1.0, albedo=1.2)
+    for fraction in (-0.1, 1.1, math.nan, "wet"):
+        with pytest.raises(ValueError, match=r"Snow: melt_fraction must lie in 0\.\.1; got .*dry snow is 0"):
+            Snow(1.0, melt_fraction=fraction)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="contrast"):
         Fog(50.0, contrast=0.0)
     with pytest.raises(ValueError, match="one of 10, 20, 30, 50 m; got 15"):
@@ -126,6 +130,7 @@ def test_a_mixture_is_flat_sorted_and_of_different_kinds() -> None:
         ("rain:rate=25", Rain(25.0)),
         ("rain", Rain(0.0)),
         ("snow:rate=1,albedo=0.85", Snow(1.0, albedo=0.85)),
+        ("snow:rate=1,melt_fraction=0.3", Snow(1.0, melt_fraction=0.3)),
         ("fog:mor=30", Fog(30.0)),
         ("fog:mor=inf", Fog(math.inf)),
         ("fog:mor=30 + rain:rate=5,close_rate=true", Mixture(Rain(5.0, close_rate=True), Fog(30.0))),
@@ -168,3 +173,17 @@ def test_flakes_are_larger_than_their_melted_drops() -> None:
     diameter_mm = torch.tensor([0.1, 1.0, 3.0])
     assert bool((Snow(1.0).physical_diameter_mm(diameter_mm) > diameter_mm).all())
     assert torch.equal(Rain(1.0).physical_diameter_mm(diameter_mm), diameter_mm)
+
+
+def test_snow_is_dry_unless_told_and_melting_leaves_sizes_and_speeds() -> None:
+    assert Snow(1.0).melt_fraction == 0.0
+    assert weather_from_dict({"kind": "snow", "rate_mm_per_h": 1.0}) == Snow(1.0)
+    dry, wet = Snow(1.0), Snow(1.0, melt_fraction=0.3)
+    assert wet != dry
+    assert weather_from_dict(wet.to_dict()) == wet
+    diameter_mm = torch.tensor([0.1, 1.0, 3.0])
+    assert torch.equal(
+        wet.distribution().number_density_per_m3_mm(diameter_mm),
+        dry.distribution().number_density_per_m3_mm(diameter_mm),
+    )
+    assert torch.equal(wet.fall_speed_m_per_s(diameter_mm), dry.fall_speed_m_per_s(diameter_mm))

@@ -207,7 +207,7 @@ class Rain(_Precipitation):
 
 @dataclass(frozen=True)
 class Snow(_Precipitation):
-    """Dry snow of a liquid-equivalent rate.
+    """Snow of a liquid-equivalent rate, dry unless ``melt_fraction`` is set.
 
     Args:
         rate_mm_per_h: liquid-equivalent snowfall rate, mm/h, a number or a tensor of the batch shape.
@@ -216,6 +216,9 @@ class Snow(_Precipitation):
         temperature_c: ice temperature, degrees Celsius.
         wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
         albedo: share of light that a flake scatters, 0.85-0.95 (``PHYSICS.md`` 4.7).
+        melt_fraction: share of a flake's mass that is liquid, 0-1. Radar attenuation and backscatter use it
+            (``PHYSICS.md`` 6.7); camera and LiDAR take the flake as dry, and number and fall speed stay those of
+            dry snow.
 
     Example:
         >>> Snow(rate_mm_per_h=1).albedo
@@ -230,10 +233,19 @@ class Snow(_Precipitation):
     size_distribution: str | Binned = "sekhon-srivastava"
     temperature_c: float = -5.0
     albedo: float = 0.9
+    melt_fraction: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_between("albedo", self.albedo, 0.0, 1.0, owner=self)
+        check_between(
+            "melt_fraction",
+            self.melt_fraction,
+            0.0,
+            1.0,
+            owner=self,
+            advice="It is the share of a flake's mass that is liquid; dry snow is 0.",
+        )
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ from torchweather.physics.radar_equation import (
 from torchweather.physics.radar_scattering import (
     DB_PER_KM,
     particle_attenuation_db_per_km,
+    reflectivity_weighted_fall_speed,
     volume_reflectivity_m2_per_m3,
 )
 from torchweather.physics.rain_attenuation import (
@@ -68,6 +69,7 @@ from torchweather.physics.refractive_index import (
     water_refractive_index,
     water_refractive_index_25c,
     water_refractive_index_microwave,
+    wet_snow_refractive_index_microwave,
 )
 from torchweather.physics.size_distributions import Exponential, Gamma, LogNormal, ModifiedGamma, SizeDistribution
 from torchweather.physics.snow_distributions import (
@@ -82,6 +84,7 @@ from torchweather.physics.snow_geometry import (
     melted_diameter_mm,
     physical_diameter_mm,
     snow_bulk_density_g_per_cm3,
+    wet_flake_diameter_mm,
 )
 from torchweather.physics.visibility import (
     LIQUID_WATER_LAWS,
@@ -154,6 +157,7 @@ __all__ = [
     "rain_q_back",
     "rain_rate_mm_per_h",
     "received_power_dbm",
+    "reflectivity_weighted_fall_speed",
     "rehearse_fog",
     "scaled_to_visibility",
     "sekhon_srivastava",
@@ -171,4 +175,6 @@ __all__ = [
     "water_refractive_index",
     "water_refractive_index_25c",
     "water_refractive_index_microwave",
+    "wet_flake_diameter_mm",
+    "wet_snow_refractive_index_microwave",
 ]

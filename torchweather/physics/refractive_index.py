@@ -27,9 +27,11 @@ __all__ = [
     "water_refractive_index",
     "water_refractive_index_25c",
     "water_refractive_index_microwave",
+    "wet_snow_refractive_index_microwave",
 ]
 
 KELVIN_AT_0_C = 273.15
+MELTING_POINT_C = 0.0  # water that shares a flake with ice is at the melting point until the ice is gone
 OPTICAL_MIN_NM, OPTICAL_MAX_NM = 300.0, 2500.0
 
 # IAPWS R9-97, coefficients of the Lorentz-Lorenz function of water
@@ -276,6 +278,48 @@ def snow_refractive_index_microwave(
     (density,) = to_float64(density_g_per_cm3)
     ice = ice_permittivity_microwave(frequency_ghz, temperature_c)
     return torch.sqrt(maxwell_garnett(1.0, ice, density / ICE_DENSITY_G_PER_CM3))
+
+
+def wet_snow_refractive_index_microwave(
+    frequency_ghz: Quantity,
+    density_g_per_cm3: Quantity,
+    melt_fraction: Quantity,
+    temperature_c: Quantity = -5.0,
+) -> Tensor:
+    """Refractive index of melting snow at millimetre waves: dry snow enclosed by water, Maxwell-Garnett.
+
+    The water matrix fills the share ``w = f rho / (1 - f + f rho)`` of the flake's volume (f the melted share of the
+    mass, rho the dry bulk density over that of water); the dry snow in it is the ice-air mixture of
+    ``snow_refractive_index_microwave``, which is the result at f = 0. At f = 1 it is water.
+
+    Args:
+        frequency_ghz: GHz, 1-1000.
+        density_g_per_cm3: bulk density of the flake before it melts, above 0, to 0.917.
+        melt_fraction: f, share of the mass that is liquid, 0 to 1.
+        temperature_c: of the ice, deg C, -40 to 0. The water is at 0 C.
+
+    Returns:
+        complex128, broadcast shape.
+
+    Note:
+        Water that wraps the snow is the limit of a coated flake and the upper bound of the mixing rules; water
+        collected inside the ice lattice, or in drops on it, couples less. Uncertain for small f most of all.
+
+    References:
+        PHYSICS.md 1, 6.7; Bohren & Huffman 1983, section 8.5.
+
+    Example:
+        >>> print(f"{complex(wet_snow_refractive_index_microwave(77.0, 0.1, 0.3)):.3f}")
+        1.154+0.119j
+    """
+    density, fraction = to_float64(density_g_per_cm3, melt_fraction)
+    check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_snow_refractive_index_microwave")
+    check_positive("density_g_per_cm3", density, unit="g/cm^3", owner="wet_snow_refractive_index_microwave")
+    dry = snow_refractive_index_microwave(frequency_ghz, density, temperature_c)
+    water = water_permittivity_microwave(frequency_ghz, MELTING_POINT_C)
+    snow_share = (1.0 - fraction) / (1.0 - fraction + fraction * density)
+    wet = torch.sqrt(maxwell_garnett(water, dry**2, snow_share))
+    return torch.where(fraction > 0, wet, dry)
 
 
 def _check_optical(wavelength_nm: Tensor, owner: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_one_of, check_positive
+from torchweather.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "melted_diameter_mm",
     "physical_diameter_mm",
     "snow_bulk_density_g_per_cm3",
+    "wet_flake_diameter_mm",
 ]
 
 SNOW_DENSITY_AT_1MM_G_PER_CM3 = 0.178  # Brandes et al. 2007, PHYSICS.md 2.4
@@ -93,6 +94,32 @@ def snow_bulk_density_g_per_cm3(physical_mm: Quantity, *, variant: str = "defaul
     (physical,) = to_float64(physical_mm)
     exponent = SNOW_DENSITY_EXPONENT_D3_4 if variant == "d3_4" else SNOW_DENSITY_EXPONENT
     return (SNOW_DENSITY_AT_1MM_G_PER_CM3 * physical**exponent).clamp_max(ICE_DENSITY_G_PER_CM3)
+
+
+def wet_flake_diameter_mm(physical_mm: Quantity, melted_mm: Quantity, melt_fraction: Quantity) -> Tensor:
+    """Diameter of a snowflake of which a share of the mass has melted, mm: the volumes of dry snow and water added.
+
+    ``D^3 = (1 - f) D_dry^3 + f D_melted^3``: the dry flake at f = 0 (exactly), its drop at f = 1.
+
+    Args:
+        physical_mm: diameter of the dry flake, mm, any shape.
+        melted_mm: diameter of the drop it melts to, mm; broadcasts.
+        melt_fraction: f, share of the mass that is liquid, 0 to 1; broadcasts.
+
+    Note:
+        The dry snow that is left keeps its bulk density, so the flake shrinks evenly with the melted mass.
+
+    References:
+        PHYSICS.md 2.4, 6.7 (the melted mass in the mixing rule).
+
+    Example:
+        >>> wet_flake_diameter_mm(2.2947, 1.0, torch.tensor([0.0, 0.5, 1.0])).round(decimals=3)
+        tensor([2.2950, 1.8700, 1.0000], dtype=torch.float64)
+    """
+    fraction, physical, melted = to_float64(melt_fraction, physical_mm, melted_mm)
+    check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_flake_diameter_mm")
+    wet = ((1.0 - fraction) * physical**3 + fraction * melted**3) ** (1.0 / 3.0)
+    return torch.where(fraction > 0, wet, physical)
 
 
 def equal_visibility_rain_rate(
