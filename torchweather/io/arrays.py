@@ -123,8 +123,8 @@ def _array(file: IO[bytes], available_bytes: int, source: Path, name: str) -> np
     promised = int(np.prod(np.array(shape, dtype=object), initial=1)) * dtype.itemsize
     if promised > available_bytes:
         raise TorchweatherError(
-            f"{source}: wanted a whole array; array{name} {shape} wants {promised} bytes, the file cannot hold "
-            f"more than {available_bytes}. It is truncated or its header is wrong."
+            f"{source}: array{name} {shape} wants {promised} bytes; the file cannot hold the wanted numbers in "
+            f"{available_bytes}. It is truncated or its header is wrong."
         )
     file.seek(0)
     return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
