@@ -1,4 +1,4 @@
-"""Readers and writers: images, depth maps, point clouds, labels, boxes, Ouster recordings, disdrometers."""
+"""Readers and writers: images, depth, point clouds, radar detections and ADC cubes, labels, boxes, disdrometers."""
 
 from __future__ import annotations
 
@@ -37,12 +37,14 @@ from torchweather.io.nuscenes_boxes import (
     read_nuscenes_boxes,
     write_nuscenes_boxes,
 )
+from torchweather.io.nuscenes_radar import NUSCENES_RADAR_STATES
 from torchweather.io.ouster import OUSTER_INTENSITIES, OusterFrame, read_ouster
 from torchweather.io.parsivel import parsivel_area_mm2, parsivel_edges_mm, parsivel_speeds_m_per_s
 from torchweather.io.pcd import PCD_ENCODINGS
 from torchweather.io.ply import PLY_ENCODINGS
 from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, write_points
+from torchweather.io.radar_points import RADAR_COLUMNS, RADAR_FORMATS, RadarPoints, read_radar, write_radar
 
 __all__ = [
     "DEPTH_ENCODINGS",
@@ -51,11 +53,14 @@ __all__ = [
     "INTENSITY_NAMES",
     "LYING_SNOW",
     "NPZ_ENCODINGS",
+    "NUSCENES_RADAR_STATES",
     "OUSTER_INTENSITIES",
     "PCD_ENCODINGS",
     "PLY_ENCODINGS",
     "POINT_FORMATS",
     "POINT_SUFFIXES",
+    "RADAR_COLUMNS",
+    "RADAR_FORMATS",
     "UNLABELLED",
     "BoxVisibility",
     "Boxes",
@@ -65,6 +70,7 @@ __all__ = [
     "OusterFrame",
     "PointCloud",
     "PointLabels",
+    "RadarPoints",
     "atomic_write",
     "box_visibility",
     "boxes_from_nuscenes",
@@ -91,6 +97,7 @@ __all__ = [
     "read_nuscenes_points",
     "read_ouster",
     "read_points",
+    "read_radar",
     "spectrum_from_counts",
     "spectrum_from_drops",
     "split_indexed",
@@ -100,4 +107,5 @@ __all__ = [
     "write_labels",
     "write_nuscenes_boxes",
     "write_points",
+    "write_radar",
 ]
