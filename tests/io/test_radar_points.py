@@ -7,6 +7,7 @@ No sweep of nuScenes is at hand: the files are built with the header that its de
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,10 @@ def test_the_power_is_the_radar_equations(tmp_path: Path) -> None:
     # Rounded in float32 (8e-6 at 111) and in the five digits after the point of the expectation.
     expected = torch.tensor([AT_50_M_DBM, AT_50_M_DBM - 40 * math.log10(2), AT_50_M_DBM + 10])
     torch.testing.assert_close(power, expected, rtol=0, atol=1e-4)
+    # Half the frequency, 3 dB more sent, 4 dB lost: each enters once, the wavelength squared.
+    other = replace(RADAR, frequency_ghz=38.5, transmit_power_dbm=15.0, loss_db=4.0)
+    change = read_radar(tmp_path / "a.pcd", other).column("power_dbm") - power
+    torch.testing.assert_close(change, torch.full((3,), 20 * math.log10(2) + 3 - 4), rtol=0, atol=1e-4)
 
 
 def test_the_pattern_weakens_what_is_seen_aside_on_both_ways(tmp_path: Path) -> None:

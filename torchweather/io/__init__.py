@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchweather.io.adc import ADC_AXES, ADC_QUADRATURES, AdcCube, read_adc, write_adc
 from torchweather.io.atomic import atomic_write
 from torchweather.io.batches import (
     collate_indexed,
@@ -47,6 +48,8 @@ from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, w
 from torchweather.io.radar_points import RADAR_COLUMNS, RADAR_FORMATS, RadarPoints, read_radar, write_radar
 
 __all__ = [
+    "ADC_AXES",
+    "ADC_QUADRATURES",
     "DEPTH_ENCODINGS",
     "FALLING_SNOW",
     "IMAGE_SUFFIXES",
@@ -62,6 +65,7 @@ __all__ = [
     "RADAR_COLUMNS",
     "RADAR_FORMATS",
     "UNLABELLED",
+    "AdcCube",
     "BoxVisibility",
     "Boxes",
     "CameraLidarCalibration",
@@ -84,6 +88,7 @@ __all__ = [
     "parsivel_edges_mm",
     "parsivel_speeds_m_per_s",
     "points_in_boxes",
+    "read_adc",
     "read_depth",
     "read_disdrometer",
     "read_image",
@@ -102,6 +107,7 @@ __all__ = [
     "spectrum_from_drops",
     "split_indexed",
     "split_padded",
+    "write_adc",
     "write_image",
     "write_kitti_boxes",
     "write_labels",
