@@ -183,10 +183,9 @@ def car_scatterers(
 
     Note:
         The outline and the corners are generic: a cross section of the right size, of no particular car. From behind
-        its mean is near 10.6 dBsm (nine in ten aspects 4-14 dBsm), within the 5-20 dBsm that measurements of passenger cars at 76-81 GHz report
-        (unverified here), and it fluctuates with aspect as fields of many parts do. Bumpers are plastic in truth and
-        let part of the wave through to the metal behind. What faces the radar is seen: no part shades another, no
-        echo comes by way of the road.
+        its mean is near 10.6 dBsm (nine in ten aspects 4-14 dBsm), within the 5-20 dBsm that measurements of passenger
+        cars at 76-81 GHz report (unverified here). Bumpers are plastic in truth and let part of the wave through to
+        the metal behind. What faces the radar is seen: no part shades another, no echo comes by way of the road.
 
     References:
         PHYSICS.md 6.3, 6.4. Cross sections of cars: ISO 15622 takes 10 m^2 for its test target (unverified).
