@@ -103,7 +103,8 @@ def read_adc(
     check_one_of("quadrature", quadrature, ADC_QUADRATURES, owner="read_adc")
     check_one_of("unsigned_16bit", unsigned_16bit, _REPAIRS, owner="read_adc")
     wanted = None if layout is None else _checked_layout(layout, "read_adc")
-    in_phase, in_quadrature, written = _stored(source, quadrature)
+    with np.errstate(invalid="ignore"):  # NaN is found below
+        in_phase, in_quadrature, written = _stored(source, quadrature)
     axes = wanted or written or ADC_AXES
     if in_phase.ndim == len(axes) - 1:
         axes = tuple(axis for axis in axes if axis != "channel")
@@ -128,7 +129,7 @@ def read_adc(
             raise TorchweatherError(f"{told} Read it with unsigned_16bit='repair'.")
         warnings.warn(f"{told} 65536 is subtracted above 32767.", TorchweatherWarning, stacklevel=2)
         in_phase, in_quadrature = _signed(in_phase), _signed(in_quadrature)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         cube = (in_phase + 1j * in_quadrature).astype(np.complex64)
     if not bool(np.isfinite(cube).all()):
         raise TorchweatherError(f"{source}: wanted finite samples; {int((~np.isfinite(cube)).sum())} are not.")

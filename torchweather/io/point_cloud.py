@@ -115,7 +115,7 @@ def cloud_from_stored(
     order = (*first, *(name for name in found if name not in first))
     kind = exact_dtype(found, dtype, source)
     table = np.empty((stored.rows, len(order)), kind)
-    with np.errstate(over="ignore"):  # a dtype that was asked for; its infinities are found below
+    with np.errstate(over="ignore", invalid="ignore"):  # of a dtype that was asked for; found below
         for index, name in enumerate(order):
             table[:, index] = found[name]
     missing = _no_returns(table, len(first), order, source)
@@ -188,7 +188,7 @@ def exact_dtype(found: dict[str, npt.NDArray[Any]], wanted: torch.dtype | None, 
 def _fits_float32(array: npt.NDArray[Any]) -> bool:
     if array.dtype.itemsize <= (4 if array.dtype.kind == "f" else 2):
         return True
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         narrow = array.astype(np.float32).astype(np.float64)
     wide = array.astype(np.float64)
     return bool(((narrow == wide) | np.isnan(wide)).all())

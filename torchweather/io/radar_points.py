@@ -156,8 +156,8 @@ def read_radar(
     if keep is not None:
         kept = _kept(found, keep, stored.rows, source)
         found = {name: column[kept] for name, column in found.items()}
-    wide = {name: column.astype(np.float64) for name, column in found.items()}
     with np.errstate(all="ignore"):  # NaN and infinity are found below
+        wide = {name: column.astype(np.float64) for name, column in found.items()}
         six, lost = _detections(wide, names, radar, gain, source)
         leading = six.astype(dtype)
     _check_numbers(leading, lost, source)
