@@ -20,6 +20,8 @@ if TYPE_CHECKING:
         LidarResult,
         LidarSnow,
         LidarWeather,
+        RadarAttenuation,
+        RadarResult,
     )
     from torchweather.weather import Fog, Mixture, Rain, Snow
 
@@ -43,6 +45,8 @@ __all__ = [
     "Mixture",
     "PointKind",
     "Radar",
+    "RadarAttenuation",
+    "RadarResult",
     "Rain",
     "Snow",
     "__version__",
@@ -64,11 +68,13 @@ _HOMES = {
         "LidarResult",
         "LidarSnow",
         "LidarWeather",
+        "RadarAttenuation",
+        "RadarResult",
     ),
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.
-_PARTS = frozenset({"export", "image", "io", "physics", "scenes", "stages", "transforms"})
+_PARTS = frozenset({"export", "image", "io", "physics", "radar", "scenes", "stages", "transforms"})
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 

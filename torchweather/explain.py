@@ -16,14 +16,12 @@ from torchweather.physics import (
     SizeDistribution,
     backscatter_per_m_sr,
     extinction_per_m,
-    fog_attenuation_db_per_km,
     mor_from_extinction,
-    particle_attenuation_db_per_km,
     precipitation_rate_mm_per_h,
-    rain_attenuation_db_per_km,
     volume_reflectivity_m2_per_m3,
 )
 from torchweather.sensors import Camera, Lidar, Radar, sensor_preset
+from torchweather.stages import weather_attenuation_db_per_km
 from torchweather.weather import Fog, Rain, Snow, Weather, parse_weather
 
 __all__ = ["explain", "explanation_text"]
@@ -164,9 +162,10 @@ def _optical_band(
 def _radar_band(parts: list[tuple[Weather, SizeDistribution]], radar: Radar) -> dict[str, Any]:
     attenuation, backscatter = 0.0, 0.0
     for part, distribution in parts:
-        attenuation += float(_attenuation_db_per_km(part, distribution, radar))
+        attenuation += float(weather_attenuation_db_per_km(part, radar))
+        melted = part.melt_fraction if isinstance(part, Snow) else 0.0
         reflectivity = volume_reflectivity_m2_per_m3(
-            distribution, radar.frequency_ghz, temperature_c=_temperature_c(part)
+            distribution, radar.frequency_ghz, temperature_c=_temperature_c(part), melt_fraction=melted
         )
         backscatter += float(reflectivity) / (4.0 * math.pi)
     return {
@@ -177,22 +176,6 @@ def _radar_band(parts: list[tuple[Weather, SizeDistribution]], radar: Radar) -> 
         "backscatter_per_m_sr": backscatter,
         "attenuation_db_per_km": attenuation,
     }
-
-
-def _attenuation_db_per_km(part: Weather, distribution: SizeDistribution, radar: Radar) -> Tensor:
-    """One way."""
-    temperature_c = _temperature_c(part)
-    if isinstance(part, Rain):
-        return rain_attenuation_db_per_km(
-            float(part.rate_mm_per_h),
-            radar.frequency_ghz,
-            polarisation_tilt_rad=0.0 if radar.polarisation == "h" else math.pi / 2,
-            elevation_rad=radar.elevation_rad,
-        )
-    if isinstance(part, Fog):
-        water = distribution.liquid_water_g_per_m3()
-        return fog_attenuation_db_per_km(water, radar.frequency_ghz, temperature_c=temperature_c)
-    return particle_attenuation_db_per_km(distribution, radar.frequency_ghz, temperature_c=temperature_c)
 
 
 def _part(part: Weather, distribution: SizeDistribution) -> dict[str, Any]:

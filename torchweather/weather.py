@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
@@ -21,6 +21,7 @@ from torchweather.errors import (
     check_one_of,
     check_positive,
     nearest_name,
+    owner_name,
 )
 from torchweather.physics import (
     FOG,
@@ -36,7 +37,7 @@ from torchweather.physics import (
 )
 from torchweather.physics.precipitation_rate import fall_speed_law
 
-__all__ = ["Fog", "Mixture", "Rain", "Snow", "Weather", "parse_weather", "weather_from_dict"]
+__all__ = ["Fog", "Mixture", "Rain", "Snow", "Weather", "check_knobs", "parse_weather", "weather_from_dict"]
 
 Knob = float | Tensor
 
@@ -331,6 +332,17 @@ def _rehearse_between(mor_m: Knob) -> LogNormal:
         ramp = ((log_v - low) / (high - low)).clamp(0.0, 1.0)
         value = value + ramp[..., None] * (rows[k + 1] - rows[k])
     return LogNormal(torch.exp(value[..., 0]), torch.exp(value[..., 1]), value[..., 2])
+
+
+def check_knobs(weather: Weather, batch: Sequence[int], *, owner: object) -> None:
+    """Raise unless each knob is one value or one for each sample of the batch."""
+    for part in weather.parts:
+        knob = part.knob
+        if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
+            raise ValueError(
+                f"{owner_name(owner)}: {part.knob_name} must be one value or one for each sample, shape "
+                f"{tuple(batch)}; got shape {tuple(knob.shape)}."
+            )
 
 
 def _bins_to_dict(measured: Binned) -> dict[str, Any]:

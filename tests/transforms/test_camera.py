@@ -96,7 +96,7 @@ def test_without_any_depth_the_message_says_where_to_give_it() -> None:
 @pytest.mark.parametrize(
     ("build", "kind", "wanted"),
     [
-        (lambda: BayerRain(Fog(50.0), CAMERA), TypeError, "BayerRain: takes rain; got fog. BayerWeather takes any"),
+        (lambda: BayerRain(Fog(50.0), CAMERA), TypeError, "BayerRain: takes rain; got fog. BayerWeather takes all"),
         (lambda: BayerFog(Mixture(Fog(50.0), Rain(2.0)), CAMERA), TypeError, "BayerFog: takes fog; got rain"),
         (lambda: BayerSnow(25.0, CAMERA), TypeError, "BayerSnow: weather must be Rain, Fog, Snow or a Mixture; got float"),  # type: ignore[arg-type]  # noqa: E501
         (lambda: BayerRain(Rain(5.0), "lucid-triton"), TypeError, "camera must be a Camera, such as Camera.preset('lucid-triton')"),  # type: ignore[arg-type]  # noqa: E501
@@ -127,7 +127,7 @@ def test_noise_of_another_weather_or_batch_is_refused() -> None:
     with pytest.raises(ValueError, match=r"BayerSnow: the noise lacks particle_veil\.snow_"):
         snow(frame(2), depth(), noise)
     with pytest.raises(
-        ValueError, match=r"must lead with the batch shape \(3,\); got \(2, .* Draw again for this batch"
+        ValueError, match=r"must hold .* for each of 3 samples; got \(2, .* Draw again"
     ):
         RAIN(frame(3), depth(), noise)
 

@@ -35,6 +35,8 @@ from torchweather.physics.interpolation import KnobTable
 from torchweather.physics.mie import MieEfficiencies, mie_coefficients, mie_efficiencies
 from torchweather.physics.precipitation_rate import close_rate, precipitation_rate_mm_per_h, rain_rate_mm_per_h
 from torchweather.physics.radar_attenuation import (
+    RAIN_ATTENUATION_MODELS,
+    SNOW_ATTENUATION_MODELS,
     fog_attenuation_coefficient_db_per_km_per_g_per_m3,
     fog_attenuation_db_per_km,
     rain_attenuation_db_per_km,
@@ -101,7 +103,9 @@ __all__ = [
     "LIQUID_WATER_LAWS",
     "Q_EFF",
     "RAIN",
+    "RAIN_ATTENUATION_MODELS",
     "SNOW",
+    "SNOW_ATTENUATION_MODELS",
     "SPEED_OF_LIGHT_M_PER_S",
     "Binned",
     "Exponential",

@@ -1,3 +1,39 @@
-"""FMCW radar: scatterers to beat signal to range-Doppler-angle maps to points."""
+"""FMCW radar: scatterers to beat signal to range-Doppler-angle map to points, with weather at its physical places."""
 
-from __future__ import annotations
+from torchweather.radar.angles import angle_grid, range_doppler_angle
+from torchweather.radar.beat_signal import beat_signal
+from torchweather.radar.bodies import corner_reflector_rcs_m2, corner_scatterers, facet_scatterers, gathered
+from torchweather.radar.car import car_details, car_facets, car_scatterers
+from torchweather.radar.cfar import CellAveragingCfar, OrderStatisticCfar
+from torchweather.radar.facet_rcs import isosceles_triangle_rcs_m2, subdivide, triangle_field_m
+from torchweather.radar.fmcw import FmcwRadar, FmcwResult, cfar_for
+from torchweather.radar.range_doppler import map_noise_dbm, range_doppler
+from torchweather.radar.scatterers import Scatterers
+from torchweather.radar.volume_echo import VolumeEcho
+from torchweather.radar.windows import WINDOWS
+
+__all__ = [
+    "WINDOWS",
+    "CellAveragingCfar",
+    "FmcwRadar",
+    "FmcwResult",
+    "OrderStatisticCfar",
+    "Scatterers",
+    "VolumeEcho",
+    "angle_grid",
+    "beat_signal",
+    "car_details",
+    "car_facets",
+    "car_scatterers",
+    "cfar_for",
+    "corner_reflector_rcs_m2",
+    "corner_scatterers",
+    "facet_scatterers",
+    "gathered",
+    "isosceles_triangle_rcs_m2",
+    "map_noise_dbm",
+    "range_doppler",
+    "range_doppler_angle",
+    "subdivide",
+    "triangle_field_m",
+]

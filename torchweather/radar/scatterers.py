@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_finite
+from torchweather.errors import check_finite, check_positive
 
 __all__ = ["Scatterers"]
 
@@ -69,13 +68,41 @@ class Scatterers:
             rcs_dbsm, speed_m_per_s, phase_rad: ``(..., M)`` or one value for all. -inf dBsm is no scatterer.
         """
         position_m = torch.as_tensor(position_m)
-        shape, options = position_m.shape[:-1], {"dtype": position_m.dtype, "device": position_m.device}
+        shape = position_m.shape[:-1]
 
         def each(value: Tensor | float) -> Tensor:
-            return torch.as_tensor(value, **options).expand(shape)
+            return torch.as_tensor(value).to(position_m).expand(shape)
 
         field = torch.polar(10.0 ** (each(rcs_dbsm) / 20.0), each(phase_rad).contiguous())
         return cls(position_m, each(speed_m_per_s), field)
+
+    @classmethod
+    def from_spherical(
+        cls,
+        range_m: Tensor,
+        azimuth_rad: Tensor | float,
+        elevation_rad: Tensor | float,
+        rcs_dbsm: Tensor | float,
+        speed_m_per_s: Tensor | float = 0.0,
+        phase_rad: Tensor | float = 0.0,
+    ) -> Scatterers:
+        """Scatterers of known radar cross section at known ranges and angles.
+
+        Args:
+            range_m: ``(..., M)``, above 0.
+            azimuth_rad, elevation_rad: ``(..., M)`` or one value for all.
+            rcs_dbsm, speed_m_per_s, phase_rad: as in ``from_rcs``.
+
+        Example:
+            >>> Scatterers.from_spherical(torch.tensor([20.0]), 0.0, 0.0, 10.0).position_m
+            tensor([[20., 0., 0.]])
+        """
+        check_positive("range_m", range_m, unit="m", owner=cls)
+        azimuth = torch.as_tensor(azimuth_rad).to(range_m).expand(range_m.shape)
+        elevation = torch.as_tensor(elevation_rad).to(range_m).expand(range_m.shape)
+        flat = torch.cos(elevation)
+        along = torch.stack([flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.sin(elevation)], -1)
+        return cls.from_rcs(range_m[..., None] * along, rcs_dbsm, speed_m_per_s, phase_rad)
 
     @property
     def rcs_dbsm(self) -> Tensor:
@@ -85,7 +112,8 @@ class Scatterers:
     @property
     def range_m(self) -> Tensor:
         """``(..., M)`` distance from the radar."""
-        return torch.linalg.vector_norm(self.position_m, dim=-1)
+        found: Tensor = torch.linalg.vector_norm(self.position_m, dim=-1)
+        return found
 
     @property
     def direction(self) -> Tensor:
@@ -112,6 +140,6 @@ class Scatterers:
             torch.cat([each.field_m for each in both], -1),
         )
 
-    def to(self, *args: Any, **kwargs: Any) -> Scatterers:
+    def to(self, device: torch.device | str) -> Scatterers:
         """On another device."""
-        return Scatterers(*(value.to(*args, **kwargs) for value in (self.position_m, self.speed_m_per_s, self.field_m)))
+        return Scatterers(*(value.to(device) for value in (self.position_m, self.speed_m_per_s, self.field_m)))

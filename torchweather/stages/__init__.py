@@ -4,9 +4,12 @@ from torchweather.stages.camera import ExtinctionAndAirlight, Quantise
 from torchweather.stages.chain import Chain
 from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.particle_veil import ParticleVeil
+from torchweather.stages.path_attenuation import PathAttenuation, WetRadome, weather_attenuation_db_per_km
+from torchweather.stages.radar import RadarDetection, ToRadarPoints
 from torchweather.stages.registry import STAGES, register
 from torchweather.stages.stage import Stage
-from torchweather.stages.states import CameraState, LidarState, PointKind
+from torchweather.stages.states import CameraState, LidarState, PointKind, RadarState
+from torchweather.stages.volume_clutter import VolumeClutter
 
 __all__ = [
     "STAGES",
@@ -18,10 +21,17 @@ __all__ = [
     "LidarState",
     "ParticleReturns",
     "ParticleVeil",
+    "PathAttenuation",
     "PointKind",
     "Quantise",
+    "RadarDetection",
+    "RadarState",
     "Stage",
     "ToEnergy",
     "ToPoints",
+    "ToRadarPoints",
+    "VolumeClutter",
+    "WetRadome",
     "register",
+    "weather_attenuation_db_per_km",
 ]

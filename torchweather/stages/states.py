@@ -8,7 +8,7 @@ from enum import IntEnum
 import torch
 from torch import Tensor
 
-__all__ = ["CameraState", "LidarState", "PointKind"]
+__all__ = ["CameraState", "LidarState", "PointKind", "RadarState"]
 
 
 @dataclass(frozen=True)
@@ -164,5 +164,53 @@ PER_BEAM = (
     "reach_m",
 )
 
-for _state in (CameraState, LidarState):
+
+@dataclass(frozen=True)
+class RadarState:
+    """Detections of a radar on their way through the chain; B is the flattened batch.
+
+    A stage changes ``gain_db``, which is 0 in clear air; where it still is, the input comes out with its own bits.
+
+    Args:
+        points_in: ``(B, N, C)`` the list as it came, floating point: x, y, z in metres, radial speed in m/s, power in
+            dB, radar cross section in dBsm, further columns.
+        range_m: ``(B, N)`` of each; 0 is no detection.
+        gain_db: ``(B, N)`` what the weather does to the power of each; 0 or less.
+        kind: ``(B, N)`` int8, ``PointKind`` of each.
+        noise_floor_db: ``(B,)`` in the unit of the power column.
+        detection_snr_db: ``()`` from which a target is detected.
+        attenuation_db_per_km: ``(B,)`` of the air, one way.
+        cover_loss_db: ``(B,)`` of the radar's cover, both ways together.
+        snr_db: ``(B, N + K)`` signal over the noise floor; ``None`` until the detection.
+        clutter: ``(B, K, 6)`` detections of the weather itself, columns as the first six of ``points_in``; ``None``
+            without.
+        clutter_valid: ``(B, K)`` bool, which of them are there.
+        points: ``(B, N + K, C)`` the list that goes out; ``None`` until ``to_radar_points``.
+    """
+
+    points_in: Tensor
+    range_m: Tensor
+    gain_db: Tensor
+    kind: Tensor
+    noise_floor_db: Tensor
+    detection_snr_db: Tensor
+    attenuation_db_per_km: Tensor
+    cover_loss_db: Tensor
+    snr_db: Tensor | None = None
+    clutter: Tensor | None = None
+    clutter_valid: Tensor | None = None
+    points: Tensor | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The named sizes that variates refer to."""
+        return {"N": self.points_in.shape[-2]}
+
+    @property
+    def batch(self) -> int:
+        """Number of samples."""
+        return self.points_in.shape[0]
+
+
+for _state in (CameraState, LidarState, RadarState):
     torch.export.register_dataclass(_state, serialized_type_name=f"torchweather.{_state.__name__}")

@@ -3,6 +3,7 @@
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
+from torchweather.transforms.radar import RadarAttenuation, RadarResult
 
 __all__ = [
     "AsBayer",
@@ -16,4 +17,6 @@ __all__ = [
     "LidarResult",
     "LidarSnow",
     "LidarWeather",
+    "RadarAttenuation",
+    "RadarResult",
 ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchweather.errors import check_at_least, check_one_of, check_positive
 from torchweather.image.bayer import cfa_colour_index
@@ -19,7 +19,8 @@ from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, Parti
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import estimate_airlight, three_colours
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
-from torchweather.weather import Fog, Rain, Snow, Weather
+from torchweather.transforms.weather_transform import WeatherTransform
+from torchweather.weather import Fog, Rain, Snow, Weather, check_knobs
 
 __all__ = ["BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"]
 
@@ -43,7 +44,7 @@ class CameraResult:
     particle_mask: Tensor
 
 
-class BayerWeather(nn.Module):
+class BayerWeather(WeatherTransform):
     """Any weather on a raw Bayer frame: rain, fog, snow or a ``Mixture``.
 
     Args:
@@ -72,7 +73,7 @@ class BayerWeather(nn.Module):
         torch.Size([1, 24, 32])
     """
 
-    takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
+    takes_all: ClassVar[str] = "BayerWeather"
 
     def __init__(
         self,
@@ -92,7 +93,8 @@ class BayerWeather(nn.Module):
         variant: str | None = None,
     ) -> None:
         super().__init__()
-        self._check(weather, camera)
+        self._check_weather(weather)
+        self._check_sensor(camera, Camera, "lucid-triton")
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
         airlight = three_colours(airlight, owner=self)
@@ -124,16 +126,6 @@ class BayerWeather(nn.Module):
         self.chain = Chain(stages)
         self._rays: dict[tuple[Any, ...], Tensor] = {}
 
-    def _check(self, weather: Weather, camera: Camera) -> None:
-        name = type(self).__name__
-        if not isinstance(weather, Weather):
-            raise TypeError(f"{name}: weather must be Rain, Fog, Snow or a Mixture; got {type(weather).__name__}.")
-        wrong = [part.kind for part in weather.parts if part.kind not in self.takes]
-        if wrong:
-            raise TypeError(f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. BayerWeather takes any.")
-        if not isinstance(camera, Camera):
-            raise TypeError(f"{name}: camera must be a Camera, such as Camera.preset('lucid-triton'); got {camera!r}.")
-
     def extra_repr(self) -> str:
         """The weather and the camera."""
         return f"{self.weather!r}, {self.camera!r}"
@@ -164,7 +156,7 @@ class BayerWeather(nn.Module):
             ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
         """
         state = self._state(bayer, depth)
-        drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
         if out is not None:
             self._run_into(state, out)
             return out
@@ -175,7 +167,7 @@ class BayerWeather(nn.Module):
     ) -> CameraResult:
         """The frame, and with it transmission, airlight and particle mask."""
         state = self._state(bayer, depth, keep_truth=True)
-        drawn = self.chain.draw(state) if noise is None else self._flat(noise, bayer.shape[:-3])
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
         after: CameraState = self.chain(state, drawn)
         batch = bayer.shape[:-3]
         airlight = after.airlight
@@ -211,11 +203,7 @@ class BayerWeather(nn.Module):
             float32 tensors on the CPU; the same seed gives the same numbers everywhere.
         """
         check_bayer(bayer, self.camera, self)
-        batch = bayer.shape[:-3]
-        flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
-        sizes = _Sizes(math.prod(batch), bayer.shape[-2], bayer.shape[-1])
-        drawn = self.chain.draw(sizes, generator, flat_seed)
-        return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+        return self._drawn(bayer.shape[:-3], {"H": bayer.shape[-2], "W": bayer.shape[-1]}, generator, seed)
 
     def draw_sequence(
         self,
@@ -255,7 +243,7 @@ class BayerWeather(nn.Module):
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
         seeds = sample_seeds((math.prod(batch),), generator, flat_seed)
         height, width = bayer.shape[-2:]
-        noise = self.chain.draw(_Sizes(len(seeds), height, width), seed=torch.tensor(seeds))
+        noise = self._drawn((len(seeds),), {"H": height, "W": width}, None, torch.tensor(seeds))
         for frame in range(int(frames)):
             if frame:
                 for name, stage in self.chain.stages.items():
@@ -269,7 +257,7 @@ class BayerWeather(nn.Module):
 
     def _state(self, bayer: Tensor, depth: Tensor | None, *, keep_truth: bool = False) -> CameraState:
         check_bayer(bayer, self.camera, self)
-        self._check_knobs(bayer.shape[:-3])
+        check_knobs(self.weather, bayer.shape[:-3], owner=self)
         height, width = bayer.shape[-2:]
         linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
         depth_m = self._depth(bayer, depth, linear)
@@ -281,15 +269,6 @@ class BayerWeather(nn.Module):
             intrinsics=torch.tensor([self.camera.intrinsics], device=linear.device, dtype=linear.dtype),
             keep_truth=keep_truth,
         )
-
-    def _check_knobs(self, batch: Sequence[int]) -> None:
-        for part in self.weather.parts:
-            knob = part.knob
-            if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
-                raise ValueError(
-                    f"{type(self).__name__}: {part.knob_name} must be one value or one for each sample, shape "
-                    f"{tuple(batch)}; got shape {tuple(knob.shape)}."
-                )
 
     def _depth(self, bayer: Tensor, depth: Tensor | None, linear: Tensor) -> Tensor:
         height, width = linear.shape[-2:]
@@ -332,25 +311,6 @@ class BayerWeather(nn.Module):
         directions = self.camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
         return directions.square().sum(0).sqrt()[None, None]
 
-    def _flat(self, noise: Mapping[str, Tensor], batch: Sequence[int]) -> dict[str, Tensor]:
-        wanted = {f"{name}.{variate.name}" for name, stage in self.chain.stages.items() for variate in stage.variates()}
-        missing = wanted - set(noise)
-        if missing:
-            raise ValueError(
-                f"{type(self).__name__}: the noise lacks {', '.join(sorted(missing))}; use what draw() of this "
-                "transform (or of one with the same weather and camera) gave."
-            )
-        flat = {}
-        for key in wanted:
-            value = noise[key]
-            if tuple(value.shape[: len(batch)]) != tuple(batch):
-                raise ValueError(
-                    f"{type(self).__name__}: noise {key!r} must lead with the batch shape {tuple(batch)}; got "
-                    f"{tuple(value.shape)}. Draw again for this batch."
-                )
-            flat[key] = value.reshape(math.prod(batch), *value.shape[len(batch) :])
-        return flat
-
     def _raw(self, after: CameraState, before: CameraState, bayer: Tensor) -> Tensor:
         return raw_from_linear(
             after.signal.reshape(bayer.shape), before.signal.reshape(bayer.shape), bayer, self.camera
@@ -368,19 +328,6 @@ class BayerWeather(nn.Module):
                 f"elements; got {out.dtype}, {tuple(out.shape)}."
             )
         fog(state, {}, out=out.view(state.signal.shape))
-
-
-@dataclass(frozen=True)
-class _Sizes:
-    """Just enough of a state for drawing."""
-
-    batch: int
-    height: int
-    width: int
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        return {"H": self.height, "W": self.width}
 
 
 class BayerRain(BayerWeather):

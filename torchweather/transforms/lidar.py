@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchweather.errors import check_one_of
 from torchweather.sensors import Lidar
@@ -29,7 +29,8 @@ from torchweather.stages.expected_detection import expected_detection
 from torchweather.stages.intensity import are_integers
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms.clouds import Beams, beams_of, check_points
-from torchweather.weather import Weather
+from torchweather.transforms.weather_transform import WeatherTransform
+from torchweather.weather import Weather, check_knobs
 
 __all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
 
@@ -72,7 +73,7 @@ class LidarResult:
     scan: str
 
 
-class LidarWeather(nn.Module):
+class LidarWeather(WeatherTransform):
     """Weather on LiDAR point clouds, organised or not.
 
     The signal of each object follows from its intensity and weakens with the extinction of the weather, on the way out
@@ -107,7 +108,7 @@ class LidarWeather(nn.Module):
         torch.Size([2, 4])
     """
 
-    takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
+    takes_all: ClassVar[str] = "LidarWeather"
 
     def __init__(
         self,
@@ -123,7 +124,9 @@ class LidarWeather(nn.Module):
         variant: str | None = None,
     ) -> None:
         super().__init__()
-        self._check(weather, sensor, variant)
+        self._check_weather(weather)
+        self._check_sensor(sensor, Lidar, "ouster-os1-128")
+        self._check_variant(weather, variant)
         check_one_of("lost", lost, LOST_AS, owner=self)
         if variant == "hahner":
             fog_backscatter, fog_extinction = "hahner", "koschmieder"
@@ -141,16 +144,8 @@ class LidarWeather(nn.Module):
             }
         )
 
-    def _check(self, weather: Weather, sensor: Lidar, variant: str | None) -> None:
-        name = type(self).__name__
-        if not isinstance(weather, Weather):
-            raise TypeError(f"{name}: weather must be Rain, Fog, Snow or a Mixture; got {type(weather).__name__}.")
-        kinds = [part.kind for part in weather.parts]
-        wrong = [kind for kind in kinds if kind not in self.takes]
-        if wrong:
-            raise TypeError(f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. LidarWeather takes all.")
-        if not isinstance(sensor, Lidar):
-            raise TypeError(f"{name}: sensor must be a Lidar; got {type(sensor).__name__}.")
+    def _check_variant(self, weather: Weather, variant: str | None) -> None:
+        name, kinds = type(self).__name__, [part.kind for part in weather.parts]
         if variant is None:
             return
         check_one_of("variant", variant, (*VARIANTS, "hahner"), owner=self)
@@ -262,13 +257,10 @@ class LidarWeather(nn.Module):
             ``<stage>.<variate>`` to a tensor that leads with the batch shape.
         """
         check_points(points, self.sensor, self)
-        batch = points.shape[:-2]
-        flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
         count = points.shape[-2]
         if self.complete_scan:
             count = beams_of(points, self.sensor, None, complete_scan=True, owner=self).points.shape[-2]
-        drawn = self.chain.draw(_Sizes(math.prod(batch), count), generator, flat_seed)
-        return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+        return self._drawn(points.shape[:-2], {"N": count}, generator, seed)
 
     def on_numpy(
         self, points: NDArray[Any], seed: int | None = None, directions: NDArray[Any] | None = None
@@ -322,7 +314,7 @@ class LidarWeather(nn.Module):
 
     def _begin(self, points: Tensor, directions: Tensor | None) -> tuple[Beams, LidarState]:
         check_points(points, self.sensor, self)
-        self._check_knobs(points.shape[:-2])
+        check_knobs(self.weather, points.shape[:-2], owner=self)
         beams = beams_of(points, self.sensor, directions, complete_scan=self.complete_scan, owner=self)
         flat = beams.points
         range_m = _range_m(flat, self.sensor.min_range_m)
@@ -355,21 +347,12 @@ class LidarWeather(nn.Module):
             return None
         return len(rings), columns
 
-    def _check_knobs(self, batch: Sequence[int]) -> None:
-        for part in self.weather.parts:
-            knob = part.knob
-            if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
-                raise ValueError(
-                    f"{type(self).__name__}: {part.knob_name} must be one value or one for each sample, shape "
-                    f"{tuple(batch)}; got shape {tuple(knob.shape)}."
-                )
-
     def _through(self, state: LidarState, noise: Mapping[str, Tensor] | None) -> LidarState:
         if noise is None:
             drawn = self.chain.draw(state)
             flat = {key: value.to(state.points_in.device) for key, value in drawn.items()}
         else:
-            flat = self._flat(noise, state)
+            flat = {key: value.to(state.points_in.device) for key, value in self._flat_noise(noise, state).items()}
         if self._is_large(state):
             return self._in_portions(state, flat)
         found: LidarState = self.chain(state, flat)
@@ -396,26 +379,6 @@ class LidarWeather(nn.Module):
         points, second, kind = ([getattr(part, name) for part in found] for name in ("points", "second", "kind"))
         seconds = None if second[0] is None else torch.cat(second, 1)
         return replace(state, points=torch.cat(points, 1), second=seconds, kind=torch.cat(kind, 1))
-
-    def _flat(self, noise: Mapping[str, Tensor], state: LidarState) -> dict[str, Tensor]:
-        flat = {}
-        for name, stage in self.chain.stages.items():
-            for variate in stage.variates():
-                key, shape = f"{name}.{variate.name}", variate.sample_shape(state.sizes)
-                if key not in noise:
-                    raise ValueError(
-                        f"{type(self).__name__}: the noise lacks {key}; use what draw() of this transform (or of one "
-                        "with the same weather and sensor) gave."
-                    )
-                value = noise[key]
-                fits = tuple(value.shape[value.ndim - len(shape) :]) == shape
-                if not fits or value.numel() != state.batch * math.prod(shape):
-                    raise ValueError(
-                        f"{type(self).__name__}: noise {key!r} must hold {shape} for each of {state.batch} samples; "
-                        f"got {tuple(value.shape)}. Draw again for this cloud."
-                    )
-                flat[key] = value.reshape(state.batch, *shape).to(state.points_in.device)
-        return flat
 
     def _floored(self, state: LidarState) -> Tensor:
         stage = self._stage(ToEnergy)
@@ -449,18 +412,6 @@ def _range_m(points: Tensor, min_range_m: float) -> Tensor:
 def _from_numpy(array: NDArray[Any]) -> Tensor:
     # A simulator's buffer may be read-only, which torch warns of: that one is copied.
     return torch.from_numpy(np.require(array, requirements=("C", "W")))
-
-
-@dataclass(frozen=True)
-class _Sizes:
-    """Just enough of a state for drawing."""
-
-    batch: int
-    points: int
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        return {"N": self.points}
 
 
 class LidarRain(LidarWeather):

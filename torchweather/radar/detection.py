@@ -1,0 +1,110 @@
+"""Detection: cells of the range-Doppler map above their threshold, and the points that they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from torchweather.physics import target_rcs_dbsm
+from torchweather.radar.angles import spectrum_peaks
+from torchweather.radar.range_doppler import range_m_of_bin, speed_m_per_s_of_bin, transmitter_rotation
+from torchweather.radar.windows import tone_place_and_loss
+from torchweather.sensors import Radar
+
+__all__ = ["Detections", "detections", "peaks_of"]
+
+
+@dataclass(frozen=True)
+class Detections:
+    """The points of one frame.
+
+    Args:
+        points: ``(N, 6)``: x, y, z (m), radial speed (m/s), power (dBm), radar cross section (dBsm), float32.
+        snr_db: ``(N,)`` power over the noise of a beam.
+        cell: ``(N, 2)`` Doppler and range bin.
+    """
+
+    points: Tensor
+    snr_db: Tensor
+    cell: Tensor
+
+
+def peaks_of(power: Tensor, above: Tensor) -> Tensor:
+    """Cells above their threshold that are as strong as any of their eight neighbours.
+
+    Args:
+        power: ``(..., N_c, N_s)``; the Doppler axis is a circle.
+        above: bool, likewise.
+    """
+    lead = power.shape[:-2]
+    flat = power.reshape(-1, 1, *power.shape[-2:])
+    wrapped = torch.cat([flat[..., -1:, :], flat, flat[..., :1, :]], -2)
+    highest = functional.max_pool2d(wrapped, 3, stride=1, padding=(0, 1))
+    return above & (flat >= highest).reshape(*lead, *power.shape[-2:])
+
+
+def detections(
+    channels: Tensor,
+    power: Tensor,
+    peaks: Tensor,
+    noise: Tensor,
+    radar: Radar,
+    window_name: str,
+    angles_per_cell: int,
+    dynamic_db: float,
+) -> Detections:
+    """Points of the peaks of one frame's map.
+
+    Range and speed come from the powers beside a peak, which the window's own response turns into a place between bins;
+    direction from the channels' phases after the transmitters' turns are taken out.
+
+    Args:
+        channels: ``(V, N_c, N_s)`` complex map of each channel.
+        power: ``(N_c, N_s)`` mean power of the channels.
+        peaks: ``(N_c, N_s)`` bool.
+        noise: ``(N_c, N_s)`` power of the noise in a cell of one channel.
+        radar: the sensor.
+        window_name: of the map.
+        angles_per_cell: directions of one cell at most.
+        dynamic_db: directions that much below the strongest of a cell are taken for sidelobes.
+    """
+    doppler, column = peaks.nonzero(as_tuple=True)
+    rows, columns = power.shape
+    at = power[doppler, column]
+
+    def beside(step_doppler: int, step_range: int) -> Tensor:
+        near = column + step_range
+        inside = (near >= 0) & (near < columns)
+        value = power[(doppler + step_doppler) % rows, near.clamp(0, columns - 1)]
+        return torch.where(inside, value, at * 0.0)
+
+    along_doppler, share_doppler = tone_place_and_loss(beside(-1, 0), beside(1, 0), window_name, rows)
+    along_range, share_range = tone_place_and_loss(beside(0, -1), beside(0, 1), window_name, columns)
+    speed = speed_m_per_s_of_bin(doppler + along_doppler, radar)
+    range_m = range_m_of_bin(column + along_range, speed, radar)
+
+    own = channels[:, doppler, column].T * transmitter_rotation(speed, radar).to(channels.dtype)
+    cosines, strength = spectrum_peaks(own, radar, angles_per_cell, dynamic_db)
+    beam_noise = noise[doppler, column] / radar.virtual_channels
+    snr_db = 10.0 * (strength / beam_noise[:, None]).log10()
+    row, peak = ((snr_db >= radar.detection_snr_db) & (range_m > 0)[:, None]).nonzero(as_tuple=True)
+
+    left, up = cosines[row, peak].unbind(-1)
+    ahead = (1.0 - left.square() - up.square()).clamp_min(0.0).sqrt()
+    direction = torch.stack([ahead, left, up], -1)
+    power_dbm = 10.0 * (strength[row, peak] / (share_doppler * share_range)[row]).log10()
+    gain_dbi = 2.0 * radar.gain_dbi(torch.atan2(left, ahead), torch.asin(up))
+    rcs_dbsm = target_rcs_dbsm(
+        power_dbm,
+        range_m[row],
+        frequency_ghz=radar.frequency_ghz,
+        transmit_power_dbm=radar.transmit_power_dbm,
+        antenna_gain_dbi=gain_dbi,
+        loss_db=radar.loss_db,
+    )
+    columns_of_point = [range_m[row, None] * direction, speed[row, None], power_dbm[:, None], rcs_dbsm[:, None]]
+    points = torch.cat([value.float() for value in columns_of_point], -1)
+    return Detections(points, snr_db[row, peak].float(), torch.stack([doppler[row], column[row]], -1))

@@ -1,0 +1,324 @@
+r"""Radar stage volume_clutter: what drops and flakes send back themselves.
+
+The rain in a cell of the map, of volume V and reflectivity eta, has the cross section ``eta V``, with
+``V = pi / (4 ln 2) theta phi R^2 dR`` for the two-way widths theta and phi of the beam: its echo falls with the square
+of the range. Many drops add up with random phases, so that the power of a cell follows an exponential law about its
+mean P(R). Above the threshold T there are, per metre,
+
+    dN/dR = (cells per range bin / dR) exp(-T / P(R))
+
+cells, which is what is drawn: ranges in the order in which they come, by inverting the integral of dN/dR, and powers
+above T by the same exponential law once more.
+
+References:
+    PHYSICS.md 6.5.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.errors import check_at_least, check_between
+from torchweather.physics import KnobTable, reflectivity_weighted_fall_speed
+from torchweather.random import Variate
+from torchweather.sensors import Radar
+from torchweather.stages.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
+from torchweather.stages.path_attenuation import radar_of
+from torchweather.stages.registry import register
+from torchweather.stages.stage import Stage
+from torchweather.stages.states import RadarState
+from torchweather.weather import Rain, Snow, Weather, weather_from_dict
+
+__all__ = [
+    "FallingReflectivity",
+    "VolumeClutter",
+    "cell_volume_m3",
+    "clutter_directions_rad",
+    "radial_speed_m_per_s",
+    "two_way_widths_rad",
+    "view_rad",
+]
+
+DB = math.log(10.0) / 10.0
+ARRAY_WIDTH = 0.886  # half-power width of a row of n equal elements half a wavelength apart: 0.886 * 2 / n rad
+GAUSSIAN_AREA = math.pi / (4.0 * math.log(2.0))  # solid angle of a Gaussian beam over the product of its widths
+RANGE_NODES = 256
+VIEW_WIDTHS = 2.0  # clutter is looked for within so many one-way widths: to 12 dB below the peak, one way
+NEVER = 1e-30
+FULL = 0.8  # expected share of the rows that are taken where clutter abounds
+
+
+def two_way_widths_rad(radar: Radar) -> tuple[float, float]:
+    """Two-way half-power widths (azimuth, elevation) of the radar's beam: element twice, and the virtual array.
+
+    ``1 / theta^2 = 2 / theta_element^2 + 1 / theta_array^2``; a virtual element's phase is already two-way.
+
+    Example:
+        >>> [round(math.degrees(width), 1) for width in two_way_widths_rad(Radar.preset("awr1843-like"))]
+        [12.1, 18.4]
+    """
+    one_way = (math.radians(radar.azimuth_beamwidth_deg), math.radians(radar.elevation_beamwidth_deg))
+    elements = radar.virtual_half_wavelengths
+    widths = []
+    for axis in (0, 1):
+        extent = float(elements[:, axis].max() - elements[:, axis].min())
+        inverse = 2.0 / one_way[axis] ** 2
+        if extent > 0:
+            inverse += ((extent + 1.0) / (2.0 * ARRAY_WIDTH)) ** 2
+        widths.append(inverse**-0.5)
+    return widths[0], widths[1]
+
+
+def cell_volume_m3(range_m: Tensor, radar: Radar) -> Tensor:
+    """Volume of one cell of the map, ``pi / (4 ln 2) theta phi R^2 dR`` with the two-way widths.
+
+    Args:
+        range_m: of the cell, any shape.
+
+    References:
+        PHYSICS.md 6.5.
+    """
+    azimuth, elevation = two_way_widths_rad(radar)
+    return GAUSSIAN_AREA * azimuth * elevation * radar.range_resolution_m * range_m.square()
+
+
+@lru_cache(maxsize=32)
+def _table(weather: Rain | Snow, frequency_ghz: float) -> KnobTable:
+    """Reflectivity, mean and standard deviation of the fall speed over the rate."""
+
+    def of_rate(rate: Tensor) -> Tensor:
+        melted = weather.melt_fraction if isinstance(weather, Snow) else 0.0
+        return torch.stack(
+            reflectivity_weighted_fall_speed(
+                weather.distribution(rate), frequency_ghz, temperature_c=weather.temperature_c, melt_fraction=melted
+            ),
+            -1,
+        )
+
+    return KnobTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+
+
+class FallingReflectivity(nn.Module):
+    """Reflectivity and Doppler of rain or snow over its rate.
+
+    Args:
+        weather: its size distribution counts; its rate is the knob.
+        frequency_ghz: of the carrier.
+    """
+
+    rate_mm_per_h: Tensor
+
+    def __init__(self, weather: Rain | Snow, frequency_ghz: float) -> None:
+        super().__init__()
+        self.weather = weather
+        self.table = copy.deepcopy(_table(replace(weather, rate_mm_per_h=0.0), float(frequency_ghz)))
+        self.register_buffer("rate_mm_per_h", torch.as_tensor(weather.rate_mm_per_h, dtype=torch.float32))
+
+    def forward(self, batch: int) -> tuple[Tensor, Tensor, Tensor]:
+        """eta, m^2/m^3, mean fall speed and its standard deviation, m/s, ``(B,)`` each."""
+        eta, mean, std = self.table(self.rate_mm_per_h.reshape(-1)).expand(batch, 3).unbind(-1)
+        return eta, mean, std
+
+
+@register
+class VolumeClutter(Stage):
+    """Detections of the rain or snow itself, appended to the list.
+
+    Identity: ``share = 0`` (nothing is appended); at rate 0 all that is appended is no detection.
+
+    Args:
+        weather: ``Rain`` or ``Snow``, or its dictionary.
+        sensor: the radar, or its dictionary. Its link budget gives the power in dBm: ``noise_floor_db`` must
+            be in dBm too.
+        share: factor on the reflectivity.
+        capacity: rows that are appended. Where about as many cells or more exceed the threshold, a random share of them
+            is listed; rows that are not needed stay empty.
+        near_m: clutter begins there; 1 m is generic: the cover's own reflection hides what is nearer (unverified).
+        ego_speed_m_per_s: of the vehicle, forward.
+        turbulence_m_per_s: standard deviation of the air's speed within a cell; 0.5 is generic (unverified).
+
+    Note:
+        Every cell whose clutter exceeds the noise floor by the detection SNR counts, as the radar equation has it: with
+        the processing gain of an imaging radar that is rain to some 50 m. A radar whose threshold follows the clutter
+        around a cell (CFAR) reports almost none of it: the FMCW simulator has
+        that. Drops fall with the mean and the spread of their Doppler spectrum.
+
+    References:
+        PHYSICS.md 6.5.
+    """
+
+    default_name: ClassVar[str] = "volume_clutter"
+    share: Tensor
+
+    def __init__(
+        self,
+        weather: Weather | Mapping[str, Any],
+        sensor: Radar | Mapping[str, Any],
+        share: float = 1.0,
+        capacity: int = 64,
+        near_m: float = 1.0,
+        ego_speed_m_per_s: float = 0.0,
+        turbulence_m_per_s: float = 0.5,
+    ) -> None:
+        super().__init__()
+        self.sensor = radar_of(sensor)
+        built = weather if isinstance(weather, Weather) else weather_from_dict(weather)
+        if not isinstance(built, (Rain, Snow)):
+            raise TypeError(f"VolumeClutter: weather must be Rain or Snow; got {type(built).__name__}.")
+        check_at_least("share", share, 0.0, owner=self)
+        check_between("capacity", capacity, 1, 100_000, owner=self)
+        check_between("near_m", near_m, 0.1, 0.9 * self.sensor.max_range_m, unit="m", owner=self)
+        check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
+        check_between("turbulence_m_per_s", turbulence_m_per_s, 0.0, 100.0, unit="m/s", owner=self)
+        self.falling = FallingReflectivity(built, self.sensor.frequency_ghz)
+        self.capacity, self.near_m, self.identity = int(capacity), float(near_m), share == 0
+        self.ego_speed_m_per_s, self.turbulence_m_per_s = float(ego_speed_m_per_s), float(turbulence_m_per_s)
+        self.register_buffer("share", torch.tensor(float(share)))
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {
+            "weather": self.falling.weather.to_dict(),
+            "sensor": self.sensor.to_dict(),
+            "share": float(self.share),
+            "capacity": self.capacity,
+            "near_m": self.near_m,
+            "ego_speed_m_per_s": self.ego_speed_m_per_s,
+            "turbulence_m_per_s": self.turbulence_m_per_s,
+        }
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Arrival, direction, power and Doppler of each detection; none at the identity."""
+        if self.identity:
+            return ()
+        each = (self.capacity,)
+        uniform = [Variate(name, "uniform", each) for name in ("arrival", "azimuth", "elevation", "kept", "power")]
+        return (*uniform, Variate("doppler", "normal", each))
+
+    def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
+        """The state with the weather's own detections."""
+        if self.identity:
+            return state
+        own = {key: value.to(state.gain_db.dtype) for key, value in noise.items()}
+        eta, fall, fall_std = (value.to(state.gain_db.dtype) for value in self.falling(state.batch))
+        threshold_db = state.noise_floor_db + state.detection_snr_db
+        node_m = self._nodes_m(state)
+        mean_db = self._mean_power_db(node_m, eta, fall_std, state)
+        range_m, there = self._ranges(node_m, self._cells_per_m(mean_db, threshold_db, fall_std), own["arrival"])
+        azimuth, elevation = clutter_directions_rad(self.sensor, own["azimuth"], own["elevation"])
+        peak_db = self._mean_power_db(range_m, eta, fall_std, state)
+        off_db = 2.0 * (self.sensor.gain_dbi(azimuth, elevation) - self.sensor.antenna_gain_dbi)
+        # Thinned from the rate at the peak of the pattern to the one in this direction
+        over = torch.exp(DB * (threshold_db[:, None] - peak_db).clamp_max(300.0))
+        there = there & (own["kept"] < torch.exp(over - over * torch.exp(-DB * off_db)))
+        power_db = _above_db(threshold_db[:, None], peak_db + off_db, own["power"])
+        clutter = self._rows(range_m, azimuth, elevation, power_db, off_db, fall, fall_std, own["doppler"])
+        clutter = torch.where(there[..., None], clutter, 0.0)
+        return replace(state, clutter=clutter, clutter_valid=there)
+
+    def _nodes_m(self, state: RadarState) -> Tensor:
+        near, far = self.near_m, self.sensor.max_range_m
+        node = torch.arange(RANGE_NODES, device=state.gain_db.device, dtype=state.gain_db.dtype)
+        return near * (far / near) ** (node / (RANGE_NODES - 1))[None]
+
+    def _doppler_bins(self, fall_std: Tensor) -> Tensor:
+        """Bins over which the Doppler spectrum of a cell spreads, at a mean elevation: its equivalent width."""
+        tilt = math.sin(math.radians(self.sensor.elevation_beamwidth_deg) / 2.0)
+        std = (self.turbulence_m_per_s**2 + (fall_std * tilt) ** 2).sqrt()
+        return (math.sqrt(2.0 * math.pi) * std / self.sensor.speed_resolution_m_per_s).clamp_min(1.0)
+
+    def _mean_power_db(self, range_m: Tensor, eta: Tensor, fall_std: Tensor, state: RadarState) -> Tensor:
+        """Mean echo of a cell at the peak of the pattern, dBm, ``(B, ...)``."""
+        reflectivity = (eta * self.share.to(eta)).clamp_min(NEVER)
+        rcs = reflectivity[:, None] * cell_volume_m3(range_m, self.sensor) / self._doppler_bins(fall_std)[:, None]
+        path_db = 2e-3 * state.attenuation_db_per_km[:, None] * range_m + state.cover_loss_db[:, None]
+        return self.sensor.constant_db + (rcs / range_m**4).log() / DB - path_db
+
+    def _cells_per_m(self, mean_db: Tensor, threshold_db: Tensor, fall_std: Tensor) -> Tensor:
+        azimuth, elevation = two_way_widths_rad(self.sensor)
+        beams = max(1.0, math.prod(view_rad(self.sensor)) / (GAUSSIAN_AREA * azimuth * elevation))
+        over = torch.exp(DB * (threshold_db[:, None] - mean_db).clamp_max(300.0))
+        return beams * self._doppler_bins(fall_std)[:, None] / self.sensor.range_resolution_m * torch.exp(-over)
+
+    def _ranges(self, node_m: Tensor, per_m: Tensor, arrival: Tensor) -> tuple[Tensor, Tensor]:
+        """Ranges of the detections in order, ``(B, K)``, and which of them exist."""
+        step = 0.5 * (per_m[:, 1:] + per_m[:, :-1]) * (node_m[:, 1:] - node_m[:, :-1])
+        # A share of a Poisson process, taken at random, is a Poisson process again.
+        share = (FULL * self.capacity / step.sum(1, keepdim=True).clamp_min(NEVER)).clamp_max(1.0)
+        expected = torch.cat([torch.zeros_like(step[:, :1]), (share * step).cumsum(1)], 1)
+        place = -(1.0 - arrival).log().cumsum(1)
+        there = place < expected[:, -1:]
+        right = torch.searchsorted(expected.contiguous(), place.contiguous()).clamp(1, RANGE_NODES - 1)
+        low, high = expected.gather(1, right - 1), expected.gather(1, right)
+        part = ((place - low) / (high - low).clamp_min(NEVER)).clamp(0.0, 1.0)
+        nodes = node_m.expand(len(place), -1)
+        return torch.lerp(nodes.gather(1, right - 1), nodes.gather(1, right), part), there
+
+    def _rows(
+        self,
+        range_m: Tensor,
+        azimuth: Tensor,
+        elevation: Tensor,
+        power_db: Tensor,
+        off_db: Tensor,
+        fall: Tensor,
+        fall_std: Tensor,
+        doppler: Tensor,
+    ) -> Tensor:
+        """x, y, z, radial speed, power and radar cross section of each, ``(B, K, 6)``."""
+        flat = torch.cos(elevation)
+        along = torch.stack([flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.sin(elevation)], -1)
+        speed = radial_speed_m_per_s(along, self.falling.weather, fall, fall_std, doppler, self.turbulence_m_per_s)
+        speed = speed - along[..., 0] * self.ego_speed_m_per_s
+        rcs_dbsm = power_db - self.sensor.constant_db - off_db + 4.0 * range_m.log() / DB
+        numbers = torch.stack([speed, power_db, rcs_dbsm], -1)
+        return torch.cat([along * range_m[..., None], numbers], -1)
+
+
+def view_rad(radar: Radar) -> tuple[float, float]:
+    """Width in azimuth and elevation of the view in which clutter is looked for, at most the half sphere ahead."""
+    azimuth, elevation = math.radians(radar.azimuth_beamwidth_deg), math.radians(radar.elevation_beamwidth_deg)
+    return min(VIEW_WIDTHS * azimuth, math.pi), min(VIEW_WIDTHS * elevation, math.pi)
+
+
+def clutter_directions_rad(radar: Radar, azimuth: Tensor, elevation: Tensor) -> tuple[Tensor, Tensor]:
+    """Azimuth and elevation within the element's view from uniform variates."""
+    view_azimuth, view_elevation = view_rad(radar)
+    return (azimuth - 0.5) * view_azimuth, (elevation - 0.5) * view_elevation
+
+
+def radial_speed_m_per_s(
+    direction: Tensor,
+    weather: Rain | Snow,
+    fall: Tensor,
+    fall_std: Tensor,
+    doppler: Tensor,
+    turbulence_m_per_s: float,
+) -> Tensor:
+    """Radial speed of drops or flakes, m/s, positive receding: wind, fall, and their spread within a cell.
+
+    Args:
+        direction: ``(B, K, 3)`` unit vectors to them.
+        weather: for its wind.
+        fall, fall_std: ``(B,)`` mean and standard deviation of the fall speed.
+        doppler: ``(B, K)`` standard normal.
+        turbulence_m_per_s: standard deviation of the air's speed.
+    """
+    wind = direction.new_tensor(weather.wind_m_per_s)
+    up = direction[..., 2]
+    std = (turbulence_m_per_s**2 + (fall_std[:, None] * up) ** 2).sqrt()
+    return direction @ wind - fall[:, None] * up + std * doppler
+
+
+def _above_db(threshold_db: Tensor, mean_db: Tensor, uniform: Tensor) -> Tensor:
+    """Power of a cell that exceeds the threshold: ``T + P E`` with E of exponential law, in dB."""
+    exceeding = torch.exp(DB * (mean_db - threshold_db).clamp_min(-300.0)) * -(1.0 - uniform).log()
+    return threshold_db + torch.log1p(exceeding) / DB
