@@ -37,7 +37,7 @@ __all__ = ["VolumeEcho"]
 DIRECTIONS_PER_BEAM = 3.0  # of the sum over directions; halving them changes a channel's covariance by less than 1e-3
 FEWEST_DIRECTIONS = 9
 FOLDS = 2  # of the Doppler spectrum over the unambiguous speeds, either way
-JITTER = 1e-6  # of a channel's power: keeps the covariance positive where directions are fewer than channels
+JITTER = 1e-5  # of a channel's power, as white noise: keeps the covariance positive in single precision
 
 
 class VolumeEcho(nn.Module):
@@ -137,8 +137,9 @@ class VolumeEcho(nn.Module):
         phase = (2.0 * math.pi * (turns - turns.round())).float()
         waves = torch.polar(share.sqrt()[..., None].expand(phase.shape).contiguous(), phase)  # (B, N_c, D, V)
         covariance = waves.transpose(-1, -2) @ waves.conj()
-        floor = JITTER * weight.sum() / radar.chirps
-        return covariance + floor * torch.eye(radar.virtual_channels, device=device)
+        # Of this bin's own power, and of the mean bin's, where the spectrum ends.
+        floor = JITTER * share.sum(-1) + JITTER**2 * weight.sum() / radar.chirps
+        return covariance + floor[..., None, None] * torch.eye(radar.virtual_channels, device=device)
 
     def _directions(self, device: torch.device) -> tuple[Tensor, Tensor]:
         """Unit vectors ``(D, 3)`` over the view and their weights ``(D,)``: two-way pattern times solid angle."""
