@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise, product
 from typing import Protocol
 
 import numpy as np
@@ -142,7 +143,8 @@ def strongest_echo(
 ) -> tuple[float, float, float, float, float]:
     """Range, speed, azimuth, elevation and power (mW) whose samples resemble the cube most, near a start.
 
-    Each of the four in turn is tried on a grid of one resolution cell either side, which shrinks by three each round.
+    Range and speed together, then both angles together, are tried on a grid of one resolution cell either side, which
+    shrinks by two each round.
     The power is that of the projection on a unit echo, the least-squares fit.
     """
     signal = np.asarray(cube, dtype=np.complex128)
@@ -154,10 +156,11 @@ def strongest_echo(
     reach += [1.0 / (1.0 + float(np.ptp(array[:, axis]))) for axis in (0, 1)]
     best = list(start)
     for _ in range(rounds):
-        for axis in (0, 1, 2, 3):
-            tried = [[*best[:axis], value, *best[axis + 1 :]] for value in best[axis] + reach[axis] * _TRIES]
+        for first in (0, 2):
+            grid = product(*(best[axis] + reach[axis] * _TRIES for axis in (first, first + 1)))
+            tried = [[*best[:first], *pair, *best[first + 2 :]] for pair in grid]
             best = max(tried, key=lambda guess: abs(_likeness(radar, signal, guess)))
-        reach = [value / 3.0 for value in reach]
+        reach = [value / 2.0 for value in reach]
     return best[0], best[1], best[2], best[3], abs(_likeness(radar, signal, best)) ** 2
 
 
@@ -272,7 +275,7 @@ def _radial_integral(
         edges.append(min(edges[-1] + min(0.1 * edges[-1], piece_m or math.inf), far_m))
     node, weight = np.polynomial.legendre.leggauss(NODES if kept is None else 16)
     total = 0.0
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         r = 0.5 * (low + high) + 0.5 * (high - low) * node
         value = r**-2 * 10.0 ** (-2.0 * attenuation_db_per_km * r * 1e-3 / 10.0)
         total += float(0.5 * (high - low) * weight @ (value if kept is None else value * kept(r)))
