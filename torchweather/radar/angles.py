@@ -104,7 +104,9 @@ def spectrum_peaks(channels: Tensor, radar: Radar, most: int, dynamic_db: float)
     power = (channels @ weights.T).abs().square().reshape(-1, 1, len(left), len(up))
     visible = left[:, None] ** 2 + up**2 <= 1.0
     # Ties go to the lower of two neighbours: both would be one target.
-    tilted = power * torch.linspace(1.0, 1.0 - 1e-6, power[0].numel(), device=power.device).reshape(power.shape[1:])
+    tilted = power * torch.linspace(1.0, 1.0 - 1e-6, power.shape[1:].numel(), device=power.device).reshape(
+        power.shape[1:]
+    )
     highest = max_pool2d(tilted, 3, stride=1, padding=1)
     strongest = power.flatten(1).max(1).values[:, None, None]
     kept = (tilted >= highest)[:, 0] & visible & (power[:, 0] > strongest * 10.0 ** (-dynamic_db / 10.0))
