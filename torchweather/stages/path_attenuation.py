@@ -24,15 +24,17 @@ from torchweather.physics import (
 )
 from torchweather.sensors import Radar
 from torchweather.stages.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
-from torchweather.stages.fog_optics import MOR_NODES, mor_range_m
+from torchweather.stages.fog_optics import mor_range_m
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import RadarState
-from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
+from torchweather.weather import Fog, Mixture, Rain, Snow, Weather, weather_from_dict
 
 __all__ = ["FOG_ATTENUATION_MODELS", "PathAttenuation", "WetRadome", "weather_attenuation_db_per_km"]
 
 FOG_ATTENUATION_MODELS = ("p840", "d3_4")
+# The water of the default fog turns from V^-2 to V^-1 at 50 m: linear in a cell of width h, that is off by h / 4.
+FOG_NODES = 1024
 MODELS = {"rain": RAIN_ATTENUATION_MODELS, "fog": FOG_ATTENUATION_MODELS, "snow": SNOW_ATTENUATION_MODELS}
 DEFAULT_MODELS = {"rain": "p838", "fog": "p840", "snow": "dsd_mie"}
 TILT_RAD = {"h": 0.0, "v": math.pi / 2}
@@ -99,7 +101,7 @@ def _table(weather: Weather, radar: Radar, model: str) -> KnobTable:
         return weather_attenuation_db_per_km(weather, radar, model, knob)
 
     if isinstance(weather, Fog):
-        return KnobTable(of_knob, *mor_range_m(weather), MOR_NODES, zero_at_inf=True)
+        return KnobTable(of_knob, *mor_range_m(weather), FOG_NODES, zero_at_inf=True)
     return KnobTable(of_knob, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
 
@@ -154,7 +156,7 @@ class PathAttenuation(Stage):
             check_one_of(f"{kind}_model", model, MODELS[kind], owner=self)
         built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]
         self.parts = nn.ModuleDict()
-        for weather in sorted(built, key=lambda part: part.kind):
+        for weather in Mixture(*built).parts:
             self.parts[weather.kind] = _PartAttenuation(weather, self.sensor, self.models[weather.kind])
 
     def config(self) -> dict[str, Any]:
@@ -175,7 +177,11 @@ class PathAttenuation(Stage):
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with weaker targets."""
         per_km = self.attenuation_db_per_km(state.batch).to(state.gain_db.dtype)
-        return replace(state, gain_db=state.gain_db - self.two_way_db(state.range_m), attenuation_db_per_km=per_km)
+        return replace(
+            state,
+            gain_db=state.gain_db - self.two_way_db(state.range_m),
+            attenuation_db_per_km=state.attenuation_db_per_km + per_km,
+        )
 
 
 @register
@@ -236,5 +242,6 @@ class WetRadome(Stage):
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with all targets weaker."""
-        loss = self.two_way_db(state.batch).to(state.gain_db.dtype)[:, None]
-        return replace(state, gain_db=state.gain_db - loss, cover_loss_db=loss[:, 0])
+        loss = self.two_way_db(state.batch).to(state.gain_db.dtype)
+        of_targets = torch.where(state.range_m > 0, loss[:, None], 0.0)
+        return replace(state, gain_db=state.gain_db - of_targets, cover_loss_db=state.cover_loss_db + loss)

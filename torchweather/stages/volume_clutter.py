@@ -222,6 +222,8 @@ class VolumeClutter(Stage):
         power_db = _above_db(threshold_db[:, None], peak_db + off_db, own["power"])
         clutter = self._rows(range_m, azimuth, elevation, power_db, off_db, fall, fall_std, own["doppler"])
         clutter = torch.where(there[..., None], clutter, 0.0)
+        if state.clutter is not None and state.clutter_valid is not None:
+            clutter, there = torch.cat([state.clutter, clutter], 1), torch.cat([state.clutter_valid, there], 1)
         return replace(state, clutter=clutter, clutter_valid=there)
 
     def _nodes_m(self, state: RadarState) -> Tensor:

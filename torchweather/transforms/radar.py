@@ -28,6 +28,7 @@ from torchweather.stages import (
 )
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.radar import POWER
+from torchweather.transforms.clouds import FARTHEST_M
 from torchweather.transforms.weather_transform import WeatherTransform
 from torchweather.weather import Rain, Snow, Weather, check_knobs
 
@@ -174,7 +175,7 @@ class RadarAttenuation(WeatherTransform):
         count = points.shape[-2]
         rows = torch.arange(total, device=points.device)
         source = torch.where(rows < count, rows, -1).expand(batch, total)
-        loss = torch.cat([-state.gain_db, state.gain_db.new_zeros(batch, total - count)], 1)
+        loss = torch.cat([0.0 - state.gain_db, state.gain_db.new_zeros(batch, total - count)], 1)
         power, threshold = before.points_in[..., POWER], before.noise_floor_db + before.detection_snr_db
         floored = (before.range_m > 0) & (power < threshold[:, None])
         return RadarResult(
@@ -290,20 +291,27 @@ def check_detections(points: Tensor, sensor: Radar, owner: object) -> None:
     if is_exporting() or not points.numel():
         return
     first = points.detach()[..., :COLUMNS]
-    # One sum sees every NaN and every infinity; only then is it worth looking for them.
-    if not math.isfinite(float(first.sum(dtype=torch.float64))):
-        _refuse_infinite(first, name)
+    # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
+    if not abs(float(first.sum(dtype=torch.float64))) < FARTHEST_M:
+        _refuse_absurd(first, name)
     _warn_of_floor(first, sensor, name)
 
 
-def _refuse_infinite(points: Tensor, name: str) -> None:
+def _refuse_absurd(points: Tensor, name: str) -> None:
     bad = ~torch.isfinite(points)
-    named = ("x", "y", "z", "speed", "power", "radar cross section")
-    columns = ", ".join(named[column] for column in range(COLUMNS) if bool(bad[..., column].any()))
-    raise ValueError(
-        f"{name}: points must be finite; got NaN or infinity in {int(bad.any(-1).sum())} rows ({columns}). Give a row "
-        "without detection the coordinates 0, 0, 0."
-    )
+    if bool(bad.any()):
+        named = ("x", "y", "z", "speed", "power", "radar cross section")
+        columns = ", ".join(named[column] for column in range(COLUMNS) if bool(bad[..., column].any()))
+        raise ValueError(
+            f"{name}: points must be finite; got NaN or infinity in {int(bad.any(-1).sum())} rows ({columns}). Give a "
+            "row without detection the coordinates 0, 0, 0."
+        )
+    farthest_m = float(points[..., :3].abs().max())
+    if farthest_m >= FARTHEST_M:
+        raise ValueError(
+            f"{name}: coordinates must be metres; got {farthest_m:g}, too far for a detection. Give a row without "
+            "detection the coordinates 0, 0, 0."
+        )
 
 
 def _warn_of_floor(points: Tensor, sensor: Radar, name: str) -> None:
