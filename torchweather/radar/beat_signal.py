@@ -5,11 +5,12 @@ Up-chirp, dechirped, complex. Scatterer i, sample n, chirp m of transmitter k, v
     s[q, m, n] = sum_i A_i exp(j 2 pi [ f_i(t) n / fs + 2 (R_i + v_i t) / lambda - u_i . p_q / lambda ])
     f_i(t) = 2 S (R_i + v_i t) / c + 2 v_i / lambda,   t = (m N_tx + k) T_c,   A_i = sqrt(P_i) exp(j phi_i)
 
-The sum over scatterers is a matrix product of slow-time and array phases by fast-time phases, except for the term that
-holds t and n together: a target that moves changes its range cell within the frame. The frame is cut into blocks of
-chirps; at the middle of each block the term belongs to the fast-time phases, and what is left of it inside the block is
-expanded to first order, which costs a second product. The blocks are as many as keep the neglected second order below
-``SECOND_ORDER``.
+Without the term that holds t and n together, the sum over scatterers is a matrix product of slow-time and array phases
+by fast-time phases. With it a target that moves changes its range cell within the frame. The frame is cut into blocks
+of chirps; at the middle of each block the term belongs to the fast-time phases, and what is left of it inside the block
+is expanded to first order, which costs a second product. As time counts from the begin of the block, slow-time and
+array phases are those of every block. The blocks are as many as keep the neglected second order below ``SECOND_ORDER``;
+where a single chirp of all transmitters is too long for that, higher orders are taken along.
 
 References:
     PHYSICS.md 6.2, 6.4.
@@ -28,16 +29,10 @@ from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.scatterers import Scatterers
 from torchweather.sensors import Radar
 
-__all__ = ["beat_signal", "chirp_times_s"]
+__all__ = ["beat_signal"]
 
-SECOND_ORDER = 2e-3  # of an amplitude, at the corners of a block; the mean over the frame is a tenth of it or less
+SECOND_ORDER = 2e-3  # of an amplitude, what is neglected at the corners of a block; a tenth of it or less on average
 SCATTERERS_AT_ONCE = 256  # arrays that stay in the cache
-
-
-def chirp_times_s(radar: Radar, device: torch.device | None = None) -> Tensor:
-    """``(N_c, N_tx)`` begin of each chirp of each transmitter, float64."""
-    number = torch.arange(radar.chirps * radar.transmitters, dtype=torch.float64, device=device)
-    return (number * radar.chirp_period_s).reshape(radar.chirps, radar.transmitters)
 
 
 def beat_signal(scatterers: Scatterers, radar: Radar, *, attenuation_db: Tensor | None = None) -> Tensor:
@@ -73,65 +68,72 @@ def beat_signal(scatterers: Scatterers, radar: Radar, *, attenuation_db: Tensor 
     distance = scatterers.range_m.double().reshape(-1, count)
     direction = scatterers.direction.double().reshape(-1, count, 3)
     speed = scatterers.speed_m_per_s.double().reshape(-1, count)
-    blocks = _blocks(speed, radar)
-    found: Tensor | None = None
+    chirps, order = _block(speed, radar)
+    blocks = math.ceil(radar.chirps / chirps)  # the last may reach beyond the frame
+    found = amplitude.new_zeros(len(speed), blocks, chirps * radar.virtual_channels, radar.samples)
     for first in range(0, count, SCATTERERS_AT_ONCE):
         part = slice(first, first + SCATTERERS_AT_ONCE)
-        own = _of_scatterers(amplitude[:, part], distance[:, part], speed[:, part], direction[:, part], radar, blocks)
-        found = own if found is None else found + own
-    assert found is not None
-    cube = found.reshape(-1, radar.chirps, radar.virtual_channels, radar.samples).transpose(1, 2)
+        _add(found, amplitude[:, part], distance[:, part], speed[:, part], direction[:, part], radar, order)
+    cube = found.reshape(len(speed), -1, radar.virtual_channels, radar.samples)[:, : radar.chirps].transpose(1, 2)
     return cube.reshape(*lead, *cube.shape[1:])
 
 
-def _of_scatterers(
-    amplitude: Tensor, distance_m: Tensor, speed: Tensor, direction: Tensor, radar: Radar, blocks: int
-) -> Tensor:
-    """``(B, N_c V, N_s)`` of the scatterers ``(B, M)``; phases in turns, float64 until they are wrapped."""
+def _add(
+    found: Tensor, amplitude: Tensor, distance_m: Tensor, speed: Tensor, direction: Tensor, radar: Radar, order: int
+) -> None:
+    """Add the scatterers ``(B, M)`` to the samples ``(B, blocks, chirps V, N_s)``; in place."""
     batch, count = speed.shape
-    t = chirp_times_s(radar, speed.device)
-    n = torch.arange(radar.samples, dtype=torch.float64, device=speed.device)
+    device, dtype = speed.device, amplitude.dtype
     per_metre = 2.0 * radar.slope_hz_per_s / SPEED_OF_LIGHT_M_PER_S / (1e6 * radar.sample_rate_mhz)
-    # Slow time and array, (B, N_c, V, M)
-    travelled = distance_m[:, None, None] + speed[:, None, None] * t[..., None]
-    slow = _rotation(2.0 / radar.wavelength_m * travelled) * amplitude[:, None, None]
-    elements = radar.virtual_half_wavelengths.to(speed.device)
+    migration = per_metre * speed  # turns a second and sample
+    blocks, number = found.shape[1], found.shape[2] // radar.receivers  # chirps of all transmitters in a block
+    middle_s, middle_n = 0.5 * (number - 1) * radar.chirp_period_s, 0.5 * (radar.samples - 1)
+
+    # Within a block: slow time and array, (B, chirps V, M)
+    elements = radar.virtual_half_wavelengths.to(device)
     array = _rotation(-0.5 * (elements @ direction[..., 1:].transpose(1, 2)))
     array = array.reshape(batch, 1, radar.transmitters, radar.receivers, count)
-    rows = radar.virtual_channels
 
-    def over_array(per_chirp: Tensor) -> Tensor:
-        return (per_chirp[..., None, :] * array).reshape(batch, -1, count)
+    def over_array(chirp: Tensor) -> Tensor:
+        return (chirp.reshape(batch, -1, radar.transmitters, 1, count) * array).reshape(batch, -1, count)
 
-    # Fast time, (B, M, N_s)
-    beat = per_metre * distance_m + 2.0 * speed / radar.wavelength_m / (1e6 * radar.sample_rate_mhz)
-    if blocks == 0:
-        return over_array(slow) @ _rotation(beat[..., None] * n)
-    migration = per_metre * speed  # turns a second and sample
-    chirps = math.ceil(radar.chirps / blocks)
-    middle_n = 0.5 * (radar.samples - 1)
-    from_middle_n = (n - middle_n).to(amplitude.real.dtype)
-    first_middle = 0.5 * float(t[0, 0] + t[min(chirps, radar.chirps) - 1, -1])
-    middles = torch.arange(blocks, device=t.device) * (chirps * radar.repetition_period_s) + first_middle
-    from_middle_t = t - middles.repeat_interleave(chirps)[: radar.chirps, None]
-    inside = migration[:, None, None] * from_middle_t[..., None]  # (B, N_c, N_tx, M)
-    slow = slow * _rotation(middle_n * inside)
-    constant = over_array(slow)
-    linear = over_array(slow * torch.complex(torch.zeros((), device=t.device), 2.0 * math.pi * inside.float()))
-    fast = _rotation((beat + migration * first_middle)[..., None] * n)
-    step = _rotation((migration * (chirps * radar.repetition_period_s))[..., None] * n)
-    found = []
-    for first in range(0, radar.chirps * rows, chirps * rows):
-        part = slice(first, first + chirps * rows)
-        found.append(torch.baddbmm(constant[:, part] @ fast, linear[:, part], fast * from_middle_n))
-        fast = fast * step
-    return torch.cat(found, 1)
+    step = (2.0 / radar.wavelength_m * speed + migration * middle_n) * radar.chirp_period_s
+    turns = step[:, None] * _count(number, device)[:, None] - (migration * (middle_s * middle_n))[:, None]
+    chirp = _rotation(turns) * amplitude[:, None]
+    slow = [over_array(chirp)]
+    # What is left of the term with t and n, order by order
+    left = 2.0 * math.pi * migration[:, None] * (_count(number, device) * radar.chirp_period_s - middle_s)[:, None]
+    for power in range(1, order + 1):
+        chirp = chirp * torch.complex(torch.zeros_like(left), left / power).to(dtype)
+        slow.append(over_array(chirp))
+    from_middle_n = (_count(radar.samples, device) - middle_n).to(dtype)
+
+    # Fast time of each block, (B, M, N_s)
+    begin_s = _count(blocks, device) * (number * radar.chirp_period_s)
+    travelled = distance_m[..., None] + speed[..., None] * begin_s
+    doppler = 2.0 / radar.wavelength_m * speed / (1e6 * radar.sample_rate_mhz)
+    beat = (per_metre * distance_m + doppler)[..., None] + migration[..., None] * (begin_s + middle_s)
+    # A rotation by so many turns a sample is one by coarse steps times one by fine steps: far fewer cosines
+    fine = math.ceil(math.sqrt(radar.samples))
+    coarse_steps = _count(math.ceil(radar.samples / fine), device) * fine
+    coarse = _rotation(2.0 / radar.wavelength_m * travelled[..., None] + beat[..., None] * coarse_steps)
+    within = _rotation(beat[..., None] * _count(fine, device))
+    for block in range(blocks):
+        fast = (coarse[:, :, block, :, None] * within[:, :, block, None]).flatten(-2)[..., : radar.samples]
+        found[:, block].baddbmm_(slow[0], fast)
+        for further in slow[1:]:
+            fast = fast * from_middle_n
+            found[:, block].baddbmm_(further, fast)
+
+
+def _count(number: int, device: torch.device) -> Tensor:
+    return torch.arange(number, dtype=torch.float64, device=device)
 
 
 def _rotation(turns: Tensor) -> Tensor:
     """``exp(j 2 pi turns)``, complex64; whole turns are taken off in double precision."""
     wrapped = ((turns - turns.detach().round()) * (2.0 * math.pi)).float()
-    return torch.polar(torch.ones_like(wrapped), wrapped)
+    return torch.complex(wrapped.cos(), wrapped.sin())  # faster than torch.polar
 
 
 def _amplitude(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | None) -> Tensor:
@@ -146,14 +148,18 @@ def _amplitude(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | No
     return (scatterers.field_m * level).to(torch.complex64)
 
 
-def _blocks(speed: Tensor, radar: Radar) -> int:
-    """Blocks of chirps; 0 where nothing moves."""
+def _block(speed: Tensor, radar: Radar) -> tuple[int, int]:
+    """Chirps of each transmitter in a block, and the order to which its middle is left."""
     fastest = float(speed.detach().abs().max())
-    if fastest == 0.0:
-        return 0
     # Phase at the corner of the frame, counted from its middle: 2 pi (2 B v / c) (T / 2) / 2
     corner = math.pi * 1e6 * radar.bandwidth_mhz * fastest / SPEED_OF_LIGHT_M_PER_S * radar.frame_time_s
-    return min(radar.chirps, max(1, math.ceil(corner / math.sqrt(2.0 * SECOND_ORDER))))
+    blocks = max(1, math.ceil(corner / math.sqrt(2.0 * SECOND_ORDER)))
+    chirps = max(1, radar.chirps // blocks)
+    corner *= chirps / radar.chirps
+    order = 1 if fastest or speed.requires_grad else 0
+    while order and corner ** (order + 1) / math.factorial(order + 1) > SECOND_ORDER * (1.0 + 1e-9):
+        order += 1
+    return chirps, order
 
 
 def _check(scatterers: Scatterers, radar: Radar) -> None:
