@@ -3,8 +3,9 @@
     python examples/radar_point_counts.py
     python examples/radar_point_counts.py --sensor imaging-77ghz --seeds 3
 
-D3.4 reports 340 points in clear air, 535 in rain and 543 in snow. Five simulators count the points of one scene (two
-cars, corner reflectors, posts along the road; nothing moves), in the same weathers and with the same random numbers:
+D3.4 reports 340 points in clear air, 535 in rain and 543 in snow. Five simulators count the points of one scene (the
+embedded test track with cars at 28 and 56 m and two corner reflectors; nothing moves), in the same weathers and with
+the same random numbers:
 
 a   this library: thermal noise k T0 B F, attenuation, echoes of rain and snow, CFAR
 b   the same without the echoes of rain and snow
@@ -13,7 +14,7 @@ d   the noise of c, with the CFAR of b
 e   the thermal noise of b, with a fixed threshold
 
 The thresholds of c and e are those that give 340 points in clear air. Each cell of the map gives one point at most, so
-that columns compare. Writes ``radar_point_counts.json``.
+that columns compare. "Alone" is what column a sees of the weather on an empty road. Writes ``radar_point_counts.json``.
 
 Assumed, because the published simulator is not at hand (only its noise formula is): the scene and the sensor; samples
 in units of the transmit power, so that a loss taken off the transmit power raises the noise against them and leaves the
@@ -39,13 +40,13 @@ from torch import Tensor
 import torchweather as tw
 from torchweather.errors import TorchweatherWarning
 from torchweather.io import atomic_write
-from torchweather.radar import FmcwRadar, Scatterers, car_scatterers, corner_scatterers
+from torchweather.radar import FmcwRadar, Scatterers
+from torchweather.scenes import radar_view, test_track
 from torchweather.weather import Weather
 
 D34_CLEAR, D34_RAIN, D34_SNOW = 340, 535, 543  # D3.4, Figures 15-17, 35-36
 RAIN_MM_PER_H, FOG_M, SNOW_MM_PER_H = (10.0, 25.0, 50.0), (10, 20, 30, 50), (1.0, 19.0)
 LOSSES_DB = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
-NEAR_M = 10.0  # nothing of the scene is nearer
 COLUMNS = ("a", "b", "c", "d", "e")
 BOLTZMANN_J_PER_K = 1.380649e-23  # exact, SI
 TEMPERATURE_K = 290.0
@@ -66,23 +67,9 @@ class FixedThreshold:
         return torch.ones(columns, dtype=torch.float64)
 
 
-def scene(radar: tw.Radar) -> Scatterers:
-    """Two cars at 28 and 56 m, five corner reflectors of 17 dBsm and less, 80 posts of -25 to -5 dBsm (generic)."""
-    wavelength_m = radar.wavelength_m
-    ahead = car_scatterers((28.0, -0.15), wavelength_m)
-    oncoming = car_scatterers((60.3, 3.6), wavelength_m, yaw_rad=math.pi)
-    places = [(15.0, -4.0, 0.0), (20.0, 4.0, 0.0), (35.0, -4.0, 0.0), (45.0, 6.0, 0.0), (65.0, -4.0, 0.0)]
-    at = torch.tensor(places, dtype=torch.float64)
-    facing = torch.tensor([[-1.0, 0.0, 0.0]], dtype=torch.float64).expand_as(at)
-    radar_at = torch.zeros(3, dtype=torch.float64)
-    corners = corner_scatterers(at, facing, at.new_full((len(at),), 0.1), radar_at, radar_at, wavelength_m)
-    generator = torch.Generator().manual_seed(0)  # one road, whatever the seed of a frame
-    x = torch.linspace(12.0, 72.0, 40, dtype=torch.float64).repeat(2)
-    y = torch.where(torch.arange(80) < 40, 5.5, -5.5).double()
-    rcs_dbsm = -25.0 + 20.0 * torch.rand(80, generator=generator, dtype=torch.float64)
-    phase_rad = 2.0 * math.pi * torch.rand(80, generator=generator, dtype=torch.float64)
-    posts = Scatterers.from_rcs(torch.stack([x, y, torch.full_like(x, -0.3)], -1), rcs_dbsm, 0.0, phase_rad)
-    return ahead.joined(oncoming, corners, posts)
+def nothing() -> Scatterers:
+    """An empty road: what is seen there is the weather."""
+    return Scatterers.from_rcs(torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64), -math.inf)
 
 
 def weathers() -> dict[str, Weather | None]:
@@ -182,17 +169,16 @@ def count(
     signal = simulator(radar, weather, noise=False, clutter=False).cube(targets, {})
     as_published = simulator(radar, weather, noise=False, clutter=False, **AS_PUBLISHED).cube(targets, {})
     counts: dict[str, list[int]] = {column: [] for column in COLUMNS}
-    near: list[int] = []
+    alone: list[int] = []
+    ranges: list[float] = []
     speeds: list[float] = []
-    farthest_m = 0.0
     for seed, noise in enumerate(noises):
-        points = tensor_of(full(targets, full.draw(targets, seed=seed)))
-        range_m = torch.linalg.vector_norm(points[:, :3], dim=1)
-        own = range_m < NEAR_M
-        counts["a"].append(len(points))
-        near.append(int(own.sum()))
-        speeds += points[own, 3].tolist()
-        farthest_m = max([farthest_m, *range_m[own].tolist()])
+        drawn = full.draw(targets, seed=seed)
+        counts["a"].append(len(tensor_of(full(targets, drawn))))
+        own = tensor_of(full(nothing(), drawn))
+        alone.append(len(own))
+        ranges += torch.linalg.vector_norm(own[:, :3], dim=1).tolist()
+        speeds += own[:, 3].tolist()
         counts["b"].append(number(bare, signal + thermal_sigma(radar) * noise))
         counts["c"].append(number(fixed(radar, thresholds["c"]), as_published + sigma * noise))
         counts["d"].append(number(bare, as_published + sigma * noise))
@@ -202,9 +188,9 @@ def count(
         "published_attenuation_db_per_km": published,
         "published_loss_db": loss_db,
         "points": counts,
-        "near_points": near,
-        "near_speeds_m_per_s": speeds,
-        "near_farthest_m": farthest_m,
+        "alone": alone,
+        "alone_range_m": ranges,
+        "alone_speed_m_per_s": speeds,
     }
 
 
@@ -258,7 +244,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     radar = tw.Radar.preset(arguments.sensor)
     if arguments.one_channel:
         radar = replace(radar, tx_half_wavelengths=((0.0, 0.0),), rx_half_wavelengths=((0.0, 0.0),))
-    targets = scene(radar)
+    targets = radar_view(test_track(), radar).scatterers
     noises = [white_noise(radar, targets, seed) for seed in range(arguments.seeds)]
     assumed = (arguments.loss_range_m, arguments.impedance_ohm)
     thresholds = clear_thresholds(radar, targets, noises, arguments.impedance_ohm)
@@ -289,14 +275,19 @@ def main(argv: Sequence[str] | None = None) -> None:
     print(f"{arguments.sensor}, {radar.virtual_channels} channels, {arguments.seeds} frames of each weather")
     print(f"D3.4: {D34_CLEAR} clear, {D34_RAIN} rain, {D34_SNOW} snow")
     print("dB/km one way: here and as published; loss: as published to", f"{arguments.loss_range_m:g} m and back, dB")
-    print(f"{'':14}{'dB/km':>8}{'publ.':>8}{'loss':>7}   " + "".join(f"{column:^16}" for column in COLUMNS) + "a, near")
+    print(f"{'':14}{'dB/km':>8}{'publ.':>8}{'loss':>7}   " + "".join(f"{column:^16}" for column in COLUMNS) + "alone")
     for name, row in rows.items():
         numbers = "".join(f"{spread(row['points'][column]):^16}" for column in COLUMNS)
         losses_text = f"{row['attenuation_db_per_km']:8.2f}{row['published_attenuation_db_per_km']:8.1f}"
-        print(f"{name:14}{losses_text}{row['published_loss_db']:7.2f}   {numbers}{spread(row['near_points'])}")
+        print(f"{name:14}{losses_text}{row['published_loss_db']:7.2f}   {numbers}{spread(row['alone'])}")
     print(
         f"noise of a sample: {radar.noise_power_dbm:.1f} dBm thermal, {report['published_noise_dbm']:.1f} as published"
     )
+    print("alone: range of 50 and 95 % of the points, standard deviation of their speeds")
+    for name, row in rows.items():
+        if len(row["alone_range_m"]) > 1:
+            half, most = torch.tensor(row["alone_range_m"]).quantile(torch.tensor([0.5, 0.95])).tolist()
+            print(f"{name:14}{half:8.1f} m{most:8.1f} m{statistics.stdev(row['alone_speed_m_per_s']):8.2f} m/s")
     print(f"of the {D34_CLEAR} points in clear air, without noise: {objects['c']} in c, {objects['e']} in e")
     print("c, points against the loss of the frame: noise stronger and signal weaker, or the signal alone")
     for loss_db, both, alone in zip(losses["loss_db"], losses["both"], losses["signal weaker only"], strict=True):
