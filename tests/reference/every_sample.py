@@ -170,19 +170,30 @@ def shell_covariance_mw(
     near_m: float,
     far_m: float,
     attenuation_db_per_km: float = 0.0,
+    velocity_m_per_s: ArrayLike = (0.0, 0.0, 0.0),
+    spread_m_per_s: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Complex:
     """``E[s_q conj(s_p)]`` of the particles between two ranges over the half space ahead, ``(V, V)``.
 
     ``int eta P(R, az, el) exp(-j pi u.(h_q - h_p)) 10^(-2 gamma R / 10) R^2 cos(el) dR daz del``; ``h`` in half
-    wavelengths. The diagonal is the mean power of a channel.
+    wavelengths. The diagonal is the mean power of a channel. Elements of two transmitters sample ``tau`` apart, by when
+    particles of normally distributed radial speed have turned by ``E[exp(j 4 pi v tau / lambda)]``.
     """
     flux = eta_m2_per_m3 * _radial_integral(near_m, far_m, attenuation_db_per_km) * receive_power_mw(radar, 1, 1, 0, 0)
     azimuth, elevation, weight = _directions(radar)
     tx, rx = np.array(radar.tx_half_wavelengths), np.array(radar.rx_half_wavelengths)
     array = (tx[:, None] + rx[None]).reshape(-1, 2)
     left, up = np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
-    steering = np.exp(-1j * math.pi * (array[:, :1] * left + array[:, 1:] * up))  # (V, directions)
-    return flux * (steering * weight) @ steering.conj().T
+    mean, std = _radial_speed(azimuth, elevation, velocity_m_per_s, spread_m_per_s)
+    wavelength, _, chirp_period = _carrier(radar)
+    out = np.zeros((len(array), len(array)), dtype=np.complex128)
+    for q, p in product(range(len(array)), repeat=2):
+        tau = (q // len(rx) - p // len(rx)) * chirp_period
+        apart = array[q] - array[p]
+        phase = 4.0 * math.pi / wavelength * mean * tau - math.pi * (apart[0] * left + apart[1] * up)
+        kept = np.exp(-0.5 * (4.0 * math.pi / wavelength * std * tau) ** 2)
+        out[q, p] = flux * np.sum(weight * kept * np.exp(1j * phase))
+    return out
 
 
 def cell_power_mw(
@@ -220,13 +231,10 @@ def shell_speed(
     ``spread`` is the standard deviation of their velocity along x, y and z, independent of where they are.
     """
     azimuth, elevation, weight = _directions(radar)
-    flat = np.cos(elevation)
-    u = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
+    radial, inner = _radial_speed(azimuth, elevation, velocity_m_per_s, spread_m_per_s)
     share = weight / weight.sum()
-    radial = u @ np.asarray(velocity_m_per_s, dtype=np.float64)
     mean = float(share @ radial)
-    inner = u**2 @ np.asarray(spread_m_per_s, dtype=np.float64) ** 2
-    return mean, math.sqrt(float(share @ ((radial - mean) ** 2 + inner)))
+    return mean, math.sqrt(float(share @ ((radial - mean) ** 2 + inner**2)))
 
 
 _TRIES = np.linspace(-1.0, 1.0, 9)
@@ -280,6 +288,16 @@ def _radial_integral(
         value = r**-2 * 10.0 ** (-2.0 * attenuation_db_per_km * r * 1e-3 / 10.0)
         total += float(0.5 * (high - low) * weight @ (value if kept is None else value * kept(r)))
     return total
+
+
+def _radial_speed(
+    azimuth: Array, elevation: Array, velocity_m_per_s: ArrayLike, spread_m_per_s: ArrayLike
+) -> tuple[Array, Array]:
+    """Mean and standard deviation of the radial speed in each direction."""
+    flat = np.cos(elevation)
+    u = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
+    mean: Array = u @ np.asarray(velocity_m_per_s, dtype=np.float64)
+    return mean, np.sqrt(u**2 @ np.asarray(spread_m_per_s, dtype=np.float64) ** 2)
 
 
 def _directions(radar: ChirpRadar) -> tuple[Array, Array, Array]:
