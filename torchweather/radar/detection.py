@@ -39,11 +39,11 @@ def peaks_of(power: Tensor, above: Tensor) -> Tensor:
         power: ``(..., N_c, N_s)``; the Doppler axis is a circle.
         above: bool, likewise.
     """
-    lead = power.shape[:-2]
-    flat = power.reshape(-1, 1, *power.shape[-2:])
-    wrapped = torch.cat([flat[..., -1:, :], flat, flat[..., :1, :]], -2)
-    highest = functional.max_pool2d(wrapped, 3, stride=1, padding=(0, 1))
-    return above & (flat >= highest).reshape(*lead, *power.shape[-2:])
+    beside = functional.pad(power, (1, 1), value=-torch.inf)
+    along_range = torch.maximum(torch.maximum(beside[..., :-2], beside[..., 2:]), power)
+    wrapped = torch.cat([along_range[..., -1:, :], along_range, along_range[..., :1, :]], -2)
+    highest = torch.maximum(torch.maximum(wrapped[..., :-2, :], wrapped[..., 2:, :]), along_range)
+    return above & (power >= highest)
 
 
 def detections(

@@ -218,7 +218,7 @@ class FmcwRadar(nn.Module):
         check_cube(cube, self.radar, self)
         batch = cube.shape[:-3]
         channels = range_doppler(cube.reshape(-1, *cube.shape[-3:]), self.radar, self.window_name)
-        power = torch.view_as_real(channels).square().sum(-1).mean(1)
+        power = torch.view_as_real(channels).square().mean(1).sum(-1)  # channels first: one long pass
         threshold = self.cfar.threshold(power.detach())
         peaks = peaks_of(power.detach(), power.detach() > threshold)
         noise = threshold / self.cfar.factors(power.shape[-1]).to(threshold)

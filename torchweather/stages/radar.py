@@ -56,7 +56,7 @@ class RadarDetection(Stage):
         margin = self.margin_db * -(1.0 - noise["margin"].to(excess)).log()
         excess = torch.where(excess < 0, margin.to(excess), excess)
         lost = excess + state.gain_db < 0
-        kind = torch.where(lost, LOST, state.kind.to(torch.int64)).to(torch.int8)
+        kind = state.kind.masked_fill(lost, LOST)
         snr = excess + state.gain_db + state.detection_snr_db
         snr = torch.where(state.kind == LOST, -math.inf, snr)
         if state.clutter is not None and state.clutter_valid is not None:

@@ -292,7 +292,7 @@ def check_detections(points: Tensor, sensor: Radar, owner: object) -> None:
         return
     first = points.detach()[..., :COLUMNS]
     # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
-    if not abs(float(first.sum(dtype=torch.float64))) < FARTHEST_M:
+    if not abs(float(first.sum())) < FARTHEST_M:
         _refuse_absurd(first, name)
     _warn_of_floor(first, sensor, name)
 
