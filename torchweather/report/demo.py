@@ -40,9 +40,11 @@ from torchweather.report.pictures import (
     shrunk,
     tinted_raw,
 )
+from torchweather.report.radar_section import RADAR_WEATHERS, WALKING, radar_part
+from torchweather.report.radar_views import radar_scene
 from torchweather.report.tables import number_text, rows_of
 from torchweather.scenes import test_track
-from torchweather.sensors import DEFAULT_PRESETS, Camera, Lidar
+from torchweather.sensors import DEFAULT_PRESETS, Camera, Lidar, Radar
 from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 __all__ = ["write_demo"]
@@ -88,20 +90,22 @@ def write_demo(
     depth: object = None,
     camera: Camera | None = None,
     lidar: str = DEFAULT_PRESETS["lidar"],
+    radar: str = DEFAULT_PRESETS["radar"],
     progress: bool = True,
 ) -> dict[str, Any]:
     """Render frames in clear weather, rain, fog, snow and rain in fog, and write a page about them.
 
     Args:
         out_dir: gets ``index.html`` (self-contained), ``summary.json``, the frames as PNG (16 bits for raw ones) in
-            ``frames/`` and point clouds of the embedded test track in ``clouds/``. What it held before stays, unless it
-            has the same name. Nothing is written when anything fails.
+            ``frames/`` and point clouds and radar points of the embedded test track in ``clouds/``. What it held before
+            stays, unless it has the same name. Nothing is written when anything fails.
         seed: of the weather, and of the sensor noise of the embedded scenes.
         images: a user's own frames, raw or RGB; none takes the embedded test track and fog tunnel.
         depth: of the images: a depth file, or what ``torchweather.image.as_depth_source`` takes, or a list with one
             for each; ``None`` is flat ground below a sky.
         camera: that took the images, or that looks at the embedded scenes; the default preset is ``lucid-triton``.
         lidar: preset of the LiDAR that looks at the embedded test track.
+        radar: preset of the radar that looks at the embedded test track.
         progress: show a progress bar.
 
     Returns:
@@ -126,10 +130,13 @@ def write_demo(
             camera = Camera.preset("lucid-triton") if camera is None else camera
             frames = embedded_frames(camera, seed)
         scanner = None if images else Lidar.preset(lidar)
+        receiver = None if images else Radar.preset(radar)
         plans = [(frame, _sections_of(frame)) for frame in frames]
         total = sum(len(section.weathers) for _, sections in plans for section in sections)
         if scanner is not None:
             total += sum(len(section.weathers) for section in SECTIONS)
+        if receiver is not None:
+            total += len(RADAR_WEATHERS)
         subjects, pages = [], []
         with tqdm(total=total, desc="weather", unit="frame", disable=not progress) as bar:
             for frame, sections in plans:
@@ -138,6 +145,11 @@ def write_demo(
                 pages.append(page)
             if scanner is not None:
                 subjects[0]["lidar"], pages[0]["lidar"] = _lidar(scanner, lidar, frames[0], seed, staging, bar.update)
+            if receiver is not None:
+                moving = radar_scene(test_track(), receiver, WALKING)
+                subjects[0]["radar"], pages[0]["radar"] = radar_part(
+                    moving, f"radar:{radar}", seed, staging, frames[0].name, bar.update
+                )
         summary = {
             "torchweather": __version__,
             "seed": seed,

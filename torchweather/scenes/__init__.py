@@ -7,13 +7,16 @@ from collections.abc import Callable
 from torchweather.scenes.fog_tunnel import fog_tunnel
 from torchweather.scenes.lidar_view import LidarView, lidar_view
 from torchweather.scenes.object_boxes import object_boxes
+from torchweather.scenes.radar_view import CornerReflector, RadarView, radar_view
 from torchweather.scenes.scene import Hit, Scene, SceneLabel, SceneObject, SceneView
 from torchweather.scenes.test_track import test_track
 
 __all__ = [
     "SCENES",
+    "CornerReflector",
     "Hit",
     "LidarView",
+    "RadarView",
     "Scene",
     "SceneLabel",
     "SceneObject",
@@ -21,6 +24,7 @@ __all__ = [
     "fog_tunnel",
     "lidar_view",
     "object_boxes",
+    "radar_view",
     "test_track",
 ]
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchweather.random import keyed_stream
 from torchweather.scenes.materials import Material, laser_reflectivity
 from torchweather.scenes.object_boxes import object_boxes
+from torchweather.scenes.pose import checked_pose
 from torchweather.scenes.scene import Part, Scene
 from torchweather.sensors import Lidar
 from torchweather.sensors.lidar import CALIBRATION_REFLECTIVITY, unit_directions
@@ -107,7 +108,7 @@ def lidar_view(
         ([28.0, 0.0], [True, False])
     """
     beams, grid = _beams(lidar, directions)
-    pose = _pose(T_vehicle_from_lidar, beams)
+    pose = checked_pose("lidar_view", "lidar", T_vehicle_from_lidar, beams, ROOF_MOUNT_M)
     rays = beams @ pose[:3, :3].T
     # Beams of one azimuth have similar directions; the ray caster wants neighbours next to each other.
     order = torch.atan2(rays[:, 1], rays[:, 0]).argsort()
@@ -157,26 +158,6 @@ def _beams(lidar: Lidar, directions: Tensor | None) -> tuple[Tensor, tuple[int, 
     if unit.ndim == 3:
         return unit.reshape(-1, 3), (unit.shape[0], unit.shape[1])
     return unit, pattern if pattern is not None and math.prod(pattern) == len(unit) else None
-
-
-def _pose(T_vehicle_from_lidar: Tensor | Sequence[Sequence[float]] | None, like: Tensor) -> Tensor:
-    """The pose as a tensor ``(4, 4)``, checked."""
-    if T_vehicle_from_lidar is None:
-        pose = torch.eye(4, dtype=like.dtype, device=like.device)
-        pose[:3, 3] = like.new_tensor(ROOF_MOUNT_M)
-        return pose
-    pose = torch.as_tensor(T_vehicle_from_lidar, dtype=like.dtype, device=like.device)
-    last = pose.new_tensor([0.0, 0.0, 0.0, 1.0])
-    if pose.shape == (4, 4) and bool(torch.isfinite(pose).all()) and torch.equal(pose[3], last):
-        turn = pose[:3, :3]
-        # Extrinsics are often written with six digits.
-        orthogonal = torch.allclose(turn @ turn.T, torch.eye(3).to(turn), atol=1e-4)
-        if orthogonal and float(torch.linalg.det(turn)) > 0:
-            return pose
-    raise ValueError(
-        "lidar_view: T_vehicle_from_lidar must be a finite (4, 4) matrix of a rotation (columns are the LiDAR's x, y "
-        f"and z in the vehicle frame) and a position in metres, last row 0, 0, 0, 1; got {pose.tolist()}."
-    )
 
 
 def _in_laser_light(scene: Scene, wavelength_nm: float) -> Scene:
