@@ -10,7 +10,7 @@ import yaml
 
 from torchweather.errors import TorchweatherError
 from torchweather.image import DepthMap, FlatGround
-from torchweather.sensors import Camera, Lidar
+from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import (
     AsBayer,
     BayerFog,
@@ -20,6 +20,7 @@ from torchweather.transforms import (
     LidarRain,
     LidarSnow,
     LidarWeather,
+    RadarAttenuation,
 )
 from torchweather.transforms.recipes import (
     FORMAT,
@@ -33,6 +34,7 @@ from torchweather.weather import Fog, Mixture, Rain, Snow
 
 SMALL = Camera.from_intrinsics(40.0, 40.0, 15.5, 11.5, 32, 24)
 HDL = Lidar.preset("velodyne-hdl-64e")
+AWR = Radar.preset("awr1843-like")
 
 # Conditions of the camera tables of ROADVIEW D3.4: rain rates mm/h, fog visibilities m, snow rates mm/h (Table 4).
 D34_RAIN, D34_FOG, D34_SNOW = {10.0, 25.0, 50.0}, {10.0, 20.0, 30.0, 50.0}, {2.59, 2.70, 3.03}
@@ -59,7 +61,7 @@ def test_every_recipe_builds_its_transform(name: str) -> None:
     given = {"sensor": SMALL, "depth": 30.0, "airlight": 0.7} if recipe.sensor_kind == "camera" else {}
     transform = load_recipe(name, **given)
     assert type(transform).__name__ == recipe.transform
-    assert isinstance(transform, (BayerWeather, LidarWeather))
+    assert isinstance(transform, (BayerWeather, LidarWeather, RadarAttenuation))
     assert recipe.name.startswith(f"{recipe.sensor_kind}/")
     assert transform.weather.to_dict() == recipe.build_weather().to_dict()
     assert recipe.title
@@ -176,6 +178,54 @@ def test_a_lidar_recipe_takes_overrides_of_its_own_kind() -> None:
         load_recipe("os1-fog-50m", sensor="camera")
     with pytest.raises(TorchweatherError, match="lost"):
         load_recipe("os1-fog-50m", lost="gone")
+
+
+@pytest.mark.parametrize(
+    ("transform", "options"),
+    [
+        (RadarAttenuation(Rain(12.0), AWR), {}),
+        (RadarAttenuation(Rain(12.0), AWR, radome_loss_db=0.7, lost="nan"), {"radome_loss_db": 0.7, "lost": "nan"}),
+        (
+            RadarAttenuation(Snow(2.0), AWR, clutter=True, clutter_points=9, ego_speed_m_per_s=3.1),
+            {"clutter": True, "clutter_points": 9, "ego_speed_m_per_s": 3.1},
+        ),
+        (
+            RadarAttenuation(Mixture(Rain(5.0), Fog(mor_m=90.0)), AWR, variant="d3_4"),
+            {"rain_model": "d3_4", "fog_model": "d3_4", "snow_model": "d3_4"},
+        ),
+    ],
+    ids=["rain", "radome", "clutter", "d3.4"],
+)
+def test_what_is_saved_of_a_radar_comes_back_and_gives_the_same_points(
+    transform: RadarAttenuation, options: dict[str, object], tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.yaml"
+    save_recipe(transform, path, title="Mine")
+    assert read_recipe(path).options == options
+    again = load_recipe(path)
+    assert isinstance(again, RadarAttenuation)
+    assert (again.sensor, again.lost) == (transform.sensor, transform.lost)
+    assert again.chain.to_dict() == transform.chain.to_dict()
+    points = torch.tensor([[30.0, 2.0, 0.0, -1.0, -100.0, 5.0], [60.0, 0.0, 0.0, 0.0, -139.0, -3.0]])
+    first, second = (each(points, each.draw(points, seed=5)) for each in (transform, again))
+    assert isinstance(first, torch.Tensor)
+    assert isinstance(second, torch.Tensor)
+    assert torch.equal(first.nan_to_num(-1), second.nan_to_num(-1))
+
+
+def test_a_radar_recipe_takes_overrides_of_its_own_kind_and_refuses_others(tmp_path: Path) -> None:
+    radar = load_recipe("imaging-fog-20m", weather="rain:rate=5", sensor="radar:awr1843-like", radome_loss_db=2.0)
+    assert isinstance(radar, RadarAttenuation)
+    assert (radar.weather, radar.sensor) == (Rain(5.0), AWR)
+    assert "wet_radome" in radar.chain.stages
+    with pytest.raises(ValueError, match="radome_loss_db"):
+        load_recipe("imaging-fog-20m", radome_los_db=2.0)
+    with pytest.raises(TorchweatherError, match="must be a radar; got lidar"):
+        load_recipe("imaging-fog-20m", sensor="lidar")
+    changed = RadarAttenuation(Rain(12.0), AWR)
+    changed.chain = changed.chain.remove("radar_detection")
+    with pytest.raises(ValueError, match="radar_detection"):
+        save_recipe(changed, tmp_path / "mine.yaml", title="t")
 
 
 def test_a_lidar_recipe_is_not_for_images_and_holds_no_directions(tmp_path: Path) -> None:

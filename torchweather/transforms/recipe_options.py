@@ -6,15 +6,28 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from torch import Tensor
+
 from torchweather.image.depth import ConstantDepth, FlatGround
-from torchweather.sensors import Camera, Lidar
-from torchweather.stages import Chain, Extinction, ExtinctionAndAirlight, ParticleReturns, ParticleVeil
+from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.stages import (
+    Chain,
+    Extinction,
+    ExtinctionAndAirlight,
+    ParticleReturns,
+    ParticleVeil,
+    PathAttenuation,
+    VolumeClutter,
+    WetRadome,
+)
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
+from torchweather.transforms.radar import RadarAttenuation
 
 __all__ = ["GROUND", "OPTIONS", "RecipeTransform", "options_of", "sensor_of", "sensor_values"]
 
-RecipeTransform = BayerWeather | LidarWeather
+RecipeTransform = BayerWeather | LidarWeather | RadarAttenuation
 GROUND = "ground"
 # By the kind of the sensor: options of the transform and their defaults.
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -23,16 +36,16 @@ OPTIONS: dict[str, dict[str, Any]] = {
         for name, parameter in inspect.signature(transform.__init__).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY
     }
-    for kind, transform in (("camera", BayerWeather), ("lidar", LidarWeather))
+    for kind, transform in (("camera", BayerWeather), ("lidar", LidarWeather), ("radar", RadarAttenuation))
 }
 
 
-def sensor_of(transform: RecipeTransform) -> Camera | Lidar:
+def sensor_of(transform: RecipeTransform) -> Camera | Lidar | Radar:
     """The sensor that a transform was built for."""
     return transform.camera if isinstance(transform, BayerWeather) else transform.sensor
 
 
-def sensor_values(sensor: Camera | Lidar) -> dict[str, Any]:
+def sensor_values(sensor: Camera | Lidar | Radar) -> dict[str, Any]:
     """A sensor as a recipe holds it: all its fields that are set."""
     if isinstance(sensor, Lidar) and sensor.directions is not None:
         raise ValueError(
@@ -45,17 +58,12 @@ def sensor_values(sensor: Camera | Lidar) -> dict[str, Any]:
 
 def options_of(transform: RecipeTransform) -> dict[str, Any]:
     """The keyword arguments that the transform was built with, where they differ from the defaults."""
-    expected = type(transform)(transform.weather, sensor_of(transform)).chain.stages  # type: ignore[arg-type]
-    stages = transform.chain.stages
-    if list(stages) != list(expected):
-        raise ValueError(
-            f"save_recipe: the chain has the stages {', '.join(stages)}, the transform makes {', '.join(expected)}; a "
-            "recipe cannot hold that. Use transform.chain.save(path)."
-        )
     if isinstance(transform, BayerWeather):
         known, found = OPTIONS["camera"], _camera_options(transform)
-    else:
+    elif isinstance(transform, LidarWeather):
         known, found = OPTIONS["lidar"], _lidar_options(transform)
+    else:
+        known, found = OPTIONS["radar"], _radar_options(transform)
     plain = {key: list(value) if isinstance(value, tuple) else value for key, value in found.items()}
     rebuilt = {key: value for key, value in plain.items() if value != known[key]}
     _check_same_chain(transform, rebuilt)
@@ -82,6 +90,30 @@ def _lidar_options(transform: LidarWeather) -> dict[str, Any]:
     return found
 
 
+def _radar_options(transform: RadarAttenuation) -> dict[str, Any]:
+    found: dict[str, Any] = {"lost": transform.lost}
+    for stage in transform.chain.stages.values():
+        if isinstance(stage, PathAttenuation):
+            found |= {f"{kind}_model": model for kind, model in stage.models.items()}
+        elif isinstance(stage, WetRadome):
+            for name in ("loss_db", "film_db", "film_exponent"):
+                found[f"radome_{name}"] = _as_given(getattr(stage, name), OPTIONS["radar"][f"radome_{name}"])
+        elif isinstance(stage, VolumeClutter):
+            found |= {
+                "clutter": True,
+                "clutter_points": stage.capacity,
+                "ego_speed_m_per_s": stage.ego_speed_m_per_s,
+            }
+    return found
+
+
+def _as_given(held: Tensor, default: float) -> float:
+    """The number behind a buffer of single precision: the default, or the shortest that it stands for."""
+    if float(held) == float(np.float32(default)):
+        return default
+    return float(str(np.float32(float(held))))
+
+
 def _depth_option(source: object) -> float | str:
     if isinstance(source, ConstantDepth):
         return source.depth_m
@@ -96,6 +128,11 @@ def _depth_option(source: object) -> float | str:
 def _check_same_chain(transform: RecipeTransform, options: Mapping[str, Any]) -> None:
     arguments = {key: value for key, value in options.items() if key != "depth"}
     again: Chain = type(transform)(transform.weather, sensor_of(transform), **arguments).chain  # type: ignore[arg-type]
+    if list(again.stages) != list(transform.chain.stages):
+        raise ValueError(
+            f"save_recipe: the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
+            f"{', '.join(again.stages)}; a recipe cannot hold that. Use transform.chain.save(path)."
+        )
     if again.to_dict() != transform.chain.to_dict():
         raise ValueError(
             "save_recipe: a stage of the chain was changed after the transform was built; a recipe cannot hold that. "

@@ -4,7 +4,7 @@ A recipe holds ``format: torchweather-recipe/1`` and
 
 - ``title``: what it does, in words;
 - ``transform``: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather`` for a camera, ``LidarRain``,
-  ``LidarFog``, ``LidarSnow`` or ``LidarWeather`` for a LiDAR;
+  ``LidarFog``, ``LidarSnow`` or ``LidarWeather`` for a LiDAR, ``RadarAttenuation`` for a radar;
 - ``weather``: ``kind`` and the weather's fields (``parts`` for a mixture);
 - ``sensor``: ``kind``, and a ``preset`` or the sensor's fields; fields beside a preset replace the preset's;
 - ``options``: keyword arguments of the transform; a camera's ``depth`` is a number of metres or ``ground``;
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,11 @@ from torch import nn
 import torchweather
 from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.image.depth import FlatGround
-from torchweather.sensors import Camera, Lidar, sensor_preset
+from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
+from torchweather.transforms.radar import RadarAttenuation
 from torchweather.transforms.recipe_options import (
     GROUND,
     OPTIONS,
@@ -46,9 +47,11 @@ FORMAT = "torchweather-recipe/1"
 SUFFIXES = (".yaml", ".yml")
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
-TRANSFORMS: dict[str, type[BayerWeather] | type[LidarWeather]] = {
-    transform.__name__: transform
-    for transform in (BayerRain, BayerFog, BayerSnow, BayerWeather, LidarRain, LidarFog, LidarSnow, LidarWeather)
+TransformClass = type[BayerWeather] | type[LidarWeather] | type[RadarAttenuation]
+OF_CAMERA: tuple[TransformClass, ...] = (BayerRain, BayerFog, BayerSnow, BayerWeather)
+OF_LIDAR: tuple[TransformClass, ...] = (LidarRain, LidarFog, LidarSnow, LidarWeather)
+TRANSFORMS: dict[str, TransformClass] = {
+    transform.__name__: transform for transform in (*OF_CAMERA, *OF_LIDAR, RadarAttenuation)
 }
 
 
@@ -79,7 +82,7 @@ class Recipe:
 
     @property
     def sensor_kind(self) -> str:
-        """``camera`` or ``lidar``, as the transform wants it."""
+        """``camera``, ``lidar`` or ``radar``, as the transform wants it."""
         return kind_of(TRANSFORMS[self.transform])
 
     @property
@@ -92,9 +95,9 @@ class Recipe:
         """The weather object."""
         return weather_from_dict(self.weather)
 
-    def build_sensor(self) -> Camera | Lidar:
+    def build_sensor(self) -> Camera | Lidar | Radar:
         """The sensor object."""
-        return lidar_of(self.sensor) if self.sensor_kind == "lidar" else camera_of(self.sensor)
+        return SENSOR_OF[self.sensor_kind](self.sensor)
 
     def build_camera(self) -> Camera:
         """The camera object."""
@@ -153,8 +156,8 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
             the transform, such as ``depth``.
 
     Returns:
-        ``BayerWeather`` or ``LidarWeather`` or one of their kinds; inside ``AsBayer`` where the recipe is for RGB
-        images.
+        ``BayerWeather`` or ``LidarWeather`` or one of their kinds, or ``RadarAttenuation``; inside ``AsBayer`` where
+        the recipe is for RGB images.
 
     Example:
         >>> fog = load_recipe("fog-30m", depth=40.0, airlight=0.7)
@@ -184,19 +187,20 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
     return AsBayer(transform) if rgb and isinstance(transform, BayerWeather) else transform
 
 
-def transform_class(recipe: Recipe, weather: Weather) -> type[BayerWeather] | type[LidarWeather]:
+def transform_class(recipe: Recipe, weather: Weather) -> TransformClass:
     """The recipe's class; for a weather that it does not take, the one that takes any."""
     kind = TRANSFORMS[recipe.transform]
     if all(part.kind in kind.takes for part in weather.parts):
         return kind
-    return LidarWeather if issubclass(kind, LidarWeather) else BayerWeather
+    return TRANSFORMS[kind.takes_all]
 
 
 def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: str) -> None:
     """Write a transform as a recipe, whole or not at all.
 
     Args:
-        transform: ``BayerWeather``, ``LidarWeather`` or one of their kinds, or ``AsBayer`` around one.
+        transform: ``BayerWeather``, ``LidarWeather`` or one of their kinds, ``RadarAttenuation``, or ``AsBayer``
+            around one of a camera.
         path: the file, ending in ``.yaml``.
         title: what it does, in words.
 
@@ -315,8 +319,10 @@ def _checked(values: Any, path: Path) -> Recipe:
     return recipe
 
 
-def kind_of(transform: type[BayerWeather] | type[LidarWeather]) -> str:
+def kind_of(transform: TransformClass) -> str:
     """Kind of the sensor that a transform takes."""
+    if issubclass(transform, RadarAttenuation):
+        return "radar"
     return "lidar" if issubclass(transform, LidarWeather) else "camera"
 
 
@@ -330,6 +336,19 @@ def lidar_of(values: Mapping[str, Any]) -> Lidar:
     """The LiDAR of a recipe's ``sensor``: a preset with fields replaced, or all fields."""
     preset, fields = _preset_and_fields(values, "lidar")
     return Lidar.from_dict(fields) if preset is None else Lidar.preset(preset, **fields)
+
+
+def radar_of(values: Mapping[str, Any]) -> Radar:
+    """The radar of a recipe's ``sensor``: a preset with fields replaced, or all fields."""
+    preset, fields = _preset_and_fields(values, "radar")
+    return Radar.from_dict(fields) if preset is None else Radar.preset(preset, **fields)
+
+
+SENSOR_OF: dict[str, Callable[[Mapping[str, Any]], Camera | Lidar | Radar]] = {
+    "camera": camera_of,
+    "lidar": lidar_of,
+    "radar": radar_of,
+}
 
 
 def _preset_and_fields(values: Mapping[str, Any], wanted: str) -> tuple[str | None, dict[str, Any]]:
@@ -349,15 +368,13 @@ def _as_weather(weather: Any) -> Weather:
     return built
 
 
-def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar:
+def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar | Radar:
     kind = recipe.sensor_kind
     if isinstance(sensor, Mapping):
         base = {} if "preset" in sensor else recipe.sensor
-        values = {"kind": kind, **base, **sensor}
-        return lidar_of(values) if kind == "lidar" else camera_of(values)
+        return SENSOR_OF[kind]({"kind": kind, **base, **sensor})
     built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
-    wanted = Lidar if kind == "lidar" else Camera
-    if not isinstance(built, wanted):
+    if not isinstance(built, SENSOR_CLASSES[kind]):
         raise TypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
     return built
 
