@@ -107,6 +107,32 @@ def test_a_corner_reflector_comes_out_right_without_a_window(preset: str, cfar: 
         assert_accepted(errors(radar, target, strongest(chain(scene, chain.draw(scene, seed=seed)))))
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("preset", RADARS)
+def test_targets_just_slower_than_the_unambiguous_speed_keep_their_sign(preset: str, sign: float) -> None:
+    """A third of a bin below it: the nearest bin is the first one of the other direction."""
+    radar = RADARS[preset]
+    chain = FmcwRadar(radar)
+    speed = sign * (radar.max_speed_m_per_s - 0.33 * radar.speed_resolution_m_per_s)
+    target = {"range_m": 9.0, "azimuth_rad": 0.2, "elevation_rad": 0.05, "rcs_dbsm": 10.0, "speed_m_per_s": speed}
+    scene = scatterer(target)
+    assert_accepted(errors(radar, target, strongest(chain(scene, chain.draw(scene, seed=0)))))
+
+
+@pytest.mark.parametrize("share", [-0.9, 0.4, 0.9])
+def test_speed_follows_the_carrier_in_the_middle_of_the_sweep(share: float) -> None:
+    """In a range bin the phase turns as that of ``f + B / 2``: 0.65 % more at 1 GHz, here 0.75 bins at 0.9 v_max.
+
+    Tolerance: noise of 1 / sqrt(SNR) of a bin, 40 dB.
+    """
+    radar = Radar(samples=128, chirps=256)
+    chain = FmcwRadar(radar)
+    speed = share * radar.max_speed_m_per_s
+    target = {"range_m": 9.0, "azimuth_rad": 0.0, "elevation_rad": 0.0, "rcs_dbsm": 15.0, "speed_m_per_s": speed}
+    scene = scatterer(target)
+    assert errors(radar, target, strongest(chain(scene, chain.draw(scene, seed=0))))["speed"] <= 0.05
+
+
 def test_the_slow_search_agrees_with_the_chain() -> None:
     """The samples alone, searched without any transform, say the same of the target."""
     radar = Radar.preset("awr1843-like", chirps=32, samples=64)
