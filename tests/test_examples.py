@@ -36,6 +36,8 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
     ),
     "rain_from_disdrometer.py": (["--out", "drops.png"], ["drops.png"]),
     "first_lidar_rain.py": (["--columns", "64", "--out", "cloud.png"], ["cloud.png"]),
+    "first_radar_rain.py": (["--out", "radar.png"], ["radar.png"]),
+    "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones
 # where TORCHWEATHER_REAL_DATA has them.
@@ -43,6 +45,8 @@ MEASURED: dict[str, list[str]] = {
     "lidar_snow_against_wads.py": ["wads.md", "wads.json", "wads.png"],
     "lidar_fog_against_radiate.py": ["radiate.json", "radiate.png"],
 }
+# Tested in a file of their own.
+ELSEWHERE = {"links_against_p838.py": "test_links_example.py"}
 
 
 def run(name: str, arguments: list[str], folder: Path) -> str:
@@ -61,7 +65,9 @@ def run(name: str, arguments: list[str], folder: Path) -> str:
 
 
 def test_every_example_is_run_here() -> None:
-    assert {*RUNS, *MEASURED} == {path.name for path in EXAMPLES.glob("*.py")}
+    assert {*RUNS, *MEASURED, *ELSEWHERE} == {path.name for path in EXAMPLES.glob("*.py")}
+    for example, test in ELSEWHERE.items():
+        assert example in (Path(__file__).parent / test).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", list(RUNS))
