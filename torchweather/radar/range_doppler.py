@@ -84,8 +84,14 @@ def map_noise_dbm(radar: Radar, window_name: str = "hann") -> float:
 
 
 def speed_m_per_s_of_bin(doppler_bin: Tensor, radar: Radar) -> Tensor:
-    """Radial speed of a Doppler bin, whole or between two."""
-    return (doppler_bin - radar.chirps // 2) * radar.speed_resolution_m_per_s
+    """Radial speed of a Doppler bin, whole or between two; the bins are a circle, from ``-max_speed_m_per_s`` up."""
+    turns = torch.remainder(doppler_bin - radar.chirps // 2 + 0.5 * radar.chirps, radar.chirps) - 0.5 * radar.chirps
+    return turns * radar.speed_resolution_m_per_s / carrier_share(radar)
+
+
+def carrier_share(radar: Radar) -> float:
+    """Frequency in the middle of the sampled sweep over the carrier's, by which a range bin's phase turns faster."""
+    return 1.0 + 0.5e-3 * radar.bandwidth_mhz / radar.frequency_ghz * (1.0 - 1.0 / radar.samples)
 
 
 def range_m_of_bin(range_bin: Tensor, speed_m_per_s: Tensor, radar: Radar) -> Tensor:
@@ -109,5 +115,5 @@ def transmitter_rotation(speed_m_per_s: Tensor, radar: Radar) -> Tensor:
     """
     channel = torch.arange(radar.virtual_channels, device=speed_m_per_s.device)
     turn_s = (channel // radar.receivers) * radar.chirp_period_s
-    phase = (-4.0 * math.pi / radar.wavelength_m) * speed_m_per_s[..., None].double() * turn_s
+    phase = (-4.0 * math.pi / radar.wavelength_m * carrier_share(radar)) * speed_m_per_s[..., None].double() * turn_s
     return torch.polar(torch.ones_like(phase), phase).to(torch.complex64)
