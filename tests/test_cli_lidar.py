@@ -329,7 +329,7 @@ def test_intensities_that_do_not_fit_the_sensor_are_said_once(run: Any, tmp_path
         (["{pcap}", "-o", "{out}"], "json"),
         (["{a}", "-o", "{out}", "--complete-scan", "--columns", "0"], "columns"),
         (["{a}", "-o", "{out}", "--sensor", "lidar:velodyne-hdl-64"], "velodyne-hdl-64e"),
-        (["{a}", "-o", "{out}", "--sensor", "radar"], "camera or lidar"),
+        (["{a}", "-o", "{out}", "--sensor", "sonar"], "camera, lidar or radar"),
         (["{a}", "-o", "{out}", "--recipe", "camera/fog-30m"], "is for a camera"),
     ],
 )

@@ -1,4 +1,4 @@
-"""``torchweather apply``: weather on image and point cloud files; outputs keep the name and format of their inputs."""
+"""``torchweather apply``: weather on files of images, point clouds and radar detections, each in its own format."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchweather.commands.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
+from torchweather.commands.detections import RADAR_ARGUMENTS, add_radar_arguments
 from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments
 
 if TYPE_CHECKING:
@@ -14,25 +15,34 @@ if TYPE_CHECKING:
     from torchweather.weather import Weather
 
 NAME = "apply"
-SUMMARY = "weather on image and point cloud files"
-DESCRIPTION = """Puts a weather on the frames of a camera or a LiDAR. Of an image, a file with one value per pixel is a
-raw Bayer mosaic, a colour file goes through its mosaic and back. A point cloud is KITTI or WADS .bin, nuScenes
-.pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Each output keeps the name and format of
-its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers
-of seed + i."""
+SUMMARY = "weather on files of images, point clouds and radar detections"
+DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
+pixel is a raw Bayer mosaic, a colour file goes through its mosaic and back. A point cloud is KITTI or WADS .bin,
+nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
+(nuScenes' or one's own), .npz or .csv. Each output keeps the name and format of its input (of a .pcap each frame
+becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers of seed + i."""
 
-# What no image is: without --sensor it asks for a LiDAR.
+# What no image is: without --sensor it asks for a LiDAR or a radar.
 CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
+KINDS = ("camera", "lidar", "radar")
+# By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
+ARGUMENTS = {
+    "camera": CAMERA_ARGUMENTS,
+    "lidar": LIDAR_ARGUMENTS,
+    "radar": (*RADAR_ARGUMENTS, "ego_speed_m_per_s", "lost", "labels"),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("inputs", nargs="+", type=Path, metavar="IN", help="images or point clouds, or folders of them")
+    parser.add_argument(
+        "inputs", nargs="+", type=Path, metavar="IN", help="images, point clouds, detections, or folders"
+    )
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--weather", help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +")
     parser.add_argument("--recipe", help="a ready-made pipeline (see torchweather list), or a file of one's own")
     parser.add_argument(
-        "--sensor", help="camera or lidar, with :PRESET; default the recipe's, else camera:lucid-triton"
+        "--sensor", help="camera, lidar or radar, with :PRESET; default the recipe's, else camera:lucid-triton"
     )
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
@@ -43,10 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("R", "G", "B"),
         help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
     )
-    parser.add_argument("--ego-speed-m-per-s", type=float, help="of a camera: speed of the vehicle, forward")
+    parser.add_argument("--ego-speed-m-per-s", type=float, help="speed of the vehicle; a radar's for --clutter")
     add_depth_arguments(parser)
     add_camera_arguments(parser)
     add_lidar_arguments(parser)
+    add_radar_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,6 +88,8 @@ def _process(
     """What was done to every frame, as values and as text."""
     if kind == "lidar":
         from torchweather.commands import apply_lidar as work
+    elif kind == "radar":
+        from torchweather.commands import apply_radar as work  # type: ignore[no-redef]
     else:
         from torchweather.commands import apply_camera as work  # type: ignore[no-redef]
     done = work.process(args, weather, recipe, preset)
@@ -90,15 +103,17 @@ def _sensor(args: argparse.Namespace, recipe: Recipe | None) -> tuple[str, str]:
         clouds = [path for path in args.inputs if path.suffix.lower() in CLOUDS_ONLY]
         if recipe is None and clouds:
             raise ValueError(
-                f"apply: {clouds[0]} is a point cloud; give --sensor lidar:PRESET (see torchweather list)."
+                f"apply: {clouds[0]} is a point cloud; give --sensor lidar:PRESET or radar:PRESET (see torchweather "
+                "list)."
             )
     else:
         kind, _, preset = args.sensor.partition(":")
-    if kind not in ("camera", "lidar"):
-        raise ValueError(f"apply: --sensor must be camera or lidar, with :PRESET; got {args.sensor!r}.")
+    if kind not in KINDS:
+        raise ValueError(f"apply: --sensor must be camera, lidar or radar, with :PRESET; got {args.sensor!r}.")
     if recipe is not None and recipe.sensor_kind != kind:
         raise ValueError(f"apply: recipe {recipe.name} is for a {recipe.sensor_kind}; got --sensor {args.sensor}.")
-    for name, other in (*((n, "camera") for n in CAMERA_ARGUMENTS), *((n, "lidar") for n in LIDAR_ARGUMENTS)):
-        if other != kind and getattr(args, name) not in (None, False):
-            raise ValueError(f"apply: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
+    for other in KINDS:
+        for name in ARGUMENTS[other]:
+            if name not in ARGUMENTS[kind] and getattr(args, name) not in (None, False):
+                raise ValueError(f"apply: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
     return kind, preset

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.commands.clouds import PCAP, CloudFrame, stem
+from torchweather.commands.result_files import ResultFiles
 from torchweather.errors import TorchweatherError
 from torchweather.io import PointCloud, PointLabels, atomic_write, merge_kind, read_labels, write_labels, write_points
 from torchweather.transforms import LidarResult
@@ -21,7 +22,7 @@ __all__ = ["CloudFiles"]
 OF_RECORDINGS = ".pcd"
 
 
-class CloudFiles:
+class CloudFiles(ResultFiles):
     """Names and writes what comes of each cloud.
 
     Args:
@@ -32,9 +33,8 @@ class CloudFiles:
     """
 
     def __init__(self, inputs: list[Path], out: Path, *, labels: str | None, labels_in: Path | None) -> None:
-        self.out, self.labels, self.labels_in = out, labels, labels_in
-        self.inputs = {path.resolve() for path in inputs}
-        self.taken: dict[Path, str] = {}
+        super().__init__(inputs, out)
+        self.labels, self.labels_in = labels, labels_in
         # What can be known before the first cloud is read is refused then.
         seen: dict[tuple[str, str], Path] = {}
         for path in inputs:
@@ -43,7 +43,7 @@ class CloudFiles:
                 raise ValueError(f"apply: {seen[name]} and {path} would both be written to {out / path.name}.")
             seen[name] = path
             if path.suffix.lower() != PCAP:
-                self._free(out / path.name, str(path), keep=False)
+                self.free(out / path.name, str(path), keep=False)
 
     def write(
         self, frame: CloudFrame, first: PointCloud, second: PointCloud | None, result: LidarResult
@@ -62,7 +62,7 @@ class CloudFiles:
             if second is not None:
                 targets["second_labels"] = self.out / f"{name}_second.label"
         for target in targets.values():
-            self._free(target, frame.name, keep=True)
+            self.free(target, frame.name, keep=True)
         self.out.mkdir(parents=True, exist_ok=True)
         # The cloud last: where it stands, its company stands too.
         if self.labels == "npz":
@@ -79,16 +79,6 @@ class CloudFiles:
             write_points(targets["second"], second)
         write_points(targets["output"], first)
         return {key: str(target) for key, target in targets.items()}
-
-    def _free(self, target: Path, source: str, *, keep: bool) -> None:
-        """Refuse a name that is an input's or that another result has."""
-        resolved = target.resolve()
-        if resolved in self.inputs:
-            raise ValueError(f"apply: {target} would be overwritten; give another folder to --out.")
-        if keep:
-            if resolved in self.taken:
-                raise ValueError(f"apply: {self.taken[resolved]} and {source} would both be written to {target}.")
-            self.taken[resolved] = source
 
     def _labels_of(self, frame: CloudFrame) -> PointLabels:
         rows = len(frame.cloud.points)

@@ -54,12 +54,16 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--max-range-m", type=float, help="largest range, m")
     group.add_argument("--columns", type=int, help="firings of each ring in a turn, for --complete-scan")
     group.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")
-    group.add_argument("--lost", help="lost points become zero (default; other columns stay), nan, or drop: left out")
+    group.add_argument(
+        "--lost",
+        help="lost points become zero (default; other columns stay; a radar's leave the file), nan, or drop: left out",
+    )
     group.add_argument(
         "--labels",
         choices=("label", "npz"),
         help="also write NAME.label (SemanticKITTI: class 110 is a particle, 0 lost or unlabelled), or NAME_labels.npz "
-        "(kind: 0 object, 1 particle, 2 lost; source: row of the input, -1 none; transmission)",
+        "(kind: 0 object, 1 particle, 2 lost; source: row of the input, -1 none; transmission, or of a radar snr_db "
+        "and attenuation_db; for each row of the input and what is added)",
     )
     group.add_argument("--labels-in", type=Path, metavar="DIR", help="folder of the clear clouds' .label, to carry on")
     group.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")

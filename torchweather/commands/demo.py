@@ -12,8 +12,8 @@ from torchweather.commands.frames import add_camera_arguments, add_depth_argumen
 NAME = "demo"
 SUMMARY = "a page of pictures and numbers"
 DESCRIPTION = """Writes a page with the raw frame of the embedded test track in clear weather and in rain, fog and snow,
-with the numbers that say why it looks so, and the same scene as a LiDAR sees it. Given frames of a camera, it shows
-these instead."""
+with the numbers that say why it looks so, and the same scene as a LiDAR and a radar see it. Given frames of a camera,
+it shows these instead."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--sensor", default="camera", help="camera, or camera:PRESET")
     parser.add_argument("--lidar", metavar="PRESET", help="that looks at the embedded scene; default ouster-os1-128")
+    parser.add_argument("--radar", metavar="PRESET", help="that looks at the embedded scene; default imaging-77ghz")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_depth_arguments(parser)
@@ -60,10 +61,12 @@ def _frames(args: argparse.Namespace) -> tuple[list[Path], dict[str, Any]]:
     if not frames and args.depth is not None:
         raise ValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
     options: dict[str, Any] = {"notes": []}
-    if args.lidar is not None:
-        if frames:
-            raise ValueError("demo: --lidar belongs to the embedded scene; frames show no point cloud.")
-        options["lidar"] = args.lidar.removeprefix("lidar:")
+    for kind_of_preset in ("lidar", "radar"):
+        given = getattr(args, kind_of_preset)
+        if given is not None:
+            if frames:
+                raise ValueError(f"demo: --{kind_of_preset} belongs to the embedded scene; frames show no point cloud.")
+            options[kind_of_preset] = given.removeprefix(f"{kind_of_preset}:")
     changed = camera_fields(args)
     # Without a word about the camera the page takes its default for each frame, and says so.
     if preset or changed or any(value is not None for value in (args.fx, args.fy, args.cx, args.cy)):

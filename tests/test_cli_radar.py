@@ -1,0 +1,312 @@
+"""``torchweather apply --sensor radar``: detections back as they came, weaker, fewer, or with the rain's own."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from torchweather.cli import main
+from torchweather.io import RADAR_COLUMNS, RadarPoints, read_radar, write_radar
+from torchweather.io.pcd import read_pcd
+from torchweather.sensors import Radar
+from torchweather.stages import PointKind
+from torchweather.transforms import RadarAttenuation
+from torchweather.weather import parse_weather
+
+RADAR = Radar.preset("imaging-77ghz")
+IMAGING = ("--sensor", "radar:imaging-77ghz")
+RAIN = "rain:rate=50"
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Any:
+    def call(*argv: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in argv])
+        printed = capsys.readouterr()
+        return code, printed.out, printed.err
+
+    return call
+
+
+def detections(rows: int = 60) -> Tensor:
+    """Targets at 5 to 75 m, from far above the detection threshold to just above it."""
+    random = torch.Generator().manual_seed(4)
+    range_m = torch.linspace(5, 75, rows)
+    azimuth = torch.rand(rows, generator=random) - 0.5
+    over_db = torch.linspace(0.5, 40.0, rows)[torch.randperm(rows, generator=random)]
+    power = RADAR.floor_db + RADAR.detection_snr_db + over_db
+    xyz = [range_m * azimuth.cos(), range_m * azimuth.sin(), torch.zeros(rows)]
+    rcs = torch.rand(rows, generator=random) * 20 - 10
+    return torch.stack([*xyz, torch.randn(rows, generator=random), power, rcs], -1)
+
+
+def expected(points: Tensor, weather: str = RAIN, seed: int = 0, sensor: Radar = RADAR, **options: Any) -> Any:
+    transform = RadarAttenuation(parse_weather(weather), sensor, **options)
+    return transform.run(points, transform.draw(points, seed=seed))
+
+
+@pytest.mark.parametrize("name", ["a.pcd", "a.npz", "a.csv"])
+def test_detections_come_back_in_their_format_with_what_the_transform_gives(
+    run: Any, tmp_path: Path, name: str
+) -> None:
+    points = detections()
+    write_radar(tmp_path / name, points)
+    before = (tmp_path / name).read_bytes()
+    out = tmp_path / "out"
+    code, text, err = run(
+        "apply", *IMAGING, "--weather", RAIN, tmp_path / name, "--out", out, "--seed", 7, "--json", "--quiet"
+    )
+    assert (code, err) == (0, "")
+    (entry,) = json.loads(text)["files"]
+    result = expected(points, seed=7)
+    kept = result.kind == PointKind.OBJECT
+    again = read_radar(out / name)
+    assert torch.equal(again.points, result.points[kept])
+    assert again.columns == read_radar(tmp_path / name).columns
+    assert (tmp_path / name).read_bytes() == before
+    assert [path.name for path in out.iterdir()] == [name]
+    assert [entry["objects"], entry["lost"], entry["particles"]] == [int(kept.sum()), int((~kept).sum()), 0]
+    assert entry["lost"] > 0
+    assert (entry["points"], entry["empty_rows"], entry["seed"]) == (60, 0, 7)
+    # 60 targets spread evenly over 5 to 75 m: 40 m in the mean, and back.
+    assert entry["attenuation_db_mean"] == pytest.approx(2 * 0.040 * entry["attenuation_db_per_km"], rel=1e-3)
+    assert entry["attenuation_db_per_km"] == pytest.approx(18.76, abs=0.01)  # ITU-R P.838-3 at 77 GHz, horizontal
+    assert [entry[key] for key in ("power_source", "rcs_source", "speed_source")] == ["file"] * 3
+
+
+@pytest.mark.parametrize("weather", ["rain:rate=0", "fog:mor=inf", "snow:rate=0"])
+@pytest.mark.parametrize("name", ["a.pcd", "a.npz"])
+def test_no_weather_gives_the_file_back_bit_for_bit(run: Any, tmp_path: Path, name: str, weather: str) -> None:
+    write_radar(tmp_path / name, detections())
+    code, text, _ = run("apply", *IMAGING, "--weather", weather, tmp_path / name, "-o", tmp_path / "out", "--json")
+    assert code == 0
+    assert (tmp_path / "out" / name).read_bytes() == (tmp_path / name).read_bytes()
+    (entry,) = json.loads(text)["files"]
+    assert (entry["objects"], entry["lost"], entry["attenuation_db_mean"]) == (60, 0, 0)
+
+
+def test_rows_without_a_detection_stay_as_the_file_has_them(run: Any, tmp_path: Path) -> None:
+    rows = ["x_m,y_m,z_m,speed_m_per_s,power_dbm,rcs_dbsm,quality", "nan,nan,nan,nan,nan,nan,3", "40,0,0,1,-100,5,7"]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    code, text, _ = run("apply", *IMAGING, "--weather", RAIN, tmp_path / "a.csv", "-o", tmp_path / "out", "--json")
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    assert (entry["points"], entry["objects"], entry["lost"], entry["empty_rows"]) == (2, 1, 0, 1)
+    header, empty, target = (tmp_path / "out" / "a.csv").read_text().splitlines()
+    assert (header, empty.lower()) == (rows[0], rows[1])
+    values = [float(value) for value in target.split(",")]
+    assert values == pytest.approx([40, 0, 0, 1, -100 - 2 * 0.040 * 18.7565, 5, 7], abs=1e-3)
+
+
+def test_lost_detections_leave_the_file_or_stay_as_nan(run: Any, tmp_path: Path) -> None:
+    points = detections()
+    write_radar(tmp_path / "a.pcd", points)
+    lost = expected(points).kind == PointKind.LOST
+    rows = {}
+    for lost_as in ("zero", "drop", "nan"):
+        out = tmp_path / lost_as
+        given = ("--weather", RAIN, tmp_path / "a.pcd", "-o", out, "--lost", lost_as)
+        assert run("apply", *IMAGING, *given)[0] == 0
+        rows[lost_as] = read_pcd(out / "a.pcd").rows
+    assert (rows["zero"], rows["drop"], rows["nan"]) == (60 - int(lost.sum()), 60 - int(lost.sum()), 60)
+
+
+def test_frames_of_a_folder_take_seed_plus_their_number_and_a_line_each(run: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    points = detections()
+    for name in ("b.csv", "a.pcd"):
+        write_radar(folder / name, points)
+    (folder / "note.txt").write_text("no detections")
+    # Only the rain's own detections are random.
+    given = ("--weather", RAIN, "--clutter", "--ego-speed-m-per-s", 8)
+    code, text, err = run("apply", *IMAGING, *given, folder, "--out", tmp_path / "out", "--seed", 4)
+    assert (code, err) == (0, "")
+    lines = text.strip().splitlines()
+    assert [line.split()[0] for line in lines] == [str(folder / "a.pcd"), str(folder / "b.csv")]
+    for word in ("rows 60: objects", "particles", "lost", "empty 0", "detection threshold 0", "dB/km", "two way"):
+        assert word in lines[0]
+    found = {}
+    for name, seed in (("a.pcd", 4), ("b.csv", 5)):
+        result = expected(points, seed=seed, clutter=True, ego_speed_m_per_s=8.0)
+        wanted = result.points[result.kind != PointKind.LOST]
+        found[name] = read_radar(tmp_path / "out" / name).points
+        assert torch.allclose(found[name], wanted, rtol=1e-6)
+        assert int((result.kind == PointKind.PARTICLE).sum()) > 0
+        assert f"seed {seed}" in lines[seed - 4]
+    assert found["a.pcd"].shape != found["b.csv"].shape or not torch.equal(found["a.pcd"], found["b.csv"])
+
+
+def test_labels_hold_the_truth_of_each_row(run: Any, tmp_path: Path) -> None:
+    points = detections()
+    write_radar(tmp_path / "a.npz", points)
+    code, text, _ = run(
+        "apply", *IMAGING, "--weather", RAIN, tmp_path / "a.npz", "-o", tmp_path / "out", "--clutter", "--labels",
+        "npz", "--json",
+    )  # fmt: skip
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    result = expected(points, clutter=True)
+    with np.load(entry["labels"]) as truth:
+        assert set(truth) == {"kind", "source", "snr_db", "attenuation_db"}
+        for name in truth:
+            assert np.array_equal(truth[name], getattr(result, name).numpy()), name
+        assert int((truth["kind"] != PointKind.LOST).sum()) == len(read_radar(entry["output"]).points)
+
+
+def test_a_file_of_cross_sections_gets_its_power_by_the_radar_equation_and_says_so(run: Any, tmp_path: Path) -> None:
+    # One dB over the threshold in clear air, at boresight; 50 mm/h of rain take 2.6 dB on 70 m and back.
+    faint = RADAR.floor_db + RADAR.detection_snr_db + 1.0 - RADAR.constant_db + 40 * math.log10(70.0)
+    header = "range_m,azimuth_deg,elevation_deg,speed_m_per_s,rcs_dbsm"
+    rows = [header, "50,10,0,-3,10", f"70,0,0,2,{faint:.2f}"]
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("\n".join(rows) + "\n")
+    inputs = (tmp_path / "a.csv", tmp_path / "b.csv")
+    code, text, err = run("apply", *IMAGING, "--weather", RAIN, *inputs, "-o", tmp_path / "out", "--json")
+    assert code == 0
+    (line,) = err.strip().splitlines()
+    assert "radar equation" in line
+    for entry in json.loads(text)["files"]:
+        assert (entry["power_source"], entry["rcs_source"]) == ("radar equation", "file")
+        assert (entry["objects"], entry["lost"], entry["floored_points"]) == (1, 1, 0)
+        first, kept = Path(entry["output"]).read_text().splitlines()
+        assert first == header
+        assert [float(value) for value in kept.split(",")] == [50, 10, 0, -3, 10]
+
+
+def test_arguments_replace_what_the_preset_says(run: Any, tmp_path: Path) -> None:
+    points = detections()
+    write_radar(tmp_path / "a.npz", points)
+    sensor = Radar.preset("imaging-77ghz", frequency_ghz=60.0, polarisation="v", noise_floor_db=-145.0)
+    code, text, _ = run(
+        "apply", *IMAGING, "--weather", RAIN, tmp_path / "a.npz", "-o", tmp_path / "out", "--frequency-ghz", 60,
+        "--polarisation", "v", "--noise-floor-db", -145, "--radome-film-db", 0.5, "--radome-loss-db", 1, "--json",
+    )  # fmt: skip
+    assert code == 0
+    wanted = expected(points, sensor=sensor, radome_film_db=0.5, radome_loss_db=1.0)
+    kept = wanted.kind == PointKind.OBJECT
+    assert torch.equal(read_radar(tmp_path / "out" / "a.npz").points, wanted.points[kept])
+    (entry,) = json.loads(text)["files"]
+    film = 1.0 + 0.5 * 50 ** (1 / 3)
+    assert entry["attenuation_db_mean"] == pytest.approx(2 * 0.040 * entry["attenuation_db_per_km"] + film, rel=1e-3)
+
+
+def test_a_recipe_sets_sensor_and_options_and_arguments_come_first(run: Any, tmp_path: Path) -> None:
+    points = detections()
+    write_radar(tmp_path / "a.pcd", points)
+    argv = ("apply", tmp_path / "a.pcd", "-o", tmp_path / "out", "--json", "--quiet")
+    code, text, _ = run(*argv, "--recipe", "imaging-rain-10mm-per-h-wet-radome")
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    assert entry["attenuation_db_mean"] == pytest.approx(
+        2 * 0.040 * entry["attenuation_db_per_km"] + 10 ** (1 / 3), rel=1e-3
+    )
+    code, text, _ = run(*argv, "--recipe", "imaging-rain-10mm-per-h-wet-radome", "--radome-film-db", 0)
+    (entry,) = json.loads(text)["files"]
+    assert entry["attenuation_db_mean"] == pytest.approx(2 * 0.040 * entry["attenuation_db_per_km"], rel=1e-3)
+    code, text, _ = run(*argv, "--recipe", "imaging-fog-20m", "--weather", "rain:rate=5")
+    assert code == 0
+    assert json.loads(text)["files"][0]["weather"]["kind"] == "rain"
+
+
+def test_a_power_column_below_the_sensors_floor_is_said(run: Any, tmp_path: Path) -> None:
+    points = detections()
+    points[:, 4] -= 100
+    write_radar(tmp_path / "a.csv", points)
+    code, _, err = run("apply", *IMAGING, "--weather", RAIN, tmp_path / "a.csv", "-o", tmp_path / "out")
+    assert code == 0
+    (line,) = err.strip().splitlines()
+    assert "noise_floor_db" in line
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["{a}", "-o", "{out}", "--lost", "gone"], "drop"),
+        (["{a}", "-o", "{out}", "--depth", "30"], "--depth is for a camera"),
+        (["{a}", "-o", "{out}", "--return-mode", "last"], "--return-mode is for a lidar"),
+        (["{a}", "-o", "{out}", "--labels", "label"], "--labels npz"),
+        (["{a}", "-o", "{out}", "--labels-in", "{here}"], "--labels-in is for a lidar"),
+        (["{a}", "-o", "{here}"], "overwritten"),
+        (["{a}", "{other}", "-o", "{out}"], "both"),
+        (["{cut}", "-o", "{out}"], "cut.pcd"),
+        (["{nothing}", "-o", "{out}"], "power"),
+        (["{bin}", "-o", "{out}"], "wanted radar detections"),
+        (["{none}", "-o", "{out}"], "no such file"),
+        (["{empty}", "-o", "{out}"], "no radar detections"),
+        (["{a}", "-o", "{out}", "--frequency-ghz", "5000"], "frequency_ghz"),
+        (["{a}", "-o", "{out}", "--polarisation", "x"], "h, v"),
+        (["{a}", "-o", "{out}", "--speed", "fast"], "compensated"),
+        (["{a}", "-o", "{out}", "--gain", "all"], "boresight"),
+        (["{a}", "-o", "{out}", "--radome-loss-db", "-1"], "loss_db"),
+        (["{a}", "-o", "{out}", "--sensor", "radar:imaging"], "imaging-77ghz"),
+        (["{a}", "-o", "{out}", "--sensor", "lidar:velodyne-hdl-64e", "--clutter"], "--clutter is for a radar"),
+        (["{a}", "-o", "{out}", "--recipe", "lidar/os1-fog-50m"], "is for a lidar"),
+    ],
+)
+def test_a_mistake_gives_one_line_exit_code_2_and_no_file(run: Any, tmp_path: Path, argv: list[str], said: str) -> None:
+    here = tmp_path / "here"
+    (here / "empty").mkdir(parents=True)
+    (here / "other").mkdir()
+    write_radar(here / "a.pcd", detections())
+    write_radar(here / "other" / "a.pcd", detections())
+    (here / "cut.pcd").write_bytes((here / "a.pcd").read_bytes()[:-3])
+    (here / "nothing.csv").write_text("x_m,y_m,z_m,speed_m_per_s\n1,2,3,4\n")
+    (here / "a.bin").write_bytes(b"")
+    before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
+    out = tmp_path / "out"
+    names = {
+        "a": here / "a.pcd", "other": here / "other" / "a.pcd", "cut": here / "cut.pcd", "bin": here / "a.bin",
+        "nothing": here / "nothing.csv", "none": here / "none.pcd", "empty": here / "empty", "here": here, "out": out,
+    }  # fmt: skip
+    sensor = () if "--sensor" in argv else IMAGING
+    code, text, err = run("apply", *sensor, "--weather", RAIN, *(part.format(**names) for part in argv))
+    assert (code, text) == (2, "")
+    (line,) = err.strip().splitlines()
+    assert line.startswith("torchweather: error: ")
+    assert said.format(**names) in line
+    assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_radar_without_a_preset_names_its_own(run: Any, tmp_path: Path) -> None:
+    write_radar(tmp_path / "a.csv", detections())
+    given = ("--weather", RAIN, tmp_path / "a.csv", "-o", tmp_path / "out")
+    code, _, err = run("apply", *given)
+    assert code == 2
+    assert "radar:PRESET" in err
+    code, _, err = run("apply", *given, "--sensor", "radar")
+    assert code == 0
+    assert "radar:imaging-77ghz" in err
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_an_empty_list_and_one_detection_are_results(run: Any, tmp_path: Path, rows: int) -> None:
+    write_radar(tmp_path / "a.csv", RadarPoints(detections()[20 : 20 + rows], RADAR_COLUMNS))
+    given = ("--weather", RAIN, tmp_path / "a.csv", "-o", tmp_path / "out", "--labels", "npz", "--json")
+    code, text, _ = run("apply", *IMAGING, *given)
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    assert entry["points"] == rows
+    assert entry["objects"] == len(read_radar(entry["output"]).points)
+    assert (entry["attenuation_db_mean"] is None) == (rows == 0)
+
+
+def test_list_knows_the_radar(run: Any) -> None:
+    _, text, _ = run("list")
+    for name in ("radar/imaging-rain-25mm-per-h", "radar:imaging-77ghz", "radar:awr1843-like"):
+        assert name in text
+    names = json.loads(run("list", "--json")[1])
+    assert {"PathAttenuation", "WetRadome", "VolumeClutter", "RadarDetection", "ToRadarPoints"} <= set(names["stages"])
+    recipes = [recipe for recipe in names["recipes"] if recipe["name"].startswith("radar/")]
+    assert len(recipes) >= 6
+    assert {recipe["transform"] for recipe in recipes} == {"RadarAttenuation"}
+    assert {recipe["sensor"] for recipe in recipes} == {"radar:imaging-77ghz", "radar:awr1843-like"}
+    assert math.isfinite(sum(recipe["weather"].get("rate_mm_per_h", 0.0) for recipe in recipes))

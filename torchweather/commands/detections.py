@@ -1,0 +1,63 @@
+"""Radar detections on the command line: the arguments of a radar, and which files there are."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+__all__ = ["RADAR_ARGUMENTS", "add_radar_arguments", "gathered_detections", "radar_fields", "radar_options"]
+
+# Named as they stand in the arguments.
+RADAR_FIELDS = ("frequency_ghz", "polarisation", "noise_floor_db", "detection_snr_db")
+RADAR_OPTIONS = ("clutter", "radome_loss_db", "radome_film_db")
+RADAR_ARGUMENTS = (*RADAR_FIELDS, *RADAR_OPTIONS, "speed", "gain")
+
+
+def add_radar_arguments(parser: argparse.ArgumentParser) -> None:
+    """What is known of the radar beyond its preset, its cover, and how its files are read."""
+    group = parser.add_argument_group(
+        "radar", "replaces what the preset says; --lost, --labels npz and --ego-speed-m-per-s are a radar's too"
+    )
+    group.add_argument("--frequency-ghz", type=float, help="carrier, GHz")
+    group.add_argument("--polarisation", help="h or v")
+    group.add_argument("--noise-floor-db", type=float, help="noise of the detections, in the unit of their power")
+    group.add_argument("--detection-snr-db", type=float, help="signal over that noise from which a target is detected")
+    group.add_argument("--clutter", action="store_true", help="add detections of rain and snow themselves")
+    group.add_argument("--radome-loss-db", type=float, help="two-way loss of a wet cover, whatever the rate")
+    group.add_argument("--radome-film-db", type=float, help="two-way loss of the cover's film at 1 mm/h of rain")
+    group.add_argument("--speed", help="of nuScenes' velocities: relative to the radar (default), or compensated")
+    group.add_argument("--gain", help="of the antennas, where a file has no power: boresight (default) or pattern")
+
+
+def radar_fields(args: argparse.Namespace) -> dict[str, Any]:
+    """Fields of the radar that the arguments replace."""
+    given = {name: getattr(args, name) for name in RADAR_FIELDS}
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def radar_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Options of the transform that the arguments set."""
+    given = {name: getattr(args, name) for name in (*RADAR_OPTIONS, "ego_speed_m_per_s", "lost")}
+    return {name: value for name, value in given.items() if value is not None and value is not False}
+
+
+def gathered_detections(inputs: list[Path]) -> list[Path]:
+    """The files: as they are, of a folder all that may hold detections by name."""
+    from torchweather.io import RADAR_FORMATS
+
+    known = tuple(f".{name}" for name in RADAR_FORMATS)
+    found: list[Path] = []
+    for path in inputs:
+        if path.is_dir():
+            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known)
+            if not inside:
+                raise ValueError(f"{path}: no radar detections; wanted {', '.join(known)}.")
+            found += inside
+        elif not path.exists():
+            raise ValueError(f"{path}: no such file.")
+        elif path.suffix.lower() not in known:
+            raise ValueError(f"{path}: wanted radar detections ({', '.join(known)}).")
+        else:
+            found.append(path)
+    return found
