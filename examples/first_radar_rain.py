@@ -12,8 +12,6 @@ detection threshold.
 from __future__ import annotations
 
 import argparse
-import math
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -21,7 +19,7 @@ import torch
 
 import torchweather as tw
 from torchweather.io import atomic_write
-from torchweather.radar import FmcwRadar, map_noise_dbm
+from torchweather.radar import FmcwRadar
 from torchweather.scenes import radar_view, test_track
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -31,11 +29,9 @@ parser.add_argument("--seed", type=int, default=7, help="of noise and rain")
 parser.add_argument("--out", type=Path, default=Path("first_radar_rain.png"), help="picture to write")
 arguments = parser.parse_args()
 
-radar = tw.Radar.preset(arguments.sensor)
-# The floor under the list's powers: the window widens a cell, the channels are summed.
-radar = replace(radar, noise_floor_db=map_noise_dbm(radar) - 10.0 * math.log10(radar.virtual_channels))
+clear_air = FmcwRadar(tw.Radar.preset(arguments.sensor))
+radar = clear_air.list_sensor  # with the noise floor of its own list
 scatterers = radar_view(test_track(), radar).scatterers
-clear_air = FmcwRadar(radar)
 points = clear_air(scatterers, clear_air.draw(scatterers, seed=arguments.seed))
 assert isinstance(points, torch.Tensor)
 

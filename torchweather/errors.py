@@ -51,6 +51,8 @@ def _shown(value: object) -> str:
     if isinstance(value, Tensor):
         if not value.numel():
             return "an empty tensor"
+        if value.numel() == 1:
+            return f"{value.item():g}"
         return f"a tensor with values {value.min().item():g}..{value.max().item():g}"
     return repr(value)
 

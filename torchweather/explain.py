@@ -33,6 +33,7 @@ ATTENUATION_MODELS = {
     "fog": "ITU-R P.840 times the liquid water content",
     "snow": "Mie, dry flakes as ice-air spheres (uncertain by a factor 3-10)",
 }
+MELTING_MODEL = "Mie, flakes enclosed in their melt water (an upper bound)"
 
 Sensor = Camera | Lidar | Radar
 
@@ -186,6 +187,8 @@ def _part(part: Weather, distribution: SizeDistribution) -> dict[str, Any]:
         "liquid_water_g_per_m3": float(distribution.liquid_water_g_per_m3()),
         "median_volume_diameter_mm": _median_volume_diameter_mm(distribution),
     }
+    if isinstance(part, Snow):
+        numbers["melt_fraction"] = part.melt_fraction
     if not isinstance(part, Fog):
         numbers["rate_carried_mm_per_h"] = float(precipitation_rate_mm_per_h(distribution))
     return numbers
@@ -241,7 +244,7 @@ def explanation_text(numbers: Mapping[str, Any]) -> str:
         named = ", ".join(f"{Q_EFF[kind]:g} for {kind}" for kind in kinds)
         lines += ["", f"  effective extinction = extinction q_eff / 2 with q_eff = {named}"]
     if radar:
-        lines += ["", *(f"  {part['kind']}: {ATTENUATION_MODELS[part['kind']]}" for part in numbers["parts"])]
+        lines += ["", *(f"  {part['kind']}: {_attenuation_model(part)}" for part in numbers["parts"])]
     facts = [["visibility (Mie, 550 nm, 5 % contrast)", _metres(numbers["mor_m"])]]
     if "mor_nominal_m" in numbers:
         facts.append(["visibility, the fog's own parameter", _metres(numbers["mor_nominal_m"])])
@@ -254,6 +257,10 @@ def explanation_text(numbers: Mapping[str, Any]) -> str:
         if "rate_carried_mm_per_h" in part:
             facts.append([f"rate that the {part['kind']} carries", f"{part['rate_carried_mm_per_h']:.4g} mm/h"])
     return "\n".join([*lines, "", *("  " + line for line in aligned(facts))])
+
+
+def _attenuation_model(part: Mapping[str, Any]) -> str:
+    return MELTING_MODEL if part.get("melt_fraction") else ATTENUATION_MODELS[part["kind"]]
 
 
 def aligned(rows: list[list[str]]) -> list[str]:

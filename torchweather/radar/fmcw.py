@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,7 +14,7 @@ from torchweather.errors import check_at_least, check_one_of
 from torchweather.radar.beat_signal import beat_signal
 from torchweather.radar.cfar import CellAveragingCfar, OrderStatisticCfar, window_correlation
 from torchweather.radar.detection import detections, peaks_of
-from torchweather.radar.range_doppler import check_cube, range_doppler
+from torchweather.radar.range_doppler import check_cube, map_noise_dbm, range_doppler
 from torchweather.radar.scatterers import Scatterers
 from torchweather.radar.volume_echo import VolumeEcho
 from torchweather.radar.windows import WINDOWS, window
@@ -219,6 +219,8 @@ class FmcwRadar(nn.Module):
         batch = cube.shape[:-3]
         channels = range_doppler(cube.reshape(-1, *cube.shape[-3:]), self.radar, self.window_name)
         power = torch.view_as_real(channels).square().mean(1).sum(-1)  # channels first: one long pass
+        if not math.isfinite(float(power.detach().sum())):
+            raise ValueError("FmcwRadar: cube must be finite, square root of milliwatts; got NaN or infinity in it.")
         threshold = self.cfar.threshold(power.detach())
         peaks = peaks_of(power.detach(), power.detach() > threshold)
         noise = threshold / self.cfar.factors(power.shape[-1]).to(threshold)
@@ -234,6 +236,12 @@ class FmcwRadar(nn.Module):
         if not batch:
             return FmcwResult(points[0], snr[0], cell[0], *maps)
         return FmcwResult(points, snr, cell, *maps)
+
+    @property
+    def list_sensor(self) -> Radar:
+        """The radar as the sensor of its own lists, for ``RadarAttenuation``: with the noise floor of its beams."""
+        beam_noise_dbm = map_noise_dbm(self.radar, self.window_name) - 10.0 * math.log10(self.radar.virtual_channels)
+        return replace(self.radar, noise_floor_db=beam_noise_dbm)
 
     # ---- pieces ------------------------------------------------------------------------------------------------
 

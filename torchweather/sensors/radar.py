@@ -98,6 +98,11 @@ class Radar(Sensor):
             check_positive(name, getattr(self, name), unit=unit, owner=self)
         check_at_least("samples", self.samples, 2, owner=self, advice="One sample a chirp has no range.")
         check_at_least("chirps", self.chirps, 1, owner=self)
+        for name in ("samples", "chirps"):
+            count = getattr(self, name)
+            if count != int(count):
+                raise ValueError(f"Radar: {name} must be a whole number; got {count!r}.")
+            object.__setattr__(self, name, int(count))
         for name in ("tx_half_wavelengths", "rx_half_wavelengths"):
             object.__setattr__(self, name, _positions(name, getattr(self, name)))
         if self.active_time_s > self.chirp_period_s * (1 + 1e-9):
