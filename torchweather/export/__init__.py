@@ -1,4 +1,4 @@
-"""ONNX: camera and LiDAR transforms as graphs (``to_onnx``), their noise drawn without torch (``draw_feed``)."""
+"""ONNX: transforms and the radar's map as graphs (``to_onnx``), their noise drawn without torch (``draw_feed``)."""
 
 from __future__ import annotations
 

@@ -34,12 +34,12 @@ def draw_feed(
     Args:
         model: the onnxruntime session that runs the graph, or the graph's file or bytes (read anew at each call).
         height, width: of a camera's frame, pixels, even.
-        points: rows of a LiDAR's cloud.
+        points: rows of a LiDAR's cloud or a radar's list.
         seed: the sample's integer, or one for each sample of a batch; the numbers equal
             ``transform.draw(data, seed=seed)``.
 
     Returns:
-        Input name to float32 array that leads with the batch, 1 for a single integer; empty for a camera's fog.
+        Input name to float32 array that leads with the batch, 1 for a single integer; empty where the graph needs none.
 
     Raises:
         TorchweatherError: the model was not written by ``to_onnx``.
@@ -66,7 +66,9 @@ def _sizes(height: int | None, width: int | None, points: int | None) -> dict[st
             raise ValueError(f"draw_feed: points must be 0 or more; got {points}.")
         return {"N": points}
     if points is not None or height is None or width is None:
-        raise ValueError("draw_feed: give height and width of a camera's frame, or the points of a LiDAR's cloud.")
+        raise ValueError(
+            "draw_feed: give height and width of a camera's frame, or the points of a LiDAR's cloud or a radar's list."
+        )
     if height < 2 or width < 2 or height % 2 or width % 2:
         raise ValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
     return sizes_of(height, width)

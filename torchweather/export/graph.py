@@ -1,4 +1,4 @@
-"""A camera or LiDAR transform as one ONNX graph, with its noise, its knob and what depends on the data as inputs.
+"""A transform as one ONNX graph, with its noise, its knob and what depends on the data as inputs.
 
 The graph draws nothing; ``draw_feed`` makes its noise inputs from a seed.
 """
@@ -16,26 +16,30 @@ import torch
 from torchweather.export.camera_graph import traceable_camera
 from torchweather.export.feed import METADATA_KEY, variates_to_metadata
 from torchweather.export.lidar_graph import traceable_lidar
+from torchweather.export.radar_graph import traceable_map, traceable_radar
 from torchweather.export.traceable import Traceable
+from torchweather.radar import RangeDopplerMap
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
+from torchweather.transforms.radar import RadarAttenuation
 
 __all__ = ["to_onnx"]
 
 OPSET = 20
+FEWEST_COLUMNS = {LidarWeather: 4, RadarAttenuation: 6}
 
 
 def to_onnx(
-    transform: BayerWeather | LidarWeather,
+    transform: BayerWeather | LidarWeather | RadarAttenuation | RangeDopplerMap,
     path: str | os.PathLike[str],
     *,
     height: int = 64,
     width: int = 96,
     points: int = 1000,
-    columns: int = 4,
+    columns: int | None = None,
     directions: bool | None = None,
 ) -> list[str]:
-    """Write a camera or LiDAR transform as an ONNX graph; everything in it is float32.
+    """Write a transform, or a radar's range-Doppler map, as an ONNX graph; everything in it is float32.
 
     Inputs of a camera's graph: ``bayer`` and ``depth`` ``(1, 1, H, W)`` (linear, black 0, saturation 1; metres),
     ``fx, fy, cx, cy`` in pixels, the knob (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its names
@@ -46,14 +50,23 @@ def to_onnx(
     dual-return sensor also ``second`` and ``second_kind``, whose row i is of the same beam as row i of ``points``. B
     and N are dynamic.
 
+    Inputs of a radar's graph: ``points`` ``(B, N, columns)``, the knob ``(B,)``, and the noise. Outputs:
+    ``detections`` ``(B, N, columns)``, ``kind`` ``(B, N)`` int8, ``snr_db`` and ``attenuation_db`` ``(B, N)``; rows
+    more with clutter. B and N are dynamic. A wet cover follows the rain's own rate.
+
+    Inputs of a range-Doppler map's graph: ``real`` and ``imaginary`` ``(B, V, N_c, N_s)``, the parts of the samples.
+    Outputs: ``map_real`` and ``map_imaginary`` ``(B, V, N_c, N_s)`` and ``power_dbm`` ``(B, N_c, N_s)``. B is dynamic.
+
     In a mixture of rain and snow the rates are ``rain_rate_mm_per_h`` and ``snow_rate_mm_per_h``.
 
     Args:
-        transform: ``BayerRain``, ``LidarFog``, ... , ``BayerWeather`` or ``LidarWeather``.
+        transform: ``BayerRain``, ``LidarFog``, ... , ``BayerWeather``, ``LidarWeather``, ``RadarAttenuation`` or
+            ``torchweather.radar.RangeDopplerMap``.
         path: where to write; under a temporary name first.
         height, width: of a camera's traced frame; any even size runs.
-        points: of a LiDAR's traced cloud; any number runs.
-        columns: of every cloud of a LiDAR: x, y, z, intensity and others that are carried along.
+        points: of a LiDAR's traced cloud or a radar's list; any number runs.
+        columns: of every cloud of a LiDAR (x, y, z, intensity) or list of a radar (x, y, z, speed, power, radar cross
+            section) and others that are carried along; ``None``: these 4 or 6.
         directions: whether a LiDAR's graph takes the direction of every row, so that beams without return are simulated
             too; ``None``: if the transform's sensor has directions.
 
@@ -71,6 +84,8 @@ def to_onnx(
         the transform's rate in the modes ``last``, ``first`` and ``dual``, so export the largest rate that will be fed.
         The graph checks nothing: coordinates must be finite and directions not 0.
 
+        Radar: sensor, models and the wet cover are fixed in the graph. It checks nothing: numbers must be finite.
+
     Example:
         >>> from torchweather.sensors import Camera
         >>> from torchweather.transforms import BayerFog
@@ -87,18 +102,25 @@ def to_onnx(
         raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
     if height % 2 or width % 2 or height < 4 or width < 4:
         raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
-    if points < 2 or columns < 4:
-        raise ValueError(f"to_onnx: points must be 2 or more and columns 4 or more; got {points} and {columns}.")
     target = Path(path)
-    if not isinstance(transform, (BayerWeather, LidarWeather)):
+    if not isinstance(transform, (BayerWeather, LidarWeather, RadarAttenuation, RangeDopplerMap)):
         raise TypeError(
-            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), or a LiDAR transform, "
-            f"such as LidarRain(Rain(25), lidar); got {type(transform).__name__}."
+            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), a LiDAR transform, "
+            "such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
+            f"{type(transform).__name__}."
         )
+    fewest = next((number for kind, number in FEWEST_COLUMNS.items() if isinstance(transform, kind)), 0)
+    columns = fewest if columns is None else columns
+    if points < 2 or columns < fewest:
+        raise ValueError(f"to_onnx: points must be 2 or more and columns {fewest} or more; got {points} and {columns}.")
     if not target.parent.is_dir():
         raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")
     if isinstance(transform, LidarWeather):
         traceable = traceable_lidar(transform, points, columns, directions)
+    elif isinstance(transform, RadarAttenuation):
+        traceable = traceable_radar(transform, points, columns)
+    elif isinstance(transform, RangeDopplerMap):
+        traceable = traceable_map(transform)
     else:
         traceable = traceable_camera(transform, height, width)
     model = _traced(traceable)

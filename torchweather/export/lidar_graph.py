@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchweather.export.traceable import Traceable
+from torchweather.export.traceable import Traceable, knob_inputs
 from torchweather.random import Variate, draw_variates
 from torchweather.stages import Extinction, ParticleReturns
 from torchweather.transforms.lidar import LidarWeather
@@ -19,7 +19,6 @@ __all__ = ["traceable_lidar"]
 
 OUTPUTS = ("cloud", "kind", "second", "second_kind")
 TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
-FALLING = ("rain", "snow")
 
 
 def traceable_lidar(transform: LidarWeather, points: int, columns: int, directions: bool | None) -> Traceable:
@@ -125,10 +124,9 @@ def _variates(transform: LidarWeather) -> dict[str, Variate]:
 def _knobs(transform: LidarWeather) -> dict[str, list[str]]:
     """Graph input name to the names of the buffers of the chain that it sets."""
     found: dict[str, list[str]] = {}
-    alone = sum(part.kind in FALLING for part in transform.weather.parts) == 1
+    inputs = knob_inputs(transform.weather.parts)
     for name, stage in transform.chain.stages.items():
         if isinstance(stage, (Extinction, ParticleReturns)):
             for part in transform.weather.parts:
-                key = part.knob_name if alone or part.kind not in FALLING else f"{part.kind}_{part.knob_name}"
-                found.setdefault(key, []).append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")
+                found.setdefault(inputs[part.kind], []).append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")
     return found

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from torch import nn
 
 from torchweather.random import Variate
+from torchweather.weather import Weather
 
-__all__ = ["Traceable"]
+__all__ = ["Traceable", "knob_inputs"]
+
+FALLING = ("rain", "snow")
 
 
 @dataclass(frozen=True)
@@ -31,3 +34,12 @@ class Traceable:
     inputs: list[str]
     outputs: list[str]
     variates: Mapping[str, Variate]
+
+
+def knob_inputs(parts: Sequence[Weather]) -> dict[str, str]:
+    """Kind of each weather to the name of its knob as a graph's input; rates of a mixture are told apart."""
+    alone = sum(part.kind in FALLING for part in parts) == 1
+    return {
+        part.kind: part.knob_name if alone or part.kind not in FALLING else f"{part.kind}_{part.knob_name}"
+        for part in parts
+    }

@@ -8,6 +8,7 @@ from torchweather.radar.cfar import CellAveragingCfar, OrderStatisticCfar
 from torchweather.radar.facet_rcs import isosceles_triangle_rcs_m2, subdivide, triangle_field_m
 from torchweather.radar.fmcw import FmcwRadar, FmcwResult, cfar_for
 from torchweather.radar.range_doppler import map_noise_dbm, range_doppler
+from torchweather.radar.range_doppler_map import RangeDopplerMap
 from torchweather.radar.scatterers import Scatterers
 from torchweather.radar.volume_echo import VolumeEcho
 from torchweather.radar.windows import WINDOWS
@@ -18,6 +19,7 @@ __all__ = [
     "FmcwRadar",
     "FmcwResult",
     "OrderStatisticCfar",
+    "RangeDopplerMap",
     "Scatterers",
     "VolumeEcho",
     "angle_grid",

@@ -31,6 +31,7 @@ from torchweather.physics import KnobTable, reflectivity_weighted_fall_speed
 from torchweather.random import Variate
 from torchweather.sensors import Radar
 from torchweather.stages.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
+from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.path_attenuation import radar_of
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
@@ -66,10 +67,12 @@ def two_way_widths_rad(radar: Radar) -> tuple[float, float]:
         [12.1, 18.4]
     """
     one_way = (math.radians(radar.azimuth_beamwidth_deg), math.radians(radar.elevation_beamwidth_deg))
-    elements = radar.virtual_half_wavelengths
     widths = []
     for axis in (0, 1):
-        extent = float(elements[:, axis].max() - elements[:, axis].min())
+        extent = 0.0  # of the virtual array: both arrays' together
+        for elements in (radar.tx_half_wavelengths, radar.rx_half_wavelengths):
+            places = [element[axis] for element in elements]
+            extent += max(places) - min(places)
         inverse = 2.0 / one_way[axis] ** 2
         if extent > 0:
             inverse += ((extent + 1.0) / (2.0 * ARRAY_WIDTH)) ** 2
@@ -258,10 +261,10 @@ class VolumeClutter(Stage):
         expected = torch.cat([torch.zeros_like(step[:, :1]), (share * step).cumsum(1)], 1)
         place = -(1.0 - arrival).log().cumsum(1)
         there = place < expected[:, -1:]
-        right = torch.searchsorted(expected.contiguous(), place.contiguous()).clamp(1, RANGE_NODES - 1)
+        right = _place_among(expected, place).clamp(1, RANGE_NODES - 1)
         low, high = expected.gather(1, right - 1), expected.gather(1, right)
         part = ((place - low) / (high - low).clamp_min(NEVER)).clamp(0.0, 1.0)
-        nodes = node_m.expand(len(place), -1)
+        nodes = node_m.expand(place.shape[0], -1)
         return torch.lerp(nodes.gather(1, right - 1), nodes.gather(1, right), part), there
 
     def _rows(
@@ -318,6 +321,13 @@ def radial_speed_m_per_s(
     up = direction[..., 2]
     std = (turbulence_m_per_s**2 + (fall_std[:, None] * up) ** 2).sqrt()
     return direction @ wind - fall[:, None] * up + std * doppler
+
+
+def _place_among(rising: Tensor, values: Tensor) -> Tensor:
+    """How many of ``rising`` ``(B, n)`` lie below each of ``values`` ``(B, K)``."""
+    if is_exporting():  # ONNX has no search
+        return (rising[:, None] < values[..., None]).sum(-1)
+    return torch.searchsorted(rising.contiguous(), values.contiguous())
 
 
 def _above_db(threshold_db: Tensor, mean_db: Tensor, uniform: Tensor) -> Tensor:

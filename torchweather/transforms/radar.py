@@ -234,7 +234,7 @@ class RadarAttenuation(WeatherTransform):
         x, y, z = flat[..., :3].unbind(-1)
         range_m = (x * x + y * y + z * z).sqrt()
         nothing = torch.zeros_like(range_m)
-        per_sample = flat.new_zeros(len(flat))
+        per_sample = flat.new_zeros(flat.shape[0])  # len() would fix the batch of a graph
         empty = torch.where(range_m > 0, int(PointKind.OBJECT), int(PointKind.LOST))
         return RadarState(
             points_in=flat,
