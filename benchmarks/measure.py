@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-__all__ = ["machine", "times_ms"]
+__all__ = ["machine", "spread", "times_ms"]
 
 
 def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
@@ -24,11 +24,16 @@ def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
         start = time.perf_counter()
         call()
         times.append(1e3 * (time.perf_counter() - start))
+    return spread(times)
+
+
+def spread(times: list[float]) -> dict[str, float]:
+    """Median, least and greatest of times in milliseconds."""
     return {
         "median_ms": round(statistics.median(times), 3),
         "min_ms": round(min(times), 3),
         "max_ms": round(max(times), 3),
-        "repeats": repeats,
+        "repeats": len(times),
     }
 
 
