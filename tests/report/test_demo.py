@@ -50,7 +50,7 @@ class Page(HTMLParser):
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     folder = tmp_path_factory.mktemp("page") / "demo"
     camera = Camera.preset("lucid-triton").resized(96, 72)
-    return folder, write_demo(folder, seed=5, camera=camera, progress=False)
+    return folder, write_demo(folder, seed=5, camera=camera, radar="awr1843-like", progress=False)
 
 
 @pytest.fixture(scope="module")

@@ -220,7 +220,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     patch.setattr(demo_module, "lidar_scene", lambda scene, lidar, *more: lidar_scene(scene, LIDAR, *more))
     camera = Camera.preset("lucid-triton").resized(64, 48)
     try:
-        summary = write_demo(folder, seed=2, camera=camera, progress=False, lidar="velodyne-vlp-16")
+        summary = write_demo(
+            folder, seed=2, camera=camera, progress=False, lidar="velodyne-vlp-16", radar="awr1843-like"
+        )
     finally:
         patch.undo()
     return folder, summary, (folder / "index.html").read_text(encoding="utf-8")
