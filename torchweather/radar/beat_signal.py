@@ -108,22 +108,19 @@ def _add(
         slow.append(over_array(chirp))
     from_middle_n = (_count(radar.samples, device) - middle_n).to(dtype)
 
-    # Fast time of each block, (B, M, N_s)
-    begin_s = _count(blocks, device) * (number * radar.chirp_period_s)
-    travelled = distance_m[..., None] + speed[..., None] * begin_s
-    doppler = 2.0 / radar.wavelength_m * speed / (1e6 * radar.sample_rate_mhz)
-    beat = (per_metre * distance_m + doppler)[..., None] + migration[..., None] * (begin_s + middle_s)
-    # A rotation by so many turns a sample is one by coarse steps times one by fine steps: far fewer cosines
-    fine = math.ceil(math.sqrt(radar.samples))
-    coarse_steps = _count(math.ceil(radar.samples / fine), device) * fine
-    coarse = _rotation(2.0 / radar.wavelength_m * travelled[..., None] + beat[..., None] * coarse_steps)
-    within = _rotation(beat[..., None] * _count(fine, device))
+    # Fast time, (B, M, N_s), from block to block
+    block_s = number * radar.chirp_period_s
+    beat = per_metre * distance_m + 2.0 / radar.wavelength_m * speed / (1e6 * radar.sample_rate_mhz)
+    fast = _ramp(2.0 / radar.wavelength_m * distance_m, beat + migration * middle_s, radar.samples)
+    onward = _ramp(2.0 / radar.wavelength_m * speed * block_s, migration * block_s, radar.samples)
     for block in range(blocks):
-        fast = (coarse[:, :, block, :, None] * within[:, :, block, None]).flatten(-2)[..., : radar.samples]
+        if block:
+            fast = fast * onward
         found[:, block].baddbmm_(slow[0], fast)
+        weighted = fast
         for further in slow[1:]:
-            fast = fast * from_middle_n
-            found[:, block].baddbmm_(further, fast)
+            weighted = weighted * from_middle_n
+            found[:, block].baddbmm_(further, weighted)
 
 
 def _count(number: int, device: torch.device) -> Tensor:
@@ -134,6 +131,14 @@ def _rotation(turns: Tensor) -> Tensor:
     """``exp(j 2 pi turns)``, complex64; whole turns are taken off in double precision."""
     wrapped = ((turns - turns.detach().round()) * (2.0 * math.pi)).float()
     return torch.complex(wrapped.cos(), wrapped.sin())  # faster than torch.polar
+
+
+def _ramp(first: Tensor, step: Tensor, number: int) -> Tensor:
+    """``(..., number)`` rotations by ``first``, ``first + step``, ... turns: coarse times fine, to save cosines."""
+    fine = math.ceil(math.sqrt(number))
+    coarse = first[..., None] + step[..., None] * fine * _count(math.ceil(number / fine), step.device)
+    both = _rotation(coarse)[..., None] * _rotation(step[..., None] * _count(fine, step.device))[..., None, :]
+    return both.flatten(-2)[..., :number]
 
 
 def _amplitude(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | None) -> Tensor:
