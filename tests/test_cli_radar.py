@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchweather.cli import main
-from torchweather.io import RADAR_COLUMNS, RadarPoints, read_radar, write_radar
+from torchweather.io import RADAR_COLUMNS, PointCloud, RadarPoints, read_points, read_radar, write_points, write_radar
 from torchweather.io.pcd import read_pcd
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
@@ -179,6 +179,31 @@ def test_a_file_of_cross_sections_gets_its_power_by_the_radar_equation_and_says_
         first, kept = Path(entry["output"]).read_text().splitlines()
         assert first == header
         assert [float(value) for value in kept.split(",")] == [50, 10, 0, -3, 10]
+
+
+def test_a_sweep_with_velocities_keeps_them_and_gets_the_rains_own(run: Any, tmp_path: Path) -> None:
+    names = ("x", "y", "z", "id", "rcs", "vx", "vy", "vx_comp", "vy_comp")
+    random = torch.Generator().manual_seed(2)
+    table = torch.randint(-8, 9, (30, 9), generator=random).float()
+    table[:, 0] = torch.linspace(8, 70, 30)
+    write_points(tmp_path / "a.pcd", PointCloud(table, names))
+    given = ("apply", *IMAGING, tmp_path / "a.pcd", "--quiet", "--json", "--seed", 1)
+    assert run(*given, "--weather", "rain:rate=0", "--out", tmp_path / "none")[0] == 0
+    assert (tmp_path / "none" / "a.pcd").read_bytes() == (tmp_path / "a.pcd").read_bytes()
+    code, text, _ = run(*given, "--weather", RAIN, "--clutter", "--speed", "compensated", "--out", tmp_path / "out")
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    assert (entry["objects"], entry["speed_source"]) == (30, "compensated")
+    found = read_points(tmp_path / "out" / "a.pcd", intensity="none")
+    columns = {name: found.column(name) for name in names}
+    for place, name in enumerate(names):
+        assert torch.equal(columns[name][:30], table[:, place]), name
+    clutter = expected(read_radar(tmp_path / "a.pcd", RADAR).points, seed=1, clutter=True)
+    rain = clutter.points[clutter.kind == PointKind.PARTICLE]
+    assert entry["particles"] == len(rain) == len(found.points) - 30 > 0
+    assert torch.allclose(columns["x"][30:], rain[:, 0])
+    toward = (columns["x"] * columns["vx_comp"] + columns["y"] * columns["vy_comp"])[30:] / rain[:, :3].norm(dim=-1)
+    assert torch.allclose(toward, rain[:, 3], atol=1e-5)
 
 
 def test_arguments_replace_what_the_preset_says(run: Any, tmp_path: Path) -> None:

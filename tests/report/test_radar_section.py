@@ -105,6 +105,15 @@ def test_the_corner_weakens_by_the_way_to_it_and_back(seen: RadarScene) -> None:
     assert lost == pytest.approx(2 * 0.045 * fog.numbers["attenuation_db_per_km"], abs=0.03)
 
 
+def test_the_noise_of_the_receiver_is_the_same_in_all_frames(seen: RadarScene) -> None:
+    """Which the page says: beyond the rain's reach the maps differ by the scene alone."""
+    clear, fog = (seen.render(weather, seed=0).power_dbm for weather in (None, "fog:mor=10"))
+    fast = slice(100, 120)  # 4.6 to 7 m/s, where nothing moves
+    assert torch.allclose(clear[fast], fog[fast], atol=1e-2)
+    assert not torch.allclose(clear, fog, atol=1e-2)
+    assert not torch.allclose(clear[fast], seen.render(None, seed=1).power_dbm[fast], atol=1.0)
+
+
 def test_a_rate_beyond_the_fit_is_said(seen: RadarScene) -> None:
     frame = seen.render("snow:rate=19", seed=0)
     (said,) = frame.warnings

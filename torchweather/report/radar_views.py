@@ -18,6 +18,7 @@ from torchweather.radar.range_doppler import transmitter_rotation
 from torchweather.scenes import RadarView, Scene, radar_view
 from torchweather.scenes.primitives import Point
 from torchweather.sensors import Radar
+from torchweather.threads import one_thread_an_operation
 from torchweather.weather import Weather, parse_weather
 
 __all__ = ["CORNER", "LOSS_AT_M", "RadarFrame", "RadarScene", "radar_scene"]
@@ -75,10 +76,12 @@ class RadarScene:
             built = time.perf_counter()
             noise = transform.draw(self.view.scatterers, seed=seed)
             drawn = time.perf_counter()
-            with torch.no_grad():
+            # One thread: on a busy machine torch's pool waits longer than it works, and the page shows the time.
+            with torch.no_grad(), one_thread_an_operation():
                 cube = transform.cube(self.view.scatterers, noise)
                 result = transform.process(cube)
-            done = time.perf_counter()
+                done = time.perf_counter()
+                channels = range_doppler(cube, self.radar, transform.window_name)
         said = []
         for warning in caught:
             if issubclass(warning.category, TorchweatherWarning):
@@ -89,7 +92,7 @@ class RadarScene:
         assert isinstance(points, Tensor)
         assert isinstance(cell, Tensor)
         per_km = 0.0 if transform.path is None else float(transform.path.attenuation_db_per_km(1))
-        of_scene = self._of_scene(range_doppler(cube, self.radar, transform.window_name), points, cell, per_km)
+        of_scene = self._of_scene(channels, points, cell, per_km)
         numbers: dict[str, Any] = {
             "attenuation_db_per_km": per_km,
             **{f"loss_{distance}_m_db": 2e-3 * per_km * distance for distance in LOSS_AT_M},
