@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,16 @@ import torch
 from torch import Tensor
 
 from torchweather.cli import main
-from torchweather.io import RADAR_COLUMNS, PointCloud, RadarPoints, read_points, read_radar, write_points, write_radar
+from torchweather.io import (
+    RADAR_COLUMNS,
+    PointCloud,
+    RadarPoints,
+    read_points,
+    read_radar,
+    write_image,
+    write_points,
+    write_radar,
+)
 from torchweather.io.pcd import read_pcd
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
@@ -322,6 +333,21 @@ def test_an_empty_list_and_one_detection_are_results(run: Any, tmp_path: Path, r
     assert entry["points"] == rows
     assert entry["objects"] == len(read_radar(entry["output"]).points)
     assert (entry["attenuation_db_mean"] is None) == (rows == 0)
+
+
+def test_demo_takes_a_radar_for_the_embedded_scene_only(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, Any]] = []
+    module = types.ModuleType("torchweather.report.demo")
+    module.write_demo = lambda out_dir, **options: asked.append(options) or {}  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torchweather.report.demo", module)
+    assert run("demo", "--radar", "radar:awr1843-like", "--lidar", "velodyne-vlp-16", "-o", tmp_path)[0] == 0
+    assert (asked[0]["radar"], asked[0]["lidar"]) == ("awr1843-like", "velodyne-vlp-16")
+    write_image(tmp_path / "frame.png", torch.full((1, 8, 8), 9, dtype=torch.uint16))
+    code, _, err = run("demo", tmp_path / "frame.png", "--radar", "awr1843-like", "-o", tmp_path)
+    assert code == 2
+    assert "--radar belongs to the embedded scene" in err
 
 
 def test_list_knows_the_radar(run: Any) -> None:
