@@ -340,7 +340,12 @@ def test_demo_takes_a_radar_for_the_embedded_scene_only(
 ) -> None:
     asked: list[dict[str, Any]] = []
     module = types.ModuleType("torchweather.report.demo")
-    module.write_demo = lambda out_dir, **options: asked.append(options) or {}  # type: ignore[attr-defined]
+
+    def write_demo(out_dir: Path, **options: Any) -> dict[str, Any]:
+        asked.append(options)
+        return {}
+
+    module.write_demo = write_demo  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "torchweather.report.demo", module)
     assert run("demo", "--radar", "radar:awr1843-like", "--lidar", "velodyne-vlp-16", "-o", tmp_path)[0] == 0
     assert (asked[0]["radar"], asked[0]["lidar"]) == ("awr1843-like", "velodyne-vlp-16")
