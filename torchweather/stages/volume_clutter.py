@@ -54,7 +54,9 @@ GAUSSIAN_AREA = math.pi / (4.0 * math.log(2.0))  # solid angle of a Gaussian bea
 RANGE_NODES = 256
 VIEW_WIDTHS = 2.0  # clutter is looked for within so many one-way widths: to 12 dB below the peak, one way
 NEVER = 1e-30
-FULL = 0.8  # expected share of the rows that are taken where clutter abounds
+FULL = 0.8  # expected share of the rows that are taken where clutter abounds: what comes beyond them is the farthest
+DIRECTIONS = (25, 15)  # patches of the view in azimuth and elevation: 0.08 and 0.13 widths each
+FWHM_PER_STD = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 
 def two_way_widths_rad(radar: Radar) -> tuple[float, float]:
@@ -142,17 +144,18 @@ class VolumeClutter(Stage):
         sensor: the radar, or its dictionary. Its link budget gives the power in dBm: ``noise_floor_db`` must
             be in dBm too.
         share: factor on the reflectivity.
-        capacity: rows that are appended. Where about as many cells or more exceed the threshold, a random share of them
-            is listed; rows that are not needed stay empty.
+        capacity: rows that are appended. Where four fifths as many cells or more exceed the threshold, a random share
+            of them is listed; rows that are not needed stay empty.
         near_m: clutter begins there; 1 m is generic: the cover's own reflection hides what is nearer (unverified).
         ego_speed_m_per_s: of the vehicle, forward.
         turbulence_m_per_s: standard deviation of the air's speed within a cell; 0.5 is generic (unverified).
 
     Note:
         Every cell whose clutter exceeds the noise floor by the detection SNR counts, as the radar equation has it: with
-        the processing gain of an imaging radar that is rain to some 50 m. A radar whose threshold follows the clutter
-        around a cell (CFAR) reports almost none of it: the FMCW simulator has
-        that. Drops fall with the mean and the spread of their Doppler spectrum.
+        the processing gain of an imaging radar those are very many, so that ``capacity`` and not the rain says how many
+        are listed. A radar whose threshold follows the clutter around a cell (CFAR) reports far fewer: for counts use
+        the FMCW simulator. Drops fall with the mean and the spread of their Doppler spectrum; speeds are folded as the
+        radar folds them. The cross section is what the radar equation makes of the power, the path's loss in it.
 
     References:
         PHYSICS.md 6.5.
@@ -203,7 +206,7 @@ class VolumeClutter(Stage):
         if self.identity:
             return ()
         each = (self.capacity,)
-        uniform = [Variate(name, "uniform", each) for name in ("arrival", "azimuth", "elevation", "kept", "power")]
+        uniform = [Variate(name, "uniform", each) for name in ("arrival", "direction", "azimuth", "elevation", "power")]
         return (*uniform, Variate("doppler", "normal", each))
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
@@ -214,14 +217,13 @@ class VolumeClutter(Stage):
         eta, fall, fall_std = (value.to(state.gain_db.dtype) for value in self.falling(state.batch))
         threshold_db = state.noise_floor_db + state.detection_snr_db
         node_m = self._nodes_m(state)
-        mean_db = self._mean_power_db(node_m, eta, fall_std, state)
-        range_m, there = self._ranges(node_m, self._cells_per_m(mean_db, threshold_db, fall_std), own["arrival"])
-        azimuth, elevation = clutter_directions_rad(self.sensor, own["azimuth"], own["elevation"])
-        peak_db = self._mean_power_db(range_m, eta, fall_std, state)
+        bins = self._doppler_bins(fall, fall_std)
+        missing = self._missing(node_m, eta, bins, threshold_db, state)
+        range_m, there = self._ranges(node_m, self._cells_per_m(missing, bins), own["arrival"])
+        missing = self._missing(range_m, eta, bins, threshold_db, state)
+        azimuth, elevation = self._direction_rad(missing, own["direction"], own["azimuth"], own["elevation"])
         off_db = 2.0 * (self.sensor.gain_dbi(azimuth, elevation) - self.sensor.antenna_gain_dbi)
-        # Thinned from the rate at the peak of the pattern to the one in this direction
-        over = torch.exp(DB * (threshold_db[:, None] - peak_db).clamp_max(300.0))
-        there = there & (own["kept"] < torch.exp(over - over * torch.exp(-DB * off_db)))
+        peak_db = threshold_db[:, None] - missing.log() / DB
         power_db = _above_db(threshold_db[:, None], peak_db + off_db, own["power"])
         clutter = self._rows(range_m, azimuth, elevation, power_db, off_db, fall, fall_std, own["doppler"])
         clutter = torch.where(there[..., None], clutter, 0.0)
@@ -234,24 +236,55 @@ class VolumeClutter(Stage):
         node = torch.arange(RANGE_NODES, device=state.gain_db.device, dtype=state.gain_db.dtype)
         return near * (far / near) ** (node / (RANGE_NODES - 1))[None]
 
-    def _doppler_bins(self, fall_std: Tensor) -> Tensor:
-        """Bins over which the Doppler spectrum of a cell spreads, at a mean elevation: its equivalent width."""
-        tilt = math.sin(math.radians(self.sensor.elevation_beamwidth_deg) / 2.0)
-        std = (self.turbulence_m_per_s**2 + (fall_std * tilt) ** 2).sqrt()
-        return (math.sqrt(2.0 * math.pi) * std / self.sensor.speed_resolution_m_per_s).clamp_min(1.0)
+    def _doppler_bins(self, fall: Tensor, fall_std: Tensor) -> Tensor:
+        """Bins over which the Doppler spectrum of a cell spreads, ``(B,)``: its equivalent width half-way off the axis.
 
-    def _mean_power_db(self, range_m: Tensor, eta: Tensor, fall_std: Tensor, state: RadarState) -> Tensor:
-        """Mean echo of a cell at the peak of the pattern, dBm, ``(B, ...)``."""
+        Turbulence, the drops' own speeds, and what the width of the beam makes of their fall and the vehicle's speed.
+        """
+        sensor = self.sensor
+        tilt = [math.sin(math.radians(w) / 2.0) for w in (sensor.azimuth_beamwidth_deg, sensor.elevation_beamwidth_deg)]
+        beam = [width / FWHM_PER_STD for width in two_way_widths_rad(sensor)]
+        variance = self.turbulence_m_per_s**2 + (fall_std * tilt[1]).square() + (fall * beam[1]).square()
+        std = (variance + (self.ego_speed_m_per_s * tilt[0] * beam[0]) ** 2).sqrt()
+        return (math.sqrt(2.0 * math.pi) * std / sensor.speed_resolution_m_per_s).clamp_min(1.0)
+
+    def _missing(self, range_m: Tensor, eta: Tensor, bins: Tensor, threshold_db: Tensor, state: RadarState) -> Tensor:
+        """Threshold over the mean echo of a cell at the peak of the pattern, ``(B, ...)``; at most 1e30."""
         reflectivity = (eta * self.share.to(eta)).clamp_min(NEVER)
-        rcs = reflectivity[:, None] * cell_volume_m3(range_m, self.sensor) / self._doppler_bins(fall_std)[:, None]
+        rcs = reflectivity[:, None] * cell_volume_m3(range_m, self.sensor) / bins[:, None]
         path_db = 2e-3 * state.attenuation_db_per_km[:, None] * range_m + state.cover_loss_db[:, None]
-        return self.sensor.constant_db + (rcs / range_m**4).log() / DB - path_db
+        mean_db = self.sensor.constant_db + (rcs / range_m**4).log() / DB - path_db
+        return torch.exp(DB * (threshold_db[:, None] - mean_db).clamp_max(300.0))
 
-    def _cells_per_m(self, mean_db: Tensor, threshold_db: Tensor, fall_std: Tensor) -> Tensor:
+    def _off_axis(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Azimuth and elevation of directions spread evenly over the view, and the pattern's loss there, ``(G,)``."""
+        places = [(torch.arange(n, device=like.device, dtype=like.dtype) + 0.5) / n for n in DIRECTIONS]
+        azimuth, elevation = (
+            axis.reshape(-1) for axis in clutter_directions_rad(self.sensor, *torch.meshgrid(*places, indexing="ij"))
+        )
+        loss_db = 2.0 * (self.sensor.antenna_gain_dbi - self.sensor.gain_dbi(azimuth, elevation))
+        return azimuth, elevation, torch.exp(DB * loss_db)
+
+    def _cells_per_m(self, missing: Tensor, bins: Tensor) -> Tensor:
+        """Cells above the threshold per metre of range, ``(B, ...)``, over the whole view."""
         azimuth, elevation = two_way_widths_rad(self.sensor)
         beams = max(1.0, math.prod(view_rad(self.sensor)) / (GAUSSIAN_AREA * azimuth * elevation))
-        over = torch.exp(DB * (threshold_db[:, None] - mean_db).clamp_max(300.0))
-        return beams * self._doppler_bins(fall_std)[:, None] / self.sensor.range_resolution_m * torch.exp(-over)
+        _, _, loss = self._off_axis(missing)
+        above = torch.exp(-missing[..., None] * loss).mean(-1)
+        return beams * bins[:, None] / self.sensor.range_resolution_m * above
+
+    def _direction_rad(
+        self, missing: Tensor, direction: Tensor, azimuth: Tensor, elevation: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Where in the view each detection lies: ``direction`` picks a patch, the others the place in it."""
+        middle_azimuth, middle_elevation, loss = self._off_axis(missing)
+        share = torch.exp(-missing[..., None] * (loss - loss.min())).cumsum(-1)
+        patch = (share < (direction * share[..., -1])[..., None]).sum(-1).clamp_max(len(loss) - 1)
+        size = [view / n for view, n in zip(view_rad(self.sensor), DIRECTIONS, strict=True)]
+        return (
+            middle_azimuth[patch] + (azimuth - 0.5) * size[0],
+            middle_elevation[patch] + (elevation - 0.5) * size[1],
+        )
 
     def _ranges(self, node_m: Tensor, per_m: Tensor, arrival: Tensor) -> tuple[Tensor, Tensor]:
         """Ranges of the detections in order, ``(B, K)``, and which of them exist."""
@@ -283,6 +316,8 @@ class VolumeClutter(Stage):
         along = torch.stack([flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.sin(elevation)], -1)
         speed = radial_speed_m_per_s(along, self.falling.weather, fall, fall_std, doppler, self.turbulence_m_per_s)
         speed = speed - along[..., 0] * self.ego_speed_m_per_s
+        period = 2.0 * self.sensor.max_speed_m_per_s
+        speed = speed - period * (speed / period).round()
         rcs_dbsm = power_db - self.sensor.constant_db - off_db + 4.0 * range_m.log() / DB
         numbers = torch.stack([speed, power_db, rcs_dbsm], -1)
         return torch.cat([along * range_m[..., None], numbers], -1)

@@ -68,10 +68,11 @@ class RadarAttenuation(WeatherTransform):
     Args:
         weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them.
         sensor: the radar; its ``floor_db`` is in the unit of the power column.
-        rain_model: ``p838`` (ITU-R P.838-3), ``dsd_mie`` (Mie over the rain's own drops) or ``d3_4`` (Sander 1975 as
-            published).
-        fog_model: ``p840`` (ITU-R P.840) or ``d3_4`` (340 times too strong at 77 GHz).
-        snow_model: ``dsd_mie`` (Mie over the snow's own flakes and melt fraction) or ``d3_4`` (Norouziari 2018).
+        rain_model: ``p838`` (ITU-R P.838-3, the default), ``dsd_mie`` (Mie over the rain's own drops) or ``d3_4``
+            (Sander 1975 as published).
+        fog_model: ``p840`` (ITU-R P.840, the default) or ``d3_4`` (340 times too strong at 77 GHz).
+        snow_model: ``dsd_mie`` (Mie over the snow's own flakes and melt fraction, the default) or ``d3_4``
+            (Norouziari 2018).
         radome_loss_db: two-way loss of the wet cover, whatever the rate.
         radome_film_db: two-way loss of a film of water at 1 mm/h of rain, which grows with the rate to the power
             ``radome_film_exponent``.
@@ -103,9 +104,9 @@ class RadarAttenuation(WeatherTransform):
         weather: Weather,
         sensor: Radar,
         *,
-        rain_model: str = "p838",
-        fog_model: str = "p840",
-        snow_model: str = "dsd_mie",
+        rain_model: str | None = None,
+        fog_model: str | None = None,
+        snow_model: str | None = None,
         radome_loss_db: float = 0.0,
         radome_film_db: float = 0.0,
         radome_film_exponent: float = 1.0 / 3.0,
@@ -121,10 +122,18 @@ class RadarAttenuation(WeatherTransform):
         check_one_of("lost", lost, LOST_AS, owner=self)
         if variant is not None:
             check_one_of("variant", variant, ("d3_4",), owner=self)
+            given = [model for model in (rain_model, fog_model, snow_model) if model is not None]
+            if given:
+                raise ValueError(
+                    f"RadarAttenuation: variant={variant!r} says all three models; got {', '.join(given)} besides. "
+                    "Give one or the other."
+                )
             rain_model = fog_model = snow_model = variant
         self.weather, self.sensor, self.lost = weather, sensor, lost
         stages: dict[str, Stage] = {
-            "path_attenuation": PathAttenuation(weather.parts, sensor, rain_model, fog_model, snow_model)
+            "path_attenuation": PathAttenuation(
+                weather.parts, sensor, rain_model or "p838", fog_model or "p840", snow_model or "dsd_mie"
+            )
         }
         if radome_loss_db or radome_film_db:
             rates = [part.rate_mm_per_h for part in weather.parts if isinstance(part, Rain)]
