@@ -126,9 +126,7 @@ def test_noise_of_another_weather_or_batch_is_refused() -> None:
     snow = BayerSnow(Snow(1.0), CAMERA, airlight=0.7)
     with pytest.raises(ValueError, match=r"BayerSnow: the noise lacks particle_veil\.snow_"):
         snow(frame(2), depth(), noise)
-    with pytest.raises(
-        ValueError, match=r"must hold .* for each of 3 samples; got \(2, .* Draw again"
-    ):
+    with pytest.raises(ValueError, match=r"must hold .* for each of 3 samples; got \(2, .* Draw again"):
         RAIN(frame(3), depth(), noise)
 
 

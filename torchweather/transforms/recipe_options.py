@@ -21,6 +21,7 @@ from torchweather.stages import (
     VolumeClutter,
     WetRadome,
 )
+from torchweather.stages.path_attenuation import DEFAULT_MODELS
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
@@ -94,7 +95,8 @@ def _radar_options(transform: RadarAttenuation) -> dict[str, Any]:
     found: dict[str, Any] = {"lost": transform.lost}
     for stage in transform.chain.stages.values():
         if isinstance(stage, PathAttenuation):
-            found |= {f"{kind}_model": model for kind, model in stage.models.items()}
+            given = {kind: model for kind, model in stage.models.items() if model != DEFAULT_MODELS[kind]}
+            found |= {f"{kind}_model": model for kind, model in given.items()}
         elif isinstance(stage, WetRadome):
             for name in ("loss_db", "film_db", "film_exponent"):
                 found[f"radome_{name}"] = _as_given(getattr(stage, name), OPTIONS["radar"][f"radome_{name}"])
