@@ -244,12 +244,12 @@ class RadarAttenuation(WeatherTransform):
         range_m = (x * x + y * y + z * z).sqrt()
         nothing = torch.zeros_like(range_m)
         per_sample = flat.new_zeros(flat.shape[0])  # len() would fix the batch of a graph
-        empty = torch.where(range_m > 0, int(PointKind.OBJECT), int(PointKind.LOST))
+        there = torch.full_like(range_m, int(PointKind.OBJECT), dtype=torch.int8)
         return RadarState(
             points_in=flat,
             range_m=range_m,
             gain_db=nothing,
-            kind=empty.to(torch.int8),
+            kind=there.masked_fill(~(range_m > 0), int(PointKind.LOST)),
             noise_floor_db=per_sample + self.sensor.floor_db,
             detection_snr_db=flat.new_tensor(self.sensor.detection_snr_db),
             attenuation_db_per_km=per_sample,
