@@ -87,8 +87,9 @@ class ToRadarPoints(Stage):
         power = points[..., POWER]
         weaker = torch.where(state.gain_db == 0, power, power + state.gain_db)
         lost = (state.kind[:, : points.shape[1]] == LOST) & (state.range_m > 0)
-        place = torch.where(lost[..., None], 0.0, points[..., :3])
-        points = torch.cat([place, points[..., 3:POWER], weaker[..., None], points[..., POWER + 1 :]], -1)
+        points = points.clone()
+        points[..., :3].masked_fill_(lost[..., None], 0.0)
+        points[..., POWER] = weaker
         if state.clutter is not None:
             further = points.new_zeros(*state.clutter.shape[:2], points.shape[-1] - state.clutter.shape[-1])
             points = torch.cat([points, torch.cat([state.clutter.to(points), further], -1)], 1)
