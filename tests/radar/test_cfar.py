@@ -377,3 +377,15 @@ def test_a_list_from_a_file_is_a_pair_too() -> None:
     cfar = CellAveragingCfar(guard=[2, 2], training=[4, 8], correlation=[[], []])  # type: ignore[arg-type]
     assert cfar == CellAveragingCfar(correlation=WHITE)
     assert cfar(torch.ones(32, 64)).shape == (32, 64)
+
+
+@pytest.mark.parametrize("cfar", [CellAveragingCfar(false_alarm_rate=1e-2), OrderStatisticCfar(false_alarm_rate=1e-2)])
+def test_single_cells_are_judged_as_the_map_is(cfar: CellAveragingCfar | OrderStatisticCfar) -> None:
+    """Everywhere, the ends of the range axis and the circle of speeds too; the noise is threshold over factor."""
+    power = torch.empty(32, 48).exponential_(generator=torch.Generator().manual_seed(8))
+    rows, columns = (index.flatten() for index in torch.meshgrid(torch.arange(32), torch.arange(48), indexing="ij"))
+    found, noise = cfar.detect_at(power, rows, columns)
+    assert 0 < int(found.sum()) < 100
+    assert torch.equal(found.reshape(32, 48), cfar(power))
+    estimate = cfar.threshold(power) / cfar.factors(48).float()
+    assert torch.allclose(noise, estimate[found.reshape(32, 48)], rtol=1e-6)

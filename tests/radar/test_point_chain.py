@@ -319,7 +319,7 @@ def frames_above(radar: Radar, kind: str, window_name: str, rate: float, frames:
     chain = FmcwRadar(radar, window_name=window_name, cfar=cfar_for(radar, kind, window_name, false_alarm_rate=rate))
     batch = Scatterers(*(value.expand(frames, *value.shape) for value in vars(nothing_there()).values()))
     found = chain.run(batch, chain.draw(batch, seed=11))
-    return (found.power_dbm > found.threshold_dbm).flatten(1).sum(1).double()
+    return chain.cfar(10.0 ** (found.power_dbm / 10.0)).flatten(1).sum(1).double()
 
 
 @pytest.mark.parametrize("window_name", ["rectangular", "hann"])

@@ -30,7 +30,7 @@ from torch.nn import functional
 
 from torchweather.errors import check_at_least, check_between, check_finite
 
-__all__ = ["HANN_CORRELATION", "CellAveragingCfar", "OrderStatisticCfar", "window_correlation"]
+__all__ = ["HANN_CORRELATION", "CellAveragingCfar", "Cfar", "OrderStatisticCfar", "window_correlation"]
 
 Array = npt.NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def window_correlation(window: Tensor) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Cfar:
+class Cfar:
     """What both detectors share: the window, the noise in it, and the factor of each range column."""
 
     false_alarm_rate: float = 1e-4
@@ -121,6 +121,25 @@ class _Cfar:
         """
         return _column_factors(self, columns).clone()
 
+    def threshold(self, power: Tensor) -> Tensor:
+        """Power above which a cell is a detection."""
+        raise NotImplementedError
+
+    def detect_at(self, power: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+        """Which of some cells are detections, and the noise that is estimated around those.
+
+        Args:
+            power: linear power of one map, ``(N_doppler, N_range)``.
+            rows, columns: of the cells, ``(D,)``.
+
+        Returns:
+            ``(D,)`` bool, and the linear noise power of each detection.
+        """
+        threshold = self.threshold(power)[rows, columns]
+        found = power[rows, columns] > threshold
+        factors = _column_factors(self, power.shape[-1]).to(power)
+        return found, threshold[found] / factors[columns[found]]
+
     def _window(self, before: int, after: int) -> npt.NDArray[np.bool_]:
         """Training cells of a window with so many columns before and after the cell under test."""
         doppler = np.arange(-self.reach[0], self.reach[0] + 1)[:, None]
@@ -166,7 +185,7 @@ class _Cfar:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CellAveragingCfar(_Cfar):
+class CellAveragingCfar(Cfar):
     r"""Detector whose noise estimate is the mean of the training cells.
 
     For one look and independent cells ``alpha = N (P_fa^(-1/N) - 1)``. Neighbouring bins of a windowed FFT are
@@ -255,7 +274,7 @@ class CellAveragingCfar(_Cfar):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrderStatisticCfar(_Cfar):
+class OrderStatisticCfar(Cfar):
     r"""Detector whose noise estimate is the k-th smallest of the training cells.
 
     Up to N - k training cells may hold other targets. For one look and independent cells ``P_fa = prod_{i<k}
@@ -346,6 +365,20 @@ class OrderStatisticCfar(_Cfar):
             exceeded += power > padded[..., row : row + rows, column : column + columns] * factors
         return exceeded >= self._kth(_column_cells(self, columns)).to(power.device)
 
+    def detect_at(self, power: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+        """As the base's, from the windows of these cells alone."""
+        padded = self._padded(power, torch.inf)
+        place = torch.from_numpy(np.argwhere(self._window(self.reach[1], self.reach[1]))).to(power.device)
+        training = padded[rows[:, None] + place[:, 0], columns[:, None] + place[:, 1]]  # (D, N)
+        factors = _column_factors(self, power.shape[-1]).to(power)[columns]
+        ranks = self._kth(_column_cells(self, power.shape[-1])).to(power.device)[columns]
+        found = (power[rows, columns, None] > training * factors[:, None]).sum(-1) >= ranks
+        training, ranks = training[found], ranks[found]
+        noise = power.new_empty(len(ranks))
+        for rank in sorted(set(ranks.tolist())):
+            noise[ranks == rank] = training[ranks == rank].kthvalue(rank, dim=-1).values
+        return found, noise
+
     def _kth(self, cells: Tensor) -> Tensor:
         # A product such as 0.7 * 10 must not be rounded up to 8 for its last bit.
         return (self.rank * cells.double() - 1e-9).ceil().long()
@@ -391,7 +424,7 @@ def _running_sum(values: Tensor, width: int, dim: int) -> Tensor:
     return total
 
 
-def _windows(cfar: _Cfar, columns: int) -> list[tuple[int, int]]:
+def _windows(cfar: Cfar, columns: int) -> list[tuple[int, int]]:
     """Columns on the shorter and on the longer side of each cell's window; a window and its mirror image are alike."""
     reach = cfar.reach[1]
     sides = [(min(column, reach), min(columns - 1 - column, reach)) for column in range(columns)]
@@ -399,7 +432,7 @@ def _windows(cfar: _Cfar, columns: int) -> list[tuple[int, int]]:
 
 
 @lru_cache(maxsize=1024)
-def _factor(cfar: _Cfar, before: int, after: int) -> float:
+def _factor(cfar: Cfar, before: int, after: int) -> float:
     """The factor that gives the detector's false-alarm rate in one window."""
     rate = cfar._rate(cfar._window(before, after))
     high = 1.0
@@ -410,10 +443,10 @@ def _factor(cfar: _Cfar, before: int, after: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def _column_factors(cfar: _Cfar, columns: int) -> Tensor:
+def _column_factors(cfar: Cfar, columns: int) -> Tensor:
     return torch.tensor([_factor(cfar, *window) for window in _windows(cfar, columns)], dtype=torch.float64)
 
 
 @lru_cache(maxsize=64)
-def _column_cells(cfar: _Cfar, columns: int) -> Tensor:
+def _column_cells(cfar: Cfar, columns: int) -> Tensor:
     return torch.tensor([int(cfar._window(*window).sum()) for window in _windows(cfar, columns)])

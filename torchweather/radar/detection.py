@@ -10,11 +10,12 @@ from torch.nn import functional
 
 from torchweather.physics import target_rcs_dbsm
 from torchweather.radar.angles import spectrum_peaks
+from torchweather.radar.cfar import Cfar
 from torchweather.radar.range_doppler import range_m_of_bin, speed_m_per_s_of_bin, transmitter_rotation
 from torchweather.radar.windows import tone_place_and_loss
 from torchweather.sensors import Radar
 
-__all__ = ["Detections", "detections", "peaks_of"]
+__all__ = ["Detections", "detections", "local_maxima"]
 
 
 @dataclass(frozen=True)
@@ -32,31 +33,29 @@ class Detections:
     cell: Tensor
 
 
-def peaks_of(power: Tensor, above: Tensor) -> Tensor:
-    """Cells above their threshold that are as strong as any of their eight neighbours.
+def local_maxima(power: Tensor) -> Tensor:
+    """Cells that are as strong as any of their eight neighbours, bool.
 
     Args:
         power: ``(..., N_c, N_s)``; the Doppler axis is a circle.
-        above: bool, likewise.
     """
     beside = functional.pad(power, (1, 1), value=-torch.inf)
     along_range = torch.maximum(torch.maximum(beside[..., :-2], beside[..., 2:]), power)
     wrapped = torch.cat([along_range[..., -1:, :], along_range, along_range[..., :1, :]], -2)
     highest = torch.maximum(torch.maximum(wrapped[..., :-2, :], wrapped[..., 2:, :]), along_range)
-    return above & (power >= highest)
+    return power >= highest
 
 
 def detections(
     channels: Tensor,
     power: Tensor,
-    peaks: Tensor,
-    noise: Tensor,
+    cfar: Cfar,
     radar: Radar,
     window_name: str,
     angles_per_cell: int,
     dynamic_db: float,
 ) -> Detections:
-    """Points of the peaks of one frame's map.
+    """Points of one frame's map: the local maxima that the detector takes.
 
     Range and speed come from the powers beside a peak, which the window's own response turns into a place between bins;
     direction from the channels' phases after the transmitters' turns are taken out.
@@ -64,15 +63,16 @@ def detections(
     Args:
         channels: ``(V, N_c, N_s)`` complex map of each channel.
         power: ``(N_c, N_s)`` mean power of the channels.
-        peaks: ``(N_c, N_s)`` bool.
-        noise: ``(N_c, N_s)`` power of the noise in a cell of one channel.
+        cfar: the detector.
         radar: the sensor.
         window_name: of the map.
         angles_per_cell: directions of one cell at most.
         dynamic_db: directions that much below the strongest of a cell are taken for sidelobes.
     """
-    doppler, column = peaks.nonzero(as_tuple=True)
     rows, columns = power.shape
+    doppler, column = local_maxima(power.detach()).nonzero(as_tuple=True)
+    detected, noise = cfar.detect_at(power.detach(), doppler, column)
+    doppler, column = doppler[detected], column[detected]
     at = power[doppler, column]
 
     def beside(step_doppler: int, step_range: int) -> Tensor:
@@ -88,7 +88,7 @@ def detections(
 
     own = channels[:, doppler, column].T * transmitter_rotation(speed, radar).to(channels.dtype)
     cosines, strength = spectrum_peaks(own, radar, angles_per_cell, dynamic_db)
-    beam_noise = noise[doppler, column] / radar.virtual_channels
+    beam_noise = noise / radar.virtual_channels
     snr_db = 10.0 * (strength / beam_noise[:, None]).log10()
     row, peak = ((snr_db >= radar.detection_snr_db) & (range_m > 0)[:, None]).nonzero(as_tuple=True)
 

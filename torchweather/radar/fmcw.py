@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from torchweather.errors import check_at_least, check_one_of
 from torchweather.radar.beat_signal import beat_signal
-from torchweather.radar.cfar import CellAveragingCfar, OrderStatisticCfar, window_correlation
-from torchweather.radar.detection import detections, peaks_of
+from torchweather.radar.cfar import CellAveragingCfar, Cfar, OrderStatisticCfar, window_correlation
+from torchweather.radar.detection import detections
 from torchweather.radar.range_doppler import check_cube, map_noise_dbm, range_doppler
 from torchweather.radar.scatterers import Scatterers
 from torchweather.radar.volume_echo import VolumeEcho
@@ -26,7 +26,6 @@ from torchweather.weather import Rain, Snow, Weather, check_knobs
 __all__ = ["FmcwRadar", "FmcwResult", "cfar_for"]
 
 CFARS = {"ca": CellAveragingCfar, "os": OrderStatisticCfar}
-Cfar = CellAveragingCfar | OrderStatisticCfar
 SMALLEST_MW = 1e-30  # keeps logarithms finite
 
 
@@ -39,14 +38,12 @@ class FmcwResult:
         snr_db: ``(N,)`` power over the noise of a beam.
         cell: ``(N, 2)`` Doppler and range bin of each point.
         power_dbm: ``(..., N_c, N_s)`` range-Doppler map: mean power of the channels.
-        threshold_dbm: ``(..., N_c, N_s)`` of the detector.
     """
 
     points: Tensor | list[Tensor]
     snr_db: Tensor | list[Tensor]
     cell: Tensor | list[Tensor]
     power_dbm: Tensor
-    threshold_dbm: Tensor
 
 
 def cfar_for(radar: Radar, kind: str = "ca", window_name: str = "hann", **options: Any) -> Cfar:
@@ -221,21 +218,15 @@ class FmcwRadar(nn.Module):
         power = torch.view_as_real(channels).square().mean(1).sum(-1)  # channels first: one long pass
         if not math.isfinite(float(power.detach().sum())):
             raise ValueError("FmcwRadar: cube must be finite, square root of milliwatts; got NaN or infinity in it.")
-        threshold = self.cfar.threshold(power.detach())
-        peaks = peaks_of(power.detach(), power.detach() > threshold)
-        noise = threshold / self.cfar.factors(power.shape[-1]).to(threshold)
         found = [
-            detections(*frame, self.radar, self.window_name, self.angles_per_cell, self.dynamic_db)
-            for frame in zip(channels, power, peaks, noise, strict=True)
+            detections(*frame, self.cfar, self.radar, self.window_name, self.angles_per_cell, self.dynamic_db)
+            for frame in zip(channels, power, strict=True)
         ]
-        maps = [
-            10.0 * value.clamp_min(SMALLEST_MW).log10().reshape(*batch, *value.shape[1:])
-            for value in (power, threshold)
-        ]
+        power_dbm = 10.0 * power.clamp_min(SMALLEST_MW).log10().reshape(*batch, *power.shape[1:])
         points, snr, cell = ([getattr(frame, name) for frame in found] for name in ("points", "snr_db", "cell"))
         if not batch:
-            return FmcwResult(points[0], snr[0], cell[0], *maps)
-        return FmcwResult(points, snr, cell, *maps)
+            return FmcwResult(points[0], snr[0], cell[0], power_dbm)
+        return FmcwResult(points, snr, cell, power_dbm)
 
     @property
     def list_sensor(self) -> Radar:
