@@ -19,6 +19,7 @@ from torchweather.io import (
     RADAR_COLUMNS,
     PointCloud,
     RadarPoints,
+    read_image,
     read_points,
     read_radar,
     write_image,
@@ -26,14 +27,21 @@ from torchweather.io import (
     write_radar,
 )
 from torchweather.io.pcd import read_pcd
+from torchweather.radar import FmcwRadar
+from torchweather.radar.range_doppler import map_noise_dbm
+from torchweather.report.radar_picture import HEADING_PX, TITLE_PX
+from torchweather.report.radar_section import WALKING
+from torchweather.scenes import fog_tunnel, radar_view, test_track
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import parse_weather
+from torchweather.weather import Rain, parse_weather
 
 RADAR = Radar.preset("imaging-77ghz")
 IMAGING = ("--sensor", "radar:imaging-77ghz")
 RAIN = "rain:rate=50"
+SMALL = Radar.preset("awr1843-like")
+SMALL_RADAR = ("--sensor", "radar:awr1843-like")
 
 
 @pytest.fixture
@@ -366,3 +374,131 @@ def test_list_knows_the_radar(run: Any) -> None:
     assert {recipe["transform"] for recipe in recipes} == {"RadarAttenuation"}
     assert {recipe["sensor"] for recipe in recipes} == {"radar:imaging-77ghz", "radar:awr1843-like"}
     assert math.isfinite(sum(recipe["weather"].get("rate_mm_per_h", 0.0) for recipe in recipes))
+
+
+def test_a_scene_is_simulated_clear_and_in_the_weather_with_the_same_noise(run: Any, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code, text, err = run(
+        "apply", "scene:test-track", *SMALL_RADAR, "--weather", "rain:rate=25", "-o", out, "--seed", 5, "--json",
+        "--ego-speed-m-per-s", 1, "--frequency-ghz", 78, "--radome-film-db", 0.5, "--quiet",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    (entry,) = json.loads(text)["files"]
+    assert sorted(path.name for path in out.iterdir()) == ["test-track.npz", "test-track.png", "test-track_clear.npz"]
+    radar = Radar.preset("awr1843-like", frequency_ghz=78.0)
+    scatterers = radar_view(test_track(), radar, ego_speed_m_per_s=1.0, velocity_m_per_s=WALKING).scatterers
+    rainy = FmcwRadar(radar, Rain(rate_mm_per_h=25), ego_speed_m_per_s=1.0, radome_film_db=0.5)
+    for name, simulator, points, of_scene in (
+        ("clear", FmcwRadar(radar), entry["points_clear"], entry["points_clear_scene"]),
+        ("output", rainy, entry["points"], entry["points_scene"]),
+    ):
+        found = read_radar(entry[name])
+        wanted = simulator(scatterers, simulator.draw(scatterers, seed=5))
+        # The simulator works in single precision on one thread here and on all of them there.
+        assert torch.allclose(found.points[:, :6], wanted, rtol=1e-4, atol=1e-3)
+        assert (points, of_scene) == (len(wanted), int((found.column("kind") == PointKind.OBJECT).sum()))
+        assert found.power_source == "file"
+    assert entry["radome_db"] == pytest.approx(0.5 * 25 ** (1 / 3))
+    assert rainy.path is not None
+    assert entry["attenuation_db_per_km"] == pytest.approx(float(rainy.path.attenuation_db_per_km(1)), rel=1e-6)
+    assert entry["attenuation_db_per_km"] == pytest.approx(11.4, abs=0.1)  # ITU-R P.838-3 at 78 GHz, horizontal
+    assert (entry["sensor"], entry["seed"], entry["ego_speed_m_per_s"]) == ("radar:awr1843-like", 5, 1)
+
+
+def test_a_corner_of_the_scene_loses_what_fog_and_cover_take(run: Any, tmp_path: Path) -> None:
+    given = ("--weather", "fog:mor=10", "--radome-loss-db", 6, "-o", tmp_path)
+    code, text, _ = run("apply", "scene:test-track", *SMALL_RADAR, *given, "--json")
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    power = []
+    for name in ("clear", "output"):
+        points = read_radar(entry[name]).points
+        near = torch.linalg.vector_norm(points[:, :2] - torch.tensor([19.692, -3.5]), dim=-1) < 1.0
+        power.append(float(points[near, 4].max()))
+    lost = 6 + 2 * 0.020 * entry["attenuation_db_per_km"]
+    # Noise of a beam, three standard deviations along the weaker signal; fog has no echo of its own.
+    noise_dbm = map_noise_dbm(SMALL, "hann") - 10 * math.log10(SMALL.virtual_channels)
+    ratio = 10 ** ((noise_dbm - power[1]) / 20)
+    assert power[0] - power[1] == pytest.approx(lost, abs=20 * math.log10(1 + 3 * ratio / math.sqrt(2)))
+
+
+def test_points_of_the_scene_are_told_from_those_of_the_rain(run: Any, tmp_path: Path) -> None:
+    code, text, _ = run("apply", "scene:fog-tunnel", *SMALL_RADAR, "--weather", RAIN, "-o", tmp_path, "--json")
+    assert code == 0
+    (entry,) = json.loads(text)["files"]
+    found = read_radar(entry["output"])
+    range_m = torch.linalg.vector_norm(found.points[:, :3], dim=-1)
+    rain = found.column("kind") == PointKind.PARTICLE
+    at = radar_view(fog_tunnel(), SMALL).scatterers.range_m
+    nearest = (range_m[:, None] - at.to(range_m)).abs().amin(-1)
+    # Everything of the tunnel stands still, 8 m away or more: what moves is rain, and so is what is nearer.
+    moves = found.points[:, 3].abs() > 3 * SMALL.speed_resolution_m_per_s
+    assert int(moves.sum()) > 3
+    assert bool(rain[moves].all())
+    assert bool(rain[range_m < 7].all())
+    # The widest window's main lobe is two cells to either side.
+    assert float(nearest[~rain].max()) < 2 * SMALL.range_resolution_m
+    assert entry["points"] - entry["points_scene"] == int(rain.sum())
+
+
+def test_the_picture_of_a_scene_has_clear_and_weather_side_by_side(run: Any, tmp_path: Path) -> None:
+    halves = {}
+    for weather in ("rain:rate=0", RAIN):
+        code, text, _ = run("apply", "scene:fog-tunnel", *SMALL_RADAR, "--weather", weather, "-o", tmp_path, "--json")
+        assert code == 0
+        picture = read_image(json.loads(text)["files"][0]["picture"])[0]
+        assert picture.shape[-1] == 1280
+        # Below the headings, above the bars of the colours.
+        drawn = picture[..., TITLE_PX + HEADING_PX : 1500, :]
+        halves[weather] = drawn[..., :640], drawn[..., 640:]
+        if weather == "rain:rate=0":
+            clear, weathered = (read_radar(tmp_path / f"fog-tunnel{end}.npz").points for end in ("_clear", ""))
+            assert torch.equal(clear, weathered)
+    assert torch.equal(*halves["rain:rate=0"])
+    assert torch.equal(halves[RAIN][0], halves["rain:rate=0"][0])
+    # The map is a quarter of it; the rain's echo is seen on the nearest tenth of the ranges and more.
+    assert float((halves[RAIN][0] != halves[RAIN][1]).any(0).double().mean()) > 0.025
+
+
+def test_a_recipe_sets_the_weather_and_the_models_of_a_scene(run: Any, tmp_path: Path) -> None:
+    given = ("apply", "scene:fog-tunnel", "--recipe", "awr1843-rain-25mm-per-h-d34", "-o", tmp_path)
+    code, text, _ = run(*given)
+    assert code == 0
+    for said in ("scene:fog-tunnel ->", "fog-tunnel_clear.npz", "points clear", "in the weather", "dB/km"):
+        assert said in text
+    (entry,) = json.loads(run(*given, "--json")[1])["files"]
+    published = RadarAttenuation(Rain(rate_mm_per_h=25), SMALL, variant="d3_4").attenuation_db_per_km
+    assert entry["attenuation_db_per_km"] == pytest.approx(float(published), rel=1e-6)
+    assert entry["attenuation_db_per_km"] != pytest.approx(11.4, abs=0.5)  # ITU-R P.838-3
+    assert (entry["sensor"], entry["weather"]["rate_mm_per_h"]) == ("radar:awr1843-like", 25)
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["scene:test-trak", *SMALL_RADAR], "Did you mean 'test-track'?"),
+        (["scene:test-track"], "torchweather demo"),
+        (["scene:test-track", "--sensor", "camera:lucid-triton"], "give --sensor radar:PRESET"),
+        (["scene:test-track", "--sensor", "lidar"], "torchweather demo"),
+        (["scene:test-track", "a.csv", *SMALL_RADAR], "run apply for each"),
+        (["scene:test-track", "scene:test-track", *SMALL_RADAR], "both"),
+        (["scene:test-track", *SMALL_RADAR, "--clutter"], "always in the samples"),
+        (["scene:test-track", *SMALL_RADAR, "--lost", "nan"], "--lost"),
+        (["scene:test-track", *SMALL_RADAR, "--labels", "npz"], "--labels"),
+        (["scene:test-track", *SMALL_RADAR, "--speed", "relative"], "--speed"),
+        (["scene:test-track", *SMALL_RADAR, "--gain", "pattern"], "--gain"),
+        (["scene:test-track", *SMALL_RADAR, "--noise-floor-db", "-120"], "--noise-floor-db"),
+        (["scene:test-track", *SMALL_RADAR, "--ego-speed-m-per-s", "500"], "ego_speed_m_per_s"),
+        (["scene:test-track", *SMALL_RADAR, "--depth", "30"], "--depth is for a camera"),
+        (["scene:test-track", "--recipe", "lidar/os1-fog-50m"], "torchweather demo"),
+    ],
+)
+def test_a_mistake_with_a_scene_gives_one_line_exit_code_2_and_no_file(
+    run: Any, tmp_path: Path, argv: list[str], said: str
+) -> None:
+    code, text, err = run("apply", "--weather", RAIN, *argv, "-o", tmp_path / "out")
+    assert (code, text) == (2, "")
+    (line,) = err.strip().splitlines()
+    assert line.startswith("torchweather: error: apply: ") or "ego_speed" in line
+    assert said in line
+    assert not (tmp_path / "out").exists()

@@ -20,8 +20,11 @@ DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. O
 pixel is a raw Bayer mosaic, a colour file goes through its mosaic and back. A point cloud is KITTI or WADS .bin,
 nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
 (nuScenes' or one's own), .npz or .csv. Each output keeps the name and format of its input (of a .pcap each frame
-becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers of seed + i."""
+becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers of seed + i. With --sensor radar,
+scene:test-track and scene:fog-tunnel simulate the radar's frame of an embedded scene: NAME.npz in the weather,
+NAME_clear.npz in clear air, and NAME.png with both."""
 
+SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.
 CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
 KINDS = ("camera", "lidar", "radar")
@@ -36,7 +39,7 @@ ARGUMENTS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "inputs", nargs="+", type=Path, metavar="IN", help="images, point clouds, detections, or folders"
+        "inputs", nargs="+", type=Path, metavar="IN", help="images, point clouds, detections, folders, or scene:NAME"
     )
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--weather", help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +")
@@ -53,7 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("R", "G", "B"),
         help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
     )
-    parser.add_argument("--ego-speed-m-per-s", type=float, help="speed of the vehicle; a radar's for --clutter")
+    parser.add_argument(
+        "--ego-speed-m-per-s", type=float, help="speed of the vehicle; a radar's: for --clutter, scenes"
+    )
     add_depth_arguments(parser)
     add_camera_arguments(parser)
     add_lidar_arguments(parser)
@@ -86,6 +91,12 @@ def _process(
     args: argparse.Namespace, weather: Weather, recipe: Recipe | None, kind: str, preset: str
 ) -> tuple[list[dict[str, object]], str]:
     """What was done to every frame, as values and as text."""
+    scenes = _scenes(args, kind)
+    if scenes:
+        from torchweather.commands import apply_radar_scene
+
+        done = apply_radar_scene.process(args, weather, recipe, preset, scenes)
+        return done, "\n".join(apply_radar_scene.line(entry) for entry in done)
     if kind == "lidar":
         from torchweather.commands import apply_lidar as work
     elif kind == "radar":
@@ -94,6 +105,19 @@ def _process(
         from torchweather.commands import apply_camera as work  # type: ignore[no-redef]
     done = work.process(args, weather, recipe, preset)
     return done, "\n".join(work.line(entry) for entry in done)
+
+
+def _scenes(args: argparse.Namespace, kind: str) -> list[str]:
+    """Names of the embedded scenes among the inputs, which are all scenes or none."""
+    scenes = [str(path) for path in args.inputs if str(path).startswith(SCENE)]
+    if scenes and kind != "radar":
+        raise ValueError(
+            f"apply: {scenes[0]} is simulated for a radar; give --sensor radar:PRESET. torchweather demo shows the "
+            "embedded scenes as a camera and a LiDAR see them."
+        )
+    if scenes and len(scenes) < len(args.inputs):
+        raise ValueError(f"apply: {scenes[0]} is a scene, other inputs are files; run apply for each.")
+    return [scene.removeprefix(SCENE) for scene in scenes]
 
 
 def _sensor(args: argparse.Namespace, recipe: Recipe | None) -> tuple[str, str]:

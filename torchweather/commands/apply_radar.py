@@ -25,7 +25,7 @@ from torchweather.transforms import RadarAttenuation, RadarResult
 from torchweather.transforms.recipes import Recipe, radar_of
 from torchweather.weather import Weather
 
-__all__ = ["line", "process"]
+__all__ = ["line", "process", "transform_of"]
 
 TRUTH = ("kind", "source", "snr_db", "attenuation_db")
 SOURCES = {
@@ -40,7 +40,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     """Read, weather and write every list of detections; what was done, as plain values."""
     if args.labels == "label":
         raise ValueError("apply: --labels label is for a lidar; give --labels npz.")
-    transform = _transform(args, weather, recipe, preset)
+    transform = transform_of(args, weather, recipe, preset)
     if recipe is None and not preset:
         note(f"no preset: the sensor is radar:{DEFAULT_PRESETS['radar']}.", quiet=args.quiet)
     files = gathered_detections(args.inputs)
@@ -61,7 +61,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     return done
 
 
-def _transform(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> RadarAttenuation:
+def transform_of(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> RadarAttenuation:
     """From the recipe and the arguments, the arguments first."""
     if args.sensor is None and recipe is not None:
         sensor = dict(recipe.sensor)
