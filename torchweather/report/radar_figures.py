@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torchweather.report.figures import STYLE
@@ -49,7 +50,7 @@ def map_uri(frame: RadarFrame, radar: Radar, scale_dbm: tuple[float, float]) -> 
     half_speed, half_range = 0.5 * radar.speed_resolution_m_per_s, 0.5 * radar.range_resolution_m
     with mpl.rc_context({**STYLE, "font.size": 10.5}):
         figure = Figure(figsize=(3.3, 2.75))
-        axes = figure.add_axes((0.145, 0.185, 0.83, 0.795))
+        axes = figure.add_axes((0.165, 0.185, 0.81, 0.795))
         axes.imshow(
             frame.power_dbm.numpy(),
             extent=(-half_range, ranges - half_range, -speeds - half_speed, speeds - half_speed),
@@ -74,6 +75,8 @@ def map_uri(frame: RadarFrame, radar: Radar, scale_dbm: tuple[float, float]) -> 
             )
         axes.set_xlim(-half_range, ranges)
         axes.set_ylim(-speeds, speeds)
+        # Ticks with decimals would push the label out.
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, steps=[1, 2, 5, 10]))
         axes.set_xlabel("range, m", labelpad=1)
         axes.set_ylabel("speed, m/s", labelpad=-2)
         return _png(figure)
@@ -133,6 +136,7 @@ def bar_uri(kind: str, scale_dbm: tuple[float, float], label: str) -> str:
         bar = figure.colorbar(
             mpl.cm.ScalarMappable(Normalize(*scale_dbm), colours), cax=axes, orientation="horizontal", extend="both"
         )
+        bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, steps=[1, 2, 5, 10]))
         bar.outline.set_visible(False)
         bar.set_label(label, labelpad=1)
         axes.tick_params(labelsize=9, length=2)
