@@ -60,11 +60,10 @@ class FixedThreshold:
 
     power_mw: float
 
-    def threshold(self, power: Tensor) -> Tensor:
-        return torch.full_like(power, self.power_mw)
-
-    def factors(self, columns: int) -> Tensor:
-        return torch.ones(columns, dtype=torch.float64)
+    def detect_at(self, power: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+        """Which cells exceed it; it stands for the noise around them."""
+        found = power[rows, columns] > self.power_mw
+        return found, torch.full_like(power[rows, columns][found], self.power_mw)
 
 
 def nothing() -> Scatterers:

@@ -18,8 +18,7 @@ from torchweather.commands.result_files import ResultFiles
 from torchweather.errors import check_one_of
 from torchweather.io import RADAR_COLUMNS, RadarPoints, atomic_write, write_radar
 from torchweather.radar import FmcwRadar, range_doppler
-from torchweather.radar.angles import steering
-from torchweather.radar.range_doppler import transmitter_rotation
+from torchweather.radar.detection import beam_amplitude
 from torchweather.report.radar_picture import radar_picture
 from torchweather.report.radar_section import WALKING
 from torchweather.report.radar_views import RadarFrame
@@ -149,22 +148,14 @@ def _frame(simulator: FmcwRadar, of_scene: FmcwRadar, view: RadarView, seed: int
         points, cell = result.points, result.cell
         assert isinstance(points, Tensor)
         assert isinstance(cell, Tensor)
-        stronger = _stronger(alone, cube - alone, points, cell, simulator)
+        scene, rest = (
+            beam_amplitude(
+                range_doppler(samples, simulator.radar, simulator.window_name), points, cell, simulator.radar
+            )
+            for samples in (alone, cube - alone)
+        )
+        stronger = scene.abs() > rest.abs()
     return RadarFrame(simulator.weather, points, stronger, cell, result.power_dbm, {}, {}, ())
-
-
-def _stronger(one: Tensor, other: Tensor, points: Tensor, cell: Tensor, simulator: FmcwRadar) -> Tensor:
-    """Whether the beam of a point holds more of the samples ``one`` than of ``other``, ``(N,)`` bool."""
-    radar = simulator.radar
-    direction = points[:, 1:3] / torch.linalg.vector_norm(points[:, :3], dim=-1, keepdim=True)
-    weights = steering(direction, radar) * transmitter_rotation(points[:, 3], radar)
-
-    def beam(samples: Tensor) -> Tensor:
-        channels = range_doppler(samples, radar, simulator.window_name)
-        return (channels[:, cell[:, 0], cell[:, 1]].T * weights).sum(-1).abs()
-
-    stronger: Tensor = beam(one) > beam(other)
-    return stronger
 
 
 def _labelled(frame: RadarFrame) -> RadarPoints:

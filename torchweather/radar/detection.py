@@ -9,13 +9,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchweather.physics import target_rcs_dbsm
-from torchweather.radar.angles import spectrum_peaks
+from torchweather.radar.angles import spectrum_peaks, steering
 from torchweather.radar.cfar import Cfar
 from torchweather.radar.range_doppler import range_m_of_bin, speed_m_per_s_of_bin, transmitter_rotation
 from torchweather.radar.windows import tone_place_and_loss
 from torchweather.sensors import Radar
 
-__all__ = ["Detections", "detections", "local_maxima"]
+__all__ = ["Detections", "beam_amplitude", "detections", "local_maxima"]
 
 
 @dataclass(frozen=True)
@@ -108,3 +108,18 @@ def detections(
     columns_of_point = [range_m[row, None] * direction, speed[row, None], power_dbm[:, None], rcs_dbsm[:, None]]
     points = torch.cat([value.float() for value in columns_of_point], -1)
     return Detections(points, snr_db[row, peak].float(), torch.stack([doppler[row], column[row]], -1))
+
+
+def beam_amplitude(channels: Tensor, points: Tensor, cell: Tensor, radar: Radar) -> Tensor:
+    """``(N,)`` complex amplitude in the beam towards each point, in its cell of a map.
+
+    Args:
+        channels: ``(V, N_c, N_s)`` complex map of each channel: the points' own, or that of a part of its samples.
+        points: ``(N, 6)`` as of ``Detections``.
+        cell: ``(N, 2)`` likewise.
+        radar: the sensor.
+    """
+    direction = points[:, 1:3] / torch.linalg.vector_norm(points[:, :3], dim=-1, keepdim=True)
+    weights = steering(direction, radar) * transmitter_rotation(points[:, 3], radar)
+    found: Tensor = (channels[:, cell[:, 0], cell[:, 1]].T * weights).sum(-1)
+    return found

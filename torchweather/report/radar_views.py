@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherWarning
 from torchweather.radar import FmcwRadar, range_doppler
-from torchweather.radar.angles import steering
-from torchweather.radar.range_doppler import transmitter_rotation
+from torchweather.radar.detection import beam_amplitude
 from torchweather.scenes import RadarView, Scene, radar_view
 from torchweather.scenes.primitives import Point
 from torchweather.sensors import Radar
@@ -107,15 +106,10 @@ class RadarScene:
     def _of_scene(self, channels: Tensor, points: Tensor, cell: Tensor, attenuation_db_per_km: float) -> Tensor:
         """Whether the beam of a point holds more of the scene's echo than of everything else."""
         range_m = torch.linalg.vector_norm(points[:, :3], dim=-1)
-        direction = points[:, 1:3] / range_m[:, None]
-        weights = steering(direction, self.radar) * transmitter_rotation(points[:, 3], self.radar)
-
-        def beam(of: Tensor) -> Tensor:
-            return (of[:, cell[:, 0], cell[:, 1]].T * weights).sum(-1)
-
         # A cell is so short that one loss holds for all of it.
-        scene = beam(self.echo) * 10.0 ** (-2e-3 * attenuation_db_per_km * range_m / 20.0)
-        more: Tensor = scene.abs() > (beam(channels) - scene).abs()
+        loss = 10.0 ** (-2e-3 * attenuation_db_per_km * range_m / 20.0)
+        scene = beam_amplitude(self.echo, points, cell, self.radar) * loss
+        more: Tensor = scene.abs() > (beam_amplitude(channels, points, cell, self.radar) - scene).abs()
         return more
 
     def _strongest_dbm(self, name: str, points: Tensor) -> float | None:
