@@ -61,9 +61,9 @@ class FixedThreshold:
     power_mw: float
 
     def detect_at(self, power: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-        """Which cells exceed it; it stands for the noise around them."""
+        """Which cells exceed it; of the noise around them it knows nothing."""
         found = power[rows, columns] > self.power_mw
-        return found, torch.full_like(power[rows, columns][found], self.power_mw)
+        return found, torch.zeros_like(power[rows, columns][found])
 
 
 def nothing() -> Scatterers:

@@ -12,7 +12,7 @@ from torchweather.physics import target_rcs_dbsm
 from torchweather.radar.angles import spectrum_peaks, steering
 from torchweather.radar.cfar import Cfar
 from torchweather.radar.range_doppler import range_m_of_bin, speed_m_per_s_of_bin, transmitter_rotation
-from torchweather.radar.windows import tone_place_and_loss
+from torchweather.radar.windows import migration_share, tone_place_and_loss
 from torchweather.sensors import Radar
 
 __all__ = ["Detections", "beam_amplitude", "detections", "local_maxima"]
@@ -57,7 +57,7 @@ def detections(
 ) -> Detections:
     """Points of one frame's map: the local maxima that the detector takes.
 
-    Range and speed come from the powers beside a peak, which the window's own response turns into a place between bins;
+    Range and speed come from the powers beside a peak, less the noise, which the window's own response turns into a place between bins;
     direction from the channels' phases after the transmitters' turns are taken out.
 
     Args:
@@ -73,13 +73,12 @@ def detections(
     doppler, column = local_maxima(power.detach()).nonzero(as_tuple=True)
     detected, noise = cfar.detect_at(power.detach(), doppler, column)
     doppler, column = doppler[detected], column[detected]
-    at = power[doppler, column]
 
     def beside(step_doppler: int, step_range: int) -> Tensor:
         near = column + step_range
         inside = (near >= 0) & (near < columns)
         value = power[(doppler + step_doppler) % rows, near.clamp(0, columns - 1)]
-        return torch.where(inside, value, at * 0.0)
+        return torch.where(inside, (value - noise).clamp_min(0.0), 0.0)
 
     along_doppler, share_doppler = tone_place_and_loss(beside(-1, 0), beside(1, 0), window_name, rows)
     along_range, share_range = tone_place_and_loss(beside(0, -1), beside(0, 1), window_name, columns)
@@ -95,7 +94,9 @@ def detections(
     left, up = cosines[row, peak].unbind(-1)
     ahead = (1.0 - left.square() - up.square()).clamp_min(0.0).sqrt()
     direction = torch.stack([ahead, left, up], -1)
-    power_dbm = 10.0 * (strength[row, peak] / (share_doppler * share_range)[row]).log10()
+    crossed = speed * (radar.frame_time_s / radar.range_resolution_m)
+    share = share_doppler * share_range * migration_share(crossed, window_name, rows, columns)
+    power_dbm = 10.0 * (strength[row, peak] / share[row]).log10()
     gain_dbi = 2.0 * radar.gain_dbi(torch.atan2(left, ahead), torch.asin(up))
     rcs_dbsm = target_rcs_dbsm(
         power_dbm,

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchweather.errors import check_one_of
 
-__all__ = ["WINDOWS", "noise_bandwidth", "tone_place_and_loss", "window"]
+__all__ = ["WINDOWS", "migration_share", "noise_bandwidth", "tone_place_and_loss", "window"]
 
 # Sums of cosines: coefficients of cos(2 pi k n / N) with alternating signs (Harris 1978, table 1 and section V)
 WINDOWS: dict[str, tuple[float, ...]] = {
@@ -20,6 +20,7 @@ WINDOWS: dict[str, tuple[float, ...]] = {
 }
 PLACES = 1025  # nodes of the table of places between two bins; its error is below 1e-5 of a bin
 NOTHING = 1e-30
+MOST_CROSSED, MIGRATION_NODES = 4.0, 129  # range bins in a frame; linear between the nodes to 1e-4 of the share
 
 
 @lru_cache(maxsize=64)
@@ -99,3 +100,34 @@ def tone_place_and_loss(before: Tensor, after: Tensor, name: str, length: int) -
     width = (lean[right] - lean[right - 1]).clamp_min(NOTHING)
     part = ((seen - lean[right - 1]) / width).clamp(0.0, 1.0)
     return torch.lerp(place[right - 1], place[right], part), torch.lerp(share[right - 1], share[right], part)
+
+
+@lru_cache(maxsize=16)
+def _migration_table(name: str, chirps: int, samples: int) -> Tensor:
+    """Share of a moving tone's power that its peak keeps, over the bins it crosses in the frame."""
+    crossed = torch.linspace(0.0, MOST_CROSSED, MIGRATION_NODES, dtype=torch.float64)
+    slow, fast = (torch.arange(length, dtype=torch.float64) / length - 0.5 for length in (chirps, samples))
+    weights = window(name, samples).to(torch.complex128)
+    rotated = torch.exp(2j * torch.pi * crossed[:, None, None] * slow[:, None] * fast) @ weights
+    return (rotated @ window(name, chirps).to(torch.complex128)).abs().square()
+
+
+def migration_share(crossed_bins: Tensor, name: str, chirps: int, samples: int) -> Tensor:
+    """Share of its power that the peak of a target keeps which crosses range bins within the frame.
+
+    Range and slow time are coupled by ``exp(j 2 pi crossed (m / N_c - 1/2) (n / N_s - 1/2))``.
+
+    Args:
+        crossed_bins: range bins that the target goes in the frame, any shape; held beyond ``MOST_CROSSED``.
+        name: of the window of both transforms.
+        chirps, samples: lengths of the transforms.
+
+    Example:
+        >>> share = migration_share(torch.tensor([0.0, 1.0], dtype=torch.float64), "hann", 64, 64)
+        >>> [round(v, 3) for v in share.tolist()]
+        [1.0, 0.959]
+    """
+    table = _migration_table(name, chirps, samples).to(crossed_bins)
+    place = (crossed_bins.abs() * ((MIGRATION_NODES - 1) / MOST_CROSSED)).clamp_max(MIGRATION_NODES - 1)
+    left = place.detach().floor().clamp_max(MIGRATION_NODES - 2).long()
+    return torch.lerp(table[left], table[left + 1], place - left)
