@@ -57,8 +57,8 @@ def detections(
 ) -> Detections:
     """Points of one frame's map: the local maxima that the detector takes.
 
-    Range and speed come from the powers beside a peak, less the noise, which the window's own response turns into a place between bins;
-    direction from the channels' phases after the transmitters' turns are taken out.
+    Range and speed come from the powers beside a peak, less the noise, which the window's own response turns into a
+    place between bins; direction from the channels' phases after the transmitters' turns are taken out.
 
     Args:
         channels: ``(V, N_c, N_s)`` complex map of each channel.
