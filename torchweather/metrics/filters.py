@@ -1,0 +1,60 @@
+"""Filters of the image scores."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+__all__ = ["automatic_factor", "averaged_down", "filtered", "gaussian_weights", "gradient_magnitude", "root"]
+
+
+def gaussian_weights(size: int, sigma_px: float, like: Tensor) -> Tensor:
+    """``(size,)`` weights that sum to 1."""
+    place = torch.arange(size, device=like.device, dtype=like.dtype) - 0.5 * (size - 1)
+    weights = torch.exp(-place.square() / (2.0 * sigma_px**2))
+    return weights / weights.sum()
+
+
+def filtered(image: Tensor, vertical: Tensor, horizontal: Tensor, padding: str = "valid") -> Tensor:
+    """Each channel correlated with the outer product of two rows of weights.
+
+    Args:
+        image: ``(B, C, H, W)``.
+        vertical, horizontal: ``(k,)`` each.
+        padding: ``valid`` (smaller), ``same`` (zeros around) or ``replicate`` (the edge goes on).
+    """
+    channels = image.shape[1]
+    rows, columns = len(vertical), len(horizontal)
+    if padding == "replicate":
+        edges = (columns // 2, (columns - 1) // 2, rows // 2, (rows - 1) // 2)
+        image = functional.pad(image, edges, mode="replicate")
+    around = (rows // 2, columns // 2) if padding == "same" else (0, 0)
+    tall = vertical.reshape(1, 1, -1, 1).expand(channels, 1, rows, 1)
+    wide = horizontal.reshape(1, 1, 1, -1).expand(channels, 1, 1, columns)
+    found = functional.conv2d(image, tall, padding=(around[0], 0), groups=channels)
+    return functional.conv2d(found, wide, padding=(0, around[1]), groups=channels)
+
+
+def averaged_down(image: Tensor, factor: int) -> Tensor:
+    """Every ``factor``-th pixel of the image averaged over ``factor`` x ``factor``."""
+    return image if factor <= 1 else functional.avg_pool2d(image, factor)
+
+
+def root(value: Tensor) -> Tensor:
+    """Square root of 0 or more whose gradient at 0 is 0."""
+    there = value > 0
+    return torch.where(there, torch.where(there, value, torch.ones_like(value)).sqrt(), torch.zeros_like(value))
+
+
+def gradient_magnitude(image: Tensor, across: tuple[float, ...], along: tuple[float, ...]) -> Tensor:
+    """Length of the gradient of each channel: differences ``along`` smoothed ``across``, zeros around the image."""
+    smooth, differ = (image.new_tensor(weights) for weights in (across, along))
+    return root(filtered(image, smooth, differ, "same").square() + filtered(image, differ, smooth, "same").square())
+
+
+def automatic_factor(height: int, width: int, target: int = 256) -> int:
+    """Factor by which the scores shrink an image to about ``target`` pixels on its shorter side first."""
+    return max(1, math.floor(min(height, width) / target + 0.5))
