@@ -1,7 +1,7 @@
 """Images of the oracle numbers, rebuilt bit for bit: integer arithmetic and numpy only.
 
 `reference(name)` gives a uint8 H x W x 3 image, `distort(reference, kind, level)` its distorted copy, `grey(image)` the
-luma of the pairs marked `colour: false`. Compare `sha(image)` with the hashes in iqa_oracles.json before trusting a number.
+luma of the pairs marked `colour: false`. Compare `sha(image)` with the hashes in iqa_oracles.json first.
 """
 
 import hashlib
