@@ -8,7 +8,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["automatic_factor", "averaged_down", "filtered", "gaussian_weights", "gradient_magnitude", "root"]
+__all__ = [
+    "automatic_factor",
+    "averaged_down",
+    "filtered",
+    "gaussian_weights",
+    "gradient_magnitude",
+    "power",
+    "root",
+    "subsampled",
+]
 
 
 def gaussian_weights(size: int, sigma_px: float, like: Tensor) -> Tensor:
@@ -43,10 +52,23 @@ def averaged_down(image: Tensor, factor: int) -> Tensor:
     return image if factor <= 1 else functional.avg_pool2d(image, factor)
 
 
+def subsampled(image: Tensor, factor: int) -> Tensor:
+    """Averages over ``factor`` x ``factor`` about every ``factor``-th pixel from the first on, zeros around the image:
+    ``(B, C, ceil(H / factor), ceil(W / factor))``, as MATLAB's ``conv2(image, mean, 'same')(1:factor:end)``."""
+    before, after = (factor - 1) // 2, factor // 2
+    return functional.avg_pool2d(functional.pad(image, (before, after, before, after)), factor)
+
+
 def root(value: Tensor) -> Tensor:
     """Square root of 0 or more whose gradient at 0 is 0."""
     there = value > 0
     return torch.where(there, torch.where(there, value, torch.ones_like(value)).sqrt(), torch.zeros_like(value))
+
+
+def power(value: Tensor, exponent: float) -> Tensor:
+    """Value of 0 or more raised to an exponent above 0; its gradient at 0 is 0."""
+    there = value > 0
+    return torch.where(there, torch.where(there, value, torch.ones_like(value)) ** exponent, torch.zeros_like(value))
 
 
 def gradient_magnitude(image: Tensor, across: tuple[float, ...], along: tuple[float, ...]) -> Tensor:
