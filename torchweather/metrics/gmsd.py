@@ -14,6 +14,8 @@ __all__ = ["PREWITT", "deviation", "gmsd"]
 PREWITT = ((1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0), (1.0, 0.0, -1.0))
 # Xue et al. 2014 section III: 170 on a scale of 255
 STEADY = 170.0 / 255.0**2
+# One window of the gradient at half size.
+SMALLEST = 5
 
 
 def gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
@@ -23,7 +25,7 @@ def gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Te
     of ``(2 a b + c) / (a^2 + b^2 + c)``.
 
     Args:
-        distorted, reference: ``(..., C, H, W)`` in ``[0, data_range]``, C = 1 or 3 (luma), 2 pixels or larger.
+        distorted, reference: ``(..., C, H, W)`` in ``[0, data_range]``, C = 1 or 3 (luma), 5 pixels or larger.
         data_range: value of white.
 
     Returns:
@@ -42,7 +44,7 @@ def gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Te
         >>> float(gmsd(ramp, ramp)), float(gmsd(ramp.square(), ramp)) > 0.0
         (0.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=2, owner="gmsd")
+    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="gmsd")
     return per_image(deviation(subsampled(luma(x), 2), subsampled(luma(y), 2), STEADY), reference)
 
 
