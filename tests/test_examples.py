@@ -58,7 +58,7 @@ def run(name: str, arguments: list[str], folder: Path) -> str:
         env=environment,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -106,7 +106,7 @@ def test_an_image_without_its_cloud_is_refused(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 2
     assert "--image, --points and --calibration go together" in done.stderr
@@ -199,7 +199,7 @@ def test_without_a_recording_the_example_says_what_it_needs(name: str, tmp_path:
         env={**environment, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 1
     assert "TORCHWEATHER_REAL_DATA" in done.stderr
