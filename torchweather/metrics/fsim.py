@@ -58,7 +58,7 @@ def fsim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chrom
     factor = automatic_factor(*x.shape[-2:])
     x, y = (averaged_down(WHITE * image, factor) for image in (x, y))
     x, y = (image if image.shape[1] == 1 else yiq(image) for image in (x, y))
-    features = [phase_congruency(image[:, :1]) for image in (x, y)]
+    features = phase_congruency(torch.cat((x[:, :1], y[:, :1]))).chunk(2)
     slopes = [gradient_magnitude(image[:, :1], ACROSS, ALONG) for image in (x, y)]
     local = likeness(features[0], features[1], PHASE) * likeness(slopes[0], slopes[1], GRADIENT)
     if chromatic and x.shape[1] == 3:
