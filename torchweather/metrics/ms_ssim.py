@@ -41,8 +41,9 @@ def ms_ssim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, lu
         ``(...)`` in [0, 1]; higher is better; 1 for identical images. Least size 161 x 161.
 
     Note:
-        The five weights of the paper sum to 1.0001 and are taken as they stand. The gradient of a scale whose mean is
-        negative is 0.
+        The paper leaves open how an odd side is halved: here both sides get a copy of their first line if either is
+        odd, as in METRICS.md's oracle. The five weights of the paper sum to 1.0001 and are taken as they stand. The
+        gradient of a scale whose mean is negative is 0.
 
     References:
         Wang, Simoncelli, Bovik, Multi-scale structural similarity for image quality assessment, Asilomar Conf. Signals,
