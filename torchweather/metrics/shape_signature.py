@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -46,6 +48,7 @@ def shape_signature(points: Tensor, *, seed: int = 0) -> Tensor:
     return _ascending(distance)[place].double()
 
 
+@lru_cache(maxsize=1)  # 16 MB, for the other cloud of the same size
 def _drawn_pairs(n: int, seed: int) -> tuple[Tensor, Tensor]:
     """Rows of 2^20 pairs of different points, the same on every device."""
     generator = torch.Generator().manual_seed(seed)
