@@ -34,7 +34,7 @@ def nearest_distances(distorted: Tensor, reference: Tensor, *, search: str = "au
         Both searches are exact; where two neighbours are equally near, either may get the gradient. The exhaustive
         search compares distances in the clouds' dtype, so it may take one of two neighbours that differ by rounding.
         The tree is slow where thousands of points are nearly equally near: at the centre of a sphere of points 20 000
-        against 20 000 take 2 s on 2 cores, in a street less than 0.1 s.
+        against 20 000 take 2 s on 2 cores, in a street about 0.1 s.
 
     References:
         METRICS.md 2.
