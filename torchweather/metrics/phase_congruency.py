@@ -39,7 +39,8 @@ class Bank(NamedTuple):
 def _frequencies(count: int, like: Tensor) -> Tensor:
     """Cycles per pixel from -0.5, with 0.5 also reached where the count is odd; zero frequency first."""
     steps = torch.arange(count, device=like.device, dtype=like.dtype) - count // 2
-    return torch.fft.ifftshift(steps / max(count - count % 2, 1))
+    found: Tensor = torch.fft.ifftshift(steps / max(count - count % 2, 1))
+    return found
 
 
 def _bank(height: int, width: int, like: Tensor) -> Bank:
