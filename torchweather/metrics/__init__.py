@@ -1,3 +1,26 @@
-"""Scores of images and point clouds against a reference."""
+"""Scores of images and point clouds against a reference, and what they say about weather."""
 
-from __future__ import annotations
+from torchweather.metrics.cloud_scores import CLOUD_SCORES, chamfer_distance, cloud_scores
+from torchweather.metrics.clouds import Region
+from torchweather.metrics.double_validation import double_validation
+from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
+from torchweather.metrics.point_counts import point_counts
+from torchweather.metrics.score import ImageScore, ScoreFacts
+from torchweather.metrics.shape_signature import sdm, shape_signature_distance
+from torchweather.metrics.trends import expected_trends
+
+__all__ = [
+    "CLOUD_SCORES",
+    "IMAGE_SCORES",
+    "ImageScore",
+    "Region",
+    "ScoreFacts",
+    "chamfer_distance",
+    "cloud_scores",
+    "double_validation",
+    "expected_trends",
+    "image_scores",
+    "point_counts",
+    "sdm",
+    "shape_signature_distance",
+]
