@@ -23,6 +23,7 @@ from torchweather.metrics.score import ScoreFacts
 from torchweather.metrics.sr_sim import sr_sim
 from torchweather.metrics.ssim import ssim
 from torchweather.metrics.vif import vif
+from torchweather.metrics.vsi import vsi
 
 __all__ = ["IMAGE_SCORES", "image_scores"]
 
@@ -35,6 +36,7 @@ IMAGE_SCORES: Mapping[str, ScoreFacts] = MappingProxyType(
         "iw_ssim": ScoreFacts(iw_ssim, True, 0.0, 1.0, 1.0, 161),
         "dss": ScoreFacts(dss, True, 0.0, 1.0, 1.0, 8),
         "vif": ScoreFacts(vif, True, 0.0, math.inf, 1.0, 41),
+        "vsi": ScoreFacts(vsi, True, 0.0, 1.0, 1.0, 3),
         "fsim": ScoreFacts(fsim, True, 0.0, 1.0, 1.0, 8),
         "sr_sim": ScoreFacts(sr_sim, True, 0.0, 1.0, 1.0, 12),
         "haarpsi": ScoreFacts(haarpsi, True, 0.0, 1.0, 1.0, 16),
