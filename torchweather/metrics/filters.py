@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 __all__ = [
+    "SCHARR",
     "automatic_factor",
     "averaged_down",
     "filtered",
@@ -18,6 +19,10 @@ __all__ = [
     "root",
     "subsampled",
 ]
+
+
+# Scharr's gradient: smoothing across, difference along
+SCHARR = ((3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0), (1.0, 0.0, -1.0))
 
 
 def gaussian_weights(size: int, sigma_px: float, like: Tensor) -> Tensor:

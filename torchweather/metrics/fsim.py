@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.metrics.colour import yiq
-from torchweather.metrics.filters import automatic_factor, averaged_down, gradient_magnitude
+from torchweather.metrics.filters import SCHARR, automatic_factor, averaged_down, gradient_magnitude
 from torchweather.metrics.pairs import check_pair, per_image
 from torchweather.metrics.phase_congruency import phase_congruency
 from torchweather.metrics.pooling import chroma_likeness, likeness, weighted_mean
@@ -21,9 +21,6 @@ CHROMA_POWER = 0.03
 WHITE = 255.0
 # About one wave of the finest filters
 SMALLEST = 8
-# Scharr
-ACROSS = (3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0)
-ALONG = (1.0, 0.0, -1.0)
 
 
 def fsim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chromatic: bool = True) -> Tensor:
@@ -59,7 +56,7 @@ def fsim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chrom
     x, y = (averaged_down(WHITE * image, factor) for image in (x, y))
     x, y = (image if image.shape[1] == 1 else yiq(image) for image in (x, y))
     features = phase_congruency(torch.cat((x[:, :1], y[:, :1]))).chunk(2)
-    slopes = [gradient_magnitude(image[:, :1], ACROSS, ALONG) for image in (x, y)]
+    slopes = [gradient_magnitude(image[:, :1], *SCHARR) for image in (x, y)]
     local = likeness(features[0], features[1], PHASE) * likeness(slopes[0], slopes[1], GRADIENT)
     if chromatic and x.shape[1] == 3:
         local = local * chroma_likeness(x[:, 1:], y[:, 1:], CHROMA, CHROMA_POWER)

@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from torchweather.metrics.colour import luma, yiq
 from torchweather.metrics.filters import (
+    SCHARR,
     automatic_factor,
     averaged_down,
     filtered,
@@ -28,9 +29,6 @@ SALIENCY = 0.40
 GRADIENT = 225.0
 GRADIENT_POWER = 0.50
 WHITE = 255.0
-# Scharr
-ACROSS = (3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0)
-ALONG = (1.0, 0.0, -1.0)
 # Spectral residual (Hou & Zhang 2007) with the sizes of Zhang & Li 2012: on a quarter of the size
 SHRINK = 0.25
 SMOOTH = 3
@@ -75,7 +73,7 @@ def sr_sim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chr
     x, y = (averaged_down(WHITE * image, factor) for image in (x, y))
     light = luma(x), luma(y)
     salient = [_saliency(plane) for plane in light]
-    slopes = [gradient_magnitude(plane, ACROSS, ALONG) for plane in light]
+    slopes = [gradient_magnitude(plane, *SCHARR) for plane in light]
     local = likeness(salient[0], salient[1], SALIENCY) * likeness(slopes[0], slopes[1], GRADIENT) ** GRADIENT_POWER
     if chromatic and x.shape[1] == 3:
         local = local * chroma_likeness(yiq(x)[:, 1:], yiq(y)[:, 1:], CHROMA, CHROMA_POWER)

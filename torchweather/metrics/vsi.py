@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchweather.metrics.colour import mixed
-from torchweather.metrics.filters import automatic_factor, gradient_magnitude, power, root
+from torchweather.metrics.filters import SCHARR, automatic_factor, gradient_magnitude, power, root
 from torchweather.metrics.pairs import check_pair, per_image
 from torchweather.metrics.pooling import likeness, stretched, weighted_mean
 
@@ -21,9 +21,6 @@ GRADIENT_POWER, CHROMA_POWER = 0.40, 0.02
 WHITE = 255.0
 # Opponent colours of Geusebroek et al. 2001, as the paper has them
 LMN = ((0.06, 0.63, 0.27), (0.30, 0.04, -0.35), (0.34, -0.60, 0.17))
-# Scharr
-ACROSS = (3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0)
-ALONG = (1.0, 0.0, -1.0)
 # Saliency of simple priors (Zhang, Gu & Li 2013): log-Gabor filter, centre, warm colours; on 256 x 256 pixels
 SIDE = 256
 CENTRE_FREQUENCY, BANDWIDTH = 0.021, 1.34
@@ -70,7 +67,7 @@ def vsi(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Ten
     factor = automatic_factor(*x.shape[-2:])
     salient = [_shrunk(_saliency(image), factor) for image in (x, y)]
     lmn = [mixed(_shrunk(image, factor), LMN) for image in (x, y)]
-    slopes = [gradient_magnitude(image[:, :1], ACROSS, ALONG) for image in lmn]
+    slopes = [gradient_magnitude(image[:, :1], *SCHARR) for image in lmn]
     chroma = likeness(lmn[0][:, 1:], lmn[1][:, 1:], CHROMA).prod(1, keepdim=True)
     # Real part of a power of what opposite colours make negative
     turned = torch.where(chroma < 0, math.cos(CHROMA_POWER * math.pi), 1.0)
