@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -223,175 +223,72 @@ def _index_rmse(pair: CloudPair, owner: object) -> Tensor:
     return root(apart.square().sum(-1).mean())
 
 
-def root_mean_square_error(
-    distorted: Clouds,
-    reference: Clouds,
-    *,
-    correspondence: str = "nearest",
-    direction: str = "both",
-    distorted_valid: Clouds | None = None,
-    reference_valid: Clouds | None = None,
-    region: Region | None = None,
-    search: str = "auto",
-) -> Tensor:
+def root_mean_square_error(distorted: Clouds, reference: Clouds, **options: Any) -> Tensor:
     """RMSE, metres: root mean square of the distance to the nearest point, or to the point of the same row.
 
-    Args:
-        distorted, reference: as in ``cloud_scores``.
-        correspondence: ``nearest`` or ``index``.
-        direction: as in ``cloud_scores``.
-        distorted_valid, reference_valid: as in ``cloud_scores``.
-        region: as in ``cloud_scores``.
-        search: as in ``nearest_distances``.
-
-    Returns:
-        ``(...)``, lower is better.
+    Args and Returns: as in ``cloud_scores`` (``correspondence`` is ``nearest`` or ``index``); lower is better.
 
     Example:
         >>> clear = torch.tensor([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
         >>> [round(float(root_mean_square_error(clear.flip(0), clear, correspondence=c)), 6) for c in CORRESPONDENCES]
         [0.0, 1.0]
     """
-    return cloud_scores(
-        distorted,
-        reference,
-        names=("rmse",),
-        correspondence=correspondence,
-        direction=direction,
-        distorted_valid=distorted_valid,
-        reference_valid=reference_valid,
-        region=region,
-        search=search,
-        owner="root_mean_square_error",
-    )["rmse"]
+    return cloud_scores(distorted, reference, names=("rmse",), owner="root_mean_square_error", **options)["rmse"]
 
 
-def _nearest_score(
-    name: str,
-    owner: str,
-    distorted: Clouds,
-    reference: Clouds,
-    direction: str,
-    valid: tuple[Clouds | None, Clouds | None],
-    region: Region | None,
-    search: str,
-) -> Tensor:
-    return cloud_scores(
-        distorted,
-        reference,
-        names=(name,),
-        direction=direction,
-        distorted_valid=valid[0],
-        reference_valid=valid[1],
-        region=region,
-        search=search,
-        owner=owner,
-    )[name]
-
-
-def mean_distance_error(
-    distorted: Clouds,
-    reference: Clouds,
-    *,
-    direction: str = "both",
-    distorted_valid: Clouds | None = None,
-    reference_valid: Clouds | None = None,
-    region: Region | None = None,
-    search: str = "auto",
-) -> Tensor:
+def mean_distance_error(distorted: Clouds, reference: Clouds, **options: Any) -> Tensor:
     """MDE, metres: mean over all points of both clouds of the distance to the other cloud.
 
-    Args and Returns: as in ``cloud_scores``; lower is better.
+    Args and Returns: as in ``cloud_scores``, whose options it takes; lower is better.
 
     Example:
         >>> clear = torch.tensor([[1.0, 0.0, 0.0]])
         >>> round(float(mean_distance_error(torch.cat((clear, 3.0 * clear)), clear)), 3)
         0.667
     """
-    valid = (distorted_valid, reference_valid)
-    return _nearest_score("mde", "mean_distance_error", distorted, reference, direction, valid, region, search)
+    return cloud_scores(distorted, reference, names=("mde",), owner="mean_distance_error", **options)["mde"]
 
 
-def max_mean_distance_error(
-    distorted: Clouds,
-    reference: Clouds,
-    *,
-    direction: str = "both",
-    distorted_valid: Clouds | None = None,
-    reference_valid: Clouds | None = None,
-    region: Region | None = None,
-    search: str = "auto",
-) -> Tensor:
+def max_mean_distance_error(distorted: Clouds, reference: Clouds, **options: Any) -> Tensor:
     """MMDE, metres: the larger of the mean distances to the other cloud.
 
-    Args and Returns: as in ``cloud_scores``; lower is better.
+    Args and Returns: as in ``cloud_scores``, whose options it takes; lower is better.
 
     Example:
         >>> clear = torch.tensor([[1.0, 0.0, 0.0]])
         >>> round(float(max_mean_distance_error(torch.cat((clear, 3.0 * clear)), clear)), 3)
         1.0
     """
-    valid = (distorted_valid, reference_valid)
-    return _nearest_score("mmde", "max_mean_distance_error", distorted, reference, direction, valid, region, search)
+    return cloud_scores(distorted, reference, names=("mmde",), owner="max_mean_distance_error", **options)["mmde"]
 
 
-def hausdorff_distance(
-    distorted: Clouds,
-    reference: Clouds,
-    *,
-    direction: str = "both",
-    distorted_valid: Clouds | None = None,
-    reference_valid: Clouds | None = None,
-    region: Region | None = None,
-    search: str = "auto",
-) -> Tensor:
+def hausdorff_distance(distorted: Clouds, reference: Clouds, **options: Any) -> Tensor:
     """HD, metres: the largest distance of any point to the other cloud.
 
-    Args and Returns: as in ``cloud_scores``; lower is better.
+    Args and Returns: as in ``cloud_scores``, whose options it takes; lower is better.
 
     Example:
         >>> clear = torch.tensor([[1.0, 0.0, 0.0]])
         >>> round(float(hausdorff_distance(torch.cat((clear, 3.0 * clear)), clear)), 3)
         2.0
     """
-    valid = (distorted_valid, reference_valid)
-    return _nearest_score("hd", "hausdorff_distance", distorted, reference, direction, valid, region, search)
+    return cloud_scores(distorted, reference, names=("hd",), owner="hausdorff_distance", **options)["hd"]
 
 
-def hausdorff_distance_95(
-    distorted: Clouds,
-    reference: Clouds,
-    *,
-    direction: str = "both",
-    distorted_valid: Clouds | None = None,
-    reference_valid: Clouds | None = None,
-    region: Region | None = None,
-    search: str = "auto",
-) -> Tensor:
+def hausdorff_distance_95(distorted: Clouds, reference: Clouds, **options: Any) -> Tensor:
     """HD95, metres: the larger 95th percentile of the distances to the other cloud (linear interpolation).
 
-    Args and Returns: as in ``cloud_scores``; lower is better.
+    Args and Returns: as in ``cloud_scores``, whose options it takes; lower is better.
 
     Example:
         >>> clear = torch.tensor([[1.0, 0.0, 0.0]])
         >>> round(float(hausdorff_distance_95(torch.cat((clear, 3.0 * clear)), clear)), 3)
         1.9
     """
-    valid = (distorted_valid, reference_valid)
-    return _nearest_score("hd95", "hausdorff_distance_95", distorted, reference, direction, valid, region, search)
+    return cloud_scores(distorted, reference, names=("hd95",), owner="hausdorff_distance_95", **options)["hd95"]
 
 
-def chamfer_distance(
-    distorted: Clouds,
-    reference: Clouds,
-    *,
-    squared: bool = False,
-    direction: str = "both",
-    distorted_valid: Clouds | None = None,
-    reference_valid: Clouds | None = None,
-    region: Region | None = None,
-    search: str = "auto",
-) -> Tensor:
+def chamfer_distance(distorted: Clouds, reference: Clouds, *, squared: bool = False, **options: Any) -> Tensor:
     """Chamfer distance: sum of the two mean distances to the other cloud, metres, or of their squares, m^2.
 
     Args and Returns: as in ``cloud_scores``; ``squared`` is the form of Fan et al. 2017. Lower is better.
@@ -401,5 +298,5 @@ def chamfer_distance(
         >>> [float(chamfer_distance(3.0 * clear, clear, squared=squared)) for squared in (False, True)]
         [4.0, 8.0]
     """
-    name, valid = "chamfer_squared" if squared else "chamfer", (distorted_valid, reference_valid)
-    return _nearest_score(name, "chamfer_distance", distorted, reference, direction, valid, region, search)
+    name = "chamfer_squared" if squared else "chamfer"
+    return cloud_scores(distorted, reference, names=(name,), owner="chamfer_distance", **options)[name]
