@@ -173,10 +173,10 @@ def test_an_unreadable_image_leaves_the_old_page_as_it_was(tmp_path: Path) -> No
 
 
 def test_a_failure_half_way_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object) -> str:
+    def stop(*_: object, **__: object) -> str:
         raise RuntimeError("disk on fire")
 
-    monkeypatch.setattr(demo_module, "_page", stop)
+    monkeypatch.setattr(demo_module, "html_page", stop)
     monkeypatch.setattr(demo_module, "SECTIONS", SECTIONS[1:2])
     frame = tmp_path / "frame.png"
     write_image(frame, torch.full((1, 16, 24), 900, dtype=torch.uint16))
@@ -200,4 +200,4 @@ def test_depths_must_fit_the_images(tmp_path: Path) -> None:
 def test_templates_are_part_of_the_package() -> None:
     folder = Path(next(iter(report.__path__))) / "templates"
     kinds = {section.kind for section in SECTIONS}
-    assert {f"why_{kind}.html" for kind in kinds} | {"demo.html", "demo.css"} <= {p.name for p in folder.iterdir()}
+    assert {f"why_{kind}.html" for kind in kinds} | {"demo.html", "page.css"} <= {p.name for p in folder.iterdir()}

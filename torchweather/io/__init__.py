@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torchweather.io.adc import ADC_AXES, ADC_QUADRATURES, AdcCube, read_adc, write_adc
-from torchweather.io.atomic import atomic_write
+from torchweather.io.atomic import atomic_folder, atomic_write
 from torchweather.io.batches import (
     collate_indexed,
     collate_list,
@@ -75,6 +75,7 @@ __all__ = [
     "PointCloud",
     "PointLabels",
     "RadarPoints",
+    "atomic_folder",
     "atomic_write",
     "box_visibility",
     "boxes_from_nuscenes",

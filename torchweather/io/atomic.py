@@ -1,8 +1,9 @@
-"""Files that are either written whole or not at all."""
+"""Files and folders that are either written whole or not at all."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from torchweather.errors import TorchweatherError
 
-__all__ = ["atomic_write"]
+__all__ = ["atomic_folder", "atomic_write"]
 
 
 @contextmanager
@@ -40,3 +41,39 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         unfinished.replace(target)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(out_dir: Path) -> Iterator[Path]:
+    """A folder beside ``out_dir`` whose files move into it when the block ends well, ``index.html`` last.
+
+    When the block raises, nothing is left of it and what stood in ``out_dir`` stays as it was.
+
+    Args:
+        out_dir: made where it does not exist; what it holds stays, unless it has the same name.
+    """
+    if out_dir.exists() and not out_dir.is_dir():
+        raise TorchweatherError(f"{out_dir}: wanted a folder to write to; got a file.")
+    out_dir = out_dir.absolute()
+    made = [folder for folder in (out_dir, *out_dir.parents) if not folder.exists()]
+    try:
+        out_dir.parent.mkdir(parents=True, exist_ok=True)
+        staging = out_dir.parent / f".{out_dir.name[:100]}.{uuid.uuid4().hex}"
+        staging.mkdir()
+    except OSError as error:
+        raise TorchweatherError(f"{out_dir}: cannot be written ({error.strerror}). Choose another folder.") from error
+    try:
+        yield staging
+        files = sorted((f for f in staging.rglob("*") if f.is_file()), key=lambda f: (f.name == "index.html", f))
+        for file in files:
+            target = out_dir / file.relative_to(staging)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+    except BaseException:
+        for folder in made[1:]:
+            shutil.rmtree(staging, ignore_errors=True)
+            if not any(folder.iterdir()):
+                folder.rmdir()
+        raise
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)

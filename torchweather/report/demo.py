@@ -5,28 +5,24 @@ from __future__ import annotations
 import json
 import os
 import platform
-import shutil
-import uuid
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import torch
 from tqdm import tqdm
 
 from torchweather import __version__
-from torchweather.errors import TorchweatherError
 from torchweather.image import cfa_index, srgb_encode
-from torchweather.io import atomic_write
+from torchweather.io import atomic_folder, atomic_write
 from torchweather.report.figures import Curve, histogram_uri, map_uri, transmission_uri
 from torchweather.report.frames import Frame, Rendered, embedded_frames, user_frames
 from torchweather.report.lidar_section import lidar_part
 from torchweather.report.lidar_views import lidar_scene
 from torchweather.report.measure import light_path, mean_over_bins, populations, ray_length_m, weather_numbers
+from torchweather.report.page import html_page
 from torchweather.report.pictures import (
     Window,
     brightened,
@@ -122,7 +118,7 @@ def write_demo(
         False
     """
     out_dir = Path(out_dir)
-    with _all_or_nothing(out_dir) as staging:
+    with atomic_folder(out_dir) as staging:
         (staging / "frames").mkdir()
         if images:
             frames = user_frames([Path(image) for image in images], depth, camera)
@@ -166,43 +162,13 @@ def write_demo(
         with atomic_write(staging / "summary.json") as unfinished:
             unfinished.write_text(text, encoding="utf-8")
         with atomic_write(staging / "index.html") as unfinished:
-            unfinished.write_text(_page(summary, pages), encoding="utf-8")
+            unfinished.write_text(html_page("demo.html", summary=summary, subjects=pages), encoding="utf-8")
     found: dict[str, Any] = json.loads(text)
     return found
 
 
 def _sections_of(frame: Frame) -> list[Section]:
     return [section for section in SECTIONS if not frame.indoors or section.kind in INDOOR_KINDS]
-
-
-@contextmanager
-def _all_or_nothing(out_dir: Path) -> Iterator[Path]:
-    """A folder beside ``out_dir`` whose files move into it when the block ends well, the page last."""
-    if out_dir.exists() and not out_dir.is_dir():
-        raise TorchweatherError(f"{out_dir}: wanted a folder to write the demo to; got a file.")
-    out_dir = out_dir.absolute()
-    made = [folder for folder in (out_dir, *out_dir.parents) if not folder.exists()]
-    try:
-        out_dir.parent.mkdir(parents=True, exist_ok=True)
-        staging = out_dir.parent / f".{out_dir.name[:100]}.{uuid.uuid4().hex}"
-        staging.mkdir()
-    except OSError as error:
-        raise TorchweatherError(f"{out_dir}: cannot be written ({error.strerror}). Choose another folder.") from error
-    try:
-        yield staging
-        files = sorted((f for f in staging.rglob("*") if f.is_file()), key=lambda f: (f.name == "index.html", f))
-        for file in files:
-            target = out_dir / file.relative_to(staging)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(target)
-    except BaseException:
-        for folder in made[1:]:
-            shutil.rmtree(staging, ignore_errors=True)
-            if not any(folder.iterdir()):
-                folder.rmdir()
-        raise
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 def _lidar(
@@ -410,17 +376,3 @@ def _histogram(frame: Frame, section: Section, rendered: Sequence[tuple[dict[str
 
     weathers = [(record["label"], per_colour(one.linear)) for record, one in rendered]
     return histogram_uri(per_colour(frame.linear), weathers, section.kind)
-
-
-# ---- the page -------------------------------------------------------------------------------------------------------
-
-
-def _page(summary: dict[str, Any], pages: Sequence[dict[str, Any]]) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("torchweather.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("demo.html").render(summary=summary, subjects=pages)
