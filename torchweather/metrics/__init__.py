@@ -1,5 +1,6 @@
 """Scores of images and point clouds against a reference, and what they say about weather."""
 
+from torchweather.metrics.bayer import bayer_scores
 from torchweather.metrics.cloud_scores import CLOUD_SCORES, chamfer_distance, cloud_scores
 from torchweather.metrics.clouds import Region
 from torchweather.metrics.double_validation import double_validation
@@ -15,6 +16,7 @@ __all__ = [
     "ImageScore",
     "Region",
     "ScoreFacts",
+    "bayer_scores",
     "chamfer_distance",
     "cloud_scores",
     "double_validation",
