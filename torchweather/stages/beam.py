@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -45,6 +46,17 @@ class Beam(nn.Module):
             ("threshold", sensor.threshold_per_m2_sr),
         ):
             self.register_buffer(name, torch.tensor(value, dtype=torch.float32))
+
+    def widened(self, extra_rad: Tensor) -> Beam:
+        """A beam like this one with a larger divergence, ``()`` or ``(B,)`` radians more, full angle.
+
+        Its diameters and areas have the batch first: ``(B, ...)`` for ranges ``(cells, G)``.
+        """
+        found = copy.copy(self)
+        found._buffers = dict(self._buffers)
+        extra = extra_rad.to(self.divergence_rad)
+        found.divergence_rad = self.divergence_rad + (extra.reshape(-1, 1, 1) if extra.ndim else extra)
+        return found
 
     def diameter_m(self, range_m: Tensor) -> Tensor:
         """``D_b = d0 + theta R``, metres."""

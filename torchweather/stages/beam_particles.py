@@ -96,7 +96,7 @@ class BeamParticles(nn.Module):
         self.log_step = (math.log(2.0 * max(brightest, threshold)) - self.log_low) / (SIGNAL_NODES - 1)
 
     def _seen(self, beam: Beam, extinction_per_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Signal of a particle that fills the beam ``(B, cells, G)``, the beam's diameter and area, along the grid."""
+        """Signal of a particle that fills the beam ``(B, cells, G)``; the beam's diameter and area ``(1 or B, ...)``."""
         range_m = self.grid.quadrature_m
         clear = torch.exp(-2.0 * extinction_per_m[:, None, None] * range_m)
         if self.published:
@@ -105,30 +105,34 @@ class BeamParticles(nn.Module):
             full = beam.threshold * (diameter_m / (PUBLISHED_SEEN_M_PER_M * range_m)).square()
             full = full.expand(extinction_per_m.shape[0], *range_m.shape)
             area = 0.25 * math.pi * diameter_m.square() / (1.0 - PUBLISHED_START)
-            return full, diameter_m, area
+            return full, diameter_m[None], area[None]
         brightness_per_sr = self.q_back / (4.0 * math.pi)
         full = brightness_per_sr * beam.near_response(range_m) * clear / range_m.square()
-        return full, beam.diameter_m(range_m), beam.area_m2(range_m)
+        shape = (-1, *range_m.shape)
+        return full, beam.diameter_m(range_m).reshape(shape), beam.area_m2(range_m).reshape(shape)
 
-    def between(self, beam: Beam, extinction_per_m: Tensor) -> Tensor:
+    def between(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
         """Expected number of particles from one node of the signal to the next up to each node of range, ``(B, E, P)``.
 
         Args:
             beam: the sensor's.
             extinction_per_m: ``(B,)`` of all weather together.
+            density_scale: ``(B,)`` particles over those of the rate; ``None`` is 1.
         """
         batch = extinction_per_m.shape[0]
         full, diameter_m, area_m2 = self._seen(beam, extinction_per_m)
         signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES, device=full.device))
         ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
-        log_diameter = 0.5 * torch.log(ratio) + torch.log(diameter_m)
+        log_diameter = 0.5 * torch.log(ratio) + torch.log(diameter_m)[:, None]
         step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
         position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1.0)
         node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
         tails = self._tails(batch)
+        if density_scale is not None:
+            tails = tails * density_scale.to(tails)[:, None]
         flat = node.flatten(1)
         per_m3 = torch.lerp(tails.gather(1, flat), tails.gather(1, flat + 1), (position - node).flatten(1))
-        per_m = torch.where(ratio < 1.0, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2
+        per_m = torch.where(ratio < 1.0, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2[:, None]
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
 

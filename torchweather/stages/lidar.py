@@ -226,6 +226,8 @@ class Extinction(Stage):
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the objects' signals weakened."""
         extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
+        if state.density_scale is not None:
+            extinction = extinction * state.density_scale.to(extinction)
         clear = torch.exp(-2.0 * extinction[:, None] * state.clear_range_m)
         return replace(state, signal=state.signal * clear[..., None], extinction_per_m=extinction)
 
@@ -301,20 +303,29 @@ class ParticleReturns(Stage):
             extinction = torch.zeros(state.batch, dtype=state.signal.dtype, device=state.signal.device)
         ranges, signals = [state.range_m], [state.signal]
         extinction = extinction.to(self.beam.threshold.dtype)
+        beam = self.beam if state.extra_divergence_rad is None else self.beam.widened(state.extra_divergence_rad)
         for kind, part in self.kinds.items():
             arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
-            range_m, signal = self._drawn(part, extinction, arrival, place, state.reach_m.to(extinction.dtype))
+            range_m, signal = self._drawn(part, beam, extinction, arrival, place, state)
             ranges.append(range_m.to(state.range_m.dtype))
             signals.append(signal.to(state.signal.dtype))
         kinds = [state.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
         return replace(state, range_m=_joined(ranges), signal=_joined(signals), kind=_joined(kinds))
 
     def _drawn(
-        self, part: BeamParticles | SoftReturn, extinction: Tensor, arrival: Tensor, place: Tensor, reach_m: Tensor
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        arrival: Tensor,
+        place: Tensor,
+        state: LidarState,
     ) -> tuple[Tensor, Tensor]:
         """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
+        reach_m = state.reach_m.to(extinction.dtype)
         reach, start = part.grid.position(reach_m), part.start(reach_m)
-        table = self._table(part, extinction) if start is None else None
+        density = state.density_scale
+        table = self._table(part, beam, extinction, density) if start is None else None
         ranges, signals = [], []
         arrived = torch.zeros_like(reach)
         for echo in range(part.echoes):
@@ -322,21 +333,25 @@ class ParticleReturns(Stage):
             if table is not None:
                 row, column, exists = table.strongest_before(arrived, own_place, reach)
             else:
-                between = part.between(self.beam, extinction)
+                between = part.between(beam, extinction, density)
                 row, column, exists = strongest_before(between, arrived, own_place, reach, start)
             ranges.append(part.grid.range_m(column) * exists)
-            signals.append(part.signal_at(row, self.beam) * exists)
+            signals.append(part.signal_at(row, beam) * exists)
         return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
 
-    def _table(self, part: BeamParticles | SoftReturn, extinction: Tensor) -> ReturnTable:
+    def _table(
+        self, part: BeamParticles | SoftReturn, beam: Beam, extinction: Tensor, density: Tensor | None
+    ) -> ReturnTable:
         """The table at this weather and sensor; the last one is kept while nothing it depends on has changed."""
-        inputs = [extinction, *part.parameters_of_table(), *self.beam.buffers()]
+        inputs = [extinction, *part.parameters_of_table(), *beam.buffers()]
+        if density is not None:
+            inputs.append(density)
         if is_exporting() or any(value.requires_grad for value in inputs):
-            return ReturnTable.of(part.between(self.beam, extinction))
+            return ReturnTable.of(part.between(beam, extinction, density))
         before, table = self._last_tables.get(part.kind, (None, None))
-        if before is None or table is None or not all(map(_same, before, inputs)):
+        if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
             with torch.no_grad():
-                table = ReturnTable.of(part.between(self.beam, extinction))
+                table = ReturnTable.of(part.between(beam, extinction, density))
             self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
         return table
 
@@ -373,6 +388,8 @@ class Detection(_SensorStage):
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
         threshold, clear_range_m = state.threshold, state.clear_range_m
+        if state.threshold_scale is not None:
+            threshold = threshold * state.threshold_scale.to(threshold)[:, None]
         echoes = [
             _Echoes(*parts)
             for parts in zip(*(values.unbind(-1) for values in (state.range_m, state.signal, state.kind)), strict=True)

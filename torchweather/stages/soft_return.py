@@ -133,9 +133,17 @@ class SoftReturn(nn.Module):
         beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim))
         return beta * self.pulse_length_m * spread
 
-    def between(self, beam: Beam, extinction_per_m: Tensor) -> Tensor:
-        """Lambda from one node of the reading to the next up to each node of range, ``(B, E, P)``."""
+    def between(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
+        """Lambda from one node of the reading to the next up to each node of range, ``(B, E, P)``.
+
+        Args:
+            beam: the sensor's.
+            extinction_per_m: ``(B,)`` of all weather together.
+            density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
+        """
         signal = self.signal(beam, extinction_per_m, self.grid.quadrature_m)  # (B, cells, G)
+        if density_scale is not None:
+            signal = signal * density_scale.to(signal)[:, None, None]
         photons = signal * (self.photons_at_threshold / beam.threshold)
         step = math.log(PHOTON_HIGH / PHOTON_LOW) / (PHOTON_NODES - 1)
         position = (photons.clamp_min(1e-20).log() - math.log(PHOTON_LOW)) / step

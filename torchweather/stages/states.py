@@ -107,6 +107,12 @@ class LidarState:
         threshold: ``()`` signal that is detected.
         integral: ``(B, 1)`` bool, whether the sample's intensities are integers; they then stay integers.
         extinction_per_m: ``(B,)`` effective extinction of all weather together; ``None`` is clear air.
+        density_scale: ``(B,)`` particles in the air over those that the weather says; ``None`` is 1.
+        extra_divergence_rad: ``(B,)`` by which the beam is wider than the sensor says, full angle; ``None`` is 0.
+        threshold_scale: ``(B,)`` threshold of the detection over ``threshold``; ``None`` is 1.
+        cos_incidence: ``(1 or B, N)`` cosine between the beam and the normal of the surface it meets; ``None`` where
+            not known.
+        up: ``(1 or B, N)`` upward component of that normal, -1 to 1; ``None`` where not known.
         grid: rows and columns of an organised cloud, or ``None``.
         points: ``(B, N, C)`` the cloud that goes out; ``None`` until ``to_points``.
         second: ``(B, N, C)`` second returns of a dual-return sensor, likewise.
@@ -123,6 +129,11 @@ class LidarState:
     threshold: Tensor
     integral: Tensor
     extinction_per_m: Tensor | None = None
+    density_scale: Tensor | None = None
+    extra_divergence_rad: Tensor | None = None
+    threshold_scale: Tensor | None = None
+    cos_incidence: Tensor | None = None
+    up: Tensor | None = None
     grid: tuple[int, int] | None = None
     points: Tensor | None = None
     second: Tensor | None = None
@@ -162,6 +173,8 @@ PER_BEAM = (
     "signal",
     "kind",
     "reach_m",
+    "cos_incidence",
+    "up",
 )
 
 

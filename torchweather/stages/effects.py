@@ -1,0 +1,171 @@
+"""Effects: stages that a sensor may have and a plain chain leaves out, each with parameters, an identity and a name.
+
+A missing effect is a missing stage. An ``Effect`` says of itself what a search for it needs: its parameters with units,
+bounds and typical size, where it stands in the chain, along which axes it shows, and what it can be mistaken for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import check_between
+from torchweather.stages.chain import Chain
+from torchweather.stages.registry import register
+from torchweather.stages.stage import Stage
+
+__all__ = ["EFFECTS", "Effect", "Parameter", "register_effect", "with_effects"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that an effect depends on.
+
+    Args:
+        name: of the buffer and of the constructor's argument, with its unit where it has one.
+        unit: for people: ``dB``, ``m``, ``rad``, or ``1`` for a share or a factor.
+        low, high: bounds, both allowed.
+        scale: typical size of the departure from the identity, for the first guess and the prior.
+        identity: value at which the effect does nothing; ``None`` where the parameter says only where or how, and
+            another one whether.
+        default: of the constructor's argument; the identity unless given.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: float
+    identity: float | None = None
+    default: float | None = None
+
+    @property
+    def value(self) -> float:
+        """What the constructor takes where nothing is given."""
+        if self.default is not None:
+            return self.default
+        return self.low if self.identity is None else self.identity
+
+
+class Effect(Stage):
+    """A stage of the catalogue. A subclass declares itself and computes the fields of the state that it changes.
+
+    At its identity an effect gives the state's own bits back. A parameter is a number, or one for each sample of the
+    batch, ``(B,)``; it is a buffer of its name and may require a gradient.
+
+    Class attributes:
+        id: stable name, ``<sensor>.<effect>``.
+        title: what happens, in plain words.
+        term: what the literature calls it.
+        arguments: the parameters, in the order of the catalogue.
+        after: name of the stage of the ready-made chain that it follows.
+        axes: along which it shows.
+        confusable_with: id of another effect to what data would tell the two apart.
+        percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
+        needs: fields of the state without which it cannot work.
+    """
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    term: ClassVar[str]
+    arguments: ClassVar[tuple[Parameter, ...]]
+    after: ClassVar[str]
+    axes: ClassVar[tuple[str, ...]]
+    confusable_with: ClassVar[Mapping[str, str]] = {}
+    percollect: ClassVar[str | None] = None
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, **values: float | Tensor) -> None:
+        super().__init__()
+        unknown = sorted(set(values) - {parameter.name for parameter in self.arguments})
+        if unknown:
+            known = ", ".join(parameter.name for parameter in self.arguments)
+            raise TypeError(f"{type(self).__name__}: its parameters are {known}; got {', '.join(unknown)}.")
+        for parameter in self.arguments:
+            value = values.get(parameter.name, parameter.value)
+            check_between(parameter.name, value, parameter.low, parameter.high, unit=parameter.unit, owner=self)
+            self.register_buffer(parameter.name, torch.as_tensor(value, dtype=torch.float32))
+
+    def config(self) -> dict[str, Any]:
+        """The parameters as numbers, lists where they differ between samples."""
+        return {parameter.name: getattr(self, parameter.name).tolist() for parameter in self.arguments}
+
+    def extra_repr(self) -> str:
+        """The parameters."""
+        return ", ".join(f"{name}={value}" for name, value in self.config().items())
+
+    def value(self, name: str, like: Tensor) -> Tensor:
+        """A parameter in the dtype of a tensor ``(B, ...)``, shaped to broadcast over it."""
+        found: Tensor = getattr(self, name).to(like)
+        if not found.ndim:
+            return found
+        shape = (-1, *(1,) * (like.ndim - 1))
+        return found.reshape(shape)
+
+    @property
+    def at_identity(self) -> Tensor:
+        """Whether the effect does nothing, ``()`` or ``(B,)`` bool."""
+        checked: list[Tensor] = [getattr(self, p.name) == p.identity for p in self.arguments if p.identity is not None]
+        found = checked[0]
+        for one in checked[1:]:
+            found = found & one
+        return found
+
+    def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
+        """The state after the effect."""
+        missing = [name for name in self.needs if getattr(state, name) is None]
+        if missing:
+            raise ValueError(
+                f"{type(self).__name__}: wanted a state with {', '.join(missing)}; this one has none. "
+                f"{self.id} cannot be simulated without."
+            )
+        identity = self.at_identity
+        changed = {}
+        for name, after in self.changes(state, noise).items():
+            before = getattr(state, name)
+            where = identity.reshape(-1, *(1,) * (after.ndim - 1)) if identity.ndim and after.ndim else identity
+            changed[name] = after if before is None else torch.where(where, before, after.to(before.dtype))
+        return replace(state, **changed)
+
+    def changes(self, state: Any, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """New values of the fields of the state that the effect changes; a field that was ``None`` must come out as
+        what stands for ``None`` where the effect is at its identity."""
+        raise NotImplementedError
+
+
+EFFECTS: dict[str, type[Effect]] = {}
+"""Id to class, in the order of the catalogue."""
+
+
+def register_effect(effect: type[Effect]) -> type[Effect]:
+    """Class decorator: put an effect into the catalogue and among the stages of saved chains.
+
+    Example:
+        >>> from torchweather.stages.effects_lidar import EFFECTS
+        >>> EFFECTS["lidar.window_loss"].arguments[0].unit
+        'dB'
+    """
+    if effect.id in EFFECTS and EFFECTS[effect.id].__module__ != effect.__module__:
+        raise ValueError(f"register_effect: {effect.id!r} is there already; choose another id.")
+    EFFECTS[effect.id] = effect
+    return register(effect)
+
+
+def with_effects(chain: Chain, effects: list[Effect]) -> Chain:
+    """A chain with effects put in, each in its place; those of one place in the order of the catalogue.
+
+    Args:
+        chain: of a ready-made transform, or any that has the stages that the effects follow.
+        effects: one of each kind at most.
+    """
+    order = list(EFFECTS)
+    last: dict[str, str] = {}
+    for effect in sorted(effects, key=lambda one: order.index(one.id)):
+        anchor = last.get(effect.after, effect.after)
+        chain = chain.insert(effect, after=anchor)
+        last[effect.after] = effect.default_name
+    return chain
