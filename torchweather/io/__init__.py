@@ -1,4 +1,4 @@
-"""Readers and writers: images, depth, point clouds, radar detections and ADC cubes, labels, boxes, disdrometers."""
+"""Readers and writers: images, depth, points, radar detections and ADC cubes, labels, boxes, drops, tables."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ from torchweather.io.ply import PLY_ENCODINGS
 from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, write_points
 from torchweather.io.radar_points import RADAR_COLUMNS, RADAR_FORMATS, RadarPoints, read_radar, write_radar
+from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 
 __all__ = [
     "ADC_AXES",
@@ -64,6 +65,7 @@ __all__ = [
     "POINT_SUFFIXES",
     "RADAR_COLUMNS",
     "RADAR_FORMATS",
+    "TABLE_SUFFIXES",
     "UNLABELLED",
     "AdcCube",
     "BoxVisibility",
@@ -104,6 +106,7 @@ __all__ = [
     "read_ouster",
     "read_points",
     "read_radar",
+    "read_table",
     "spectrum_from_counts",
     "spectrum_from_drops",
     "split_indexed",
@@ -115,4 +118,5 @@ __all__ = [
     "write_nuscenes_boxes",
     "write_points",
     "write_radar",
+    "write_table",
 ]
