@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.image import PATTERNS, demosaic, develop, mosaic, quantise, srgb_decode, srgb_encode
-from torchweather.metrics import bayer_scores, image_scores
+from torchweather.metrics import BayerScore, bayer_scores, image_scores
 
 SOME = ["psnr", "ssim", "gmsd"]
 
@@ -185,3 +185,32 @@ def test_black_and_identical_mosaics_have_the_ideal_scores() -> None:
             for name, score in found.items():
                 ideal = 0.0 if name in ("gmsd", "ms_gmsd", "mdsi") else 1.0
                 torch.testing.assert_close(score, torch.full_like(score, ideal), rtol=0, atol=1e-5)
+
+
+def test_scores_are_collected_plane_by_plane() -> None:
+    worse, clear = raw_pair(3, side=32)
+    score = BayerScore("ssim", pattern="GBRG", scored_as="planes", encoding="linear")
+    score.update(worse[:1], clear[:1])
+    score.update(worse[1], clear[1])
+    score.update(worse[None, 2:], clear[None, 2:])
+    wanted = bayer_scores(worse, clear, ["ssim"], pattern="GBRG", scored_as="planes", encoding="linear")["ssim"]
+    torch.testing.assert_close(score.per_image(), wanted, rtol=1e-12, atol=0)
+    torch.testing.assert_close(score.compute(), wanted.mean(0), rtol=1e-12, atol=0)
+    assert score.higher_is_better
+    assert not BayerScore("gmsd", pattern="RGGB").higher_is_better
+    with pytest.raises(ValueError, match="Did you mean 'ssim'"):
+        BayerScore("sim", pattern="RGGB")
+
+
+def test_colour_scores_are_one_for_each_mosaic() -> None:
+    worse, clear = raw_pair(2, side=32)
+    score = BayerScore("psnr", pattern="RGGB")
+    with pytest.raises(ValueError, match="psnr: no mosaic was scored"):
+        score.compute()
+    score.update(worse, clear)
+    score.update(worse[0], clear[0])
+    wanted = bayer_scores(worse, clear, ["psnr"], pattern="RGGB")["psnr"]
+    assert score.per_image().tolist() == [*wanted.tolist(), float(wanted[0])]
+    score.reset()
+    with pytest.raises(ValueError, match="no mosaic was scored"):
+        score.per_image()

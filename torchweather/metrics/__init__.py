@@ -1,18 +1,20 @@
 """Scores of images and point clouds against a reference, and what they say about weather."""
 
-from torchweather.metrics.bayer import bayer_scores
+from torchweather.metrics.bayer import BayerScore, bayer_scores
 from torchweather.metrics.cloud_scores import CLOUD_SCORES, chamfer_distance, cloud_scores
 from torchweather.metrics.clouds import Region
 from torchweather.metrics.double_validation import double_validation
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
 from torchweather.metrics.point_counts import point_counts
-from torchweather.metrics.score import ImageScore, ScoreFacts
+from torchweather.metrics.score import CloudScore, ImageScore, ScoreFacts
 from torchweather.metrics.shape_signature import sdm, shape_signature_distance
 from torchweather.metrics.trends import expected_trends
 
 __all__ = [
     "CLOUD_SCORES",
     "IMAGE_SCORES",
+    "BayerScore",
+    "CloudScore",
     "ImageScore",
     "Region",
     "ScoreFacts",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,10 +12,11 @@ from torchweather.errors import check_one_of, check_positive
 from torchweather.image.bayer import PATTERNS, cfa_index, check_even, split_planes
 from torchweather.image.demosaic import demosaic
 from torchweather.image.tone import srgb_encode
-from torchweather.metrics.image_scores import image_scores
+from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
 from torchweather.metrics.pairs import check_pair
+from torchweather.metrics.score import Collected, ScoreFacts
 
-__all__ = ["ENCODINGS", "SCORED_AS", "bayer_scores"]
+__all__ = ["ENCODINGS", "SCORED_AS", "BayerScore", "bayer_scores"]
 
 SCORED_AS = ("demosaic", "planes")
 """What of a mosaic is scored."""
@@ -85,6 +87,50 @@ def bayer_scores(
     scores = image_scores(first, second, names)
     shape = distorted.shape[:-3] if scored_as == "demosaic" else (*distorted.shape[:-3], 4)
     return {name: score.reshape(shape) for name, score in scores.items()}
+
+
+class BayerScore(Collected):
+    """A score of raw mosaics, collected over batches.
+
+    Args:
+        name: of ``IMAGE_SCORES``.
+        pattern, options: as in ``bayer_scores``.
+
+    Example:
+        >>> score = BayerScore("psnr", pattern="RGGB", scored_as="planes", encoding="linear")
+        >>> score.update(torch.full((2, 1, 8, 8), 0.5), torch.full((2, 1, 8, 8), 0.6))
+        >>> score.compute().round(decimals=3), score.per_image().shape
+        (tensor([20., 20., 20., 20.], dtype=torch.float64), torch.Size([2, 4]))
+    """
+
+    def __init__(self, name: str, *, pattern: str, **options: Any) -> None:
+        super().__init__(name, "mosaic")
+        check_one_of("score", name, IMAGE_SCORES, owner=self)
+        self.name, self.pattern, self.options = name, pattern, options
+
+    @property
+    def facts(self) -> ScoreFacts:
+        """What the score is."""
+        return IMAGE_SCORES[self.name]
+
+    @property
+    def higher_is_better(self) -> bool:
+        """Or lower."""
+        return self.facts.higher_is_better
+
+    def forward(self, distorted: Tensor, reference: Tensor) -> Tensor:
+        """Score of each mosaic, ``(...)`` or ``(..., 4)``; nothing is collected, gradients flow."""
+        return bayer_scores(distorted, reference, [self.name], pattern=self.pattern, **self.options)[self.name]
+
+    def update(self, distorted: Tensor, reference: Tensor) -> None:
+        """Collect the scores of mosaics ``(..., 1, H, W)``."""
+        with torch.no_grad():
+            found = self(distorted, reference)
+            self._collect(found.flatten(0, distorted.ndim - 4) if distorted.ndim > 3 else found[None])
+
+    def per_image(self) -> Tensor:
+        """``(n,)`` scores of all mosaics so far, or ``(n, 4)`` of their planes, float64, in order."""
+        return self._collected()
 
 
 def _pictures(light: Tensor, pattern: str, scored_as: str, encoding: str, factors: Tensor) -> Tensor:
