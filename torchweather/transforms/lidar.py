@@ -310,6 +310,14 @@ class LidarWeather(WeatherTransform):
         lead = points.shape[:-2]
         return signal.reshape(*lead, signal.shape[-1]), reported.reshape(*lead, signal.shape[-1])
 
+    def state_of(self, points: Tensor, directions: Tensor | None = None) -> LidarState:
+        """What the chain takes: the beams of a cloud before any stage.
+
+        Args:
+            points, directions: as in ``forward``.
+        """
+        return self._begin(points, directions)[1]
+
     # ---- the border --------------------------------------------------------------------------------------------
 
     def _begin(self, points: Tensor, directions: Tensor | None) -> tuple[Beams, LidarState]:
