@@ -1,0 +1,55 @@
+"""Scenes and conditions: what a study is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from torchweather.gap.frames import Frame, Frames
+from torchweather.weather import Weather
+
+__all__ = ["Condition", "StudyScene"]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyScene:
+    """A place that the sensor looked at in clear air.
+
+    Args:
+        id: its name in the study.
+        clear: frames in clear air, each with its own sensor noise.
+        geometry: arrays that all frames of the scene share; empty where a LiDAR study has none.
+    """
+
+    id: str
+    clear: Frames
+    geometry: Frame
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """A scene in one weather.
+
+    Args:
+        id: its name in the study.
+        scene: name of its scene; empty for links.
+        weather: as recorded; ``None`` is clear air (links: the record is in the frames).
+        frames: as measured in this weather.
+        rel_sd: relative standard deviation of the recorded rate or visibility, 0 where none is stated.
+        time_s: ``(frames,)`` when each was taken, s; ``None`` is unknown.
+        split: ``fit`` or ``holdout``.
+        ego_speed_m_per_s: speed of the vehicle; ``None`` is unknown.
+        exposure_s: of the camera, where it is not the sensor's.
+    """
+
+    id: str
+    scene: str
+    weather: Weather | None
+    frames: Frames
+    rel_sd: float
+    time_s: NDArray[Any] | None
+    split: str
+    ego_speed_m_per_s: float | None
+    exposure_s: float | None
