@@ -51,7 +51,7 @@ PAIRS: dict[str, tuple[Tensor, Tensor]] = {
     "two against two": (draw(2, 7), draw(2, 8)),
     "a fifth moved": (torch.cat((draw(24, 9)[:19], draw(24, 9)[19:] * 0.2)), draw(24, 9)),
     "on a grid": (grid(40, 10), grid(25, 11)),
-    "with lost rows": (lost(36, 12), lost(30, 13)),
+    "with lost rows": (lost(60, 12), lost(72, 13)),
     "far from the origin": (draw(20, 14) + 1e5, draw(22, 15) + 1e5),
     "in a line": (draw(20, 16) * torch.tensor([1.0, 0.0, 0.0]).double(), draw(21, 17) * torch.tensor([1.0, 0.0, 0.0])),
     "none shared": (draw(15, 18) + 500.0, draw(15, 19)),
