@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["note", "plain", "print_json", "print_lines"]
+__all__ = ["note", "plain", "print_json", "print_lines", "spelled"]
 
 
 def plain(value: Any) -> Any:
@@ -27,6 +27,22 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, (str, int)):
         return value
     return str(value)
+
+
+def spelled(value: Any) -> Any:
+    """Values as JSON knows them, but infinite and undefined numbers as the texts ``inf``, ``-inf`` and ``nan``.
+
+    Scores are infinite for a reason (PSNR of identical images), which None would not tell from a missing one.
+
+    Example:
+        >>> spelled({"psnr": math.inf, "ssim": [1.0, math.nan]})
+        {'psnr': 'inf', 'ssim': [1.0, 'nan']}
+    """
+    if isinstance(value, Mapping):
+        return {str(key): spelled(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [spelled(entry) for entry in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else plain(value)
 
 
 def print_json(value: Any) -> None:
