@@ -8,7 +8,7 @@ from dataclasses import replace
 from torchweather.gap.conditions import Condition
 from torchweather.weather import Weather
 
-__all__ = ["FIT", "HOLDOUT", "SPLITS", "resolve_splits", "severity"]
+__all__ = ["FIT", "HOLDOUT", "SPLITS", "condition_group", "resolve_splits", "severity"]
 
 FIT, HOLDOUT = SPLITS = ("fit", "holdout")
 # One of three: two thirds to fit, and an end of the range of severities is held out only where there are two.
@@ -39,21 +39,20 @@ def resolve_splits(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
     Args:
         conditions: with ``split`` ``fit``, ``holdout``, or empty for none stated.
     """
-    stated = {_group(one): one.split for one in reversed(conditions) if one.split}
-    open_groups = {_group(one): one for one in conditions if one.weather is not None and _group(one) not in stated}
+    stated = {condition_group(one): one.split for one in reversed(conditions) if one.split}
     chosen = dict(stated)
     if HOLDOUT not in stated.values():
-        for kind in sorted({str(one.weather.kind) for one in open_groups.values() if one.weather is not None}):
-            ordered = sorted(
-                (severity(one.weather), one.scene, group)
-                for group, one in open_groups.items()
-                if one.weather is not None and one.weather.kind == kind
-            )
+        groups: dict[str, set[tuple[float, str, tuple[str, str]]]] = {}
+        for one in conditions:
+            group = condition_group(one)
+            if one.weather is not None and group not in stated:
+                groups.setdefault(one.weather.kind, set()).add((severity(one.weather), one.scene, group))
+        for ordered in map(sorted, groups.values()):
             chosen |= {group: HOLDOUT for _, _, group in ordered[1::EVERY]}
-    return tuple(one if one.split else replace(one, split=chosen.get(_group(one), FIT)) for one in conditions)
+    return tuple(one if one.split else replace(one, split=chosen.get(condition_group(one), FIT)) for one in conditions)
 
 
-def _group(condition: Condition) -> tuple[str, str]:
-    """What makes two conditions the same one: scene and weather."""
+def condition_group(condition: Condition) -> tuple[str, str]:
+    """What makes two conditions the same one: scene and weather, as text."""
     weather = condition.weather
     return condition.scene, "" if weather is None else repr(sorted(weather.to_dict().items()))
