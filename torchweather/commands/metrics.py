@@ -105,7 +105,6 @@ def run(args: argparse.Namespace) -> int:
 def _sensor(text: str | None) -> str | None:
     """Kind of the sensor that was named."""
     from torchweather.commands.pairs_of_files import KIND_OF_SENSOR
-
     from torchweather.sensors import SENSOR_CLASSES
 
     if text is None:
