@@ -1,8 +1,10 @@
 """Scores of images and point clouds against a reference, and what they say about weather."""
 
 from torchweather.metrics.bayer import BayerScore, bayer_scores
+from torchweather.metrics.box_overlap import bev_iou, box_iou
 from torchweather.metrics.cloud_scores import CLOUD_SCORES, chamfer_distance, cloud_scores
 from torchweather.metrics.clouds import Region
+from torchweather.metrics.detection import AveragePrecision, average_precision
 from torchweather.metrics.double_validation import double_validation
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
 from torchweather.metrics.point_counts import point_counts
@@ -13,12 +15,16 @@ from torchweather.metrics.trends import expected_trends
 __all__ = [
     "CLOUD_SCORES",
     "IMAGE_SCORES",
+    "AveragePrecision",
     "BayerScore",
     "CloudScore",
     "ImageScore",
     "Region",
     "ScoreFacts",
+    "average_precision",
     "bayer_scores",
+    "bev_iou",
+    "box_iou",
     "chamfer_distance",
     "cloud_scores",
     "double_validation",
