@@ -2,6 +2,8 @@
 
 from torchweather.stages.camera import ExtinctionAndAirlight, Quantise
 from torchweather.stages.chain import Chain
+from torchweather.stages.effects import Effect, Parameter, register_effect, with_effects
+from torchweather.stages.effects_lidar import EFFECTS
 from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.particle_veil import ParticleVeil
 from torchweather.stages.path_attenuation import PathAttenuation, WetRadome, weather_attenuation_db_per_km
@@ -12,13 +14,16 @@ from torchweather.stages.states import CameraState, LidarState, PointKind, Radar
 from torchweather.stages.volume_clutter import VolumeClutter
 
 __all__ = [
+    "EFFECTS",
     "STAGES",
     "CameraState",
     "Chain",
     "Detection",
+    "Effect",
     "Extinction",
     "ExtinctionAndAirlight",
     "LidarState",
+    "Parameter",
     "ParticleReturns",
     "ParticleVeil",
     "PathAttenuation",
@@ -33,5 +38,7 @@ __all__ = [
     "VolumeClutter",
     "WetRadome",
     "register",
+    "register_effect",
     "weather_attenuation_db_per_km",
+    "with_effects",
 ]

@@ -96,7 +96,7 @@ class BeamParticles(nn.Module):
         self.log_step = (math.log(2.0 * max(brightest, threshold)) - self.log_low) / (SIGNAL_NODES - 1)
 
     def _seen(self, beam: Beam, extinction_per_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Signal of a particle that fills the beam ``(B, cells, G)``; the beam's diameter and area ``(1 or B, ...)``."""
+        """Signal of a particle that fills the beam ``(B, cells, G)``; the beam's diameter, area ``(1 or B, ...)``."""
         range_m = self.grid.quadrature_m
         clear = torch.exp(-2.0 * extinction_per_m[:, None, None] * range_m)
         if self.published:

@@ -6,7 +6,7 @@ bounds and typical size, where it stands in the chain, along which axes it shows
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -29,7 +29,8 @@ class Parameter:
         name: of the buffer and of the constructor's argument, with its unit where it has one.
         unit: for people: ``dB``, ``m``, ``rad``, or ``1`` for a share or a factor.
         low, high: bounds, both allowed.
-        scale: typical size of the departure from the identity, for the first guess and the prior.
+        scale: typical size of the departure from the identity, for the first guess and the prior; where the identity
+            is infinite, a typical value.
         identity: value at which the effect does nothing; ``None`` where the parameter says only where or how, and
             another one whether.
         default: of the constructor's argument; the identity unless given.
@@ -50,6 +51,20 @@ class Parameter:
             return self.default
         return self.low if self.identity is None else self.identity
 
+    def tensor(self, value: float | Sequence[float] | Tensor, owner: object) -> Tensor:
+        """A value within the bounds as float32, ``()`` or ``(B,)``; anything else is refused."""
+        if isinstance(value, (list, tuple)):
+            value = torch.tensor(value, dtype=torch.float32)
+        unit = "" if self.unit == "1" else self.unit
+        check_between(self.name, value, self.low, self.high, unit=unit, owner=owner)
+        found = torch.as_tensor(value, dtype=torch.float32)
+        if found.ndim > 1:
+            raise ValueError(
+                f"{type(owner).__name__}: {self.name} must be one number or one for each sample, (B,); got "
+                f"{tuple(found.shape)}."
+            )
+        return found
+
 
 class Effect(Stage):
     """A stage of the catalogue. A subclass declares itself and computes the fields of the state that it changes.
@@ -63,6 +78,8 @@ class Effect(Stage):
         term: what the literature calls it.
         arguments: the parameters, in the order of the catalogue.
         after: name of the stage of the ready-made chain that it follows.
+        rank: of several effects at one place, those of lower rank come first; those of one rank in the order of the
+            catalogue.
         axes: along which it shows.
         confusable_with: id of another effect to what data would tell the two apart.
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
@@ -74,21 +91,26 @@ class Effect(Stage):
     term: ClassVar[str]
     arguments: ClassVar[tuple[Parameter, ...]]
     after: ClassVar[str]
+    rank: ClassVar[int] = 0
     axes: ClassVar[tuple[str, ...]]
     confusable_with: ClassVar[Mapping[str, str]] = {}
     percollect: ClassVar[str | None] = None
     needs: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, **values: float | Tensor) -> None:
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if "id" in cls.__dict__:
+            cls.default_name = cls.id.partition(".")[2]
+
+    def __init__(self, **values: float | Sequence[float] | Tensor) -> None:
         super().__init__()
         unknown = sorted(set(values) - {parameter.name for parameter in self.arguments})
         if unknown:
-            known = ", ".join(parameter.name for parameter in self.arguments)
+            known = ", ".join(f"{parameter.name} ({parameter.unit})" for parameter in self.arguments)
             raise TypeError(f"{type(self).__name__}: its parameters are {known}; got {', '.join(unknown)}.")
         for parameter in self.arguments:
             value = values.get(parameter.name, parameter.value)
-            check_between(parameter.name, value, parameter.low, parameter.high, unit=parameter.unit, owner=self)
-            self.register_buffer(parameter.name, torch.as_tensor(value, dtype=torch.float32))
+            self.register_buffer(parameter.name, parameter.tensor(value, owner=self))
 
     def config(self) -> dict[str, Any]:
         """The parameters as numbers, lists where they differ between samples."""
@@ -101,10 +123,7 @@ class Effect(Stage):
     def value(self, name: str, like: Tensor) -> Tensor:
         """A parameter in the dtype of a tensor ``(B, ...)``, shaped to broadcast over it."""
         found: Tensor = getattr(self, name).to(like)
-        if not found.ndim:
-            return found
-        shape = (-1, *(1,) * (like.ndim - 1))
-        return found.reshape(shape)
+        return _over(found, like)
 
     @property
     def at_identity(self) -> Tensor:
@@ -127,14 +146,32 @@ class Effect(Stage):
         changed = {}
         for name, after in self.changes(state, noise).items():
             before = getattr(state, name)
-            where = identity.reshape(-1, *(1,) * (after.ndim - 1)) if identity.ndim and after.ndim else identity
-            changed[name] = after if before is None else torch.where(where, before, after.to(before.dtype))
+            changed[name] = after if before is None else _unless(_over(identity, after), before, after)
         return replace(state, **changed)
 
     def changes(self, state: Any, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """New values of the fields of the state that the effect changes; a field that was ``None`` must come out as
-        what stands for ``None`` where the effect is at its identity."""
+        """New values of the fields of the state that the effect changes.
+
+        A field that was ``None`` must come out as what stands for ``None`` where the effect is at its identity. Echoes
+        may be added at the end of the last dimension; where the effect is at its identity they are empty.
+        """
         raise NotImplementedError
+
+
+def _over(parameter: Tensor, like: Tensor) -> Tensor:
+    """A tensor ``()`` or ``(B,)`` shaped to broadcast over ``(B, ...)``."""
+    return parameter.reshape(-1, *(1,) * (like.ndim - 1)) if parameter.ndim and like.ndim else parameter
+
+
+def _unless(identity: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """The value after an effect, with the bits from before where it is at its identity, and the effect's gradient."""
+    after = after.to(before.dtype)
+    more = after.shape[-1] - before.shape[-1] if after.ndim else 0
+    if more:
+        before = torch.nn.functional.pad(before, (0, more))
+    if after.requires_grad:
+        before = before.detach() + (after - after.detach())
+    return torch.where(identity, before, after)
 
 
 EFFECTS: dict[str, type[Effect]] = {}
@@ -142,7 +179,7 @@ EFFECTS: dict[str, type[Effect]] = {}
 
 
 def register_effect(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: put an effect into the catalogue and among the stages of saved chains.
+    """Put an effect into the catalogue and among the stages of saved chains; also a class decorator.
 
     Example:
         >>> from torchweather.stages.effects_lidar import EFFECTS
@@ -155,16 +192,25 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
     return register(effect)
 
 
-def with_effects(chain: Chain, effects: list[Effect]) -> Chain:
-    """A chain with effects put in, each in its place; those of one place in the order of the catalogue.
+def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:
+    """A chain with effects put in, each in its place, by rank and then in the order of the catalogue.
 
     Args:
         chain: of a ready-made transform, or any that has the stages that the effects follow.
         effects: one of each kind at most.
+
+    Example:
+        >>> from torchweather.sensors import Lidar
+        >>> from torchweather.stages import Chain, Detection, ToPoints
+        >>> from torchweather.stages.effects_lidar import LidarCrosstalk, LidarRangeNoise
+        >>> sensor = Lidar(wavelength_nm=905.0)
+        >>> chain = Chain({"detection": Detection(sensor), "to_points": ToPoints(sensor)})
+        >>> list(with_effects(chain, [LidarCrosstalk(), LidarRangeNoise(std_m=0.02)]).stages)
+        ['detection', 'range_noise', 'crosstalk', 'to_points']
     """
     order = list(EFFECTS)
     last: dict[str, str] = {}
-    for effect in sorted(effects, key=lambda one: order.index(one.id)):
+    for effect in sorted(effects, key=lambda one: (one.rank, order.index(one.id))):
         anchor = last.get(effect.after, effect.after)
         chain = chain.insert(effect, after=anchor)
         last[effect.after] = effect.default_name

@@ -12,7 +12,14 @@ import math
 import torch
 from torch import Tensor
 
-__all__ = ["FULL_SCALE", "are_integers", "dimmed_intensity", "intensity_from_signal", "reflectivity_from_intensity"]
+__all__ = [
+    "FULL_SCALE",
+    "are_integers",
+    "dimmed_intensity",
+    "intensity_from_signal",
+    "intensity_of_reflectivity",
+    "reflectivity_from_intensity",
+]
 
 # Largest value of a unit; None where there is no end.
 FULL_SCALE: dict[str, float | None] = {
@@ -103,12 +110,21 @@ def intensity_from_signal(
         integral: ``(B, 1)``, as above.
         photons_per_signal: K, photons m^2 sr, for the unit ``photons``.
     """
+    return intensity_of_reflectivity(math.pi * signal * range_m.square(), signal * photons_per_signal, unit, integral)
+
+
+def intensity_of_reflectivity(reflectivity: Tensor, photons: Tensor, unit: str, integral: Tensor) -> Tensor:
+    """Intensity of a return, from its reflectivity, or from its photons where those are the unit.
+
+    Args:
+        reflectivity: ``(B, N)``, 1 = Lambertian white.
+        photons: ``(B, N)``, counted.
+        unit: see the module; ``none`` gives 1.
+        integral: ``(B, 1)``, as above.
+    """
     if unit == "none":
-        return torch.ones_like(signal)
-    if unit == "photons":
-        found = signal * photons_per_signal
-    else:
-        found = _intensity_from_reflectivity(math.pi * signal * range_m.square(), unit)
+        return torch.ones_like(reflectivity)
+    found = photons if unit == "photons" else _intensity_from_reflectivity(reflectivity, unit)
     if unit in COUNTED:
         rounded = torch.floor(found)
         ceiling = FULL_SCALE[unit]

@@ -123,6 +123,7 @@ class ToEnergy(_SensorStage):
             range_m=range_m[..., None],
             kind=kind[..., None],
             threshold=self.beam.threshold,
+            sensor=self.sensor,
         )
 
 
@@ -387,9 +388,7 @@ class Detection(_SensorStage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
-        threshold, clear_range_m = state.threshold, state.clear_range_m
-        if state.threshold_scale is not None:
-            threshold = threshold * state.threshold_scale.to(threshold)[:, None]
+        threshold, clear_range_m = state.detected_from, state.clear_range_m
         echoes = [
             _Echoes(*parts)
             for parts in zip(*(values.unbind(-1) for values in (state.range_m, state.signal, state.kind)), strict=True)
@@ -397,7 +396,8 @@ class Detection(_SensorStage):
         zero = torch.zeros_like(clear_range_m)
         # Strength decides; 0 is an echo that is not seen.
         strengths = [torch.where(echo.signal >= threshold, echo.signal, 0.0) for echo in echoes]
-        near = (clear_range_m > 0) & (clear_range_m < self.sensor.near_start_m)
+        # An object without any signal is one that an effect has taken away.
+        near = (clear_range_m > 0) & (clear_range_m < self.sensor.near_start_m) & (echoes[0].signal > 0)
         strengths[0] = torch.where(near, torch.inf, strengths[0])
         strongest = _best(strengths, echoes)
         chosen = [strongest]

@@ -8,6 +8,8 @@ from enum import IntEnum
 import torch
 from torch import Tensor
 
+from torchweather.sensors import Lidar
+
 __all__ = ["CameraState", "LidarState", "PointKind", "RadarState"]
 
 
@@ -114,6 +116,7 @@ class LidarState:
             not known.
         up: ``(1 or B, N)`` upward component of that normal, -1 to 1; ``None`` where not known.
         grid: rows and columns of an organised cloud, or ``None``.
+        sensor: the LiDAR; ``None`` until ``to_energy``.
         points: ``(B, N, C)`` the cloud that goes out; ``None`` until ``to_points``.
         second: ``(B, N, C)`` second returns of a dual-return sensor, likewise.
     """
@@ -135,6 +138,7 @@ class LidarState:
     cos_incidence: Tensor | None = None
     up: Tensor | None = None
     grid: tuple[int, int] | None = None
+    sensor: Lidar | None = None
     points: Tensor | None = None
     second: Tensor | None = None
 
@@ -147,6 +151,13 @@ class LidarState:
     def batch(self) -> int:
         """Number of samples."""
         return self.points_in.shape[0]
+
+    @property
+    def detected_from(self) -> Tensor:
+        """``()`` or ``(B, 1)``: signal from which an echo is detected."""
+        if self.threshold_scale is None:
+            return self.threshold
+        return self.threshold * self.threshold_scale.to(self.threshold)[:, None]
 
     def of_beams(self, part: slice) -> LidarState:
         """The state of a part of the beams, before detection."""
