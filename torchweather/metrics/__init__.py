@@ -4,6 +4,8 @@ from torchweather.metrics.bayer import BayerScore, bayer_scores
 from torchweather.metrics.box_overlap import bev_iou, box_iou
 from torchweather.metrics.cloud_scores import CLOUD_SCORES, chamfer_distance, cloud_scores
 from torchweather.metrics.clouds import Region
+from torchweather.metrics.correlation import Correlation, MetricCorrelation, correlate
+from torchweather.metrics.d34_claim import D34_CLAIM
 from torchweather.metrics.detection import AveragePrecision, average_precision
 from torchweather.metrics.double_validation import double_validation
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
@@ -14,11 +16,14 @@ from torchweather.metrics.trends import expected_trends
 
 __all__ = [
     "CLOUD_SCORES",
+    "D34_CLAIM",
     "IMAGE_SCORES",
     "AveragePrecision",
     "BayerScore",
     "CloudScore",
+    "Correlation",
     "ImageScore",
+    "MetricCorrelation",
     "Region",
     "ScoreFacts",
     "average_precision",
@@ -27,6 +32,7 @@ __all__ = [
     "box_iou",
     "chamfer_distance",
     "cloud_scores",
+    "correlate",
     "double_validation",
     "expected_trends",
     "image_scores",
