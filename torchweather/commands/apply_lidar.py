@@ -15,7 +15,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchweather.commands.cloud_files import CloudFiles
-from torchweather.commands.clouds import CloudFrame, clouds_in, gathered_clouds, lidar_fields
+from torchweather.commands.clouds import CloudFrame, clouds_in, gathered_clouds, lidar_fields, with_ones
 from torchweather.commands.output import note
 from torchweather.errors import TorchweatherError
 from torchweather.explain import explain
@@ -101,7 +101,7 @@ class _Work:
         seed = self.args.seed + self.samples
         self.samples += 1
         without_intensity = self.args.intensity == "none"
-        clear = _with_ones(frame.cloud) if without_intensity else frame.cloud
+        clear = with_ones(frame.cloud) if without_intensity else frame.cloud
         transform = self._transform(clear.columns)
         hit = has_return(clear.points, transform.sensor)
         try:
@@ -170,15 +170,6 @@ class _Work:
         if what not in self.said:
             self.said.add(what)
             note(text, quiet=self.args.quiet)
-
-
-def _with_ones(cloud: PointCloud) -> PointCloud:
-    """A cloud without intensity, with a column of ones in its place."""
-    ones = torch.ones_like(cloud.points[:, :1])
-    return PointCloud(
-        torch.cat([cloud.points[:, :3], ones, cloud.points[:, 3:]], -1),
-        (*cloud.columns[:3], "intensity", *cloud.columns[3:]),
-    )
 
 
 def line(entry: Mapping[str, Any]) -> str:

@@ -17,10 +17,12 @@ __all__ = [
     "LIDAR_ARGUMENTS",
     "CloudFrame",
     "add_lidar_arguments",
+    "add_lidar_fields",
     "clouds_in",
     "gathered_clouds",
     "lidar_fields",
     "stem",
+    "with_ones",
 ]
 
 PCAP = ".pcap"
@@ -40,19 +42,7 @@ LIDAR_ARGUMENTS = (*LIDAR_FIELDS, "intensity", "lost", "complete_scan", "labels"
 def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     """What is known of the LiDAR beyond its preset, and what is to be written."""
     group = parser.add_argument_group("lidar", "replaces what the preset says")
-    group.add_argument("--return-mode", help="strongest, last, first, or dual (second returns get a file NAME_second)")
-    group.add_argument(
-        "--intensity-unit",
-        help="reflectivity, reflectivity_percent, uint8_linear, uint8_calibrated, photons or none",
-    )
-    group.add_argument(
-        "--intensity", metavar="COLUMN", help="the intensity's column, or none; signal has the unit photons"
-    )
-    group.add_argument("--range-at-10-percent-m", type=float, help="range at which 10 %% reflectivity is just seen, m")
-    group.add_argument("--near-start-m", type=float, help="nearer than this, m, it sees nothing of the weather")
-    group.add_argument("--near-full-m", type=float, help="from here on, m, it sees the weather in full")
-    group.add_argument("--max-range-m", type=float, help="largest range, m")
-    group.add_argument("--columns", type=int, help="firings of each ring in a turn, for --complete-scan")
+    add_lidar_fields(group)
     group.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")
     group.add_argument(
         "--lost",
@@ -67,6 +57,23 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--labels-in", type=Path, metavar="DIR", help="folder of the clear clouds' .label, to carry on")
     group.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
+
+
+def add_lidar_fields(group: argparse._ArgumentGroup) -> None:
+    """What is known of the LiDAR beyond its preset."""
+    group.add_argument("--return-mode", help="strongest, last, first, or dual (second returns get a file NAME_second)")
+    group.add_argument(
+        "--intensity-unit",
+        help="reflectivity, reflectivity_percent, uint8_linear, uint8_calibrated, photons or none",
+    )
+    group.add_argument(
+        "--intensity", metavar="COLUMN", help="the intensity's column, or none; signal has the unit photons"
+    )
+    group.add_argument("--range-at-10-percent-m", type=float, help="range at which 10 %% reflectivity is just seen, m")
+    group.add_argument("--near-start-m", type=float, help="nearer than this, m, it sees nothing of the weather")
+    group.add_argument("--near-full-m", type=float, help="from here on, m, it sees the weather in full")
+    group.add_argument("--max-range-m", type=float, help="largest range, m")
+    group.add_argument("--columns", type=int, help="firings of each ring in a turn, for --complete-scan")
 
 
 def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
@@ -145,3 +152,16 @@ def clouds_in(path: Path, args: argparse.Namespace) -> Iterator[CloudFrame]:
     frames = read_ouster(path, args.meta, intensity=args.intensity or "reflectivity")
     for number, frame in enumerate(frames):
         yield CloudFrame(path, number, frame.cloud, frame.directions)
+
+
+def with_ones(cloud: PointCloud) -> PointCloud:
+    """A cloud without intensity, with a column of ones in its place."""
+    import torch
+
+    from torchweather.io import PointCloud
+
+    ones = torch.ones_like(cloud.points[:, :1])
+    return PointCloud(
+        torch.cat([cloud.points[:, :3], ones, cloud.points[:, 3:]], -1),
+        (*cloud.columns[:3], "intensity", *cloud.columns[3:]),
+    )

@@ -6,7 +6,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-__all__ = ["RADAR_ARGUMENTS", "add_radar_arguments", "gathered_detections", "radar_fields", "radar_options"]
+__all__ = [
+    "RADAR_ARGUMENTS",
+    "add_radar_arguments",
+    "add_radar_fields",
+    "gathered_detections",
+    "radar_fields",
+    "radar_options",
+]
 
 # Named as they stand in the arguments.
 RADAR_FIELDS = ("frequency_ghz", "polarisation", "noise_floor_db", "detection_snr_db")
@@ -19,13 +26,18 @@ def add_radar_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "radar", "replaces what the preset says; --lost, --labels npz and --ego-speed-m-per-s are a radar's too"
     )
+    add_radar_fields(group)
+    group.add_argument("--clutter", action="store_true", help="add detections of rain and snow themselves")
+    group.add_argument("--radome-loss-db", type=float, help="two-way loss of a wet cover, whatever the rate")
+    group.add_argument("--radome-film-db", type=float, help="two-way loss of the cover's film at 1 mm/h of rain")
+
+
+def add_radar_fields(group: argparse._ArgumentGroup) -> None:
+    """What is known of the radar beyond its preset, and how its files are read."""
     group.add_argument("--frequency-ghz", type=float, help="carrier, GHz")
     group.add_argument("--polarisation", help="h or v")
     group.add_argument("--noise-floor-db", type=float, help="noise of the detections, in the unit of their power")
     group.add_argument("--detection-snr-db", type=float, help="signal over that noise from which a target is detected")
-    group.add_argument("--clutter", action="store_true", help="add detections of rain and snow themselves")
-    group.add_argument("--radome-loss-db", type=float, help="two-way loss of a wet cover, whatever the rate")
-    group.add_argument("--radome-film-db", type=float, help="two-way loss of the cover's film at 1 mm/h of rain")
     group.add_argument("--speed", help="of nuScenes' velocities: relative to the radar (default), or compensated")
     group.add_argument("--gain", help="of the antennas, where a file has no power: boresight (default) or pattern")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from torchweather.report.pictures import data_uri
 
-__all__ = ["Curve", "SHADES", "histogram_uri", "map_uri", "transmission_uri"]
+__all__ = ["SHADES", "STYLE", "Curve", "histogram_uri", "map_uri", "plain_axes", "svg_uri", "transmission_uri"]
 
 Array = NDArray[np.float64]
 
@@ -70,13 +70,15 @@ class Curve:
     dot: Array
 
 
-def _svg(figure: Figure) -> str:
+def svg_uri(figure: Figure) -> str:
+    """The figure as an SVG that a page can carry; the same numbers give the same text."""
     memory = io.BytesIO()
     figure.savefig(memory, format="svg", metadata={"Date": None, "Creator": None})
     return data_uri(memory.getvalue(), "image/svg+xml")
 
 
-def _plain(axes: Axes) -> None:
+def plain_axes(axes: Axes) -> None:
+    """Axes as all figures of the pages have them: no frame above and to the right, a pale grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
@@ -105,7 +107,7 @@ def transmission_uri(curves: Sequence[Curve], kind: str, distance: str) -> str:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 3.7))
         axes = figure.add_axes((0.125, 0.15, 0.845, 0.83))
-        _plain(axes)
+        plain_axes(axes)
         for number, curve in enumerate(curves):
             colour = _shade(kind, number)
             axes.plot(np.log10(curve.line_m), curve.line, color=colour, linewidth=2, label=curve.label)
@@ -119,7 +121,7 @@ def transmission_uri(curves: Sequence[Curve], kind: str, distance: str) -> str:
         axes.plot([], [], "o", color=MUTED, markersize=5, label="rendered pixels")
         # Where the curves are not: fog's fall early, those of rain and snow late.
         axes.legend(frameon=False, fontsize=9, loc="lower left" if kind in ("rain", "snow") else "upper right")
-        return _svg(figure)
+        return svg_uri(figure)
 
 
 def histogram_uri(
@@ -139,7 +141,7 @@ def histogram_uri(
         figure = Figure(figsize=(10.4, 3.1))
         for number, (colour, values) in enumerate(clear):
             axes = figure.add_axes((0.062 + number * 0.268, 0.165, 0.238, 0.745))
-            _plain(axes)
+            plain_axes(axes)
             share = np.histogram(values, edges)[0] * (100 / len(values))
             axes.stairs(_log(share), edges, baseline=LOG_FLOOR, fill=True, color=CLEAR_FILL, label="Clear")
             axes.stairs(_log(share), edges, baseline=LOG_FLOOR, color=CLEAR_EDGE, linewidth=0.8)
@@ -165,7 +167,7 @@ def histogram_uri(
                 axes.tick_params(labelleft=False)
             if number == len(clear) - 1:
                 axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.03, 1.02))
-        return _svg(figure)
+        return svg_uri(figure)
 
 
 def map_uri(values: Array, label: str, *, low: float, high: float, log: bool, beyond: str | None = None) -> str:

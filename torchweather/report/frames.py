@@ -18,7 +18,6 @@ from torchweather.image import (
     FlatGround,
     as_depth_source,
     cfa_index,
-    colour_means,
     mosaic,
     normalise,
     quantise,
@@ -26,7 +25,8 @@ from torchweather.image import (
 )
 from torchweather.io import read_depth, read_image, write_image
 from torchweather.report.pictures import Look, look_of
-from torchweather.scenes import SceneLabel, fog_tunnel, test_track
+from torchweather.scenes import fog_tunnel, test_track
+from torchweather.scenes.raw_frame import raw_frame
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
 from torchweather.transforms.raw_levels import raw_to_linear
@@ -147,36 +147,28 @@ class Frame:
         write_image(path, data)
 
 
-def _raw(linear: Tensor, camera: Camera) -> Tensor:
-    """Raw numbers of a linear mosaic as the camera delivers them, uint16."""
-    return quantise(linear, torch.int32, camera.black_level, camera.saturation_level).to(torch.uint16)
-
-
 def embedded_frames(camera: Camera, seed: int) -> list[Frame]:
     """The test track and the fog tunnel as raw frames with the camera's bits and its noise."""
-    plain = Camera.from_dict({**camera.to_dict(), "response_knots": None})
-    track = test_track().view(plain, shot_noise_seed=seed)
+    track = raw_frame(test_track(), camera, seed=seed)
     # The tunnel is a side note: half the pixels in each direction show it as well, in a quarter of the time.
-    half = plain.resized(max(2, plain.width // 4 * 2), max(2, plain.height // 4 * 2))
-    tunnel = fog_tunnel().view(half, shot_noise_seed=seed)
-    bright = (tunnel.label == SceneLabel.ROOF) | (tunnel.label == SceneLabel.WALL)
-    red, green, blue = (float(v) for v in colour_means(tunnel.bayer, half.bayer_pattern, mask=bright))
+    half = camera.resized(max(2, camera.width // 4 * 2), max(2, camera.height // 4 * 2))
+    tunnel = raw_frame(fog_tunnel(), half, seed=seed)
     return [
         Frame(
             "test-track",
             "Test track",
-            _raw(track.bayer, plain),
+            track.bayer,
             track.depth_m,
-            plain,
+            track.camera,
             notes=("The scene is computed, so its depth is exact: cars at 28 m and 56 m, grey boards at 21 m.",),
         ),
         Frame(
             "fog-tunnel",
             "Fog tunnel",
-            _raw(tunnel.bayer, half),
+            tunnel.bayer,
             tunnel.depth_m,
-            half,
-            airlight=(red, green, blue),
+            tunnel.camera,
+            airlight=tunnel.airlight,
             indoors=True,
             notes=("No sky is in view: the airlight is the mean signal of the lit walls and roof.",),
         ),

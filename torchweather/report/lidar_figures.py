@@ -21,7 +21,7 @@ from torchweather.report.lidar_views import WeatherCloud
 from torchweather.report.pictures import data_uri
 from torchweather.stages import PointKind
 
-__all__ = ["COLOURS", "birds_eye_uri", "range_images_uri"]
+__all__ = ["COLOURS", "birds_eye_uri", "range_images_uri", "range_rings"]
 
 # Orange against blue and grey: told apart by every eye.
 COLOURS = {"object": "#33424f", "particle": "#e8590c", "lost": "#8fb8e3"}
@@ -43,7 +43,7 @@ def birds_eye_uri(cloud: WeatherCloud, clear: WeatherCloud) -> str:
         width, height = 3.3, 5.1
         figure = Figure(figsize=(width, height))
         axes = figure.add_axes((0.125, 0.085, 0.865, 0.905))
-        _rings(axes)
+        range_rings(axes)
         _dots(axes, clear.points[cloud.lost], COLOURS["lost"], 1.0)
         _dots(axes, cloud.points[cloud.kind == PointKind.OBJECT], COLOURS["object"], 0.9)
         particles = cloud.points[cloud.kind == PointKind.PARTICLE]
@@ -59,7 +59,8 @@ def birds_eye_uri(cloud: WeatherCloud, clear: WeatherCloud) -> str:
         return _png(figure, 190)
 
 
-def _rings(axes: Axes) -> None:
+def range_rings(axes: Axes) -> None:
+    """Circles of equal range around the sensor, with their radius."""
     for radius in RINGS_M:
         axes.add_patch(Circle((0, 0), radius, fill=False, edgecolor=RING, linewidth=0.7, zorder=0))
         # On the ring, to the right of straight ahead, where it stays inside the picture.
