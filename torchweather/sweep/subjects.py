@@ -1,0 +1,295 @@
+"""What a sweep puts weather on: one sensor's clear data, how it is rendered, and how it is scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
+
+import torch
+from torch import Tensor
+
+from torchweather.image import normalise
+from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, Region, bayer_scores, cloud_scores, image_scores
+from torchweather.metrics.clouds import there
+from torchweather.metrics.shape_signature import shape_signature
+from torchweather.radar import FmcwRadar, Scatterers
+from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.transforms import AsBayer, BayerWeather, LidarResult, LidarWeather, RadarAttenuation
+from torchweather.transforms.raw_levels import raw_to_linear
+from torchweather.weather import Weather
+
+__all__ = ["CameraSubject", "LidarSubject", "RadarSceneSubject", "RadarSubject", "Subject"]
+
+# Lower is better in all of them.
+CLOUD_DIRECTIONS = dict.fromkeys(CLOUD_SCORES, "down")
+IMAGE_DIRECTIONS = {name: "up" if facts.higher_is_better else "down" for name, facts in IMAGE_SCORES.items()}
+
+
+class Subject(Protocol):
+    """One sensor's clear data.
+
+    ``name`` is its own, ``scene`` that of all that are judged together: of the frames of a folder, the folder's.
+    ``directions`` says of every score whether higher is better (``up``) or lower (``down``).
+    """
+
+    sensor: ClassVar[str]
+    directions: ClassVar[Mapping[str, str]]
+
+    @property
+    def name(self) -> str:
+        """Of this frame or cloud."""
+
+    @property
+    def scene(self) -> str:
+        """Of all that are judged together."""
+
+    @property
+    def indoors(self) -> bool:
+        """It neither rains nor snows there."""
+
+    def render(self, weather: Weather, seed: int) -> Tensor:
+        """The data in a weather drawn with a seed."""
+
+    def score(self, distorted: Tensor, names: Sequence[str]) -> dict[str, float]:
+        """Scores of rendered data against the clear ones."""
+
+    def facts(self, distorted: Tensor | None) -> dict[str, float]:
+        """Plain quantities that explain scores, of rendered data or of the clear ones (``None``)."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSubject:
+    """A camera's frame with its depth.
+
+    A raw frame is scored as its colour image: linear light of the mosaic, clipped to [0, 1], demosaiced, sRGB-encoded
+    (``bayer_scores``). An RGB frame is scored as it is.
+
+    Args:
+        name: of the frame.
+        data: mosaic ``(1, H, W)`` or RGB ``(3, H, W)``; all fourteen scores take 161 pixels a side.
+        depth_m: ``(1, H, W)`` metres along the optical axis, infinite for the sky.
+        camera: of the size of the frame.
+        scene: of the frames that are judged together; empty: the frame alone.
+        indoors: it neither rains nor snows there.
+        options: of ``BayerWeather``, such as ``airlight``.
+
+    Note:
+        The frame's own noise is in the clear and in the rendered data alike: a score sees the weather alone.
+
+    Example:
+        >>> camera = Camera.preset("lucid-triton").resized(16, 16)
+        >>> subject = CameraSubject("grey", torch.full((1, 16, 16), 0.3), torch.full((1, 16, 16), 40.0), camera,
+        ...     options={"airlight": 0.8})
+        >>> from torchweather.weather import Fog
+        >>> [round(subject.score(subject.render(Fog(mor_m=mor), 0), ["psnr"])["psnr"], 1) for mor in (400.0, 100.0)]
+        [18.8, 11.8]
+    """
+
+    name: str
+    data: Tensor
+    depth_m: Tensor
+    camera: Camera
+    scene: str = ""
+    indoors: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    sensor: ClassVar[str] = "camera"
+    directions: ClassVar[Mapping[str, str]] = IMAGE_DIRECTIONS
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scene", self.scene or self.name)
+
+    @property
+    def is_rgb(self) -> bool:
+        """True for a colour image, False for a mosaic."""
+        return self.data.shape[-3] == 3
+
+    def render(self, weather: Weather, seed: int) -> Tensor:
+        """The frame in a weather, in its own format."""
+        transform = BayerWeather(weather, self.camera, **self.options)
+        taker = AsBayer(transform) if self.is_rgb else transform
+        with torch.no_grad():
+            found: Tensor = taker(self.data, self.depth_m, taker.draw(self.data, seed=seed))
+        return found
+
+    def score(self, distorted: Tensor, names: Sequence[str]) -> dict[str, float]:
+        """Image scores against the clear frame."""
+        first, second = self._light(distorted), self._light(self.data)
+        with torch.no_grad():
+            if self.is_rgb:
+                found = image_scores(first, second, names)
+            else:
+                found = bayer_scores(first, second, names, pattern=self.camera.bayer_pattern)
+        return {name: float(score) for name, score in found.items()}
+
+    def facts(self, distorted: Tensor | None) -> dict[str, float]:
+        """Mean and contrast (standard deviation) of what is in [0, 1]."""
+        light = self._light(self.data if distorted is None else distorted).double()
+        return {"mean": float(light.mean()), "contrast": float(light.std())}
+
+    def _light(self, data: Tensor) -> Tensor:
+        light = normalise(data) if self.is_rgb else raw_to_linear(data, self.camera, self)
+        return light.clamp(0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points that are scored by their distances to the clear ones.
+
+    Args:
+        name: of the cloud.
+        scene: of the clouds that are judged together; empty: the cloud alone.
+        indoors: it neither rains nor snows there.
+        region: points outside are not scored.
+    """
+
+    name: str
+    scene: str = ""
+    indoors: bool = False
+    region: Region | None = None
+
+    directions: ClassVar[Mapping[str, str]] = CLOUD_DIRECTIONS
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scene", self.scene or self.name)
+
+    @property
+    def clear(self) -> Tensor:
+        """The points in clear air."""
+        raise NotImplementedError
+
+    def score(self, distorted: Tensor, names: Sequence[str]) -> dict[str, float]:
+        """Cloud scores of the points that are there against the clear ones."""
+        found = cloud_scores(distorted, self.clear, names=list(names), region=self.region)
+        return {name: float(score) for name, score in found.items()}
+
+    def facts(self, distorted: Tensor | None) -> dict[str, float]:
+        """Number of points, mean distance between two of them, and their median range."""
+        cloud = self.clear if distorted is None else distorted
+        points = cloud[there(cloud, region=self.region)][:, :3].double()
+        found = {"points": float(len(points))}
+        if len(points) > 1:
+            found["pair_distance_m"] = float(shape_signature(points).mean())
+            found["range_m"] = float(torch.linalg.vector_norm(points, dim=-1).median())
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class LidarSubject(_Points):
+    """A LiDAR's cloud.
+
+    Args:
+        name, scene, indoors, region: as in every cloud.
+        points: ``(N, 4 or more)`` x, y, z in metres, intensity in the sensor's unit.
+        lidar: the sensor.
+        beams: ``(N, 3)`` directions of the rows, where known: then empty beams can return light too.
+        options: of ``LidarWeather``.
+
+    Example:
+        >>> wall = torch.tensor([[20.0, 0.1 * k, 0.0, 30.0] for k in range(200)])
+        >>> subject = LidarSubject("wall", points=wall, lidar=Lidar.preset("ouster-os1-128"))
+        >>> from torchweather.weather import Fog
+        >>> scores = [subject.score(subject.render(Fog(mor_m=mor), 0), ["mde"])["mde"] for mor in (400.0, 30.0)]
+        >>> scores[0] < scores[1]
+        True
+    """
+
+    points: Tensor = field(kw_only=True)
+    lidar: Lidar = field(kw_only=True)
+    beams: Tensor | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    sensor: ClassVar[str] = "lidar"
+
+    @property
+    def clear(self) -> Tensor:
+        """The cloud in clear air."""
+        return self.points
+
+    def run(self, weather: Weather, seed: int) -> LidarResult:
+        """The cloud in a weather, with what each point is."""
+        transform = LidarWeather(weather, self.lidar, **self.options)
+        with torch.no_grad():
+            return transform.run(self.points, transform.draw(self.points, seed=seed), directions=self.beams)
+
+    def render(self, weather: Weather, seed: int) -> Tensor:
+        """The cloud in a weather; lost points are zero."""
+        points = self.run(weather, seed).points
+        assert isinstance(points, Tensor)
+        return points
+
+
+@dataclass(frozen=True, eq=False)
+class RadarSubject(_Points):
+    """A radar's list of detections; attenuation weakens them until some are lost.
+
+    Args:
+        name, scene, indoors, region: as in every cloud.
+        points: ``(N, 6)`` x, y, z (m), speed (m/s), power (dB), cross section (dBsm).
+        radar: the sensor.
+        options: of ``RadarAttenuation``.
+    """
+
+    points: Tensor = field(kw_only=True)
+    radar: Radar = field(kw_only=True)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    sensor: ClassVar[str] = "radar"
+
+    @property
+    def clear(self) -> Tensor:
+        """The detections in clear air."""
+        return self.points
+
+    def render(self, weather: Weather, seed: int) -> Tensor:
+        """The detections in a weather; lost ones are zero."""
+        transform = RadarAttenuation(weather, self.radar, **self.options)
+        with torch.no_grad():
+            found = transform(self.points, transform.draw(self.points, seed=seed))
+        assert isinstance(found, Tensor)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class RadarSceneSubject(_Points):
+    """A radar's frame, simulated from scatterers: beat signal, range-Doppler map, detections.
+
+    Args:
+        name, scene, indoors, region: as in every cloud.
+        scatterers: what the radar sees, such as those of ``torchweather.scenes.radar_view``.
+        radar: the sensor.
+        noise_seed: of the receiver's noise.
+        options: of ``FmcwRadar``.
+
+    Note:
+        The receiver's noise is the same with and without weather; a seed draws rain and snow alone. So the clear
+        frame scores as itself, and a difference is the weather's.
+    """
+
+    scatterers: Scatterers = field(kw_only=True)
+    radar: Radar = field(kw_only=True)
+    noise_seed: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
+    _clear: Tensor = field(init=False, repr=False)
+
+    sensor: ClassVar[str] = "radar"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "_clear", self._frame(None, {}))
+
+    @property
+    def clear(self) -> Tensor:
+        """The detections in clear air."""
+        return self._clear
+
+    def render(self, weather: Weather, seed: int) -> Tensor:
+        """The detections in a weather."""
+        return self._frame(weather, FmcwRadar(self.radar, weather, **self.options).draw(self.scatterers, seed=seed))
+
+    def _frame(self, weather: Weather | None, drawn: Mapping[str, Tensor]) -> Tensor:
+        receiver = FmcwRadar(self.radar).draw(self.scatterers, seed=self.noise_seed)
+        with torch.no_grad():
+            found: Tensor = FmcwRadar(self.radar, weather, **self.options)(self.scatterers, {**drawn, **receiver})
+        return found
