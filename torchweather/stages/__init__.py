@@ -2,7 +2,7 @@
 
 from torchweather.stages.camera import ExtinctionAndAirlight, Quantise
 from torchweather.stages.chain import Chain
-from torchweather.stages.effects import Effect, Parameter, register_effect, with_effects
+from torchweather.stages.effects import Effect, Parameter, effect_from_dict, register_effect, with_effects
 from torchweather.stages.effects_lidar import EFFECTS
 from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.particle_veil import ParticleVeil
@@ -37,6 +37,7 @@ __all__ = [
     "ToRadarPoints",
     "VolumeClutter",
     "WetRadome",
+    "effect_from_dict",
     "register",
     "register_effect",
     "weather_attenuation_db_per_km",

@@ -13,12 +13,12 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between
+from torchweather.errors import check_between, check_one_of
 from torchweather.stages.chain import Chain
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 
-__all__ = ["EFFECTS", "Effect", "Parameter", "register_effect", "with_effects"]
+__all__ = ["EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,10 @@ class Effect(Stage):
         """The parameters as numbers, lists where they differ between samples."""
         return {parameter.name: getattr(self, parameter.name).tolist() for parameter in self.arguments}
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: ``effect``, its id, and the parameters."""
+        return {"effect": self.id, **self.config()}
+
     def extra_repr(self) -> str:
         """The parameters."""
         return ", ".join(f"{name}={value}" for name, value in self.config().items())
@@ -190,6 +194,22 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
         raise ValueError(f"register_effect: {effect.id!r} is there already; choose another id.")
     EFFECTS[effect.id] = effect
     return register(effect)
+
+
+def effect_from_dict(values: Mapping[str, Any]) -> Effect:
+    """An effect from its ``to_dict``.
+
+    Example:
+        >>> from torchweather.stages.effects_lidar import EFFECTS
+        >>> effect_from_dict({"effect": "lidar.window_loss", "loss_db": 3.0})
+        LidarWindowLoss(loss_db=3.0)
+    """
+    if not isinstance(values, Mapping):
+        raise TypeError(f"effect_from_dict: wanted a dictionary with effect and its parameters; got {values!r}.")
+    arguments = dict(values)
+    name = arguments.pop("effect", None)
+    check_one_of("effect", name, EFFECTS, owner="effect_from_dict")
+    return EFFECTS[name](**arguments)
 
 
 def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:

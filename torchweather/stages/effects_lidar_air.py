@@ -56,13 +56,23 @@ def sector(state: LidarState, azimuth_rad: Tensor, width_rad: Tensor) -> Tensor:
     By the length of the chord on the unit circle, ``2 sin(width / 4)``, which knows no jump from pi to -pi. A beam
     whose direction is not known, or that points straight up, is in no sector.
     """
-    x, y, _ = state.direction.unbind(-1)
-    horizontal = torch.hypot(x, y)
-    known = horizontal > 0
-    length = torch.where(known, horizontal, 1.0)
-    chord = torch.hypot(x / length - azimuth_rad.cos(), y / length - azimuth_rad.sin())
+    x, y, _ = along_beam(state)
+    square = x * x + y * y
+    known = square > 0
+    per_length = torch.where(known, square, 1.0).rsqrt()
+    chord = (x * per_length - azimuth_rad.cos()).square() + (y * per_length - azimuth_rad.sin()).square()
     # A millionth more, so that a full turn holds the beam that points the other way in single precision too.
-    return known & (chord <= 2.0 * (1.0 + 1e-6) * torch.sin(0.25 * width_rad))
+    return known & (chord <= 4.0 * (1.0 + 1e-6) * torch.sin(0.25 * width_rad).square())
+
+
+def along_beam(state: LidarState) -> tuple[Tensor, Tensor, Tensor]:
+    """x, y, z ``(B, N)`` of a place on each beam: the object, or one at 1 m where there is none; zero if not known."""
+    place = list(state.points_in[..., :3].unbind(-1))
+    if state.empty_direction is not None:
+        seen, given = state.clear_range_m > 0, state.empty_direction.to(state.points_in.dtype).unbind(-1)
+        place = [torch.where(seen, own, other) for own, other in zip(place, given, strict=True)]
+    x, y, z = place
+    return x, y, z
 
 
 class LidarBeamDivergence(Effect):
@@ -82,6 +92,7 @@ class LidarBeamDivergence(Effect):
     term: ClassVar[str] = "beam divergence"
     # Full angles of automotive LiDAR lie between 0.1 and 5 mrad.
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("extra_mrad", "mrad", 0.0, 10.0, scale=1.0, identity=0.0),)
+    percollect: ClassVar[str | None] = "Divergence of outgoing beam"
     after: ClassVar[str] = "extinction"
     axes: ClassVar[tuple[str, ...]] = ("particle_range_m", "particle_intensity")
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -132,6 +143,7 @@ class LidarExtinctionScale(Effect):
     title: ClassVar[str] = "the path takes more or less light than modelled"
     term: ClassVar[str] = "extinction coefficient"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("factor", "1", 0.0, 10.0, scale=0.5, identity=1.0),)
+    percollect: ClassVar[str | None] = "Attenuation by atm. aerosol particles and accumulated hydrometeors"
     after: ClassVar[str] = "extinction"
     axes: ClassVar[tuple[str, ...]] = ("range_m",)
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -165,6 +177,7 @@ class LidarWetTarget(Effect):
     title: ClassVar[str] = "wet surfaces are darker"
     term: ClassVar[str] = "reflectivity of wet surfaces"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("share", "1", 0.0, 1.0, scale=0.3, identity=0.0),)
+    percollect: ClassVar[str | None] = "Object part surface moisture"
     after: ClassVar[str] = "extinction"
     axes: ClassVar[tuple[str, ...]] = ("incidence", "up", "kind")
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -209,6 +222,7 @@ class LidarLimitedExtent(Effect):
     arguments: ClassVar[tuple[Parameter, ...]] = (
         Parameter("extent_m", "m", 0.0, math.inf, scale=50.0, identity=math.inf),
     )
+    percollect: ClassVar[str | None] = "Signal distance in atm. particle volume"
     after: ClassVar[str] = "extinction"
     axes: ClassVar[tuple[str, ...]] = ("range_m", "particle_range_m")
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -246,6 +260,7 @@ class LidarStaticStructure(Effect):
         Parameter("range_m", "m", 0.0, 300.0, scale=10.0, default=10.0),
         Parameter("width_rad", "rad", 0.0, 2.0 * math.pi, scale=0.05, identity=0.0),  # 0.5 m at 10 m
     )
+    percollect: ClassVar[str | None] = "Occlusion by objects"
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("azimuth_rad", "range_m", "frame")
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -257,31 +272,32 @@ class LidarStaticStructure(Effect):
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The cloud as if the structure had been there."""
         assert state.sensor is not None
-        clear_m, direction = state.clear_range_m, state.direction
+        sensor, clear_m = state.sensor, state.clear_range_m
         azimuth_rad, width_rad = self.value("azimuth_rad", clear_m), self.value("width_rad", clear_m)
-        cos_elevation = torch.hypot(direction[..., 0], direction[..., 1]).clamp_min(1e-6)
-        slant_m = self.value("range_m", clear_m) / cos_elevation
+        x, y, z = along_beam(state)
+        horizontal = (x * x + y * y).sqrt()
+        scale = self.value("range_m", clear_m) / horizontal.clamp_min(1e-6)
+        slant_m = scale * (x * x + y * y + z * z).sqrt()
         free = (clear_m == 0) | (clear_m > slant_m)
-        reached = (slant_m >= state.sensor.min_range_m) & (slant_m <= state.sensor.max_range_m)
+        reached = (slant_m >= sensor.min_range_m) & (slant_m <= sensor.max_range_m)
         met = sector(state, azimuth_rad, width_rad) & free & reached
+        seen_m = slant_m.clamp(1e-3, sensor.max_range_m)
+        own_signal = STRUCTURE_REFLECTIVITY / math.pi * sensor.near_response(seen_m) / seen_m.square()
+        photons = own_signal * (sensor.photons_at_threshold / state.threshold)
+        reflectivity = torch.full_like(own_signal, STRUCTURE_REFLECTIVITY)
+        intensity = intensity_of_reflectivity(reflectivity, photons, sensor.intensity_unit, state.integral)
+        columns = list(state.points_in.unbind(-1))
+        place = (x * scale, y * scale, z * scale, intensity)
+        columns[:4] = [torch.where(met, new, old) for new, old in zip(place, columns[:4], strict=True)]
         range_m = torch.where(met, slant_m, clear_m)
-        seen_m = slant_m.clamp(1e-3, state.sensor.max_range_m)
-        response = state.sensor.near_response(seen_m)
-        signal = torch.where(met, STRUCTURE_REFLECTIVITY / math.pi * response / seen_m.square(), state.clear_signal)
-        unit, integral = state.sensor.intensity_unit, state.integral
-        photons = signal * (state.sensor.photons_at_threshold / state.threshold)
-        reflectivity = torch.full_like(signal, STRUCTURE_REFLECTIVITY)
-        intensity = intensity_of_reflectivity(reflectivity, photons, unit, integral)
-        place = torch.cat([direction * slant_m[..., None], intensity[..., None]], -1)
-        columns = torch.where(met[..., None], place, state.points_in[..., :4])
-        kind = torch.where(met, OBJECT, state.kind[..., 0])
+        signal = torch.where(met, own_signal, state.clear_signal)
         return {
-            "points_in": torch.cat([columns, state.points_in[..., 4:]], -1),
+            "points_in": torch.stack(columns, -1),
             "clear_range_m": range_m,
             "clear_signal": signal,
             "range_m": _first(range_m, state.range_m),
             "signal": _first(signal, state.signal),
-            "kind": _first(kind.to(torch.int8), state.kind),
+            "kind": _first(torch.where(met, OBJECT, state.kind[..., 0]).to(torch.int8), state.kind),
             "reach_m": torch.where(met, slant_m, state.reach_m),
         }
 
@@ -307,6 +323,7 @@ class LidarParticleBackscatter(Effect):
     term: ClassVar[str] = "backscatter efficiency"
     # The backscatter of drops is uncertain between 0.094 and 0.6, 8 dB (PHYSICS.md 3.2).
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("gain_db", "dB", -10.0, 10.0, scale=3.0, identity=0.0),)
+    percollect: ClassVar[str | None] = "Backscattering by atm. aerosol particles and accumulated hydrometeors"
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = -2
     axes: ClassVar[tuple[str, ...]] = ("particle_range_m", "particle_intensity")
@@ -372,6 +389,9 @@ class LidarPatchyWeather(Effect):
     title: ClassVar[str] = "the weather comes in gusts and banks"
     term: ClassVar[str] = "inhomogeneous (intermittent) particle density"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("log_std", "1", 0.0, 2.0, scale=0.3, identity=0.0),)
+    percollect: ClassVar[str | None] = (
+        "Spatial differences in number concentration of atm. particles within particle volume"
+    )
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("frame",)
 
@@ -431,14 +451,14 @@ class LidarSpray(Effect):
         like = state.clear_range_m
         start_m = max(state.sensor.near_start_m, state.sensor.min_range_m)
         end_m = torch.where(like > 0, like, state.reach_m)
-        seen = -torch.expm1(-(end_m - start_m).clamp_min(0.0) / SPRAY_LENGTH_M)
+        seen = -torch.expm1((end_m - start_m).clamp_min(0.0) * (-1.0 / SPRAY_LENGTH_M))
         inside = sector(state, self.value("azimuth_rad", like), self.value("width_rad", like))
         mean = torch.where(inside, self.value("strength", like) * seen, 0.0)
         arrival = exponential(noise["arrival"].to(like))
         there = arrival < mean
-        # Divided only where there is a return, so that the logarithm is finite everywhere.
-        ratio = torch.where(there, mean, 1.0) / torch.where(there, arrival, 1.0).clamp_min(1e-9)
-        signal = state.detected_from * torch.where(there, ratio ** (SPRAY_MARGIN_DB * DB), 0.0)
+        # Logarithms only where there is a return, and of an arrival that may be 0 in single precision.
+        above = torch.where(there, mean, 1.0).log() - torch.where(there, arrival, 1.0).clamp_min(1e-9).log()
+        signal = torch.where(there, state.detected_from * torch.exp(SPRAY_MARGIN_DB * DB * above), 0.0)
         range_m = start_m - SPRAY_LENGTH_M * torch.log1p(-noise["place"].to(like) * seen)
         echo = {
             "range_m": torch.where(there, range_m, 0.0),

@@ -118,6 +118,7 @@ class LidarThresholdShift(Effect):
     title: ClassVar[str] = "the detection threshold is another"
     term: ClassVar[str] = "detection threshold"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("shift_db", "dB", -10.0, 10.0, scale=2.0, identity=0.0),)
+    percollect: ClassVar[str | None] = "Detection threshold"
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = -3
     axes: ClassVar[tuple[str, ...]] = ("margin_db",)
@@ -142,6 +143,7 @@ class LidarBlindZone(Effect):
     title: ClassVar[str] = "near returns are suppressed"
     term: ClassVar[str] = "blind zone (minimum range, near-range blanking)"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("range_m", "m", 0.0, 50.0, scale=3.0, identity=0.0),)
+    percollect: ClassVar[str | None] = "Object closer than min. distance"
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = 1
     axes: ClassVar[tuple[str, ...]] = ("particle_range_m",)
@@ -171,6 +173,7 @@ class LidarRangeNoise(Effect):
     term: ClassVar[str] = "range noise (timing jitter)"
     # Data sheets give 0.01 to 0.1 m.
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("std_m", "m", 0.0, 5.0, scale=0.03, identity=0.0),)
+    percollect: ClassVar[str | None] = "Standard deviated measuring error"
     after: ClassVar[str] = "detection"
     axes: ClassVar[tuple[str, ...]] = ("range_residual_spread",)
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -240,6 +243,7 @@ class LidarLastReturn(Effect):
     title: ClassVar[str] = "the last echo is reported"
     term: ClassVar[str] = "last-return mode"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("probability", "1", 0.0, 1.0, scale=0.5, identity=0.0),)
+    percollect: ClassVar[str | None] = "Multiple echos per beam"
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = 2
     axes: ClassVar[tuple[str, ...]] = ("kind", "object_behind")
@@ -280,6 +284,7 @@ class LidarIntensityCompression(Effect):
         Parameter("exponent", "1", 0.1, 5.0, scale=0.3, identity=1.0),
         Parameter("saturation", "1", 0.0, math.inf, scale=100.0, identity=math.inf),
     )
+    percollect: ClassVar[str | None] = "Saturation of photodiode"
     after: ClassVar[str] = "detection"
     axes: ClassVar[tuple[str, ...]] = ("intensity",)
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -365,6 +370,7 @@ class LidarCrosstalk(Effect):
     title: ClassVar[str] = "spurious points appear at any range"
     term: ClassVar[str] = "crosstalk (interference), dark counts"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("probability", "1", 0.0, 1.0, scale=0.003, identity=0.0),)
+    percollect: ClassVar[str | None] = "Crosstalk"
     after: ClassVar[str] = "detection"
     rank: ClassVar[int] = 1
     axes: ClassVar[tuple[str, ...]] = ("particle_range_m", "rate")
@@ -413,6 +419,7 @@ class LidarRingGain(Effect):
     title: ClassVar[str] = "the gain differs from ring to ring"
     term: ClassVar[str] = "per-ring (per-channel) gain calibration"
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("db_per_ring", "dB", -1.0, 1.0, scale=0.03, identity=0.0),)
+    percollect: ClassVar[str | None] = "Photon response non-uniformity noise"
     after: ClassVar[str] = "particle_returns"
     axes: ClassVar[tuple[str, ...]] = ("ring",)
     confusable_with: ClassVar[Mapping[str, str]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -17,12 +17,15 @@ from torchweather.sensors import Lidar
 from torchweather.stages import (
     Chain,
     Detection,
+    Effect,
     Extinction,
     LidarState,
     ParticleReturns,
     PointKind,
     ToEnergy,
     ToPoints,
+    effect_from_dict,
+    with_effects,
 )
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.expected_detection import expected_detection
@@ -92,6 +95,7 @@ class LidarWeather(WeatherTransform):
         complete_scan: infer the beams without return that an unorganised cloud lacks from the sensor's scan pattern.
         variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
             ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
+        effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
 
     Note:
         Single scattering. The beam is uniform inside its cone. Rows without return are simulated only where their
@@ -122,6 +126,7 @@ class LidarWeather(WeatherTransform):
         lost: str = "zero",
         complete_scan: bool = False,
         variant: str | None = None,
+        effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
         super().__init__()
         self._check_weather(weather)
@@ -134,7 +139,7 @@ class LidarWeather(WeatherTransform):
         self.lost, self.complete_scan = lost, complete_scan
         published = "d3_4" if variant == "d3_4" else None
         parts = weather.parts
-        self.chain = Chain(
+        plain = Chain(
             {
                 "to_energy": ToEnergy(sensor),
                 "extinction": Extinction(parts, sensor, q_eff, fog_extinction, published),
@@ -143,6 +148,8 @@ class LidarWeather(WeatherTransform):
                 "to_points": ToPoints(sensor),
             }
         )
+        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
+        self.chain = with_effects(plain, built)
 
     def _check_variant(self, weather: Weather, variant: str | None) -> None:
         name, kinds = type(self).__name__, [part.kind for part in weather.parts]
@@ -219,8 +226,9 @@ class LidarWeather(WeatherTransform):
         batch, count = state.kind.shape[:2]
         rows = torch.arange(count, device=points.device)
         source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
-        extinction = self._stage(Extinction).extinction_per_m(batch).to(state.reach_m)
-        transmission = torch.exp(-2.0 * extinction[:, None] * state.reach_m)
+        transmission = torch.ones_like(state.reach_m)
+        if state.extinction_per_m is not None:
+            transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * state.reach_m)
         second = second_source = second_kind = None
         if state.second is not None:
             kind = state.kind[..., 1]
@@ -238,7 +246,7 @@ class LidarWeather(WeatherTransform):
             second=second,
             second_source=second_source,
             second_kind=second_kind,
-            empty_beams=(state.clear_range_m == 0).sum(-1).reshape(lead),
+            empty_beams=(before.clear_range_m == 0).sum(-1).reshape(lead),
             floored_points=self._floored(before).reshape(lead),
             scan=beams.scan,
         )
@@ -304,6 +312,12 @@ class LidarWeather(WeatherTransform):
         Returns:
             ``(..., N)`` each; 0 for rows without return. Differentiable in rates, visibility and sensor parameters.
         """
+        effects = [stage.id for stage in self.chain.stages.values() if isinstance(stage, Effect)]
+        if effects:
+            raise ValueError(
+                f"{type(self).__name__}: expected knows the plain chain, without {', '.join(effects)}. Average draws "
+                "of run() instead."
+            )
         _, state = self._begin(points, directions)
         stages = [self._stage(kind) for kind in (ToEnergy, Extinction, ParticleReturns, Detection)]
         signal, reported = expected_detection(state, *stages)
@@ -384,9 +398,16 @@ class LidarWeather(WeatherTransform):
         for start in range(0, beams, size):
             part = slice(start, start + size)
             found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
-        points, second, kind = ([getattr(part, name) for part in found] for name in ("points", "second", "kind"))
-        seconds = None if second[0] is None else torch.cat(second, 1)
-        return replace(state, points=torch.cat(points, 1), second=seconds, kind=torch.cat(kind, 1))
+        names = ("points", "second", "kind", "reach_m")
+        points, second, kind, reach_m = ([getattr(part, name) for part in found] for name in names)
+        return replace(
+            state,
+            points=torch.cat(points, 1),
+            second=None if second[0] is None else torch.cat(second, 1),
+            kind=torch.cat(kind, 1),
+            reach_m=torch.cat(reach_m, 1),
+            extinction_per_m=found[0].extinction_per_m,
+        )
 
     def _floored(self, state: LidarState) -> Tensor:
         stage = self._stage(ToEnergy)

@@ -13,6 +13,7 @@ from torchweather.image.depth import ConstantDepth, FlatGround
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import (
     Chain,
+    Effect,
     Extinction,
     ExtinctionAndAirlight,
     ParticleReturns,
@@ -88,7 +89,8 @@ def _lidar_options(transform: LidarWeather) -> dict[str, Any]:
     for stage in transform.chain.stages.values():
         if isinstance(stage, (Extinction, ParticleReturns)):
             found |= stage.options
-    return found
+    effects = [stage.to_dict() for stage in transform.chain.stages.values() if isinstance(stage, Effect)]
+    return found | ({"effects": effects} if effects else {})
 
 
 def _radar_options(transform: RadarAttenuation) -> dict[str, Any]:
