@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -229,8 +229,8 @@ class FrameRule:
             for axis, size in zip(rule.shape, array.shape, strict=True)
         )
         if not fits:
-            known = [str(sizes.get(axis, axis)) if isinstance(axis, str) else str(axis) for axis in rule.shape]
-            told = f" = ({', '.join(known)}) as in {self.sizes_from}" if self.sizes_from and rule.shape else ""
+            known = tuple(sizes.get(axis, axis) if isinstance(axis, str) else axis for axis in rule.shape)
+            told = f" = {self._shape(known)} as in {self.sizes_from}" if self.sizes_from and rule.shape else ""
             raise TorchweatherError(
                 f"{name}: {key} must have shape {self._shape(rule.shape)}{told}; got {array.shape}."
             )
@@ -272,7 +272,7 @@ class FrameRule:
                     raise TorchweatherError(f"{name}: {key} must hold some numbers; got NaN everywhere.")
 
     @staticmethod
-    def _shape(shape: tuple[str | int, ...]) -> str:
+    def _shape(shape: Sequence[str | int]) -> str:
         return f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})" if shape else "() (a scalar)"
 
 

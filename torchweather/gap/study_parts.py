@@ -141,7 +141,7 @@ def _conditions(
         rule = frame_rule
         if kind != "link":
             scene = row.get("scene")
-            if scene not in scenes:
+            if scene not in list(scenes):
                 raise TorchweatherError(
                     f"{owner}: {key}.scene must be one of {', '.join(scenes)}; got {_shown(scene)}."
                     f"{nearest_name(scene, scenes)}"
