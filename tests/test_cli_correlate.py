@@ -72,7 +72,7 @@ def test_the_threshold_and_the_conditions_are_the_users(tmp_path: Path, capsys: 
     ("more", "said"),
     [
         ([], "column 'performance'; got weather, value, AP"),
-        (["--performance-column", "ap"], "Did you mean 'AP'?"),
+        (["--performance-column", "APs"], "Did you mean 'AP'?"),
         (["--performance-column", "AP", "--by", "seed"], "by must name columns that both tables have, weather, value"),
         (["--performance-column", "AP", "--by", "weather"], "4 conditions or more with a performance; got 2"),
     ],

@@ -6,8 +6,6 @@ from torchweather.metrics.cloud_scores import CLOUD_SCORES, chamfer_distance, cl
 from torchweather.metrics.clouds import Region
 from torchweather.metrics.correlation import Correlation, MetricCorrelation, correlate
 from torchweather.metrics.d34_claim import D34_CLAIM
-from torchweather.metrics.correlation import Correlation, correlate
-from torchweather.metrics.d34_claim import D34_CLAIM
 from torchweather.metrics.detection import AveragePrecision, average_precision
 from torchweather.metrics.double_validation import double_validation
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
