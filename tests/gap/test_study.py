@@ -136,11 +136,10 @@ def test_every_part_counts_in_the_hash(path: tuple[Any, ...], value: Any) -> Non
     assert Study.from_arrays(**changed("lidar", path, value)).sha256 != study("lidar", clear=2, frames=2).sha256
 
 
-def test_one_changed_number_of_one_frame_changes_the_hash() -> None:
-    values = arguments("radar", clear=2, frames=2)
-    before = Study.from_arrays(**values).sha256
-    values["scenes"][1]["clear"][1]["noise_floor_db"] = np.array(-100.0 + 1e-12)
-    assert Study.from_arrays(**values).sha256 != before
+@pytest.mark.parametrize("path", [("scenes", 1, "clear", 1), ("conditions", 2, "frames", 1)], ids=["clear", "measured"])
+def test_one_changed_number_of_one_frame_changes_the_hash(path: tuple[Any, ...]) -> None:
+    other = changed("radar", (*path, "noise_floor_db"), np.array(-100.0 + 1e-12))
+    assert Study.from_arrays(**other).sha256 != study("radar", clear=2, frames=2).sha256
 
 
 # ---- what is held out ------------------------------------------------------------------------------------------------
