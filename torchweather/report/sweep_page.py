@@ -208,7 +208,7 @@ def _title(series: Series) -> str:
     level = series.levels[0]
     values = ", ".join(f"{one.value:g}" for one in series.levels)
     more = level.name.removeprefix(level.kind).lstrip(":")
-    return f"{level.kind.capitalize()} {values} {level.unit}" + (f" ({more})" if more else "")
+    return f"{level.kind.capitalize()} {values}\N{NO-BREAK SPACE}{level.unit}" + (f" ({more})" if more else "")
 
 
 def _row(name: str, record: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
