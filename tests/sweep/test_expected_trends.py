@@ -75,11 +75,11 @@ def test_vif_follows_fog_only_with_its_arguments_in_order(camera: CameraSubject)
 
 
 def test_sdm_turns_in_snow_because_the_cloud_moves_out_again(lidar: LidarSubject) -> None:
-    """In light snow the returns of the flakes are near and draw the cloud together; in heavy snow they lie farther out,
-    where the near-range response of the receiver lets it see them: the distances between points grow back."""
+    """The returns of light snow are near and draw the cloud together. The flakes of heavy snow are larger and seen from
+    farther out: the distances between points grow back towards those of clear air."""
     series = swept(lidar, SNOW)
     sdm, distance_m = series.scores["sdm"].mean(1), series.facts["pair_distance_m"].mean(1)
-    # At 1 mm/h and at 5 mm/h, against the scatter of the seeds.
+    # From 2 to 5 mm/h, against the scatter of the seeds.
     error = (sdm[4] - sdm[2]) / (series.scores["sdm"][4] - series.scores["sdm"][2]).std(ddof=1) * len(SEEDS) ** 0.5
     assert error < -2.92  # Student's t of three seeds, one-sided 95 %
     assert distance_m[2] < distance_m[4] < series.clear["pair_distance_m"]

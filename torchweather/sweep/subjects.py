@@ -75,7 +75,9 @@ class CameraSubject:
         options: of ``BayerWeather``, such as ``airlight``.
 
     Note:
-        The frame's own noise is in the clear and in the rendered data alike: a score sees the weather alone.
+        The frame's own noise is in the clear and in the rendered data alike: a score of raw frames sees the weather
+        alone. An RGB frame in weather has gone through a mosaic and back (``AsBayer``), the clear one has not: scores of
+        all levels hold that loss.
 
     Example:
         >>> camera = Camera.preset("lucid-triton").resized(16, 16)
