@@ -105,6 +105,7 @@ def test_scores_and_counts_in_a_region_with_points_on_its_faces(case: str) -> No
     assert counts == slow_counts(p.tolist(), kind.tolist(), box)
     assert 0 < sum(counts) < len(p)
     assert int(point_counts(p, region=Region(*box))) == sum(counts)
+    assert point_counts(p, kind).tolist() == [len(p) // 3 + (which < len(p) % 3) for which in range(3)]  # lost ones too
 
 
 def test_drawn_pairs_are_close_to_all_pairs() -> None:
