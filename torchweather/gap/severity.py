@@ -40,15 +40,15 @@ class TrendComparison:
     simulated: SceneTrends
 
     def agreement(self, name: str) -> bool | None:
-        """Whether a score goes the same way in both; None where that is too close to call.
+        """Whether a score gets worse at every step in both, or in neither; None where that is too close to call.
 
-        Too close: the verdicts differ, but frames drawn anew would give one of them another verdict in more than 5 %
-        of the draws.
+        Too close: one does and the other does not, but frames drawn anew would turn one of them in more than 5 % of
+        the draws.
         """
         both = [trends.metrics[name] for trends in (self.measured, self.simulated)]
         if any(trend.verdict == "unjudged" for trend in both):
             return None
-        if both[0].verdict == both[1].verdict:
+        if (both[0].verdict == "expected") == (both[1].verdict == "expected"):
             return True
         return False if all(_sure(trend) for trend in both) else None
 

@@ -1,0 +1,72 @@
+"""``torchweather validate``: a study folder, an embedded scene, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from torchweather.cli import main
+from torchweather.gap import embedded_study as embedded
+from torchweather.gap.embedded_study import embedded_study
+from torchweather.gap.study import Study
+from torchweather.weather import Fog, Rain
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(embedded, "WEATHERS", (Rain(25.0), Fog(mor_m=50.0)))
+
+
+def test_an_embedded_scene_runs_out_of_the_box(tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "page"
+    assert main(["validate", "scene:test-track", "--sensor", "radar", "--out", str(out), "--seed", "3"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "agree within their scatter" in said.out
+    assert said.out.endswith(f"wrote {out / 'index.html'}\n")
+    assert sorted(file.name for file in out.iterdir()) == ["index.html", "validation.json"]
+    summary = json.loads((out / "validation.json").read_text(encoding="utf-8"))
+    assert summary["self_check"] is True
+    assert (summary["seed"], summary["kind"]) == (3, "radar")
+    assert summary["counts"]["differ"] == 0
+
+
+def test_a_study_folder_gives_the_same_twice(tmp_path: Path, capsys: Capture) -> None:
+    study = embedded_study("radar", clear_frames=3, frames=2)
+    study.write(tmp_path / "study")
+    found = []
+    for name in ("one", "two"):
+        arguments = ["validate", str(tmp_path / "study"), "--out", str(tmp_path / name)]
+        assert main([*arguments, "--json", "--metrics", "power_change_db, detected_share"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0]["study_sha256"] == Study.read(tmp_path / "study").sha256
+    assert found[0]["self_check"] is False
+    assert [score["score"] for score in found[0]["conditions"][0]["scores"]] == ["power_change_db", "detected_share"]
+    for summary in found:
+        for condition in summary["conditions"]:
+            condition.pop("simulation_s")  # how long it took
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere"], "nowhere/study.yaml: no such file"),
+        (["scene:moon"], "scene must be one of test-track, fog-tunnel"),
+        (["scene:test-track", "--sensor", "sonar"], "--sensor must be one of lidar, camera, radar; got 'sonar'"),
+        (["scene:test-track", "--sensor", "radar:nothing"], "preset must be one of"),
+        (["nowhere", "--sensor", "radar"], "--sensor belongs to scene:NAME"),
+        (["scene:test-track", "--sensor", "radar", "--metrics", "psnr"], "score must be one of power_change_db"),
+        (["scene:test-track", "--sensor", "radar", "--metrics", ","], "--metrics must name a score or more"),
+    ],
+)
+def test_mistakes_are_one_line(arguments: list[str], said: str, tmp_path: Path, capsys: Capture) -> None:
+    assert main(["validate", *arguments, "--out", str(tmp_path / "page")]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
