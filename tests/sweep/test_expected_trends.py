@@ -8,6 +8,7 @@ of the ouster-os1-128. At five levels a score in random order would follow with 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -37,6 +38,7 @@ def lidar() -> LidarSubject:
     return LidarSubject("test-track", points=view.points, lidar=sensor, beams=view.directions)
 
 
+@cache  # tests of one sweep share it
 def swept(subject: CameraSubject | LidarSubject, weather: str) -> Series:
     (series,) = series_of(samples([subject], parse_levels(weather), SEEDS))
     assert len(series.levels) == 5

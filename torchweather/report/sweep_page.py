@@ -48,7 +48,7 @@ __all__ = ["TABLES", "write_sweep"]
 TABLES = ("csv", "parquet")
 """Formats of the table."""
 
-SMALL, LARGE = 1e-3, 1e4  # numbers beyond are written with an exponent, or as whole ones
+SMALL, LARGE = 1e-4, 1e4  # numbers beyond are written with an exponent, or as whole ones
 PICTURE_PX = 480  # columns of a picture
 SENSORS = {"camera": "camera frames", "lidar": "LiDAR clouds", "radar": "radar detections"}
 

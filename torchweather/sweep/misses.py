@@ -89,8 +89,8 @@ def _steps(series: Series, metric: str, wrong: Sequence[int]) -> list[str]:
 
 
 WHY = {
-    "within": ", by less than the seeds scatter: seeds of other numbers may turn it round",
-    "beyond": ", by more than the seeds scatter (one-sided 95 %): it is no chance of these seeds",
+    "within": ", by less than the seeds scatter: other seeds may turn it round",
+    "beyond": ", by more than the seeds scatter (one-sided 95 %): chance does not explain it",
     "unknown": "",
 }
 

@@ -76,8 +76,8 @@ class CameraSubject:
 
     Note:
         The frame's own noise is in the clear and in the rendered data alike: a score of raw frames sees the weather
-        alone. An RGB frame in weather has gone through a mosaic and back (``AsBayer``), the clear one has not: scores of
-        all levels hold that loss.
+        alone. An RGB frame in weather has gone through a mosaic and back (``AsBayer``), the clear one has not: the
+        scores of all levels hold that loss.
 
     Example:
         >>> camera = Camera.preset("lucid-triton").resized(16, 16)
