@@ -6,12 +6,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from torchweather.metrics.colour import luma
 from torchweather.metrics.filters import gaussian_weights, root
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
 from torchweather.metrics.steerable_pyramid import least_size, steerable_bands
 
-__all__ = ["cw_ssim"]
+__all__ = ["cw_ssim", "cw_ssim_of"]
 
 # Sampat et al. 2009 and the authors' program: a box of 7 x 7 coefficients, a Gaussian of a quarter of the height.
 BOX = 7
@@ -64,8 +63,14 @@ def cw_ssim(
     for name, number in (("level", level), ("orientations", orientations)):
         if number < 1:
             raise ValueError(f"cw_ssim: {name} must be 1 or more; got {number!r}.")
-    x, y = check_pair(distorted, reference, data_range, minimum=least_size(level, BOX), owner="cw_ssim")
-    a, b = (steerable_bands(_grey(image, whole_grey), level, orientations) for image in (x, y))
+    pair = Pair(distorted, reference, data_range, minimum=least_size(level, BOX), owner="cw_ssim")
+    return cw_ssim_of(pair, level=level, orientations=orientations, whole_grey=whole_grey)
+
+
+def cw_ssim_of(pair: Pair, *, level: int = 4, orientations: int = 8, whole_grey: bool = True) -> Tensor:
+    """:func:`cw_ssim` of a pair."""
+    whole = whole_grey and pair.images[0].shape[1] == 3
+    a, b = (steerable_bands(_whole(plane) if whole else plane.double(), level, orientations) for plane in pair.luma)
     product = a * b.conj()
     together = root(_box(product.real).square() + _box(product.imag).square())
     power = _box(a.real.square() + a.imag.square() + (b.real.square() + b.imag.square()))
@@ -73,14 +78,11 @@ def cw_ssim(
     lost = torch.where(lit, 1.0 - 2.0 * together / torch.where(lit, power, torch.ones_like(power)), 0.0)
     rows, columns = (gaussian_weights(size, SIGMA * a.shape[-2], lost) for size in lost.shape[-2:])
     score = 1.0 - (lost.mean(1) * (rows[:, None] * columns)).sum((1, 2))
-    return per_image(score.to(x.dtype), reference)
+    return pair.per_image(score.to(pair.images[0].dtype))
 
 
-def _grey(image: Tensor, whole: bool) -> Tensor:
-    """Luma ``(B, 1, H, W)`` in float64."""
-    if not whole or image.shape[1] == 1:
-        return luma(image.double())
-    grey = luma(image)
+def _whole(grey: Tensor) -> Tensor:
+    """Luma ``(B, 1, H, W)`` rounded to whole grey values, in float64."""
     rounded = torch.floor(WHITE * grey.detach() + (0.5 + TIE)).double() / WHITE
     return rounded + (grey - grey.detach()) if grey.requires_grad else rounded
 

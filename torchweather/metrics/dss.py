@@ -7,11 +7,10 @@ import math
 import torch
 from torch import Tensor
 
-from torchweather.metrics.colour import luma
 from torchweather.metrics.filters import averaged_down, filtered, gaussian_weights, root
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
 
-__all__ = ["dss"]
+__all__ = ["dss", "dss_of"]
 
 # Balanov et al. 2015: blocks, weight of a sub-band (standard deviation in frequency steps; below the least it is left
 # out), window, share of the worst places that count, and the constants of the constant part and the others (0..255).
@@ -57,10 +56,15 @@ def dss(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Ten
         >>> float(dss(ramp, ramp)), float(dss(0.5 * ramp, ramp)) < 1.0
         (1.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=BLOCK_PX, owner="dss")
+    return dss_of(Pair(distorted, reference, data_range, minimum=BLOCK_PX, owner="dss"))
+
+
+def dss_of(pair: Pair) -> Tensor:
+    """:func:`dss` of a pair."""
+    x, y = pair.luma
     factor = max(1, min(x.shape[-2:]) // SIDE_PX)
     rows, columns, weight = _bands(x)
-    x, y = (_coefficients(averaged_down(WHITE * luma(image), factor), rows, columns) for image in (x, y))
+    x, y = (_coefficients(WHITE * averaged_down(plane, factor), rows, columns) for plane in (x, y))
     # Around their means, variances keep their digits; windows over the border see zeros outside.
     middle_x, middle_y = (bands.detach().mean((2, 3), keepdim=True) for bands in (x, y))
     x, y = x - middle_x, y - middle_y
@@ -91,7 +95,7 @@ def dss(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Ten
     together = _worst((shared + MEAN_CONSTANT) / (both[:, :1] + MEAN_CONSTANT))
     alike = torch.cat((alike[:, :1] * together, alike[:, 1:]), 1)
     score = (weight * alike).sum(1) / (weight * torch.ones_like(alike)).sum(1)
-    return per_image(score, reference)
+    return pair.per_image(score)
 
 
 def _bands(like: Tensor) -> tuple[Tensor, Tensor, Tensor]:

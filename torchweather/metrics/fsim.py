@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 
 from torchweather.metrics.colour import yiq
-from torchweather.metrics.filters import SCHARR, automatic_factor, averaged_down, gradient_magnitude
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.filters import SCHARR, gradient_magnitude
+from torchweather.metrics.pairs import Pair
 from torchweather.metrics.phase_congruency import phase_congruency
 from torchweather.metrics.pooling import chroma_likeness, likeness, weighted_mean
 
-__all__ = ["fsim"]
+__all__ = ["fsim", "fsim_of"]
 
 # Zhang et al. 2011, section IV.B, for values in 0..255; T4 = T3
 PHASE = 0.85
@@ -51,13 +51,15 @@ def fsim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chrom
         >>> float(fsim(ramp, ramp)), float(fsim(0.5 * ramp, ramp)) < 1.0
         (1.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="fsim")
-    factor = automatic_factor(*x.shape[-2:])
-    x, y = (averaged_down(WHITE * image, factor) for image in (x, y))
-    x, y = (image if image.shape[1] == 1 else yiq(image) for image in (x, y))
+    return fsim_of(Pair(distorted, reference, data_range, minimum=SMALLEST, owner="fsim"), chromatic=chromatic)
+
+
+def fsim_of(pair: Pair, *, chromatic: bool = True) -> Tensor:
+    """:func:`fsim` of a pair."""
+    x, y = (WHITE * (image if image.shape[1] == 1 else yiq(image)) for image in pair.shrunk)
     features = phase_congruency(torch.cat((x[:, :1], y[:, :1]))).chunk(2)
-    slopes = [gradient_magnitude(image[:, :1], *SCHARR) for image in (x, y)]
+    slopes = gradient_magnitude(torch.cat((x[:, :1], y[:, :1]), 1), *SCHARR).chunk(2, 1)
     local = likeness(features[0], features[1], PHASE) * likeness(slopes[0], slopes[1], GRADIENT)
     if chromatic and x.shape[1] == 3:
         local = local * chroma_likeness(x[:, 1:], y[:, 1:], CHROMA, CHROMA_POWER)
-    return per_image(weighted_mean(local, torch.maximum(features[0], features[1])), reference)
+    return pair.per_image(weighted_mean(local, torch.maximum(features[0], features[1])))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
+from torch.nn import functional
 
 from torchweather.metrics.colour import luma
-from torchweather.metrics.filters import gradient_magnitude, root, subsampled
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.filters import gradient_magnitude, root
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.strips import in_strips
 
-__all__ = ["PREWITT", "deviation", "gmsd"]
+__all__ = ["PREWITT", "deviation", "gmsd", "gmsd_of"]
 
 # Prewitt: smoothed across the difference, and the difference
 PREWITT = ((1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0), (1.0, 0.0, -1.0))
@@ -44,8 +47,13 @@ def gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Te
         >>> float(gmsd(ramp, ramp)), float(gmsd(ramp.square(), ramp)) > 0.0
         (0.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="gmsd")
-    return per_image(deviation(subsampled(luma(x), 2), subsampled(luma(y), 2), STEADY), reference)
+    return gmsd_of(Pair(distorted, reference, data_range, minimum=SMALLEST, owner="gmsd"))
+
+
+def gmsd_of(pair: Pair) -> Tensor:
+    """:func:`gmsd` of a pair."""
+    x, y = pair.halved
+    return pair.per_image(deviation(luma(x), luma(y), STEADY))
 
 
 def deviation(x: Tensor, y: Tensor, steady: float, masking: float = 0.0) -> Tensor:
@@ -53,7 +61,11 @@ def deviation(x: Tensor, y: Tensor, steady: float, masking: float = 0.0) -> Tens
 
     ``masking`` takes this share of the product of the gradients out of both sides of the fraction.
     """
-    a, b = (gradient_magnitude(plane, *PREWITT) for plane in (x, y))
-    # what the similarity lacks to 1, exactly 0 for identical images
-    unlike = (a - b).square() / (a.square() + b.square() - masking * a * b + steady)
+
+    def lacking(both: Tensor) -> Tensor:
+        a, b = gradient_magnitude(both, *PREWITT, "valid").chunk(2, 1)
+        # to similarity 1, exactly 0 for identical images
+        return (a - b).square() / (a.square() + b.square() - masking * a * b + steady)
+
+    unlike = in_strips(lacking, 2, functional.pad(torch.cat((x, y), 1), (1, 1, 1, 1)))
     return root((unlike - unlike.mean((1, 2, 3), keepdim=True)).square().mean((1, 2, 3)))

@@ -9,10 +9,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchweather.metrics.colour import yiq
-from torchweather.metrics.filters import filtered, subsampled
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.filters import filtered
+from torchweather.metrics.pairs import Pair
 
-__all__ = ["haarpsi"]
+__all__ = ["haarpsi", "haarpsi_of"]
 
 # Reisenhofer et al. 2018 section 3: fitted to opinion scores; C on a scale of 255
 STEADY = 30.0 / 255.0**2
@@ -49,28 +49,35 @@ def haarpsi(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) ->
         >>> float(haarpsi(ramp, ramp)), 0.0 < float(haarpsi(ramp.square(), ramp)) < 1.0
         (1.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=2 ** (SCALES + 1), owner="haarpsi")
+    return haarpsi_of(Pair(distorted, reference, data_range, minimum=2 ** (SCALES + 1), owner="haarpsi"))
+
+
+def haarpsi_of(pair: Pair) -> Tensor:
+    """:func:`haarpsi` of a pair."""
+    x, y = pair.halved
     colour = x.shape[1] == 3
-    x, y = (subsampled(yiq(image) if colour else image, 2) for image in (x, y))
-    a, b = _haar(x[:, :1]), _haar(y[:, :1])
-    lack = torch.stack([_lack(fine, other) for fine, other in zip(a[:-1], b[:-1], strict=True)]).mean(0)
-    weight = torch.maximum(a[-1], b[-1])
+    x, y = (yiq(image) if colour else image for image in (x, y))
+    *fine, coarsest = _haar(torch.cat((x[:, :1], y[:, :1]), 1))
+    lack = torch.stack([_lack(*magnitudes) for magnitudes in fine]).mean(0)
+    weight = torch.maximum(*coarsest)
     if colour:
-        hue = _lack(_mean(x[:, 1:]), _mean(y[:, 1:])).mean(1, keepdim=True)
+        hue = _lack(*_mean(torch.cat((x[:, 1:], y[:, 1:]), 1)).chunk(2, 1)).mean(1, keepdim=True)
         lack = torch.cat((lack, hue), 1)
         weight = torch.cat((weight, weight.mean(1, keepdim=True)), 1)
-    return per_image(_pooled(lack, weight), reference)
+    return pair.per_image(_pooled(lack, weight))
 
 
-def _haar(plane: Tensor) -> list[Tensor]:
-    """Magnitudes ``(B, 2, H, W)`` of the coefficients in both directions, from the finest scale on."""
+def _haar(both: Tensor) -> list[tuple[Tensor, Tensor]]:
+    """Magnitudes ``(B, 2, H, W)`` of the coefficients in both directions, from the finest scale on, of both planes of
+    ``(B, 2, H, W)``."""
     found = []
     for scale in range(1, SCALES + 1):
         side = 2**scale
-        ones = plane.new_full((side,), 1.0 / side)
-        step = torch.cat((plane.new_ones(side // 2), -plane.new_ones(side // 2)))
-        around = _around(plane, side)
-        found.append(torch.cat((filtered(around, step, ones), filtered(around, ones, step)), 1).abs())
+        ones = both.new_full((side,), 1.0 / side)
+        step = torch.cat((both.new_ones(side // 2), -both.new_ones(side // 2)))
+        around = _around(both, side)
+        magnitudes = torch.stack((filtered(around, step, ones), filtered(around, ones, step)), 1).abs()
+        found.append((magnitudes[:, :, 0], magnitudes[:, :, 1]))
     return found
 
 

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 
 from torch import Tensor
 
 from torchweather.errors import check_one_of
-from torchweather.metrics.cw_ssim import cw_ssim
-from torchweather.metrics.dss import dss
-from torchweather.metrics.fsim import fsim
-from torchweather.metrics.gmsd import gmsd
-from torchweather.metrics.haarpsi import haarpsi
-from torchweather.metrics.iw_ssim import iw_ssim
-from torchweather.metrics.mdsi import mdsi
-from torchweather.metrics.ms_gmsd import ms_gmsd
-from torchweather.metrics.ms_ssim import ms_ssim
-from torchweather.metrics.psnr import psnr
+from torchweather.metrics.cw_ssim import cw_ssim, cw_ssim_of
+from torchweather.metrics.dss import dss, dss_of
+from torchweather.metrics.fsim import fsim, fsim_of
+from torchweather.metrics.gmsd import gmsd, gmsd_of
+from torchweather.metrics.haarpsi import haarpsi, haarpsi_of
+from torchweather.metrics.iw_ssim import iw_ssim, iw_ssim_of
+from torchweather.metrics.mdsi import mdsi, mdsi_of
+from torchweather.metrics.ms_gmsd import ms_gmsd, ms_gmsd_of
+from torchweather.metrics.ms_ssim import ms_ssim, ms_ssim_of
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.psnr import psnr, psnr_of
 from torchweather.metrics.score import ScoreFacts
-from torchweather.metrics.sr_sim import sr_sim
-from torchweather.metrics.ssim import ssim
-from torchweather.metrics.vif import vif
-from torchweather.metrics.vsi import vsi
+from torchweather.metrics.sr_sim import sr_sim, sr_sim_of
+from torchweather.metrics.ssim import ssim, ssim_of
+from torchweather.metrics.vif import vif, vif_of
+from torchweather.metrics.vsi import vsi, vsi_of
 
 __all__ = ["IMAGE_SCORES", "image_scores"]
 
@@ -47,6 +48,26 @@ IMAGE_SCORES: Mapping[str, ScoreFacts] = MappingProxyType(
 )
 """What each score is, in the order of the table."""
 
+OF_PAIR: Mapping[str, Callable[[Pair], Tensor]] = MappingProxyType(
+    {
+        "psnr": psnr_of,
+        "ssim": ssim_of,
+        "ms_ssim": ms_ssim_of,
+        "cw_ssim": cw_ssim_of,
+        "iw_ssim": iw_ssim_of,
+        "dss": dss_of,
+        "vif": vif_of,
+        "vsi": vsi_of,
+        "fsim": fsim_of,
+        "sr_sim": sr_sim_of,
+        "haarpsi": haarpsi_of,
+        "gmsd": gmsd_of,
+        "ms_gmsd": ms_gmsd_of,
+        "mdsi": mdsi_of,
+    }
+)
+"""The same scores of a pair that they share."""
+
 
 def image_scores(
     distorted: Tensor, reference: Tensor, names: Iterable[str] | None = None, *, data_range: float = 1.0
@@ -61,6 +82,10 @@ def image_scores(
     Returns:
         Name to ``(...)`` scores, in the order asked for.
 
+    Note:
+        Checks, brightness and smaller copies of the images are found once for all scores, unless gradients flow to the
+        images: then each score has a graph of its own.
+
     Example:
         >>> import torch
         >>> clear = torch.rand(3, 16, 16, generator=torch.Generator().manual_seed(1))
@@ -70,4 +95,16 @@ def image_scores(
     chosen = list(IMAGE_SCORES) if names is None else list(names)
     for name in chosen:
         check_one_of("score", name, IMAGE_SCORES, owner="image_scores")
-    return {name: IMAGE_SCORES[name].function(distorted, reference, data_range=data_range) for name in chosen}
+    if not chosen:
+        return {}
+    # the error names the score that needs the largest image
+    neediest = max(chosen, key=lambda name: IMAGE_SCORES[name].minimum)
+    minimum, channels = IMAGE_SCORES[neediest].minimum, None if set(chosen) == {"psnr"} else (1, 3)
+
+    def pair() -> Pair:
+        return Pair(distorted, reference, data_range, channels=channels, minimum=minimum, owner=neediest)
+
+    shared = pair()
+    # a gradient may be taken of each score by itself: then nothing is shared, as its graph is gone after that
+    alone = any(image.requires_grad for image in shared.images)
+    return {name: OF_PAIR[name](pair() if alone else shared) for name in chosen}

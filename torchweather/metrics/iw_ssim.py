@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from torchweather.metrics.colour import luma
-from torchweather.metrics.filters import filtered, power
+from torchweather.metrics.filters import filtered, power, side_by_side
 from torchweather.metrics.ms_ssim import MINIMUM_PX, SCALE_WEIGHTS
-from torchweather.metrics.pairs import check_pair, per_image
-from torchweather.metrics.ssim import WINDOW_PX, similarity_maps
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.pooling import weighted_mean
+from torchweather.metrics.ssim import WINDOW_PX, lacking
+from torchweather.metrics.strips import in_strips, strips
 
-__all__ = ["iw_ssim"]
+__all__ = ["iw_ssim", "iw_ssim_of"]
 
 # Burt and Adelson 1983: the binomial filter of the Laplacian pyramid; sum sqrt(2), so that bands keep their energy
 BINOMIAL = tuple(math.sqrt(2.0) * weight / 16.0 for weight in (1.0, 4.0, 6.0, 4.0, 1.0))
@@ -24,36 +27,38 @@ BLOCK_PX, NOISE_VARIANCE, WHITE = 3, 0.4, 255.0
 REGULAR = 1e-12
 
 
-def band_and_rest(image: Tensor) -> tuple[Tensor, Tensor]:
-    """One level of the Laplacian pyramid: the image less its coarse part, and the coarse part at half the size."""
-    height, width = image.shape[-2:]
-    weights = image.new_tensor(BINOMIAL)
-    coarse = filtered(functional.pad(image, (2, 2, 2, 2), mode="reflect"), weights, weights)[..., ::2, ::2]
+def band_and_rest(both: Tensor) -> tuple[Tensor, Tensor]:
+    """One level of the Laplacian pyramid: the images less their coarse part, and the coarse part at half the size."""
+    height, width = both.shape[-2:]
+    weights = both.new_tensor(BINOMIAL)
+    coarse = filtered(functional.pad(both, (2, 2, 2, 2), mode="reflect"), weights, weights, step=2)
     # a zero after every pixel, also after the last of an odd side
     pairs = torch.stack((coarse, torch.zeros_like(coarse)), -1).flatten(-2)
     spread = torch.stack((pairs, torch.zeros_like(pairs)), -2).flatten(-3, -2)
     smooth = filtered(functional.pad(spread, (2, 2, 2, 2), mode="reflect"), weights, weights)
-    return image - smooth[..., :height, :width], coarse
+    return both - smooth[..., :height, :width], coarse
 
 
-def enlarged(image: Tensor) -> Tensor:
-    """Twice as many pixels each way: linear in between, the outermost go on with the slope of the edge."""
-    rows, columns = (4 * side - 3 for side in image.shape[-2:])
-    fine = functional.interpolate(image, size=(rows, columns), mode="bilinear", align_corners=False)
-    for axis in (-2, -1):
-        first, second = fine.narrow(axis, 0, 1), fine.narrow(axis, 1, 1)
-        last, before = fine.narrow(axis, -1, 1), fine.narrow(axis, -2, 1)
-        fine = torch.cat((2.0 * first - second, fine, 2.0 * last - before), axis)
-    return fine[..., ::2, ::2]
+def enlarged(image: Tensor, height: int, width: int) -> Tensor:
+    """The first pixels of twice as many each way, linear in between."""
+    for axis, wanted in ((-2, height), (-1, width)):
+        size = image.shape[axis]
+        step = torch.arange(wanted, dtype=torch.float64, device=image.device)
+        # every second place of those that divide the image into 4 size - 3
+        place = ((2.0 * step - 0.5) * (size / (4 * size - 3)) - 0.5).clamp(0, size - 1)
+        before = place.long()
+        share = (place - before).to(image.dtype)
+        first = image.index_select(axis, before)
+        second = image.index_select(axis, (before + 1).clamp_max(size - 1))
+        image = first + (second - first) * (share[:, None] if axis == -2 else share)
+    return image
 
 
-def neighbours(band: Tensor, parent: Tensor | None) -> Tensor:
-    """``(B, K, P)``: the block around each inner pixel, and the pixel's parent in the next coarser band."""
-    blocks = functional.unfold(band, BLOCK_PX)
-    if parent is None:
-        return blocks
-    height, width = band.shape[-2:]
-    return torch.cat((blocks, enlarged(parent)[..., 1 : height - 1, 1 : width - 1].flatten(2)), 1)
+def neighbours(bands: Tensor) -> Tensor:
+    """``(B, K, P)`` of a band, or a band and its enlarged parent, ``(B, 1 or 2, H, W)``: the block around each inner
+    pixel, and the pixel's parent."""
+    blocks = functional.unfold(bands[:, :1], BLOCK_PX)
+    return torch.cat((blocks, bands[:, 1:, 1:-1, 1:-1].flatten(2)), 1)
 
 
 def information(x: Tensor, y: Tensor, parent: Tensor | None) -> Tensor:
@@ -65,37 +70,58 @@ def information(x: Tensor, y: Tensor, parent: Tensor | None) -> Tensor:
         x, y: band of the distorted image and of the reference, ``(B, 1, H, W)``.
         parent: next coarser band of the reference, or None.
     """
-    box = y.new_full((1, 1, BLOCK_PX, BLOCK_PX), 1.0 / BLOCK_PX**2)
-    moments = functional.conv2d(torch.cat((x, y, x.square(), y.square(), x * y)), box)
-    mean_x, mean_y, square_x, square_y, product = moments.chunk(5)
-    variance_x = (square_x - mean_x.square()).clamp_min(0.0)
-    variance_y = (square_y - mean_y.square()).clamp_min(0.0)
-    covariance = product - mean_x * mean_y
-    # next to nothing on a scale of 0..255: no structure that the distorted band could share
-    nothing = torch.finfo(y.dtype).eps
-    flat = (variance_y < nothing) | (variance_x < nothing)
-    gain = torch.where(flat, 0.0, covariance / (torch.where(flat, 1.0, variance_y) + nothing))
-    rest = (variance_x - gain * covariance).clamp_min(0.0)  # of the distorted band, not explained by the reference
-    vectors = neighbours(y, parent)
-    count = vectors.shape[1]
-    # the covariance of neighbours is close to singular where images are smooth: in float64
-    wide = vectors.double()
-    spread = wide @ wide.mT / wide.shape[-1]
+    bands = y if parent is None else torch.cat((y, enlarged(parent, *y.shape[-2:])), 1)
+    spread = covariance(bands)
+    count = spread.shape[-1]
     trace = spread.diagonal(dim1=-2, dim2=-1).sum(-1)
     floor = (REGULAR * trace / count + torch.finfo(torch.float32).tiny)[:, None, None]
     unit = torch.eye(count, dtype=spread.dtype, device=spread.device)
     triangle = torch.linalg.cholesky(spread + floor * unit)
     whitening = torch.linalg.solve_triangular(triangle, unit.expand_as(triangle), upper=False).to(y.dtype)
     eigenvalues = torch.linalg.eigvalsh(spread).clamp_min(0.0).to(y.dtype)
-    scale = (whitening @ vectors).square().mean(1).reshape(gain.shape)
+    return in_strips(partial(_bits, whitening=whitening, eigenvalues=eigenvalues), BLOCK_PX - 1, x, bands)
+
+
+def _bright(image: Tensor) -> Tensor:
+    """Luma on a scale of 0..255."""
+    return luma(WHITE * image)
+
+
+def covariance(bands: Tensor) -> Tensor:
+    """Of the neighbours, ``(B, K, K)``: close to singular where images are smooth, so in float64."""
+    total, places = bands.new_zeros((), dtype=torch.float64), 0
+    for rows in strips(bands, BLOCK_PX - 1):
+        vectors = neighbours(bands[..., rows, :]).double()
+        # image by image: products in a batch of so few rows take processors more than twice as long
+        total = total + torch.stack([each @ each.mT for each in vectors])
+        places += vectors.shape[-1]
+    return total / places
+
+
+def _bits(x: Tensor, bands: Tensor, whitening: Tensor, eigenvalues: Tensor) -> Tensor:
+    """Of a strip."""
+    y = bands[:, :1]
+    # one sum of nine, not three of three: the rounding of flat areas is that of METRICS.md's oracle
+    box = y.new_full((5, 1, BLOCK_PX, BLOCK_PX), 1.0 / BLOCK_PX**2)
+    moments = functional.conv2d(side_by_side(torch.cat((x, y, x.square(), y.square(), x * y), 1)), box, groups=5)
+    mean_x, mean_y, square_x, square_y, product = moments.chunk(5, 1)
+    variance_x = (square_x - mean_x.square()).clamp_min(0.0)
+    variance_y = (square_y - mean_y.square()).clamp_min(0.0)
+    shared = product - mean_x * mean_y
+    # next to nothing on a scale of 0..255: no structure that the distorted band could share
+    nothing = torch.finfo(y.dtype).eps
+    flat = (variance_y < nothing) | (variance_x < nothing)
+    gain = torch.where(flat, 0.0, shared / (torch.where(flat, 1.0, variance_y) + nothing))
+    rest = (variance_x - gain * shared).clamp_min(0.0)  # of the distorted band, not explained by the reference
+    scale = (whitening @ neighbours(bands)).square().mean(1).reshape(gain.shape)
     lost = 1.0 + rest / NOISE_VARIANCE
     seen = (rest + (1.0 + gain.square()) * NOISE_VARIANCE) * scale / NOISE_VARIANCE**2
     bits = torch.zeros_like(scale)
     # the sum of the logarithms, two factors at a time: of all of them the product leaves the range of float32
-    for pair in eigenvalues.split(2, dim=1):
+    for first in range(0, eigenvalues.shape[1], 2):
         factors = torch.ones_like(scale)
-        for column in pair.unbind(1):
-            factors = factors * (lost + seen * column[:, None, None, None])
+        for column in eigenvalues[:, first : first + 2].unbind(1):
+            factors = factors * torch.addcmul(lost, seen, column[:, None, None, None])
         bits = bits + torch.log2(factors)
     return bits
 
@@ -132,26 +158,27 @@ def iw_ssim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) ->
         >>> float(iw_ssim(ramp, ramp))
         1.0
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=MINIMUM_PX, owner="iw_ssim")
-    (band_x, x), (band_y, y) = band_and_rest(luma(x * WHITE)), band_and_rest(luma(y * WHITE))
-    score = torch.ones_like(y[:, 0, 0, 0])
+    return iw_ssim_of(Pair(distorted, reference, data_range, minimum=MINIMUM_PX, owner="iw_ssim"))
+
+
+def iw_ssim_of(pair: Pair) -> Tensor:
+    """:func:`iw_ssim` of a pair."""
+    # scaled before it is mixed, for the same rounding as the oracle's
+    band, rest = band_and_rest(torch.cat([in_strips(_bright, 0, image) for image in pair.images], 1))
+    score = torch.ones_like(band[:, 0, 0, 0])
     # the windows of the similarity lie further inside than the blocks
     inside = WINDOW_PX // 2 - BLOCK_PX // 2
     last = len(SCALE_WEIGHTS) - 1
     for scale, exponent in enumerate(SCALE_WEIGHTS):
-        (next_x, x), (next_y, y) = (band_and_rest(x), band_and_rest(y)) if scale < last - 1 else ((x, x), (y, y))
-        whole, structure = similarity_maps(band_x, band_y, WHITE)
+        coarser, rest = band_and_rest(rest) if scale < last - 1 else (rest, rest)
+        x, y = band.chunk(2, 1)
+        lack = lacking(x, y, WHITE, brightness=scale == last)
         if scale == last:
-            mean = whole.mean((1, 2, 3))
+            mean = 1.0 - lack.mean((1, 2, 3))
         else:
             # the coarsest band has what is left of the image as its next, which is no parent
-            weights = information(band_x, band_y, next_y if scale < last - 1 else None)
-            weights = weights[..., inside:-inside, inside:-inside]
-            total = weights.sum((1, 2, 3))
-            there = total > 0
-            # what is missing from 1, so that nothing missing gives 1 exactly
-            lacking = (weights * (1.0 - structure)).sum((1, 2, 3)) / torch.where(there, total, torch.ones_like(total))
-            mean = torch.where(there, 1.0 - lacking, structure.mean((1, 2, 3)))
+            weights = information(x, y, coarser[:, 1:] if scale < last - 1 else None)
+            mean = 1.0 - weighted_mean(lack, weights[..., inside:-inside, inside:-inside])
         score = score * power(mean.abs(), exponent / sum(SCALE_WEIGHTS))
-        band_x, band_y = next_x, next_y
-    return per_image(score, reference)
+        band = coarser
+    return pair.per_image(score)

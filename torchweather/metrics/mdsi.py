@@ -11,9 +11,9 @@ from torch import Tensor
 from torchweather.metrics.colour import mixed
 from torchweather.metrics.filters import automatic_factor, gradient_magnitude, power, root, subsampled
 from torchweather.metrics.gmsd import PREWITT
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
 
-__all__ = ["mdsi"]
+__all__ = ["mdsi", "mdsi_of"]
 
 # Nafchi et al. 2016 section II: luminance and two chromaticities of the Gaussian colour model
 LHM = ((0.2989, 0.5870, 0.1140), (0.30, 0.04, -0.35), (0.34, -0.60, 0.17))
@@ -67,17 +67,23 @@ def mdsi(
     """
     if combination not in ("sum", "product"):
         raise ValueError(f"mdsi: combination must be 'sum' or 'product'; got {combination!r}.")
-    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="mdsi")
-    factor = automatic_factor(*x.shape[-2:])
-    x, y = (subsampled(mixed(image.expand(-1, 3, -1, -1), LHM), factor) for image in (x, y))
-    d, r, f = (gradient_magnitude(plane[:, :1], *PREWITT) for plane in (x, y, 0.5 * (x + y)))
+    pair = Pair(distorted, reference, data_range, minimum=SMALLEST, owner="mdsi")
+    return mdsi_of(pair, combination=combination)
+
+
+def mdsi_of(pair: Pair, *, combination: Literal["sum", "product"] = "sum") -> Tensor:
+    """:func:`mdsi` of a pair."""
+    factor = automatic_factor(*pair.images[0].shape[-2:])
+    x, y = (mixed(subsampled(image, factor).expand(-1, 3, -1, -1), LHM) for image in pair.images)
+    light = torch.cat([image[:, :1] for image in (x, y, 0.5 * (x + y))], 1)
+    d, r, f = gradient_magnitude(light, *PREWITT).chunk(3, 1)
     edges = _similar(d, r, C1) + (_similar(d, f, C2) - _similar(r, f, C2))
     a, b = x[:, 1:], y[:, 1:]
     colours = (2.0 * (a * b).sum(1, True) + C3) / ((a.square() + b.square()).sum(1, True) + C3)
     parts = _complex_root(edges, colours, combination)
     real, imaginary = (part - part.mean((1, 2, 3), keepdim=True) for part in parts)
     away = root(real.square() + imaginary.square()).mean((1, 2, 3))
-    return per_image(power(away, POWER), reference)
+    return pair.per_image(power(away, POWER))
 
 
 def _similar(a: Tensor, b: Tensor, steady: float) -> Tensor:

@@ -8,9 +8,9 @@ from torch import Tensor
 from torchweather.metrics.colour import luma, yiq
 from torchweather.metrics.filters import root, subsampled
 from torchweather.metrics.gmsd import deviation
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
 
-__all__ = ["ms_gmsd"]
+__all__ = ["ms_gmsd", "ms_gmsd_of"]
 
 # Zhang et al. 2017: weights of full, half, quarter and eighth size; masking; constant on a scale of 255
 WEIGHTS = (0.096, 0.596, 0.289, 0.019)
@@ -49,10 +49,15 @@ def ms_gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, ch
         (0.0, True)
     """
     channels = (3,) if chromatic else (1, 3)
-    x, y = check_pair(distorted, reference, data_range, channels=channels, minimum=SMALLEST, owner="ms_gmsd")
-    x, y = (yiq(x), yiq(y)) if chromatic else (luma(x), luma(y))
-    total = x.new_zeros(len(x))
-    for scale, weight in enumerate(WEIGHTS):
+    pair = Pair(distorted, reference, data_range, channels=channels, minimum=SMALLEST, owner="ms_gmsd")
+    return ms_gmsd_of(pair, chromatic=chromatic)
+
+
+def ms_gmsd_of(pair: Pair, *, chromatic: bool = False) -> Tensor:
+    """:func:`ms_gmsd` of a pair."""
+    total = WEIGHTS[0] * deviation(*pair.luma, STEADY, MASKING).square()
+    x, y = (yiq(image) if chromatic else luma(image) for image in pair.halved)
+    for scale, weight in enumerate(WEIGHTS[1:]):
         if scale:
             x, y = subsampled(x, 2), subsampled(y, 2)
         total = total + weight * deviation(x[:, :1], y[:, :1], STEADY, MASKING).square()
@@ -61,4 +66,4 @@ def ms_gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, ch
         error = 255.0 * root((x - y)[:, 1:].square().mean((2, 3)).sum(1))
         share = 2.0 / (1.0 + FADE[0] * torch.exp(-FADE[1] * score)) - 1.0
         score = share * score + (1.0 - share) * COLOUR_SHARE * error
-    return per_image(score, reference)
+    return pair.per_image(score)

@@ -6,12 +6,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from torchweather.metrics.colour import luma
 from torchweather.metrics.filters import power
-from torchweather.metrics.pairs import check_pair, per_image
-from torchweather.metrics.ssim import WINDOW_PX, similarity_maps
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.ssim import WINDOW_PX, lacking
 
-__all__ = ["SCALE_WEIGHTS", "ms_ssim"]
+__all__ = ["SCALE_WEIGHTS", "ms_ssim", "ms_ssim_of"]
 
 # Wang et al. 2003, section 3.2: exponents of the five scales, finest first
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
@@ -56,14 +55,18 @@ def ms_ssim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, lu
         >>> round(float(ms_ssim(0.5 * ramp, ramp)), 2)
         0.85
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=MINIMUM_PX, owner="ms_ssim")
-    if luma_only:
-        x, y = luma(x), luma(y)
+    pair = Pair(distorted, reference, data_range, minimum=MINIMUM_PX, owner="ms_ssim")
+    return ms_ssim_of(pair, luma_only=luma_only)
+
+
+def ms_ssim_of(pair: Pair, *, luma_only: bool = False) -> Tensor:
+    """:func:`ms_ssim` of a pair."""
+    x, y = pair.luma if luma_only else pair.images
     score = torch.ones_like(y[:, :, 0, 0])
     for scale, weight in enumerate(SCALE_WEIGHTS):
         if scale:
             x, y = halved(x), halved(y)
-        whole, structure = similarity_maps(x, y)
         last = scale == len(SCALE_WEIGHTS) - 1
-        score = score * power((whole if last else structure).mean((2, 3)).clamp_min(0.0), weight)
-    return per_image(score.mean(1), reference)
+        mean = 1.0 - lacking(x, y, brightness=last).mean((2, 3))
+        score = score * power(mean.clamp_min(0.0), weight)
+    return pair.per_image(score.mean(1))

@@ -1,13 +1,21 @@
-"""What every image score checks: two images of one shape, in their data range, large enough."""
+"""What every image score starts from: two images of one shape, in their data range, large enough."""
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from torchweather.errors import owner_name
+from torchweather.metrics.colour import luma
+from torchweather.metrics.filters import automatic_factor, averaged_down, subsampled
 
-__all__ = ["check_pair", "per_image"]
+__all__ = ["Both", "Pair", "check_pair"]
+
+Both = tuple[Tensor, Tensor]
+"""Of the distorted image and of the reference, in this order."""
+
 
 # Values may leave their range by rounding, or by filters that overshoot.
 SLACK = 1e-3
@@ -15,21 +23,71 @@ SLACK = 1e-3
 FAINT = 1.5 / 255.0
 
 
+class Pair:
+    """Two images of one shape, checked, and what several scores need of them, found once and kept.
+
+    Args:
+        distorted, reference: ``(..., C, H, W)``, as :func:`check_pair` wants them.
+        data_range: value of white.
+        channels, minimum, owner: as in :func:`check_pair`.
+
+    Example:
+        >>> pair = Pair(torch.ones(2, 3, 8, 8), torch.ones(2, 3, 8, 8), owner="example")
+        >>> pair.luma[0].shape, pair.luma is pair.luma
+        (torch.Size([2, 1, 8, 8]), True)
+    """
+
+    def __init__(
+        self,
+        distorted: Tensor,
+        reference: Tensor,
+        data_range: float = 1.0,
+        *,
+        channels: tuple[int, ...] | None = (1, 3),
+        minimum: int = 1,
+        owner: object,
+    ) -> None:
+        self.images: Both = check_pair(
+            distorted, reference, data_range, channels=channels, minimum=minimum, owner=owner
+        )
+        self.batch = reference.shape[:-3]
+
+    @cached_property
+    def luma(self) -> Both:
+        """Brightness of both, ``(B, 1, H, W)``."""
+        return luma(self.images[0]), luma(self.images[1])
+
+    @cached_property
+    def halved(self) -> Both:
+        """Both ``subsampled`` by 2."""
+        return subsampled(self.images[0], 2), subsampled(self.images[1], 2)
+
+    @cached_property
+    def shrunk(self) -> Both:
+        """Both averaged down to about 256 pixels on the shorter side."""
+        factor = automatic_factor(*self.images[0].shape[-2:])
+        return averaged_down(self.images[0], factor), averaged_down(self.images[1], factor)
+
+    def per_image(self, score: Tensor) -> Tensor:
+        """Scores ``(B,)`` in the batch shape of the images."""
+        return score.reshape(self.batch)
+
+
 def check_pair(
     distorted: Tensor,
     reference: Tensor,
     data_range: float,
     *,
-    channels: tuple[int, ...] = (1, 3),
+    channels: tuple[int, ...] | None = (1, 3),
     minimum: int = 1,
     owner: object,
-) -> tuple[Tensor, Tensor]:
+) -> Both:
     """Both images as ``(B, C, H, W)``, floating point, scaled to [0, 1].
 
     Args:
         distorted, reference: ``(..., C, H, W)`` of one shape, floating point or integer, in ``[0, data_range]``.
         data_range: value of white, above 0.
-        channels: numbers of channels that the score is defined for.
+        channels: numbers of channels that the score is defined for; None: any.
         minimum: least height and width, pixels.
         owner: for messages.
     """
@@ -39,10 +97,10 @@ def check_pair(
             raise TypeError(f"{name}: {which} must be a tensor (..., C, H, W); got {type(image).__name__}.")
         if image.is_complex() or image.dtype == torch.bool:
             raise TypeError(f"{name}: {which} must hold real numbers; got {image.dtype}.")
-        if image.ndim < 3 or image.shape[-3] not in channels:
-            wanted = " or ".join(str(number) for number in channels)
+        if image.ndim < 3 or (channels is not None and image.shape[-3] not in channels):
+            wanted = "" if channels is None else " with C = " + " or ".join(str(number) for number in channels)
             raise ValueError(
-                f"{name}: {which} must be (..., C, H, W) with C = {wanted}; got {tuple(image.shape)}. Channels come "
+                f"{name}: {which} must be (..., C, H, W){wanted}; got {tuple(image.shape)}. Channels come "
                 "third from last."
             )
     if distorted.shape != reference.shape:
@@ -57,9 +115,9 @@ def check_pair(
     _check_range(distorted, reference, float(data_range), name)
     kind = torch.promote_types(distorted.dtype, reference.dtype)
     kind = kind if kind in (torch.float32, torch.float64) else torch.float32
-    flat = (image.reshape(-1, *image.shape[-3:]).to(kind) / float(data_range) for image in (distorted, reference))
-    first, second = flat
-    return first, second
+    first, second = (image.reshape(-1, *image.shape[-3:]).to(kind) for image in (distorted, reference))
+    white = float(data_range)
+    return (first, second) if white == 1.0 else (first / white, second / white)
 
 
 def _check_range(distorted: Tensor, reference: Tensor, data_range: float, name: str) -> None:
@@ -79,8 +137,3 @@ def _check_range(distorted: Tensor, reference: Tensor, data_range: float, name: 
             f"{name}: data_range is {data_range:g}, but no value is above {highest:g}: images in [0, 1] have "
             "data_range=1. (A wrong range adds 48 dB to the PSNR of such images.)"
         )
-
-
-def per_image(score: Tensor, like: Tensor) -> Tensor:
-    """Scores ``(B,)`` in the batch shape of an image ``(..., C, H, W)``."""
-    return score.reshape(like.shape[:-3])

@@ -5,9 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.strips import in_strips
 
-__all__ = ["psnr"]
+__all__ = ["psnr", "psnr_of"]
 
 
 def psnr(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
@@ -27,9 +28,13 @@ def psnr(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Te
         >>> round(float(psnr(torch.full((3, 4, 4), 0.5), torch.full((3, 4, 4), 0.6))), 3)
         20.0
     """
-    channels = tuple(reference.shape[-3:-2]) if isinstance(reference, Tensor) else (3,)
-    x, y = check_pair(distorted, reference, data_range, channels=channels, owner="psnr")
-    error = (x - y).square().mean((1, 2, 3))
+    return psnr_of(Pair(distorted, reference, data_range, channels=None, owner="psnr"))
+
+
+def psnr_of(pair: Pair) -> Tensor:
+    """:func:`psnr` of a pair."""
+    x, y = pair.images
+    error = in_strips(lambda x, y: (x - y).square().sum((2, 3), keepdim=True), 0, x, y).sum((1, 2, 3)) / x[0].numel()
     different = error > 0
     safe = torch.where(different, error, torch.ones_like(error))
-    return per_image(torch.where(different, -10.0 * safe.log10(), torch.inf), reference)
+    return pair.per_image(torch.where(different, -10.0 * safe.log10(), torch.inf))

@@ -9,20 +9,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchweather.metrics.colour import luma, yiq
-from torchweather.metrics.filters import (
-    SCHARR,
-    automatic_factor,
-    averaged_down,
-    filtered,
-    gaussian_weights,
-    gradient_magnitude,
-    root,
-)
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.filters import SCHARR, filtered, gaussian_weights, gradient_magnitude, root
+from torchweather.metrics.pairs import Pair
 from torchweather.metrics.pooling import chroma_likeness, likeness, stretched, weighted_mean
 from torchweather.metrics.resize import cubic_weights, resized
 
-__all__ = ["sr_sim"]
+__all__ = ["sr_sim", "sr_sim_of"]
 
 # Zhang & Li 2012, for values in 0..255
 SALIENCY = 0.40
@@ -68,16 +60,20 @@ def sr_sim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chr
         >>> float(sr_sim(ramp, ramp)), float(sr_sim(0.5 * ramp, ramp)) < 1.0
         (1.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="sr_sim")
-    factor = automatic_factor(*x.shape[-2:])
-    x, y = (averaged_down(WHITE * image, factor) for image in (x, y))
+    pair = Pair(distorted, reference, data_range, minimum=SMALLEST, owner="sr_sim")
+    return sr_sim_of(pair, chromatic=chromatic)
+
+
+def sr_sim_of(pair: Pair, *, chromatic: bool = False) -> Tensor:
+    """:func:`sr_sim` of a pair."""
+    x, y = (WHITE * image for image in pair.shrunk)
     light = luma(x), luma(y)
     salient = [_saliency(plane) for plane in light]
-    slopes = [gradient_magnitude(plane, *SCHARR) for plane in light]
+    slopes = gradient_magnitude(torch.cat(light, 1), *SCHARR).chunk(2, 1)
     local = likeness(salient[0], salient[1], SALIENCY) * likeness(slopes[0], slopes[1], GRADIENT) ** GRADIENT_POWER
     if chromatic and x.shape[1] == 3:
         local = local * chroma_likeness(yiq(x)[:, 1:], yiq(y)[:, 1:], CHROMA, CHROMA_POWER)
-    return per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])), reference)
+    return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])))
 
 
 def _saliency(plane: Tensor) -> Tensor:

@@ -2,42 +2,54 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
-from torchweather.metrics.filters import automatic_factor, averaged_down, filtered, gaussian_weights
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.filters import filtered, gaussian_weights
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.strips import in_strips
 
-__all__ = ["similarity_maps", "ssim"]
+__all__ = ["lacking", "ssim", "ssim_of"]
 
 # Wang et al. 2004, section III.C: window 11 x 11 with a standard deviation of 1.5 pixels; K1 and K2 against 0/0
 WINDOW_PX, SIGMA_PX = 11, 1.5
 K1, K2 = 0.01, 0.03
 
 
-def similarity_maps(x: Tensor, y: Tensor, white: float = 1.0) -> tuple[Tensor, Tensor]:
-    """SSIM and its factor of contrast and structure around each pixel.
+def lacking(x: Tensor, y: Tensor, white: float = 1.0, *, brightness: bool = True) -> Tensor:
+    """What SSIM around each pixel lacks to 1, exactly 0 for identical images.
 
     Args:
         x, y: ``(B, C, H, W)``.
         white: value of white, which scales the two constants.
+        brightness: or the factor of contrast and structure alone.
 
     Returns:
-        two ``(B, C, H - 10, W - 10)``: only pixels whose window lies within the image.
+        ``(B, C, H - 10, W - 10)``: only pixels whose window lies within the image.
     """
-    weights = gaussian_weights(WINDOW_PX, SIGMA_PX, x)
+    return in_strips(partial(_lacking, white=white, brightness=brightness), WINDOW_PX - 1, x, y)
+
+
+def _lacking(x: Tensor, y: Tensor, white: float, brightness: bool) -> Tensor:
+    weights = gaussian_weights(WINDOW_PX, SIGMA_PX, y)
     # variances do not change with the zero of the values; near their mean, float32 loses least
-    middle = (0.5 * (x + y)).mean((2, 3), keepdim=True).detach()
-    x, y = x - middle, y - middle
-    # the sum of the two variances is all that the formula needs of them
-    moments = filtered(torch.cat((x, y, x.square() + y.square(), x * y)), weights, weights)
-    mean_x, mean_y, power, product = moments.chunk(4)
-    c1, c2 = (K1 * white) ** 2, (K2 * white) ** 2
-    covariance, variances = product - mean_x * mean_y, power - (mean_x.square() + mean_y.square())
-    structure = (2.0 * covariance + c2) / (variances + c2)
-    mean_x, mean_y = mean_x + middle, mean_y + middle
-    brightness = (2.0 * mean_x * mean_y + c1) / (mean_x.square() + mean_y.square() + c1)
-    return brightness * structure, structure
+    off = x - y
+    middle, shift = (plane.detach().mean((2, 3), keepdim=True) for plane in (y, off))
+    y, off = y - middle, off - shift
+    moments = filtered(torch.cat((y, off, y * (y + off), off.square()), 1), weights, weights)
+    mean_y, mean_off, product, power = moments.chunk(4, 1)
+    covariance = product - mean_y * (mean_y + mean_off)
+    # the variances of x and y are together twice their covariance and the variance of their difference
+    variance_off = power - mean_off.square()
+    structure = variance_off / (2.0 * covariance + variance_off + (K2 * white) ** 2)
+    if not brightness:
+        return structure
+    mean_y, mean_off = mean_y + middle, mean_off + shift
+    mean_x = mean_y + mean_off
+    light = mean_off.square() / (mean_x.square() + mean_y.square() + (K1 * white) ** 2)
+    return light + structure - light * structure
 
 
 def ssim(
@@ -78,7 +90,11 @@ def ssim(
         >>> round(float(ssim(0.5 * grey, grey)), 4)
         0.8001
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=WINDOW_PX, owner="ssim")
-    factor = 1 if full_resolution else automatic_factor(*y.shape[-2:])
-    score, _ = similarity_maps(averaged_down(x, factor), averaged_down(y, factor))
-    return per_image(score.mean((1, 2, 3)), reference)
+    pair = Pair(distorted, reference, data_range, minimum=WINDOW_PX, owner="ssim")
+    return ssim_of(pair, full_resolution=full_resolution)
+
+
+def ssim_of(pair: Pair, *, full_resolution: bool = False) -> Tensor:
+    """:func:`ssim` of a pair."""
+    x, y = pair.images if full_resolution else pair.shrunk
+    return pair.per_image(1.0 - lacking(x, y).mean((1, 2, 3)))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
-from torchweather.metrics.colour import luma
 from torchweather.metrics.filters import filtered, gaussian_weights
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
+from torchweather.metrics.strips import in_strips
 
-__all__ = ["vif"]
+__all__ = ["vif", "vif_of"]
 
 # Side of the window at each scale and its standard deviation as a share of that, from the authors' pixel version.
 WINDOWS = (17, 9, 5, 3)
@@ -50,19 +52,22 @@ def vif(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Ten
         >>> float(vif(ramp, ramp)), float(vif(0.5 * ramp, ramp)) < 1.0
         (1.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="vif")
-    x, y = _about_middle(luma(x)), _about_middle(luma(y))
-    kept, told = x.new_zeros(len(x)), x.new_zeros(len(x))
+    return vif_of(Pair(distorted, reference, data_range, minimum=SMALLEST, owner="vif"))
+
+
+def vif_of(pair: Pair) -> Tensor:
+    """:func:`vif` of a pair."""
+    both = torch.cat([_about_middle(plane) for plane in pair.luma], 1)
+    total = both.new_zeros(len(both), 2)
     for scale, size in enumerate(WINDOWS):
-        window = gaussian_weights(size, SIGMA_SHARE * size, x)
+        window = gaussian_weights(size, SIGMA_SHARE * size, both)
         if scale:
-            x, y = (filtered(image, window, window)[..., ::2, ::2] for image in (x, y))
-        gain, noise, variance = _channel(x, y, window)
-        kept = kept + (gain.square() * variance / (noise + EYE_NOISE)).log1p().sum((1, 2, 3))
-        told = told + (variance / EYE_NOISE).log1p().sum((1, 2, 3))
+            both = filtered(both, window, window, step=2)
+        total = total + in_strips(partial(_information, window=window), size - 1, both).sum((2, 3))
+    kept, told = total.unbind(1)
     there = told > 0
     score = torch.where(there, kept, torch.ones_like(kept)) / torch.where(there, told, torch.ones_like(told))
-    return per_image(score, reference)
+    return pair.per_image(score)
 
 
 def _about_middle(image: Tensor) -> Tensor:
@@ -71,16 +76,19 @@ def _about_middle(image: Tensor) -> Tensor:
     return 255.0 * (image - middle)
 
 
-def _channel(x: Tensor, y: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Gain and noise variance that turn reference ``y`` into ``x``, and the variance of ``y``, in each window."""
-    mean_x, mean_y = filtered(x, window, window), filtered(y, window, window)
+def _information(both: Tensor, window: Tensor) -> Tensor:
+    """What each window of both planes ``(B, 2, H, W)`` tells: of the distorted one and of the reference."""
+    x, y = both.chunk(2, 1)
+    moments = filtered(torch.cat((both, both.square(), x * y), 1), window, window)
+    mean_x, mean_y, square_x, square_y, product = moments.chunk(5, 1)
     # rounding makes variances below 0
-    of_x = (filtered(x.square(), window, window) - mean_x.square()).clamp_min(0.0)
-    of_y = (filtered(y.square(), window, window) - mean_y.square()).clamp_min(0.0)
-    shared = filtered(x * y, window, window) - mean_x * mean_y
+    of_x = (square_x - mean_x.square()).clamp_min(0.0)
+    of_y = (square_y - mean_y.square()).clamp_min(0.0)
+    shared = product - mean_x * mean_y
     # nothing of the reference is left where one is flat or where they run against each other
     related = (of_x >= NOTHING) & (of_y >= NOTHING) & (shared > 0)
     zero, one = torch.zeros_like(of_y), torch.ones_like(of_y)
     gain = torch.where(related, shared, zero) / torch.where(related, of_y, one)
     noise = (of_x - gain * shared).clamp_min(0.0)
-    return gain, noise, torch.where(of_y >= NOTHING, of_y, zero)
+    variance = torch.where(of_y >= NOTHING, of_y, zero)
+    return torch.cat((gain.square() * variance / (noise + EYE_NOISE), variance / EYE_NOISE), 1).log1p()

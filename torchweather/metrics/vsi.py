@@ -10,10 +10,10 @@ from torch.nn import functional
 
 from torchweather.metrics.colour import mixed
 from torchweather.metrics.filters import SCHARR, automatic_factor, gradient_magnitude, power, root
-from torchweather.metrics.pairs import check_pair, per_image
+from torchweather.metrics.pairs import Pair
 from torchweather.metrics.pooling import likeness, stretched, weighted_mean
 
-__all__ = ["vsi"]
+__all__ = ["vsi", "vsi_of"]
 
 # Zhang, Shen & Li 2014, for values in 0..255
 SALIENCY, GRADIENT, CHROMA = 1.27, 386.0, 130.0
@@ -62,18 +62,22 @@ def vsi(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Ten
         >>> float(vsi(ramp, ramp)), float(vsi(0.5 * ramp, ramp)) < 1.0
         (1.0, True)
     """
-    x, y = check_pair(distorted, reference, data_range, minimum=SMALLEST, owner="vsi")
-    x, y = (WHITE * image.expand(-1, 3, -1, -1) for image in (x, y))
+    return vsi_of(Pair(distorted, reference, data_range, minimum=SMALLEST, owner="vsi"))
+
+
+def vsi_of(pair: Pair) -> Tensor:
+    """:func:`vsi` of a pair."""
+    x, y = (image.expand(-1, 3, -1, -1) for image in pair.images)
     factor = automatic_factor(*x.shape[-2:])
     salient = [_shrunk(_saliency(image), factor) for image in (x, y)]
-    lmn = [mixed(_shrunk(image, factor), LMN) for image in (x, y)]
-    slopes = [gradient_magnitude(image[:, :1], *SCHARR) for image in lmn]
+    lmn = [mixed(WHITE * _shrunk(image, factor), LMN) for image in (x, y)]
+    slopes = gradient_magnitude(torch.cat([image[:, :1] for image in lmn], 1), *SCHARR).chunk(2, 1)
     chroma = likeness(lmn[0][:, 1:], lmn[1][:, 1:], CHROMA).prod(1, keepdim=True)
     # Real part of a power of what opposite colours make negative
     turned = torch.where(chroma < 0, math.cos(CHROMA_POWER * math.pi), 1.0)
     local = likeness(salient[0], salient[1], SALIENCY) * power(likeness(slopes[0], slopes[1], GRADIENT), GRADIENT_POWER)
     local = local * power(chroma.abs(), CHROMA_POWER) * turned
-    return per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])), reference)
+    return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])))
 
 
 def _shrunk(image: Tensor, factor: int) -> Tensor:
@@ -87,7 +91,7 @@ def _shrunk(image: Tensor, factor: int) -> Tensor:
 
 def _saliency(image: Tensor) -> Tensor:
     """0..1, of the image's size."""
-    lab = _lab(functional.interpolate(image, (SIDE, SIDE), mode="bilinear", align_corners=False) / WHITE)
+    lab = _lab(functional.interpolate(image, (SIDE, SIDE), mode="bilinear", align_corners=False))
     place = torch.arange(-SIDE // 2, SIDE // 2, dtype=image.dtype, device=image.device)
     radius = torch.fft.ifftshift((place[:, None] ** 2 + place**2).sqrt() / SIDE)
     radius[0, 0] = 1.0
