@@ -131,7 +131,10 @@ def test_what_the_plain_error_does_at_the_step_is_said() -> None:
 def test_a_percentile_of_zero_is_explained_by_the_share_of_points() -> None:
     zero = why(series({"hd95": np.zeros((3, 2))}), "hd95")
     assert "It is 0 at every level and for every seed." in zero
-    assert "at least 95 % of the points" in zero
+    assert "At every level at least 95 % of the points" in zero
+    first = why(series({"hd95": [[0, 0], [0, 0], [0.5, 0.6]]}), "hd95")
+    assert "from 1 to 5 mm/h" in first
+    assert "At 1, 5 mm/h at least 95 % of the points" in first
     assert "95 %" not in why(series({"hd95": np.full((3, 2), 0.5)}), "hd95")
 
 

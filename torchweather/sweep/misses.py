@@ -39,11 +39,8 @@ def explain_miss(series: Series, judgement: Judgement) -> list[str]:
     said = _steps(series, metric, wrong) + _size(series, metric, wrong)
     if metric == "hd":
         said += _one_point(series, judgement)
-    elif metric == "hd95" and not scores.any():
-        said.append(
-            "At every level at least 95 % of the points of either cloud have a point of the other in the same place, "
-            "so the 95th percentile of the distances is 0."
-        )
+    elif metric == "hd95":
+        said += _share_of_points(series)
     elif metric == "sdm":
         said += _pair_distance(series, wrong)
     said += _others(series, metric, wrong)
@@ -134,6 +131,17 @@ def _one_point(series: Series, judgement: Judgement) -> list[str]:
             f" Seeds that ranked the levels at random would agree as much with a probability of {judgement.page_p:.2g}."
         )
     return [text]
+
+
+def _share_of_points(series: Series) -> list[str]:
+    """A 95th percentile of 0 says how few points have changed."""
+    zero = [number for number, row in enumerate(series.scores["hd95"]) if not row.any()]
+    if not zero:
+        return []
+    unit = UNITS[series.levels[0].knob]
+    where = "every level" if len(zero) == len(series.levels) else f"{', '.join(_at(series, n) for n in zero)} {unit}"
+    text = f"At {where} at least 95 % of the points of either cloud have a point of the other in the same place"
+    return [f"{text}: the 95th percentile of the distances is 0."]
 
 
 def _pair_distance(series: Series, wrong: Sequence[int]) -> list[str]:
