@@ -219,6 +219,21 @@ def test_scores_are_means_over_the_seeds() -> None:
         assert found.data.performance[k] == AP[weather, value]
 
 
+def test_seeds_that_both_tables_have_are_matched_and_then_averaged() -> None:
+    performance = {name: column * 3 for name, column in performance_table().items()}
+    performance["seed"] = [seed for seed in range(3) for _ in range(6)]
+    performance["performance"][6:12] = [None] * 6  # of seed 1 there is none
+    scores = sweep_table()
+    scores["score"] = [
+        99.0 if seed == 1 else score for seed, score in zip(scores["seed"], scores["score"], strict=True)
+    ]
+    found = correlate(scores, performance)
+    assert found.data.by == ("weather", "value")
+    assert found.metrics[0].conditions == 6
+    assert found.data.scores["ssim"] == pytest.approx(found.data.performance)
+    assert len(correlate(scores, performance, by=["weather", "value", "seed"]).data.performance) == 12
+
+
 def test_the_performance_of_several_classes_is_their_mean() -> None:
     one_class = performance_table()
     twice = {name: [*column, *column] for name, column in one_class.items()}
