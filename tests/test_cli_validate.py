@@ -52,6 +52,26 @@ def test_a_study_folder_gives_the_same_twice(tmp_path: Path, capsys: Capture) ->
     assert found[0] == found[1]
 
 
+def test_errors_of_the_study_are_told(tmp_path: Path, capsys: Capture) -> None:
+    study = embedded_study("radar", clear_frames=2, frames=1)
+    frame = study.conditions[0].frames[0]
+    scene = study.scenes["test-track"]
+    twice = Study.from_arrays(
+        sensor=study.sensor,
+        scenes=[{"id": "s0", "clear": list(scene.clear), "geometry": scene.geometry}],
+        conditions=[
+            {"id": name, "scene": "s0", "weather": weather, "frames": [frame, frame]}
+            for name, weather in (("light", "rain:rate=5"), ("heavy", "rain:rate=50"))
+        ],
+    )
+    twice.write(tmp_path / "study")
+    arguments = ["validate", str(tmp_path / "study"), "--out", str(tmp_path / "page"), "--metrics", "detected_share"]
+    assert main(arguments) == 0
+    assert "torchweather: error: " in capsys.readouterr().err
+    assert main([*arguments, "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

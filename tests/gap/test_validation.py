@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -184,7 +188,7 @@ def test_a_hidden_loss_is_found_where_it_is() -> None:
         # Means of five medians over some 100 targets: within 0.5 dB of the hidden 1.5 dB.
         assert score.gap == pytest.approx(1.5, abs=0.5)
         assert score.side_of_floor("measured") == "worse"
-    assert "power_change_db in all 12 conditions" in found.verdict()
+    assert "power_change_db (all 12 conditions)" in found.verdict()
     assert "radome" not in found.verdict()  # it names no cause
 
 
@@ -243,10 +247,54 @@ def test_links_with_twice_the_loss_differ() -> None:
     # One way taken for two, or amplitude for power: a factor of 2 in dB.
     found = validate(link_study(2.0), seed=1)
     assert "attenuation_db_from_10_mm_per_h" in found.differing()
+    assert "attenuation at 10 to 25 mm/h" in found.verdict()
     heavy = found.conditions[0].scores[-1]
     assert heavy.simulated.mean == pytest.approx(heavy.measured.mean / 2, rel=0.1)
     with pytest.raises(ValueError, match="names is for frames"):
         validate(link_study(1.0), names=["psnr"])
+
+
+@pytest.mark.real_data
+def test_recorded_links_lose_what_rain_takes() -> None:
+    root = os.environ.get("TORCHWEATHER_REAL_DATA")
+    if not root:
+        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
+    folder = Path(root) / "cml_germany"
+    if not folder.is_dir():
+        pytest.skip("TORCHWEATHER_REAL_DATA holds no cml_germany")
+    example = links_example()
+    recording = example.read_germany(folder)
+    attenuation_db = example.measured_db(recording)[0]
+    chosen = example.quiet_links(recording, attenuation_db, 0.0)
+    frame = {
+        "time_s": 300.0 * np.arange(len(attenuation_db)),  # 5-min steps
+        "attenuation_db": attenuation_db[:, chosen],
+        "rain_mm_per_h": recording.rain_mm_per_h[:, chosen, None],
+    }
+    links = {
+        "length_km": recording.length_km[chosen],
+        "frequency_ghz": recording.frequency_ghz[chosen],
+        "polarisation": np.ones(int(np.sum(chosen))),
+        "split": np.arange(int(np.sum(chosen))) % 2,
+    }
+    found = validate(Study.from_arrays(kind="link", links=links, conditions=[{"id": "links", "frames": [frame]}]))
+    middle = {score.name: score for score in found.conditions[0].scores}
+    for low in ("2.5", "10"):
+        score = middle[f"attenuation_db_from_{low}_mm_per_h"]
+        # Moderate rain, where the radar's path mean is good: within a fifth. Twice the loss would be 100 % off.
+        assert score.simulated.mean == pytest.approx(score.measured.mean, rel=0.2)
+
+
+def links_example() -> Any:
+    """``examples/links_against_p838.py`` as a module; it reads the recordings and takes their dry baseline off."""
+    path = Path(__file__).parents[2] / "examples" / "links_against_p838.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
 
 
 # ---- trends, scores, results -----------------------------------------------------------------------------------------

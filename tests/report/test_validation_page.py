@@ -13,6 +13,7 @@ import pytest
 
 from tests.gap import studies
 from tests.report.test_demo import Page
+from torchweather.gap.diagnosis import Finding
 from torchweather.gap.embedded_study import embedded_study
 from torchweather.gap.study import Study
 from torchweather.gap.validation import Validation, validate
@@ -84,6 +85,15 @@ def test_the_json_holds_what_was_found(radar: Written) -> None:
     gaps = [score["gap"] for each in summary["conditions"] for score in each["scores"]]
     assert gaps == [score.gap for each in validation.conditions for score in each.scores]
     assert len(summary["trends"]) == 3
+
+
+def test_errors_of_the_study_stand_beside_the_verdict(radar: Written, tmp_path: Path) -> None:
+    _, study, validation = radar
+    broken = Finding("error", "Frames stand twice.", "Their <scatter> is not known.", "Take others.")
+    write_validation(tmp_path / "page", study, replace(validation, findings=(broken,)))
+    header = text_of(tmp_path / "page").partition("</header>")[0]
+    assert "cannot be trusted.</strong> Frames stand twice. Their &lt;scatter&gt; is not known." in header
+    assert "cannot be trusted" not in text_of(radar[0])
 
 
 def test_a_self_check_says_that_nothing_was_measured(radar: Written, tmp_path: Path) -> None:

@@ -27,14 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", metavar="KIND[:PRESET]", help="of scene:NAME: lidar (default), camera or radar")
     parser.add_argument("--seed", type=int, default=0, help="of the simulation; default 0")
     parser.add_argument("--metrics", help="names joined by commas; default all that the frames can have")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
 
 
 def run(args: argparse.Namespace) -> int:
     """Validate and write the page."""
     from tqdm import tqdm
 
-    from torchweather.commands.output import print_json, print_lines
+    from torchweather.commands.output import note, print_json, print_lines
     from torchweather.gap.validation import validate
     from torchweather.report.validation_page import write_validation
 
@@ -46,6 +46,9 @@ def run(args: argparse.Namespace) -> int:
     shown = not args.quiet and sys.stderr.isatty()
     with tqdm(total=len(study.conditions), desc="conditions", disable=not shown, leave=False) as bar:
         validation = validate(study, seed=args.seed, names=names, step=bar.update)
+    for finding in validation.findings:
+        if finding.level == "error":
+            note(str(finding), quiet=args.quiet)
     summary = write_validation(args.out, study, validation, self_check=self_check)
     if args.json:
         print_json(summary)

@@ -32,11 +32,13 @@ class ScoreMeaning:
         higher_is_better: nearer to the clear frame where higher.
         unit: empty for a plain number.
         says: what it is, in words; empty for the scores of D3.4's tables.
+        called: in a sentence; empty: by its name.
     """
 
     higher_is_better: bool
     unit: str = ""
     says: str = ""
+    called: str = ""
 
 
 CLOUD = {name: ScoreMeaning(higher_is_better=False, unit="" if name == "sdm" else "m") for name in CLOUD_SCORES}

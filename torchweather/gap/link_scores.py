@@ -65,7 +65,7 @@ def compared_links(measured: Sequence[Frame], simulated: Sequence[Frame]) -> tup
             samples[which] = np.concatenate([values[mask] for values, mask in pairs])
         label = f"{low:g} to {high:g} mm/h" if high < math.inf else f"{low:g} mm/h or more"
         name = f"attenuation_db_from_{low:g}_mm_per_h"
-        meaning = ScoreMeaning(False, "dB", f"mean attenuation at {label}")
+        meaning = ScoreMeaning(False, "dB", f"mean attenuation at {label}", called=f"attenuation at {label}")
         rmse = float(np.sqrt(np.square(samples["simulated"] - samples["measured"]).mean()))
         found.append(
             LinkClass(

@@ -123,8 +123,9 @@ class Validation:
         said = [f"Simulation and measurement agree within their scatter in {counts['agree']} of {of}."]
         if differing:
             worst = sorted(differing.items(), key=lambda item: -len(item[1]))
-            named = [f"{name} in {_where(labels, conditions)}" for name, labels in worst]
-            said.append(f"They differ in {_listed(named)}.")
+            called = {score.name: score.meaning.called for each in self.conditions for score in each.scores}
+            named = [f"{called[name] or name}{_where(labels, conditions)}" for name, labels in worst]
+            said.append(f"They differ in {'; '.join(named)}.")
         if counts["agree_at_floor"]:
             said.append(
                 f"In {counts['agree_at_floor']} of those that agree, neither can be told from clear frames: there "
@@ -339,13 +340,11 @@ def _number(count: int, thing: str) -> str:
 
 
 def _where(labels: Sequence[str], conditions: int) -> str:
-    if len(labels) == conditions > 1:
-        return f"all {conditions} conditions"
-    return ", ".join(labels) if len(labels) <= 3 else f"{len(labels)} of {conditions} conditions"
-
-
-def _listed(parts: Sequence[str]) -> str:
-    return "; ".join(parts)
+    if conditions == 1:
+        return ""
+    if len(labels) == conditions:
+        return f" (all {conditions} conditions)"
+    return f" ({', '.join(labels) if len(labels) <= 3 else f'{len(labels)} of {conditions} conditions'})"
 
 
 def _plain(value: Any) -> Any:
