@@ -101,7 +101,7 @@ def test_the_share_of_beams_with_a_visible_drop_follows_the_density(density: flo
     """P = 1 - exp(-density Lambda): 40,000 beams, four standard deviations."""
     transform = LidarRain(Rain(25.0), SENSOR, q_eff=0.0)
     state = empty_beams(transform)
-    part = transform.chain.stages["particle_returns"].kinds["rain"]  # type: ignore[union-attr,index]
+    part = transform.chain.stages["particle_returns"].kinds["rain"]
     wanted = own_number_above(
         SENSOR.threshold_per_m2_sr, SENSOR.max_range_m, Rain(25.0), float(part.q_back), extra_rad=0.0, density=density
     )
@@ -115,7 +115,7 @@ def test_the_share_of_beams_with_a_visible_drop_follows_the_density(density: flo
 def test_twice_the_density_is_twice_the_snow_and_its_extinction() -> None:
     """A number of flakes proportional to the density at any rate: two states of one table."""
     transform = LidarSnow(Snow(0.5), SENSOR)
-    part = transform.chain.stages["particle_returns"].kinds["snow"]  # type: ignore[union-attr,index]
+    part = transform.chain.stages["particle_returns"].kinds["snow"]
     beam, clear = Beam(SENSOR), torch.zeros(2)
     both = part.between(beam, clear, torch.tensor([1.0, 2.0]))
     torch.testing.assert_close(both[1], 2.0 * both[0], rtol=1e-5, atol=1e-7)
@@ -128,7 +128,7 @@ def test_twice_the_density_is_twice_the_snow_and_its_extinction() -> None:
 def test_readings_of_fog_are_those_of_an_own_integral(density: float) -> None:
     """-ln P(no reading above n) = sum of -ln Q(n + 1/2, density mu(r)) over the pulse lengths of the way."""
     transform = LidarFog(Fog(mor_m=100.0), SENSOR)
-    part = transform.chain.stages["particle_returns"].kinds["fog"]  # type: ignore[union-attr,index]
+    part = transform.chain.stages["particle_returns"].kinds["fog"]
     beam, clear = Beam(SENSOR), torch.zeros(1)
     above = part.between(beam, clear, torch.tensor([density])).flip(1).cumsum(1).flip(1)[0, :, -1]
     edge = torch.linspace(SENSOR.near_start_m, SENSOR.max_range_m, 60_001, dtype=torch.float64)

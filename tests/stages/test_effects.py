@@ -37,7 +37,7 @@ from torchweather.stages import (
     register_effect,
     with_effects,
 )
-from torchweather.transforms import LidarRain
+from torchweather.transforms import LidarRain, LidarWeather
 from torchweather.transforms.recipes import load_recipe, save_recipe
 from torchweather.weather import Rain
 
@@ -73,7 +73,7 @@ NOT_IN_A_GRAPH = {"lidar.isolated_return_filter", "lidar.ring_gain"}
 
 
 @pytest.fixture(scope="module")
-def transform() -> LidarRain:
+def transform() -> LidarWeather:
     return rain()
 
 
@@ -87,7 +87,7 @@ def test_the_catalogue_is_complete_and_in_order() -> None:
 
 
 @every_effect
-def test_an_effect_declares_itself(name: str, transform: LidarRain) -> None:
+def test_an_effect_declares_itself(name: str, transform: LidarWeather) -> None:
     effect = EFFECTS[name]
     assert effect.after in transform.chain.stages
     assert effect.default_name == name.removeprefix("lidar.")
@@ -110,7 +110,13 @@ def test_what_is_confusable_is_so_from_both_sides_where_the_other_says_so() -> N
             assert len(separated_by) > 10, (name, other)
 
 
-def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalogue(transform: LidarRain) -> None:
+def test_titles_of_the_cause_tree_are_named_in_the_notice() -> None:
+    titles = [EFFECTS[name].percollect for name in LIDAR]
+    assert sum(title is not None for title in titles) == 14
+    assert "PerCollECT" in (Path(__file__).parents[2] / "NOTICE").read_text(encoding="utf-8")
+
+
+def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalogue(transform: LidarWeather) -> None:
     effects = [EFFECTS[name]() for name in reversed(LIDAR)]
     assert list(with_effects(transform.chain, effects).stages) == [
         "to_energy",
@@ -141,7 +147,7 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
     ]
 
 
-def test_an_effect_is_put_in_once(transform: LidarRain) -> None:
+def test_an_effect_is_put_in_once(transform: LidarWeather) -> None:
     with pytest.raises(ValueError, match="'window_loss' is there already"):
         with_effects(transform.chain, [active("lidar.window_loss"), active("lidar.window_loss")])
 
@@ -176,7 +182,7 @@ def test_parameters_out_of_bounds_and_unknown_ones_are_refused_with_their_unit(n
         effect(loss=1.0)
 
 
-def test_a_state_without_what_an_effect_needs_is_refused(transform: LidarRain) -> None:
+def test_a_state_without_what_an_effect_needs_is_refused(transform: LidarWeather) -> None:
     state = replace(begin(transform), grid=None)
     chain = with_effects(transform.chain, [active("lidar.ring_gain")])
     with pytest.raises(ValueError, match="LidarRingGain: wanted a state with grid; this one has none"):
@@ -193,7 +199,7 @@ def test_a_parameter_says_what_its_default_is() -> None:
 
 
 @every_effect
-def test_at_identity_nothing_changes_bit_for_bit(name: str, transform: LidarRain) -> None:
+def test_at_identity_nothing_changes_bit_for_bit(name: str, transform: LidarWeather) -> None:
     state = begin(transform)
     chain = with_effects(transform.chain, [EFFECTS[name]()])
     noise = chain.draw(state, seed=3)
@@ -204,7 +210,7 @@ def test_at_identity_nothing_changes_bit_for_bit(name: str, transform: LidarRain
 
 
 @every_effect
-def test_a_sample_at_identity_stays_beside_one_that_is_not(name: str, transform: LidarRain) -> None:
+def test_a_sample_at_identity_stays_beside_one_that_is_not(name: str, transform: LidarWeather) -> None:
     state = begin(transform)
     values = {
         p.name: torch.tensor([p.value, ACTIVE[name][p.name], p.value])
@@ -223,7 +229,7 @@ def test_a_sample_at_identity_stays_beside_one_that_is_not(name: str, transform:
     assert not torch.equal(wanted_points[1], got[1])
 
 
-def test_all_effects_at_identity_change_nothing(transform: LidarRain) -> None:
+def test_all_effects_at_identity_change_nothing(transform: LidarWeather) -> None:
     effects = [EFFECTS[name]() for name in LIDAR]
     state = begin(transform)
     chain = with_effects(transform.chain, effects)
@@ -244,7 +250,7 @@ def spread(name: str, batch: int = 3) -> dict[str, Tensor]:
 
 
 @every_effect
-def test_a_batch_with_parameters_of_its_own_equals_its_samples(name: str, transform: LidarRain) -> None:
+def test_a_batch_with_parameters_of_its_own_equals_its_samples(name: str, transform: LidarWeather) -> None:
     state, values = begin(transform), spread(name)
     chain = with_effects(transform.chain, [EFFECTS[name](**values)])
     noise = chain.draw(state, seed=3)
@@ -259,7 +265,7 @@ def test_a_batch_with_parameters_of_its_own_equals_its_samples(name: str, transf
 
 
 @every_effect
-def test_the_same_seed_gives_the_same_and_another_one_another(name: str, transform: LidarRain) -> None:
+def test_the_same_seed_gives_the_same_and_another_one_another(name: str, transform: LidarWeather) -> None:
     state = begin(transform)
     chain = with_effects(transform.chain, [active(name)])
     once, again, other = (chain(state, chain.draw(state, seed=seed)).points for seed in (3, 3, 8))
@@ -272,7 +278,7 @@ def test_the_same_seed_gives_the_same_and_another_one_another(name: str, transfo
 
 
 @every_effect
-def test_beams_are_alone_where_the_effect_says_so(name: str, transform: LidarRain) -> None:
+def test_beams_are_alone_where_the_effect_says_so(name: str, transform: LidarWeather) -> None:
     assert EFFECTS[name].each_beam_alone == (name not in BEAMS_TOGETHER)
     if name in BEAMS_TOGETHER:
         return
@@ -322,7 +328,7 @@ def response(name: str, state: Any, noise: Any, **values: Any) -> Tensor:
 
 
 @pytest.mark.parametrize(("name", "key"), CASES)
-def test_gradients_are_those_of_finite_differences(name: str, key: str, transform: LidarRain) -> None:
+def test_gradients_are_those_of_finite_differences(name: str, key: str, transform: LidarWeather) -> None:
     effect, step = active(name), SMOOTH[name][key]
     state = begin(transform, dtype=torch.float64)
     chain = with_effects(transform.chain, [effect])
@@ -360,7 +366,7 @@ def test_a_gradient_reaches_the_parameter_through_the_whole_chain() -> None:
 
 @every_effect
 def test_an_effect_comes_back_from_its_dictionary_and_its_chain_from_a_file(
-    name: str, transform: LidarRain, tmp_path: Path
+    name: str, transform: LidarWeather, tmp_path: Path
 ) -> None:
     state = begin(transform)
     for values in (ACTIVE[name], spread(name)):
@@ -376,11 +382,11 @@ def test_an_effect_comes_back_from_its_dictionary_and_its_chain_from_a_file(
         assert torch.equal(loaded(state, noise).points, chain(state, noise).points)
 
 
-def test_a_chain_holds_what_fitting_made_of_a_parameter(transform: LidarRain, tmp_path: Path) -> None:
+def test_a_chain_holds_what_fitting_made_of_a_parameter(transform: LidarWeather, tmp_path: Path) -> None:
     chain = with_effects(transform.chain, [active("lidar.window_loss")])
-    chain.stages["window_loss"].loss_db.fill_(1.25)  # type: ignore[operator,union-attr]
+    chain.stages["window_loss"].loss_db.fill_(1.25)
     chain.save(tmp_path / "chain.zip")
-    assert float(Chain.load(tmp_path / "chain.zip").stages["window_loss"].loss_db) == 1.25  # type: ignore[arg-type]
+    assert float(Chain.load(tmp_path / "chain.zip").stages["window_loss"].loss_db) == 1.25
 
 
 def test_a_transform_takes_effects_and_its_recipe_holds_them(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from tests.stages.effect_scene import (
 from torchweather.random import draw_variates
 from torchweather.sensors import Lidar
 from torchweather.stages import EFFECTS, LidarState, PointKind, with_effects
-from torchweather.transforms import LidarFog, LidarRain
+from torchweather.transforms import LidarFog, LidarRain, LidarWeather
 from torchweather.weather import Fog, Rain
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
@@ -35,11 +35,11 @@ AZIMUTH = torch.atan2(directions()[:, 1], directions()[:, 0])
 
 
 @pytest.fixture(scope="module")
-def transform() -> LidarRain:
+def transform() -> LidarWeather:
     return rain()
 
 
-def around(transform: LidarRain, name: str, seed: int = 3, **values: Any) -> tuple[LidarState, LidarState]:
+def around(transform: LidarWeather, name: str, seed: int = 3, **values: Any) -> tuple[LidarState, LidarState]:
     """The state in front of an effect and behind it, in rain."""
     effect = EFFECTS[name](**values)
     chain = with_effects(transform.chain, [effect])
@@ -51,7 +51,7 @@ def around(transform: LidarRain, name: str, seed: int = 3, **values: Any) -> tup
     return before, found[effect.default_name]
 
 
-def outcomes(transform: LidarRain, name: str, seed: int = 3, **values: Any) -> tuple[LidarState, LidarState]:
+def outcomes(transform: LidarWeather, name: str, seed: int = 3, **values: Any) -> tuple[LidarState, LidarState]:
     """What comes out of the chain without the effect and with it."""
     chain = with_effects(transform.chain, [EFFECTS[name](**values)])
     state = begin(transform)
@@ -68,7 +68,7 @@ def points_of(state: LidarState) -> Tensor:
 
 
 def test_window_loss_of_3_db_halves_every_signal_and_the_intensity_of_objects_and_particles(
-    transform: LidarRain,
+    transform: LidarWeather,
 ) -> None:
     half_db = 10.0 * math.log10(2.0)
     before, after = around(transform, "lidar.window_loss", loss_db=half_db)
@@ -81,7 +81,7 @@ def test_window_loss_of_3_db_halves_every_signal_and_the_intensity_of_objects_an
         torch.testing.assert_close(ratio, torch.full_like(ratio, 0.5), rtol=1e-5, atol=0.0)
 
 
-def test_twice_the_extinction_is_the_objects_intensity_at_twice_alpha(transform: LidarRain) -> None:
+def test_twice_the_extinction_is_the_objects_intensity_at_twice_alpha(transform: LidarWeather) -> None:
     alpha = float(transform.extinction_per_m)
     before, after = around(transform, "lidar.extinction_scale", factor=2.0)
     clear_m, clear = before.clear_range_m.double(), before.clear_signal.double()
@@ -92,7 +92,7 @@ def test_twice_the_extinction_is_the_objects_intensity_at_twice_alpha(transform:
     assert after.extinction_per_m.tolist() == pytest.approx([2.0 * alpha] * 3)
 
 
-def test_twice_the_extinction_is_the_rain_seen_with_twice_the_extinction_efficiency(transform: LidarRain) -> None:
+def test_twice_the_extinction_is_the_rain_seen_with_twice_the_extinction_efficiency(transform: LidarWeather) -> None:
     """q_eff counts linearly, so a model with twice of it is the same chain, particles included."""
     twice = LidarRain(Rain(50.0), scan_sensor(), q_eff=2.2)
     noise = transform.draw(cloud(), seed=4)
@@ -100,7 +100,7 @@ def test_twice_the_extinction_is_the_rain_seen_with_twice_the_extinction_efficie
     torch.testing.assert_close(with_effect, twice(cloud(), noise, directions=directions()), rtol=1e-5, atol=1e-6)
 
 
-def test_limited_extent_attenuates_up_to_the_extent_and_has_no_particle_beyond(transform: LidarRain) -> None:
+def test_limited_extent_attenuates_up_to_the_extent_and_has_no_particle_beyond(transform: LidarWeather) -> None:
     alpha, extent_m = float(transform.extinction_per_m), 7.0
     before, after = around(transform, "lidar.limited_extent", extent_m=extent_m)
     inside_m = np.minimum(before.clear_range_m.double().numpy(), extent_m)
@@ -113,7 +113,7 @@ def test_limited_extent_attenuates_up_to_the_extent_and_has_no_particle_beyond(t
     assert len(ranges[1]) > 50
 
 
-def test_the_particles_of_a_limited_extent_are_those_in_front_of_a_wall_there(transform: LidarRain) -> None:
+def test_the_particles_of_a_limited_extent_are_those_in_front_of_a_wall_there(transform: LidarWeather) -> None:
     """Drops in front of 4 m, whether a wall stands there or the rain ends: bit for bit the same draw."""
     chain = with_effects(transform.chain, [EFFECTS["lidar.limited_extent"](extent_m=4.0)])
     state = begin(transform)
@@ -133,18 +133,18 @@ def test_a_wider_beam_sees_more_drops_and_each_of_them_fainter() -> None:
     _, after = around(transform, "lidar.beam_divergence", extra_mrad=2.0)
     assert after.extra_divergence_rad is not None
     assert after.extra_divergence_rad.tolist() == pytest.approx([2e-3] * 3)
-    part = transform.chain.stages["particle_returns"].kinds["rain"]  # type: ignore[union-attr,index]
-    own = transform.chain.stages["particle_returns"].beam  # type: ignore[union-attr]
+    part = transform.chain.stages["particle_returns"].kinds["rain"]
+    own = transform.chain.stages["particle_returns"].beam
     signal, reach = torch.full((1, 1), 1e-5), torch.full((1, 1), 100.0)
-    wide = part.expected_above(own.widened(after.extra_divergence_rad[:1]), signal, torch.zeros(1), reach)  # type: ignore[operator]
+    wide = part.expected_above(own.widened(after.extra_divergence_rad[:1]), signal, torch.zeros(1), reach)
     # Three times the diameter: nine times the area, and the same drops are those of nine times the signal before.
-    equal = part.expected_above(own, 9.0 * signal, torch.zeros(1), reach)  # type: ignore[operator]
+    equal = part.expected_above(own, 9.0 * signal, torch.zeros(1), reach)
     # But for the exit's 0.1 mm against 3 mm at 1 m, and for drops wider than the beam, near the sensor.
     assert float(wide / (9.0 * equal)) == pytest.approx(1.0, rel=0.1)
 
 
 @pytest.mark.parametrize("known", ["both", "up", "incidence", "none"])
-def test_wet_targets_are_darker_by_up_and_incidence_and_particles_are_not(transform: LidarRain, known: str) -> None:
+def test_wet_targets_are_darker_by_up_and_incidence_and_particles_are_not(transform: LidarWeather, known: str) -> None:
     state = begin(transform)
     if known in ("incidence", "none"):
         state = replace(state, up=None)
@@ -188,19 +188,19 @@ def inside_sector(azimuth_rad: float, width_rad: float) -> Tensor:
 @pytest.mark.parametrize(
     ("azimuth_rad", "width_rad"), [(3.0, 1.0), (-3.1, 0.7), (0.0, 2.0 * math.pi), (1.0, 4.5), (1.0, 0.0)]
 )
-def test_a_dirty_sector_weakens_its_beams_alone(transform: LidarRain, azimuth_rad: float, width_rad: float) -> None:
+def test_a_dirty_sector_weakens_its_beams_alone(transform: LidarWeather, azimuth_rad: float, width_rad: float) -> None:
     before, after = around(transform, "lidar.sector_loss", azimuth_rad=azimuth_rad, width_rad=width_rad, loss_db=10.0)
     wanted = torch.where(inside_sector(azimuth_rad, width_rad)[None, :, None], 0.1, 1.0) * before.signal
     torch.testing.assert_close(after.signal, wanted, rtol=1e-5, atol=0.0)
 
 
-def test_particles_are_brighter_and_objects_are_not(transform: LidarRain) -> None:
+def test_particles_are_brighter_and_objects_are_not(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.particle_backscatter", gain_db=10.0)
     torch.testing.assert_close(after.signal[..., 1:], 10.0 * before.signal[..., 1:], rtol=1e-5, atol=0.0)
     assert torch.equal(after.signal[..., 0], before.signal[..., 0])
 
 
-def test_the_density_of_patchy_weather_has_mean_1_and_the_spread_asked_for(transform: LidarRain) -> None:
+def test_the_density_of_patchy_weather_has_mean_1_and_the_spread_asked_for(transform: LidarWeather) -> None:
     """20,000 samples: mean 1 and variance exp(s^2) - 1 within four standard errors."""
     samples, log_std = 20_000, 0.5
     effect = EFFECTS["lidar.patchy_weather"](log_std=log_std)
@@ -221,7 +221,7 @@ def test_the_density_of_patchy_weather_has_mean_1_and_the_spread_asked_for(trans
     assert float(density.log().std()) == pytest.approx(log_std, abs=4.0 * log_std / math.sqrt(2 * samples))
 
 
-def test_a_dense_patch_is_the_rain_with_more_drops_of_every_size(transform: LidarRain) -> None:
+def test_a_dense_patch_is_the_rain_with_more_drops_of_every_size(transform: LidarWeather) -> None:
     """The density counts in the extinction and in the particles, each sample by itself."""
     effect = EFFECTS["lidar.patchy_weather"](log_std=1.0)
     state = begin(transform)
@@ -236,7 +236,7 @@ def test_a_dense_patch_is_the_rain_with_more_drops_of_every_size(transform: Lida
     torch.testing.assert_close(extinction.double(), alpha * density, rtol=1e-5, atol=0.0)
 
 
-def test_a_static_structure_stands_where_it_was_put(transform: LidarRain) -> None:
+def test_a_static_structure_stands_where_it_was_put(transform: LidarWeather) -> None:
     values = {"azimuth_rad": 1.0, "range_m": 9.0, "width_rad": 0.6}
     before, after = around(transform, "lidar.static_structure", **values)
     inside = inside_sector(1.0, 0.6)
@@ -293,7 +293,7 @@ def test_a_structure_beyond_its_detection_hides_what_is_behind() -> None:
     assert result.kind.tolist() == [LOST, OBJECT]
 
 
-def test_spray_is_near_in_its_sector_and_as_frequent_as_asked_for(transform: LidarRain) -> None:
+def test_spray_is_near_in_its_sector_and_as_frequent_as_asked_for(transform: LidarWeather) -> None:
     """Against Poisson counts: share of beams 1 - exp(-mean), four standard deviations over all draws."""
     strength, hits, wanted, variance = 0.8, 0, 0.0, 0.0
     effect = EFFECTS["lidar.spray"](strength=strength, azimuth_rad=math.pi, width_rad=2.0)
@@ -336,7 +336,7 @@ def test_spray_is_near_in_its_sector_and_as_frequent_as_asked_for(transform: Lid
 # ---- receiver and firmware ---------------------------------------------------------------------------------------
 
 
-def test_a_threshold_of_6_db_more_loses_what_lies_within_6_db_and_leaves_intensities(transform: LidarRain) -> None:
+def test_a_threshold_of_6_db_more_loses_what_lies_within_6_db_and_leaves_intensities(transform: LidarWeather) -> None:
     plain, shifted = outcomes(transform, "lidar.threshold_shift", shift_db=6.0)
     margin_db = 10.0 * torch.log10(plain.signal[..., 0] / plain.threshold)
     seen = plain.kind[..., 0] == OBJECT
@@ -362,7 +362,7 @@ def test_nothing_nearer_than_the_blind_zone_is_reported() -> None:
     assert float(blind.range_m[blind.kind != LOST].min()) >= 2.5
 
 
-def test_range_noise_is_normal_with_the_spread_asked_for(transform: LidarRain) -> None:
+def test_range_noise_is_normal_with_the_spread_asked_for(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.range_noise", std_m=0.05)
     reported = before.kind != LOST
     error_m = (after.range_m - before.range_m)[reported].double()
@@ -372,13 +372,13 @@ def test_range_noise_is_normal_with_the_spread_asked_for(transform: LidarRain) -
     assert torch.equal(after.range_m[~reported], before.range_m[~reported])
 
 
-def test_a_range_is_not_negative(transform: LidarRain) -> None:
+def test_a_range_is_not_negative(transform: LidarWeather) -> None:
     _, after = around(transform, "lidar.range_bias", offset_m=-5.0)
     assert float(after.range_m.min()) == 0.0
     assert int((after.range_m[after.kind != LOST] == 0).sum()) > 5
 
 
-def test_range_bias_walks_with_the_decades_of_the_signal(transform: LidarRain) -> None:
+def test_range_bias_walks_with_the_decades_of_the_signal(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.range_bias", offset_m=0.1, walk_m_per_decade=-0.05)
     for sample, beam in ((0, 1), (1, 7), (2, 33), (0, 444)):
         assert int(before.kind[sample, beam, 0]) != LOST
@@ -387,7 +387,7 @@ def test_range_bias_walks_with_the_decades_of_the_signal(transform: LidarRain) -
         assert moved == pytest.approx(0.1 - 0.05 * decades, abs=1e-5)
 
 
-def test_range_stretch_grows_with_the_optical_depth_and_ends_with_the_weather(transform: LidarRain) -> None:
+def test_range_stretch_grows_with_the_optical_depth_and_ends_with_the_weather(transform: LidarWeather) -> None:
     alpha = float(transform.extinction_per_m)
     before, after = around(transform, "lidar.range_stretch", m_per_optical_depth=3.0)
     reported = before.kind != LOST
@@ -405,7 +405,7 @@ def test_range_stretch_grows_with_the_optical_depth_and_ends_with_the_weather(tr
     )
 
 
-def test_the_last_return_drops_particles_in_front_of_what_is_seen_alone(transform: LidarRain) -> None:
+def test_the_last_return_drops_particles_in_front_of_what_is_seen_alone(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.last_return", probability=1.0)
     seen = (before.kind[..., 0] == OBJECT) & (before.signal[..., 0] >= before.threshold)
     assert (after.signal[..., 1:][seen] == 0).all()
@@ -418,7 +418,7 @@ def test_the_last_return_drops_particles_in_front_of_what_is_seen_alone(transfor
     assert share == pytest.approx(0.3, abs=4.0 * math.sqrt(0.21 / number))
 
 
-def test_in_strongest_mode_the_last_return_uncovers_the_objects(transform: LidarRain) -> None:
+def test_in_strongest_mode_the_last_return_uncovers_the_objects(transform: LidarWeather) -> None:
     plain, last = outcomes(transform, "lidar.last_return", probability=1.0)
     covered = (plain.kind[..., 0] == PARTICLE) & (last.kind[..., 0] == OBJECT)
     assert int(covered.sum()) > 5
@@ -444,7 +444,7 @@ def brute_force_isolated(range_m: Any, reported: Any, radius_m: float) -> Any:
 
 @pytest.mark.parametrize("radius_m", [0.5, 3.0, 20.0])
 def test_the_isolated_return_filter_removes_what_a_brute_force_search_finds(
-    transform: LidarRain, radius_m: float
+    transform: LidarWeather, radius_m: float
 ) -> None:
     before, after = around(transform, "lidar.isolated_return_filter", probability=1.0, radius_m=radius_m)
     for sample in range(3):
@@ -478,7 +478,7 @@ def test_the_filter_looks_at_both_returns_of_a_dual_sensor() -> None:
 
 
 @pytest.mark.parametrize("exponent", [0.5, 2.0])
-def test_a_curved_response_is_a_power_of_the_ratio_to_the_clear_frame(transform: LidarRain, exponent: float) -> None:
+def test_a_curved_response_is_a_power_of_the_ratio_to_the_clear_frame(transform: LidarWeather, exponent: float) -> None:
     plain, curved = outcomes(transform, "lidar.intensity_compression", exponent=exponent)
     assert torch.equal(plain.kind, curved.kind)
     before, after, clear = points_of(plain)[..., 3], points_of(curved)[..., 3], cloud()[..., 3]
@@ -562,7 +562,7 @@ def test_beams_whose_direction_is_not_known_have_no_crosstalk() -> None:
     assert (result.kind[~empty] == PARTICLE).all()
 
 
-def test_the_gain_of_a_ring_is_linear_in_its_row_and_0_in_the_middle(transform: LidarRain) -> None:
+def test_the_gain_of_a_ring_is_linear_in_its_row_and_0_in_the_middle(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.ring_gain", db_per_ring=0.5)
     for row in range(ROWS):
         beams = slice(row * COLUMNS, (row + 1) * COLUMNS)
@@ -603,3 +603,12 @@ def test_every_return_mode_takes_every_effect() -> None:
         assert (result.second is not None) == (mode == "dual")
         noise = own_noise(chain_of.draw(cloud(), seed=1), "range_noise")
         assert noise["jitter"].shape == (3, BEAMS)
+
+
+def test_a_single_column_is_no_neighbour_of_itself() -> None:
+    state = LidarRain(Rain(0.0), scan_sensor(elevations_deg=None, columns=None)).state_of(cloud(1)[:, :4], None)
+    range_m = torch.tensor([10.0, 10.3, 30.0, 50.0])[None, :, None]
+    kind = torch.zeros_like(range_m, dtype=torch.int8)
+    state = replace(state, grid=(4, 1), range_m=range_m, signal=torch.ones_like(range_m), kind=kind)
+    after = EFFECTS["lidar.isolated_return_filter"](probability=1.0)(state, {"removal": torch.zeros(1, 4)})
+    assert after.kind.flatten().tolist() == [OBJECT, OBJECT, LOST, LOST]

@@ -6,7 +6,7 @@ Bounds and typical sizes are orders of magnitude where no source is named.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
@@ -73,13 +73,12 @@ class LidarIsolatedReturnFilter(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The reported returns without the lone ones."""
-        radius_m = self.value("radius_m", state.range_m)
+        assert state.grid is not None
+        rows, columns = state.grid
+        shape = state.range_m.shape
         # NaN is near nothing, itself included.
-        reported_m = torch.where(state.kind != LOST, state.range_m, torch.nan)
-        accompanied = torch.zeros_like(state.kind, dtype=torch.bool)
-        for neighbours_m in self._neighbours(state, reported_m):
-            for other_m in neighbours_m.unbind(-1):
-                accompanied = accompanied | ((other_m[..., None] - reported_m).abs() <= radius_m)
+        reported_m = torch.where(state.kind != LOST, state.range_m, torch.nan).reshape(-1, rows, columns, shape[-1])
+        accompanied = self._accompanied(reported_m).reshape(shape)
         tossed = noise["removal"].to(state.clear_range_m)
         removed = (tossed < self.value("probability", tossed))[..., None] & ~accompanied
         return {
@@ -88,20 +87,25 @@ class LidarIsolatedReturnFilter(Effect):
             "kind": torch.where(removed, LOST, state.kind),
         }
 
-    @staticmethod
-    def _neighbours(state: LidarState, values: Tensor) -> Iterator[Tensor]:
-        """Values ``(B, N, E)`` of the eight neighbours of each beam, NaN beyond the first and the last row."""
-        assert state.grid is not None
-        rows, columns = state.grid
-        batch, _, echoes = values.shape
-        organised = values.reshape(batch, rows, columns, echoes)
-        beyond = torch.full_like(organised[:, :1], torch.nan)
-        above = torch.cat([beyond, organised[:, :-1]], 1)
-        below = torch.cat([organised[:, 1:], beyond], 1)
-        for row in (above, organised, below):
-            for step in (-1, 0, 1):
-                if step or row is not organised:
-                    yield row.roll(step, 2).reshape(values.shape)
+    def _accompanied(self, range_m: Tensor) -> Tensor:
+        """Whether a neighbour has a return within the radius, of ranges ``(B, rows, columns, E)``; each pair once."""
+        found = torch.zeros_like(range_m, dtype=torch.bool)
+        upper_m, lower_m = range_m[:, :-1], range_m[:, 1:]
+        sideways = range_m.shape[2] > 1  # a single column is no neighbour of itself
+        if sideways:
+            own, other = self._near(range_m, range_m.roll(-1, 2))
+            found |= own | other.roll(1, 2)
+        for step in (-1, 0, 1) if sideways else (0,):
+            own, other = self._near(upper_m, lower_m.roll(step, 2))
+            found[:, :-1] |= own
+            found[:, 1:] |= other.roll(-step, 2)
+        return found
+
+    def _near(self, one_m: Tensor, other_m: Tensor) -> tuple[Tensor, Tensor]:
+        """Which echoes of one beam have one of the other within the radius, and the other way round."""
+        apart = (one_m[..., :, None] - other_m[..., None, :]).abs()
+        near = apart <= self.value("radius_m", apart)
+        return near.any(-1), near.any(-2)
 
 
 class LidarThresholdShift(Effect):
