@@ -37,6 +37,10 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
     "rain_from_disdrometer.py": (["--out", "drops.png"], ["drops.png"]),
     "first_lidar_rain.py": (["--columns", "64", "--out", "cloud.png"], ["cloud.png"]),
     "first_radar_rain.py": (["--out", "radar.png"], ["radar.png"]),
+    "metrics_against_detector.py": (
+        ["--quick", "--out", "found"],
+        [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
+    ),
     "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones
