@@ -152,6 +152,16 @@ def test_an_effect_is_put_in_once(transform: LidarWeather) -> None:
         with_effects(transform.chain, [active("lidar.window_loss"), active("lidar.window_loss")])
 
 
+def test_an_effect_outside_the_catalogue_has_no_place_in_its_order(transform: LidarWeather) -> None:
+    class MyLoss(Effect):
+        id: ClassVar[str] = "lidar.my_loss"
+        arguments: ClassVar[tuple[Parameter, ...]] = ()
+        after: ClassVar[str] = "detection"
+
+    with pytest.raises(ValueError, match="with_effects: MyLoss not in the catalogue.*use register_effect"):
+        with_effects(transform.chain, [MyLoss()])
+
+
 def test_another_class_cannot_take_an_id_of_the_catalogue() -> None:
     class MyLoss(Effect):
         id: ClassVar[str] = "lidar.window_loss"

@@ -524,7 +524,7 @@ def test_no_intensity_exceeds_the_saturation(unit: str, saturation: float) -> No
 def test_crosstalk_is_uniform_in_range_and_the_same_in_clear_frames() -> None:
     probability = 0.2
     effect = EFFECTS["lidar.crosstalk"](probability=probability)
-    sensor = scan_sensor(min_range_m=1.0)
+    sensor = scan_sensor(min_range_m=20.0)
     transforms = [LidarRain(Rain(rate), sensor, effects=[effect]) for rate in (0.0, 50.0)]
     found = []
     for transform in transforms:
@@ -546,7 +546,7 @@ def test_crosstalk_is_uniform_in_range_and_the_same_in_clear_frames() -> None:
         assert share == pytest.approx(probability, abs=4.0 * math.sqrt(probability * (1 - probability) / number))
         range_m = torch.cat(ranges)
         # A uniform law's mean and its deviation from the largest of Kolmogorov's statistic at 1e-4: 2.2 / sqrt(n).
-        law = (range_m.sort().values - 1.0) / (sensor.max_range_m - 1.0)
+        law = (range_m.sort().values - 20.0) / (sensor.max_range_m - 20.0)
         steps = torch.arange(1, len(law) + 1, dtype=torch.float64) / len(law)
         assert float((law - steps).abs().max()) < 2.2 / math.sqrt(len(law)) + 1.0 / len(law)
         found.append(range_m)

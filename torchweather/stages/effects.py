@@ -84,6 +84,20 @@ class Effect(Stage):
         confusable_with: id of another effect to what data would tell the two apart.
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
         needs: fields of the state without which it cannot work.
+
+    Example:
+        >>> class LidarGainDrift(Effect):
+        ...     id = "lidar.gain_drift"
+        ...     title, term = "the laser grows weaker", "laser power drift"
+        ...     arguments = (Parameter("loss_db", "dB", 0.0, 10.0, scale=1.0, identity=0.0),)
+        ...     after, axes = "particle_returns", ("intensity",)
+        ...
+        ...     def changes(self, state, noise):
+        ...         return {"signal": state.signal * 10 ** (-0.1 * self.value("loss_db", state.signal))}
+        >>> LidarGainDrift(loss_db=2.0)
+        LidarGainDrift(loss_db=2.0)
+
+        ``register_effect(LidarGainDrift)`` puts it into the catalogue.
     """
 
     id: ClassVar[str]
@@ -228,6 +242,12 @@ def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:
         >>> list(with_effects(chain, [LidarCrosstalk(), LidarRangeNoise(std_m=0.02)]).stages)
         ['detection', 'range_noise', 'crosstalk', 'to_points']
     """
+    effects = list(effects)
+    unknown = [type(effect).__name__ for effect in effects if effect.id not in EFFECTS]
+    if unknown:
+        raise ValueError(
+            f"with_effects: {', '.join(unknown)} not in the catalogue, which gives the order; use register_effect."
+        )
     order = list(EFFECTS)
     last: dict[str, str] = {}
     for effect in sorted(effects, key=lambda one: (one.rank, order.index(one.id))):

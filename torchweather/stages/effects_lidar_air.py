@@ -84,7 +84,8 @@ class LidarBeamDivergence(Effect):
         extra_mrad: divergence over that of the sensor, full angle, 0 to 10 mrad.
 
     Note:
-        Modes that list several particles of a beam list as many as the sensor's own divergence calls for.
+        Modes that list several particles of a beam list as many as the sensor's own divergence calls for. The rain of
+        ``variant="d3_4"`` fills a cylinder, which does not widen.
     """
 
     id: ClassVar[str] = "lidar.beam_divergence"
