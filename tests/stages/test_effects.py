@@ -158,7 +158,7 @@ def test_an_effect_outside_the_catalogue_has_no_place_in_its_order(transform: Li
         arguments: ClassVar[tuple[Parameter, ...]] = ()
         after: ClassVar[str] = "detection"
 
-    with pytest.raises(ValueError, match="with_effects: MyLoss not in the catalogue.*use register_effect"):
+    with pytest.raises(ValueError, match=r"with_effects: MyLoss not in the catalogue.*use register_effect"):
         with_effects(transform.chain, [MyLoss()])
 
 
