@@ -29,7 +29,7 @@ from torchweather.scenes.actors import car
 
 WEATHERS: dict[str, tuple[str, list[float]]] = {
     "rain": ("rate_mm_per_h", [5.0, 15.0, 40.0, 80.0, 150.0]),
-    "fog": ("mor_m", [300.0, 150.0, 80.0, 40.0, 20.0]),
+    "fog": ("mor_m", [1000.0, 500.0, 250.0, 120.0, 60.0]),
     "snow": ("rate_mm_per_h", [0.5, 1.0, 2.5, 5.0, 10.0]),
 }
 CLASSES = {"rain": tw.Rain, "fog": tw.Fog, "snow": tw.Snow}
