@@ -17,6 +17,7 @@ from torchweather.random import keyed_stream
 from torchweather.scenes import SCENES, RadarView, Scene, lidar_view, radar_view
 from torchweather.scenes.scene import SceneLabel
 from torchweather.sensors import DEFAULT_PRESETS, Camera, Lidar, Radar
+from torchweather.threads import one_thread_an_operation
 from torchweather.weather import Fog, Rain, Snow, Weather
 
 __all__ = ["EMBEDDED_KINDS", "WEATHERS", "embedded_study"]
@@ -41,6 +42,7 @@ Clear = Callable[[int], dict[str, Array]]
 Weathered = Callable[[Frame, Weather, int], dict[str, Array]]
 
 
+@one_thread_an_operation()  # all arrays are small: torch's pool would wait longer than it works
 def embedded_study(
     kind: str,
     *,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,10 +20,12 @@ from torchweather.gap.quantities import Quantity, Values, compared_quantities, v
 from torchweather.gap.severity import TrendComparison, class_trends, compared_trends, weather_label
 from torchweather.gap.simulation import simulate, start_frame
 from torchweather.gap.study import Condition, Study, StudyScene
+from torchweather.threads import one_thread_an_operation
 
 __all__ = ["ConditionResult", "Validation", "reference_frame", "validate"]
 
 Step = Callable[[int], object]
+SMALL_FRAME = 1 << 18  # values: operations on its float32 arrays of 1 MB take less than waking a pool of threads
 
 
 @dataclass(frozen=True)
@@ -205,10 +208,11 @@ def validate(
     else:
         scores = frame_scores(study, names)
         left_out = scores.left_out
-        clear = {name: _clear(study, scene, scores) for name, scene in study.scenes.items()}
-        for condition in study.conditions:
-            found.append(_condition(study, condition, scores, clear[condition.scene], seed))
-            _tell(step)
+        with _threads_for(study):
+            clear = {name: _clear(study, scene, scores) for name, scene in study.scenes.items()}
+            for condition in study.conditions:
+                found.append(_condition(study, condition, scores, clear[condition.scene], seed))
+                _tell(step)
         levels = [(one.scene, one.weather, each.scores) for one, each in zip(study.conditions, found, strict=True)]
         trends += compared_trends(levels, seed)
     return Validation(
@@ -220,6 +224,13 @@ def validate(
         left_out=left_out,
         findings=tuple(diagnose(study)),
     )
+
+
+def _threads_for(study: Study) -> AbstractContextManager[None]:
+    """One thread for each of torch's operations where frames are small: its pool would wait longer than it works."""
+    frame = study.conditions[0].frames[0]
+    small = max(np.size(values) for values in frame.values()) < SMALL_FRAME
+    return one_thread_an_operation() if small else nullcontext()
 
 
 def _tell(step: Step | None) -> None:
