@@ -95,7 +95,7 @@ def write_archive(
             member = zipfile.ZipInfo(f"{name}.npy")  # dated 1980: the same arrays give the same bytes
             member.compress_type = archive.compression
             with archive.open(member, "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+                np.lib.format.write_array(file, np.asarray(array, order="C"), allow_pickle=False)
 
 
 def array_to_tensor(array: npt.NDArray[Any], path: str | os.PathLike[str], wanted: str) -> Tensor:
