@@ -89,10 +89,27 @@ def test_wrong_input_is_refused() -> None:
         double_validation(torch.zeros(0), torch.zeros(3))
     with pytest.raises(ValueError, match="measured must be a finite number"):
         double_validation(torch.zeros(2), torch.tensor([0.0, math.nan]))
+    for kind in (torch.bool, torch.complex64):
+        with pytest.raises(TypeError, match=f"simulated must hold real numbers; got {kind}"):
+            double_validation(torch.zeros(2, dtype=kind), torch.zeros(2))
     with pytest.raises(ValueError, match=r"one batch shape; got \(2, 3\) and \(3, 3\)"):
         double_validation(torch.zeros(2, 3), torch.zeros(3, 3))
     with pytest.raises(ValueError, match="centre must be one of median, mean"):
         double_validation(torch.zeros(2), torch.zeros(2), centre="mode")
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.uint8, torch.int64])
+def test_every_type_of_number_is_compared_in_double_precision(dtype: torch.dtype) -> None:
+    x, y = (100.0 + 20.0 * sample(600, 8)).to(dtype), (90.0 + 10.0 * sample(600, 9)).to(dtype)
+    found, wanted = double_validation(x, y), double_validation(x.double(), y.double())
+    assert found.bias.dtype == found.scatter.dtype == torch.float64
+    assert (float(found.bias), float(found.scatter)) == (float(wanted.bias), float(wanted.scatter))
+
+
+def test_numbers_that_single_precision_cannot_tell_apart() -> None:
+    large = 2**24
+    found = double_validation(torch.tensor([large + 1, large + 3]), torch.tensor([large, large + 1]))
+    assert (float(found.bias), float(found.scatter)) == (1.5, 0.5)
 
 
 def test_whole_numbers_and_gradients() -> None:

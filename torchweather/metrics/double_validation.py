@@ -28,12 +28,13 @@ def double_validation(simulated: Tensor, measured: Tensor, *, centre: str = "med
     empirical distribution functions after the bias is taken off: ``integral |F(x + bias) - G(x)| dx``.
 
     Args:
-        simulated, measured: ``(..., N)`` and ``(..., M)`` samples, finite, at least one each; one batch shape.
+        simulated, measured: ``(..., N)`` and ``(..., M)`` samples of real numbers of any type, finite, at least one
+            each; one batch shape.
         centre: ``median`` (the mean of the middle two of an even number) or ``mean``.
 
     Returns:
-        ``bias`` ``(...)``, positive where the simulation is larger, and ``scatter`` ``(...)``, 0 or more; 0 and 0 for
-        equal samples, in any order.
+        ``bias`` ``(...)``, positive where the simulation is larger, and ``scatter`` ``(...)``, 0 or more, float64; 0
+        and 0 for equal samples, in any order.
 
     References:
         METRICS.md 4; Rosenberger et al. 2022.
@@ -49,14 +50,15 @@ def double_validation(simulated: Tensor, measured: Tensor, *, centre: str = "med
         if not isinstance(sample, Tensor) or sample.ndim < 1 or not sample.shape[-1]:
             came = tuple(sample.shape) if isinstance(sample, Tensor) else type(sample).__name__
             raise ValueError(f"{name}: {which} must be a tensor (..., N) of one value or more; got {came}.")
+        if sample.is_complex() or sample.dtype == torch.bool:
+            raise TypeError(f"{name}: {which} must hold real numbers; got {sample.dtype}.")
         check_finite(which, sample, owner=name)
     if simulated.shape[:-1] != measured.shape[:-1]:
         raise ValueError(
             f"{name}: both must have one batch shape; got {tuple(simulated.shape)} and {tuple(measured.shape)}."
         )
-    kind = torch.promote_types(simulated.dtype, measured.dtype)
-    kind = kind if kind.is_floating_point else torch.float32
-    x, y = simulated.to(kind).sort(-1).values, measured.to(kind).sort(-1).values
+    # Narrower types end at 65504 (half) or keep no halves from 2^23 on (single).
+    x, y = simulated.double().sort(-1).values, measured.double().sort(-1).values
     bias = _centre(x, centre) - _centre(y, centre)
     return DoubleValidation(bias, _area(x - bias[..., None], y))
 
