@@ -88,6 +88,15 @@ def test_the_score_of_a_level_is_the_mean_of_its_frames() -> None:
     assert one([[1.0, math.nan], [2.0, 2.0]]).verdict == "expected"
 
 
+@pytest.mark.parametrize("paired", [False, True])
+def test_a_level_of_both_infinities_has_no_score(paired: bool) -> None:
+    found = one([[1.0, 1.1], [math.inf, -math.inf], [2.0, 2.1]], paired=paired)
+    assert (found.verdict, found.missing, found.levels, found.confidence) == ("expected", (1,), 2, 1.0)
+    one_sided = one([[1.0, 1.1], [2.0, 2.1], [math.inf, 3.0]], paired=paired)
+    # Infinite in 3 of 4 draws and 3 in the fourth, always more than 2.1.
+    assert (one_sided.verdict, one_sided.missing, one_sided.confidence) == ("expected", (), 1.0)
+
+
 def test_confidence_is_there_with_several_frames_only() -> None:
     assert one([1, 2, 3]).confidence is None
     assert one([[1, 1.1], [2, 2.1], [3]]).confidence is None

@@ -67,7 +67,7 @@ def expected_trends(
     Args:
         scores: scene, then metric, then one entry per level **in order of rising severity** (rate up, visibility
             down): a number, the scores ``(F,)`` of several frames, or None or NaN where there is none. The score of a
-            level is the mean of its frames.
+            level is the mean of its frames; frames of inf and of -inf have none.
         direction: of every metric, ``up`` where higher is better, ``down`` where lower is better.
         tie_within: scores that differ by no more are equal; 0 or more, in the unit of the metric.
         paired: frame ``i`` is the same scene at every level, so the bootstrap draws frames for all levels together.
@@ -165,10 +165,11 @@ def _frames(level: Any, where: str) -> Floats:
 
 
 def _mean(frames: Floats) -> Floats:
-    """Mean over the last axis of what is not NaN; NaN where nothing is."""
+    """Mean over the last axis of what is not NaN; NaN where nothing is, or where both infinities are."""
     there = ~np.isnan(frames)
     number = there.sum(-1)
-    total = np.where(there, frames, 0.0).sum(-1)
+    with np.errstate(invalid="ignore"):
+        total = np.where(there, frames, 0.0).sum(-1)
     found: Floats = np.where(number > 0, total / np.maximum(number, 1), np.nan)
     return found
 
