@@ -23,8 +23,9 @@ from torchweather.metrics.cloud_scores import (
     mean_distance_error,
     root_mean_square_error,
 )
-from torchweather.metrics.clouds import Region
+from torchweather.metrics.clouds import FARTHEST_M, Region
 from torchweather.metrics.nearest import nearest_distances
+from torchweather.metrics.shape_signature import shape_signature_distance
 
 quick = settings(max_examples=60, deadline=None, derandomize=True, phases=[Phase.explicit, Phase.generate])
 seeds = st.integers(0, 2**32 - 1)
@@ -218,9 +219,51 @@ def test_empty_clouds_have_defined_scores(direction: str, correspondence: str) -
         assert float(cloud_scores(torch.zeros(0, 3), proper, **options)["mde"]) == math.inf
 
 
-def test_no_clouds_are_no_scores() -> None:
-    assert {tuple(score.shape) for score in cloud_scores([], []).values()} == {(0,)}
-    assert {tuple(score.shape) for score in cloud_scores(torch.zeros(0, 5, 3), torch.zeros(0, 4, 3)).values()} == {(0,)}
+def test_no_clouds_are_no_scores_of_their_type() -> None:
+    assert {(score.shape, score.dtype) for score in cloud_scores([], []).values()} == {((0,), torch.float32)}
+    for dtype, wanted in ((torch.float64, torch.float64), (torch.float16, torch.float32), (torch.int64, torch.float32)):
+        none = torch.zeros(2, 0, 5, 3, dtype=dtype), torch.zeros(2, 0, 4, 3, dtype=dtype)
+        found = [*cloud_scores(*none, names=ALL).values(), shape_signature_distance(*none)]
+        assert {(score.shape, score.dtype) for score in found} == {((2, 0), wanted)}
+    mixed = torch.zeros(0, 5, 3), torch.zeros(0, 4, 3, dtype=torch.float64)
+    assert cloud_scores(*mixed, names=("hd",))["hd"].dtype == torch.float64
+
+
+@pytest.mark.parametrize("search", ["tree", "exhaustive"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("n", [30, 2000])  # all pairs of points, and drawn ones
+def test_clouds_as_far_as_they_may_be_have_finite_scores(n: int, dtype: torch.dtype, search: str) -> None:
+    corners = FARTHEST_M * torch.tensor([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]], dtype=dtype)
+    p, r = torch.cat((cloud(n, 23, dtype), corners[:1])), torch.cat((cloud(n, 24, dtype), corners[1:]))
+    found = values(cloud_scores(p, r, names=ALL, search=search))
+    assert all(math.isfinite(score) for score in found.values()), found
+    # To the near cloud: sqrt(3) FARTHEST_M, to single precision.
+    assert found["hd"] == pytest.approx(math.sqrt(3.0) * FARTHEST_M, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "far", [torch.tensor(2e18), torch.tensor(-3e38), torch.tensor(1e300, dtype=torch.float64), torch.tensor(2**62)]
+)
+def test_clouds_farther_away_are_refused_unless_left_out(far: Tensor) -> None:
+    p = torch.cat((cloud(20, 25).to(far.dtype), far.expand(1, 3)))
+    r = cloud(20, 26).to(far.dtype)
+    for pair, which in (((p, r), "distorted"), ((r, p), "reference")):
+        with pytest.raises(ValueError, match=rf"cloud_scores: coordinates of {which} must be within 1e\+18 m; got "):
+            cloud_scores(*pair)
+        with pytest.raises(ValueError, match=f"shape_signature_distance: coordinates of {which} must be within"):
+            shape_signature_distance(*pair)
+    wanted = values(cloud_scores(p[:-1], r))
+    assert values(cloud_scores(p, r, region=Region(y_m=(-1e9, 1e9)))) == wanted
+    assert values(cloud_scores(p, r, distorted_valid=torch.arange(21) < 20)) == wanted
+
+
+def test_names_come_in_any_form_but_a_text() -> None:
+    p, r = cloud(5, 27), cloud(6, 28)
+    wanted = values(cloud_scores(p, r))
+    for names in (iter(["hd", "mde"]), ["hd", "mde", "hd"], {"hd": 1, "mde": 2}):
+        assert values(cloud_scores(p, r, names=names)) == {name: wanted[name] for name in ("hd", "mde")}
+    with pytest.raises(TypeError, match=r"cloud_scores: names must be a list of names such as .*got the text 'hd'"):
+        cloud_scores(p, r, names="hd")
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,16 @@ def test_seed_and_region_and_batch() -> None:
     assert sdm(p.float(), r.float()).dtype == torch.float32
 
 
+def test_pairs_drawn_in_inference_mode_do_not_stop_later_gradients() -> None:
+    p = cloud(2011, 13)  # a size of its own: its pairs are drawn in inference mode
+    with torch.inference_mode():
+        first = float(sdm(p, 1.1 * p))
+    moving = p.clone().requires_grad_()
+    found = sdm(moving, 1.1 * p)
+    assert float(found.detach()) == first
+    assert bool(torch.autograd.grad(found, moving)[0].any())
+
+
 def test_gradient_is_finite_with_drawn_pairs_too() -> None:
     p, r = cloud(1500, 11).requires_grad_(), cloud(1500, 12)
     for other in (r, p.detach()):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchweather.errors import check_one_of, owner_name
-from torchweather.metrics.clouds import CloudPair, Clouds, Region, cloud_pairs, in_batch
+from torchweather.metrics.clouds import CloudPair, Clouds, Region, cloud_pairs, in_batch_shape
 from torchweather.metrics.filters import root
 from torchweather.metrics.nearest import nearest_distances
 from torchweather.metrics.shape_signature import shape_signature, signature_distance
@@ -114,7 +114,7 @@ def cloud_scores(
     distorted: Clouds,
     reference: Clouds,
     *,
-    names: Sequence[str] = CLOUD_SCORES,
+    names: Iterable[str] = CLOUD_SCORES,
     correspondence: str = "nearest",
     direction: str = "both",
     distorted_valid: Clouds | None = None,
@@ -137,9 +137,9 @@ def cloud_scores(
 
     Args:
         distorted, reference: one cloud ``(N, 3 or more)``, a padded batch ``(..., N, 3 or more)`` or a list of
-            clouds, alike; x, y, z in metres. Sizes may differ. Rows of zeros (no return) and rows that are not finite
-            are left out.
-        names: which scores.
+            clouds, alike; x, y, z in metres, within 1e18 m. Sizes may differ. Rows of zeros (no return) and rows that
+            are not finite are left out.
+        names: which scores, in any order.
         correspondence: of ``rmse``: ``nearest``, or ``index``: row i with row i, over the rows that both have.
         direction: ``both``, or ``to_reference`` (``d_PR`` alone) or ``to_distorted`` (``d_RP`` alone). The index and
             the shape have no direction.
@@ -155,7 +155,7 @@ def cloud_scores(
         has no shape (``sdm`` 1). Index ``rmse`` without a common row: infinite, unless both clouds are empty.
 
     Raises:
-        ValueError: index correspondence of clouds of different length.
+        ValueError: index correspondence of clouds of different length; points farther away than 1e18 m.
 
     Note:
         ``0 <= hd95 <= hd``, ``mde <= mmde <= hd``, ``mde <= rmse (nearest) <= hd``, to rounding. Gradients flow to
@@ -170,8 +170,7 @@ def cloud_scores(
         >>> {name: round(float(score), 3) for name, score in scores.items()}
         {'sdm': 0.0, 'rmse': 0.5, 'mde': 0.5, 'mmde': 0.5, 'hd': 0.5, 'hd95': 0.5}
     """
-    for name in names:
-        check_one_of("names", name, ("sdm", *_OF_DISTANCES), owner=owner)
+    chosen = _chosen(names, owner)
     check_one_of("correspondence", correspondence, CORRESPONDENCES, owner=owner)
     check_one_of("direction", direction, DIRECTIONS, owner=owner)
     pairs = cloud_pairs(
@@ -182,13 +181,13 @@ def cloud_scores(
         region=region,
         owner=owner,
     )
-    by_index = "rmse" in names and correspondence == "index"
-    searched = any(name in _OF_DISTANCES and not (name == "rmse" and by_index) for name in names)
-    found: dict[str, list[Tensor]] = {name: [] for name in names}
+    by_index = "rmse" in chosen and correspondence == "index"
+    searched = any(name in _OF_DISTANCES and not (name == "rmse" and by_index) for name in chosen)
+    found: dict[str, list[Tensor]] = {name: [] for name in chosen}
     for pair in pairs:
         points = pair.points()
         distances = _directed(points, direction, search) if searched else Distances(None, None)
-        for name in names:
+        for name in chosen:
             if name == "sdm":
                 score = signature_distance(*(shape_signature(cloud, seed=seed) for cloud in points))
             elif name == "rmse" and by_index:
@@ -196,8 +195,16 @@ def cloud_scores(
             else:
                 score = _OF_DISTANCES[name](distances)
             found[name].append(score.to(pair.reference.dtype))
-    batch = in_batch(reference)
-    return {name: torch.stack(list_).reshape(batch) if list_ else torch.zeros(batch) for name, list_ in found.items()}
+    return {name: in_batch_shape(scores, distorted, reference) for name, scores in found.items()}
+
+
+def _chosen(names: Iterable[str], owner: object) -> tuple[str, ...]:
+    if isinstance(names, str):
+        raise TypeError(f"{owner_name(owner)}: names must be a list of names such as ['hd']; got the text {names!r}.")
+    chosen = tuple(dict.fromkeys(names))
+    for name in chosen:
+        check_one_of("names", name, ("sdm", *_OF_DISTANCES), owner=owner)
+    return chosen
 
 
 def _directed(points: tuple[Tensor, Tensor], direction: str, search: str) -> Distances:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchweather.errors import owner_name
 
-__all__ = ["CloudPair", "Clouds", "Region", "cloud_pairs", "in_batch", "there"]
+__all__ = ["CloudPair", "Clouds", "Region", "cloud_pairs", "in_batch_shape", "there"]
 
 Clouds = Tensor | Sequence[Tensor]
 """One cloud ``(N, C)``, a padded batch ``(..., N, C)`` or a list of clouds ``(N_i, C)``."""
@@ -49,6 +49,11 @@ class Region:
         return next(inside) & next(inside) & next(inside)
 
 
+# Squares of distances, and their sums over a cloud, then stay in the range of single precision: 12 FARTHEST_M^2 < 3e38.
+FARTHEST_M = 1e18
+_WITHIN_REACH = Region(*[(-FARTHEST_M, FARTHEST_M)] * 3)
+
+
 class CloudPair(NamedTuple):
     """Two clouds ``(N, 3)`` and ``(M, 3)`` of one dtype, and which of their points are there."""
 
@@ -79,7 +84,8 @@ def there(points: Tensor, valid: Tensor | None = None, region: Region | None = N
     """
     place = points[..., :3].detach()
     place = place if place.dtype == torch.float64 else place.float()
-    size = place.abs() @ place.new_ones(3)  # a product with ones is ten times as fast as .all(-1) and .any(-1)
+    # A product is ten times as fast as .all(-1) and .any(-1); a quarter of each, so that finite numbers have a sum.
+    size = place.abs() @ place.new_full((3,), 0.25)
     found = (size > 0) & (size < torch.inf)
     if valid is not None:
         found &= valid
@@ -98,8 +104,8 @@ def cloud_pairs(
     """The pairs of a batch, one by one.
 
     Args:
-        distorted, reference: one cloud, a padded batch or a list, alike; columns x, y, z in metres, further ones
-            are ignored. The numbers of points may differ.
+        distorted, reference: one cloud, a padded batch or a list, alike; columns x, y, z in metres, within 1e18 m of
+            the origin, further ones are ignored. The numbers of points may differ.
         distorted_valid, reference_valid: ``(..., N)`` bool or a list of ``(N_i,)``: false for padding.
         region: points outside are left out.
         owner: for messages.
@@ -107,7 +113,7 @@ def cloud_pairs(
     name = owner_name(owner)
     first = _one_by_one("distorted", distorted, distorted_valid, name)
     second = _one_by_one("reference", reference, reference_valid, name)
-    if in_batch(distorted) != in_batch(reference):
+    if _batch(distorted) != _batch(reference):
         raise ValueError(
             f"{name}: distorted and reference must be batches of one size; got {_described(distorted)} and "
             f"{_described(reference)}."
@@ -116,16 +122,41 @@ def cloud_pairs(
     for (p, p_valid), (r, r_valid) in zip(first, second, strict=True):
         if p.device != r.device:
             raise ValueError(f"{name}: both clouds must be on one device; got {p.device} and {r.device}.")
-        kind = torch.promote_types(p.dtype, r.dtype)
-        kind = kind if kind in (torch.float32, torch.float64) else torch.float32
+        kind = _kind(p, r)
         p, r = p[:, :3].to(kind), r[:, :3].to(kind)
-        pairs.append(CloudPair(p, r, there(p, p_valid, region), there(r, r_valid, region)))
+        pair = CloudPair(p, r, there(p, p_valid, region), there(r, r_valid, region))
+        _check_reach("distorted", p, pair.distorted_there, name)
+        _check_reach("reference", r, pair.reference_there, name)
+        pairs.append(pair)
     return pairs
 
 
-def in_batch(clouds: Clouds) -> tuple[int, ...]:
-    """Batch shape."""
+def in_batch_shape(scores: list[Tensor], distorted: Clouds, reference: Clouds) -> Tensor:
+    """The scores of the pairs in the batch shape of the clouds."""
+    if scores:
+        return torch.stack(scores).reshape(_batch(reference))
+    if isinstance(distorted, Tensor) and isinstance(reference, Tensor):
+        return torch.zeros(_batch(reference), dtype=_kind(distorted, reference), device=reference.device)
+    return torch.zeros(_batch(reference), dtype=torch.float32, device="cpu")  # a list of none says neither
+
+
+def _batch(clouds: Clouds) -> tuple[int, ...]:
     return tuple(clouds.shape[:-2]) if isinstance(clouds, Tensor) else (len(clouds),)
+
+
+def _kind(distorted: Tensor, reference: Tensor) -> torch.dtype:
+    kind = torch.promote_types(distorted.dtype, reference.dtype)
+    return kind if kind in (torch.float32, torch.float64) else torch.float32
+
+
+def _check_reach(which: str, points: Tensor, mask: Tensor, name: str) -> None:
+    far = mask & ~_WITHIN_REACH.holds(points.detach())
+    if bool(far.any()):
+        raise ValueError(
+            f"{name}: coordinates of {which} must be within {FARTHEST_M:g} m; got "
+            f"{float(points[far].detach().abs().max()):g} m. Lost points are rows of zeros or NaN; a region leaves out "
+            "others."
+        )
 
 
 def _one_by_one(which: str, clouds: Clouds, valid: Clouds | None, name: str) -> list[tuple[Tensor, Tensor | None]]:

@@ -22,7 +22,7 @@ def nearest_distances(distorted: Tensor, reference: Tensor, *, search: str = "au
     """Distance of each point to the nearest of the other cloud, metres: ``d_PR`` and ``d_RP``.
 
     Args:
-        distorted, reference: ``(N, 3)`` and ``(M, 3)``, finite, one dtype, one device.
+        distorted, reference: ``(N, 3)`` and ``(M, 3)``, within 1e18 m, one dtype, one device.
         search: ``tree`` (k-d tree, on the processor, on as many threads as torch uses), ``exhaustive`` (all distances
             in portions, on the device of the clouds) or ``auto``: the tree on the processor, else exhaustive.
 

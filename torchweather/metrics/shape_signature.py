@@ -6,9 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.metrics.clouds import Clouds, Region, cloud_pairs, in_batch
+from torchweather.metrics.clouds import Clouds, Region, cloud_pairs, in_batch_shape
 
 __all__ = ["sdm", "shape_signature", "shape_signature_distance", "signature_distance"]
 
@@ -21,7 +22,7 @@ def shape_signature(points: Tensor, *, seed: int = 0) -> Tensor:
     """Quantile function ``Q(u)`` of the distance between two random points of a cloud (D2 shape distribution).
 
     Args:
-        points: ``(N, 3)`` metres, finite.
+        points: ``(N, 3)`` metres, within 1e18 m.
         seed: of the pairs drawn where there are more than 2^20.
 
     Returns:
@@ -40,8 +41,8 @@ def shape_signature(points: Tensor, *, seed: int = 0) -> Tensor:
     if n * (n - 1) // 2 <= PAIRS:
         distance = torch.pdist(points)
     else:
-        first, second = _drawn_pairs(n, seed)
-        apart = points.index_select(0, first.to(points.device)) - points.index_select(0, second.to(points.device))
+        first, second = (torch.from_numpy(rows).to(points.device) for rows in _drawn_pairs(n, seed))
+        apart = points.index_select(0, first) - points.index_select(0, second)
         distance = torch.linalg.vector_norm(apart, dim=-1)
     # The inverse of the empirical distribution function.
     place = ((torch.arange(QUANTILES, device=points.device) * 2 + 1) * len(distance)) // (2 * QUANTILES)
@@ -49,11 +50,14 @@ def shape_signature(points: Tensor, *, seed: int = 0) -> Tensor:
 
 
 @lru_cache(maxsize=1)  # 16 MB, for the other cloud of the same size
-def _drawn_pairs(n: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Rows of 2^20 pairs of different points, the same on every device."""
+def _drawn_pairs(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of 2^20 pairs of different points, the same on every device.
+
+    Arrays: a tensor kept from inference mode would stop later gradients.
+    """
     generator = torch.Generator().manual_seed(seed)
-    first = torch.randint(n, (PAIRS,), generator=generator)
-    second = torch.randint(n - 1, (PAIRS,), generator=generator)
+    first = torch.randint(n, (PAIRS,), generator=generator, device="cpu").numpy()
+    second = torch.randint(n - 1, (PAIRS,), generator=generator, device="cpu").numpy()
     second += second >= first  # any other than the first, each as likely
     return first, second
 
@@ -98,7 +102,8 @@ def shape_signature_distance(
     points. Blind to rigid motion, to the order of the points and to a scale of both.
 
     Args:
-        distorted, reference: one cloud ``(N, 3 or more)``, a batch ``(..., N, 3 or more)`` or a list; metres.
+        distorted, reference: one cloud ``(N, 3 or more)``, a batch ``(..., N, 3 or more)`` or a list; metres, within
+            1e18 m.
         distorted_valid, reference_valid: ``(..., N)`` bool or a list; false for padding.
         region: points outside are left out.
         seed: of the pairs drawn from clouds of more than 1448 points.
@@ -132,7 +137,7 @@ def shape_signature_distance(
     for pair in pairs:
         signatures = (shape_signature(points, seed=seed) for points in pair.points())
         scores.append(signature_distance(*signatures).to(pair.reference.dtype))
-    return torch.stack(scores).reshape(in_batch(reference)) if scores else torch.zeros(in_batch(reference))
+    return in_batch_shape(scores, distorted, reference)
 
 
 sdm = shape_signature_distance
