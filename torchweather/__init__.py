@@ -74,7 +74,9 @@ _HOMES = {
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.
-_PARTS = frozenset({"export", "image", "io", "metrics", "physics", "radar", "scenes", "stages", "transforms"})
+_PARTS = frozenset(
+    {"export", "gap", "image", "io", "metrics", "physics", "radar", "scenes", "stages", "sweep", "transforms"}
+)
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
