@@ -16,20 +16,27 @@ import sys
 import time
 from pathlib import Path
 
+from hidden.answering import answer, draw_calibration, draw_confusion
 from hidden.cases import GROUPS, Streets, build, plan
 from hidden.design import Size
-from hidden.sealed import read_json, sha256_of, write_json
+from hidden.scoring import score
+from hidden.sealed import append_line, read_json, read_lines, sha256_of, write_json
 
 
 def make(arguments: argparse.Namespace) -> None:
     """Write studies and the sealed truth."""
     folder: Path = arguments.folder
+    if (folder / "answers.jsonl").exists():
+        raise SystemExit(f"{folder}: has answers; its truth is sealed. Make further studies in another folder.")
     size = Size().smaller_grid() if arguments.small else Size()
     cases = list(plan(arguments.set, arguments.seed, arguments.cases, size))
     cases = cases[arguments.skip :][: arguments.count]
     truth_path = folder / "sealed" / "truth.json"
     truths = read_json(truth_path) if truth_path.exists() else {}
-    names = tuple(sorted({name for case in cases for name in case.names})) if arguments.few else None
+    needed = {name for case in cases for name in case.names}
+    if any("decoy" in case.options for case in cases):
+        needed |= {"lidar.window_loss", "lidar.range_noise"}
+    names = tuple(sorted(needed)) if arguments.few else None
     streets = Streets(arguments.set, arguments.seed, folder / "sealed", names)
     for case in cases:
         if case.id in truths and (folder / "studies" / case.id / "study.yaml").exists():
@@ -45,6 +52,49 @@ def make(arguments: argparse.Namespace) -> None:
     print(f"{len(truths)} studies; SHA-256 of the sealed truth: {seal}")
 
 
+def run(arguments: argparse.Namespace) -> None:
+    """Answer every study that has no answer yet; the sealed folder stays shut."""
+    folder: Path = arguments.folder
+    answers = folder / "answers.jsonl"
+    seal = read_json(folder / "seal.json")
+    done = {one["case"] for one in read_lines(answers)}
+    cases = sorted(path.parent.name for path in (folder / "studies").glob("*/study.yaml"))
+    waiting = [case for case in cases if case not in done]
+    if arguments.part:
+        number, parts = (int(value) for value in arguments.part.split("/"))
+        waiting = waiting[number - 1 :: parts]
+    waiting = waiting[: arguments.count]
+    print(f"set {seal['set']}, SHA-256 of the sealed truth: {seal['truth_sha256']}")
+    print(f"{len(done)} of {len(cases)} studies have an answer; {len(waiting)} to go")
+    for case in waiting:
+        found = answer(folder / "studies" / case, arguments.seed)
+        append_line(answers, {"case": case, "seed": arguments.seed, "sealed": seal["truth_sha256"], **found})
+        said = found.get("report", {}).get("verdict", "refused")
+        print(f"{case}  {said}  {found['seconds']:.1f} s", flush=True)
+
+
+def report(arguments: argparse.Namespace) -> None:
+    """Open the truth and set it against the answers."""
+    folder: Path = arguments.folder
+    seal = read_json(folder / "seal.json")
+    truth_path = folder / "sealed" / "truth.json"
+    if sha256_of(truth_path) != seal["truth_sha256"]:
+        raise SystemExit(f"{truth_path}: its SHA-256 is not the one that was sealed; make the set anew.")
+    answers = read_lines(folder / "answers.jsonl")
+    strange = sorted({one["case"] for one in answers if one["sealed"] != seal["truth_sha256"]})
+    if strange:
+        raise SystemExit(f"answers.jsonl: {', '.join(strange)} were answered under another seal; answer them again.")
+    found = score(read_json(truth_path), answers)
+    out: Path = arguments.out or folder / "score"
+    write_json(out / "score.json", {**seal, **found})
+    draw_confusion(found["table"]["confusion"], out / "confusion.png")
+    draw_calibration(found["table"]["calibration"], out / "calibration.png")
+    for name, value in found["table"].items():
+        if isinstance(value, dict) and "share" in value and value["of"]:
+            print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")
+    print(f"seconds: {found['table']['seconds']}")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -53,12 +103,27 @@ def main(argv: list[str] | None = None) -> int:
     one.add_argument("folder", type=Path)
     one.add_argument("--set", default="dev", help="name of the set: dev... or blind...")
     one.add_argument("--seed", type=int, default=1)
-    one.add_argument("--cases", nargs="+", choices=sorted(GROUPS), default=sorted(GROUPS))
+    one.add_argument(
+        "--cases",
+        nargs="+",
+        choices=sorted(GROUPS),
+        default=["singles", "nulls", "pairs", "triples", "outside", "decoys"],
+    )
     one.add_argument("--count", type=int, default=None, help="no more than these")
     one.add_argument("--skip", type=int, default=0, help="leave these out first")
     one.add_argument("--small", action="store_true", help="4,096 beams")
     one.add_argument("--few", action="store_true", help="strengths of the needed effects only, no cosines: faster")
     one.set_defaults(run=make)
+    one = commands.add_parser("run", help="answer every study that has no answer yet")
+    one.add_argument("folder", type=Path)
+    one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--count", type=int, default=None, help="no more than these")
+    one.add_argument("--part", default=None, help="k/n: every n-th study from the k-th, for several processes")
+    one.set_defaults(run=run)
+    one = commands.add_parser("score", help="open the sealed truth and write the table and pictures")
+    one.add_argument("folder", type=Path)
+    one.add_argument("--out", type=Path, default=None, help="default: DIR/score")
+    one.set_defaults(run=report)
     arguments = parser.parse_args(argv)
     arguments.run(arguments)
     return 0

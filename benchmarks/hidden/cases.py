@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,12 @@ import numpy as np
 
 from torchweather.gap.study import Study
 
+from .decoys import DECOYS
 from .design import Size, study_of, with_record
-from .effects import CATALOGUE, make_effect
+from .detectability import KINDS
+from .effects import CATALOGUE
 from .lidar_sensor import Effect
+from .outside import OUTSIDE
 from .streets import LEVELS, Street, street
 
 __all__ = ["Case", "GROUPS", "build", "plan"]
@@ -83,11 +86,27 @@ def plan(set_name: str, seed: int, groups: list[str], size: Size) -> Iterator[Ca
         for number, (weather, names, levels, given, options) in enumerate(GROUPS[group](seed)):
             label = f"{set_name}-{seed}-{group}-{number}"
             name = f"{set_name}-{seed}-{_key(label):08x}"
-            yield Case(name, FAMILY[group], weather, names, levels, given or size, (_key(label), seed, number), options)
+            yield Case(
+                name,
+                _family(names, options),
+                weather,
+                names,
+                levels,
+                given or size,
+                (_key(label), seed, number),
+                options,
+            )
+
+
+def _family(names: tuple[str, ...], options: dict[str, Any]) -> str:
+    if "decoy" in options:
+        return "decoy"
+    if names and names[0] in OUTSIDE:
+        return "outside"
+    return ("null", "single", "pair", "triple")[len(names)]
 
 
 Row = tuple[str, tuple[str, ...], tuple[float, ...], Size | None, dict[str, Any]]
-FAMILY = {"singles": "single", "nulls": "null"}
 
 
 def _singles(seed: int) -> Iterator[Row]:
@@ -109,46 +128,121 @@ def _nulls(seed: int) -> Iterator[Row]:
             yield weather, (), (), None, {}
 
 
-GROUPS = {"singles": _singles, "nulls": _nulls}
+def _pairs(seed: int) -> Iterator[Row]:
+    """Two effects; the last four pairs are nearly degenerate."""
+    for number, (first, second) in enumerate(PAIRS):
+        levels = ((10.0, 10.0), (30.0, 10.0), (30.0, 30.0))[number % 3]
+        yield WEATHERS[(number + seed) % 3], (f"lidar.{first}", f"lidar.{second}"), levels, None, {}
+
+
+PAIRS = (
+    *(("window_loss", "range_noise"), ("extinction_scale", "crosstalk"), ("threshold_shift", "range_bias")),
+    *(("sector_loss", "particle_backscatter"), ("ring_gain", "spray"), ("wet_target", "range_stretch")),
+    *(("blind_zone", "range_noise"), ("static_structure", "window_loss"), ("intensity_compression", "crosstalk")),
+    *(("isolated_return_filter", "extinction_scale"), ("sector_loss", "range_bias"), ("spray", "threshold_shift")),
+    *(("beam_divergence", "particle_backscatter"), ("window_loss", "wet_target")),
+    *(("extinction_scale", "limited_extent"), ("range_noise", "range_stretch")),
+)
+
+
+def _triples(seed: int) -> Iterator[Row]:
+    for number, names in enumerate(TRIPLES):
+        named = tuple(f"lidar.{name}" for name in names)
+        yield WEATHERS[(number + seed) % 3], named, (30.0, 30.0, 30.0), None, {}
+
+
+TRIPLES = (
+    *(("window_loss", "range_noise", "crosstalk"), ("extinction_scale", "range_bias", "sector_loss")),
+    *(("threshold_shift", "spray", "ring_gain"), ("particle_backscatter", "wet_target", "range_noise")),
+    *(("isolated_return_filter", "static_structure", "range_bias"), ("blind_zone", "intensity_compression", "spray")),
+)
+
+
+def _outside(seed: int) -> Iterator[Row]:
+    for number, name in enumerate(OUTSIDE):
+        yield WEATHERS[(number + seed) % 3], (name,), ((30.0,), (10.0,))[(number + seed) % 2], None, {}
+
+
+def _decoys(seed: int) -> Iterator[Row]:
+    for number, name in enumerate((*DECOYS, *DECOYS)):
+        yield WEATHERS[(number + number // len(DECOYS) + seed) % 3], (), (), None, {"decoy": name}
+
+
+def _screen(seed: int) -> Iterator[Row]:
+    """400 nulls of 4,096 beams for the first stage of the search."""
+    for number in range(400):
+        yield WEATHERS[number % 3], (), (), Size().smaller_grid(), {"screen": True}
+
+
+def _reduced(seed: int) -> Iterator[Row]:
+    """Eight studies for continuous integration."""
+    yield "rain", ("lidar.window_loss",), (30.0,), None, {}
+    yield "fog", ("lidar.extinction_scale",), (30.0,), None, {}
+    yield "snow", ("lidar.range_noise",), (30.0,), None, {}
+    yield "snow", ("lidar.particle_backscatter",), (30.0,), None, {}
+    yield "rain", (), (), None, {}
+    yield "fog", (), (), None, {"record_sd": 2.0}
+    yield "rain", ("outside.azimuth_ripple",), (30.0,), None, {}
+    yield "snow", (), (), None, {"decoy": "decoy.no_target"}
+
+
+GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
+    "singles": _singles,
+    "nulls": _nulls,
+    "pairs": _pairs,
+    "triples": _triples,
+    "outside": _outside,
+    "decoys": _decoys,
+    "screen": _screen,
+    "reduced": _reduced,
+}
 
 
 def build(case: Case, streets: Streets) -> tuple[Study, dict[str, Any]]:
     """The study of a case, and its truth."""
     rng = np.random.default_rng(list(case.seed))
-    number = int(rng.integers(STREETS))
-    place, levels = _where_it_shows(case, streets, number)
-    design = with_record(place.design, rng, record_sd=case.options.get("record_sd"))
-    if (design.size.clear_frames, design.size.rates, design.size.frames) != _data(case.size):
-        design = with_record(_resized(design, case.size), rng, record_sd=case.options.get("record_sd"))
-    truth: dict[str, Any] = {
-        **asdict(case),
-        "weather": design.kind,
-        "record": design.record,
-        "effects": [],
-        "conditions": [],
-    }
+    place, levels = _where_it_shows(case, streets, int(rng.integers(STREETS)))
+    design = with_record(replace(place.design, size=case.size), rng, record_sd=case.options.get("record_sd"))
+    truth: dict[str, Any] = {**asdict(case), "weather": design.kind, "record": design.record, "effects": []}
     effects: list[Effect] = []
     for name, level in zip(case.names, levels, strict=True):
-        parameters = place.parameters(name, level)
-        effect = make_effect(name, parameters)
+        effect = KINDS[name](place.parameters(name, level))
         effects.append(effect)
-        confusable = place.confusable(name, level)
-        truth["effects"].append(
-            {
-                "name": name,
-                "parameters": parameters,
-                "same_form": effect.same_form,
-                "level": level,
-                "confusable_with": confusable,
-                "identifiable": None if confusable is None else not confusable,
-            }
+        truth["effects"].append(_effect_truth(place, name, level, effect.parameters))
+    if "decoy" in case.options:
+        decoy = DECOYS[case.options["decoy"]](design, place.parameters, rng)
+        truth["right"] = {"verdicts": decoy.verdicts, "names": decoy.names}
+        study = study_of(
+            design,
+            decoy.effects,
+            rng,
+            clear_effects=decoy.clear_effects,
+            acts=decoy.acts,
+            views=decoy.views,
+            repeated=decoy.repeated,
         )
-    study = study_of(design, tuple(effects), rng)
-    for one in design.conditions:
-        truth["conditions"].append(
-            {"id": one.id, "recorded": one.recorded, "true": one.weather.amount, "split": one.split}
-        )
+    else:
+        study = study_of(design, tuple(effects), rng)
+    truth["conditions"] = [
+        {"id": one.id, "recorded": one.recorded, "true": one.weather.amount, "split": one.split}
+        for one in design.conditions
+    ]
     return study, truth
+
+
+def _effect_truth(place: Street, name: str, level: float, parameters: dict[str, float]) -> dict[str, Any]:
+    confusable = place.confusable(name, level)
+    kind = KINDS[name]
+    return {
+        "name": name,
+        "parameters": parameters,
+        "same_form": kind.same_form,
+        "level": level,
+        "reached": place.table[name][f"{level:g}"]["reached"],
+        "confusable_with": confusable,
+        "identifiable": None if confusable is None else not confusable,
+        "axes": kind.shows_along if name in OUTSIDE else None,
+    }
 
 
 def _where_it_shows(case: Case, streets: Streets, number: int) -> tuple[Street, tuple[float, ...]]:
@@ -162,13 +256,3 @@ def _where_it_shows(case: Case, streets: Streets, number: int) -> tuple[Street, 
                 if all(place.has(name, level) for name, level in zip(case.names, levels, strict=True)):
                     return place, levels
     raise ValueError(f"{case.id}: no street shows {', '.join(case.names)} at any level.")
-
-
-def _data(size: Size) -> tuple[int, int, int]:
-    return size.clear_frames, size.rates, size.frames
-
-
-def _resized(design: Any, size: Size) -> Any:
-    from dataclasses import replace
-
-    return replace(design, size=size)

@@ -98,7 +98,7 @@ def draw_design(
     start, full = (round(float(rng.uniform(*ends)), 2) for ends in NEAR_RESPONSE[kind])
     sensor = study_sensor(scan, start, full)
     scenes = tuple(draw_scene(rng) for _ in range(size.scenes))
-    views = tuple(View(scan, cast(scene, scan, sensor.max_range_m), sensor) for scene in scenes)
+    views = tuple(View(scan, cast(scene, scan, sensor.max_range_m), sensor, scene) for scene in scenes)
     bare = Design(kind, size, scan, sensor, scenes, views, (), "")
     return with_record(bare, rng, record, record_sd)
 

@@ -16,14 +16,16 @@ from .coarse_statistics import BROAD, Tally
 from .design import Design
 from .effects import CATALOGUE, Known
 from .lidar_sensor import Effect, Weather, shoot
+from .outside import OUTSIDE
 from .scene import FloatArray
 
-__all__ = ["IDENTIFIABLE_BELOW", "STRENGTHS", "Curve", "Detector"]
+__all__ = ["IDENTIFIABLE_BELOW", "KINDS", "STRENGTHS", "Curve", "Detector"]
 
+KINDS: dict[str, type[Known]] = {**CATALOGUE, **OUTSIDE}
 IDENTIFIABLE_BELOW = 0.95
 STRENGTHS = tuple(float(value) for value in np.linspace(0.1, 1.0, 8))
 # Frames of each condition and seed set, and base frames from which the scatter is taken.
-FRAMES, REPLICATES = 3, 24
+FRAMES, MANY_FRAMES, REPLICATES = 3, 12, 24
 # Weight of the diagonal in the pooled correlation: 24 replicates a condition cannot hold all of it.
 SHRINKAGE = 0.4
 RATE_STEP, RATE_FRAMES = 1.25, 12
@@ -54,7 +56,7 @@ class Curve:
 
     def strength_for(self, length: float) -> float | None:
         """The weakest strength whose d' reaches ``length``; ``None`` where no strength does."""
-        rising = np.maximum.accumulate(self.lengths)
+        rising = np.minimum.accumulate(self.lengths[::-1])[::-1]  # from where on it stays that long
         above = np.flatnonzero(rising >= length)
         if not len(above):
             return None
@@ -68,7 +70,7 @@ class Curve:
 
     def effect(self, strength: float) -> Known:
         """The effect at a strength."""
-        return CATALOGUE[self.name].at(self.sign * strength, self.fixed)
+        return KINDS[self.name].at(self.sign * strength, self.fixed)
 
     def signature(self, strength: float) -> FloatArray:
         """Of both seed sets at the nearest strength, ``(2, K)``."""
@@ -97,7 +99,9 @@ class Detector:
         correlation = (1.0 - SHRINKAGE) * pooled.T @ pooled / len(pooled) + SHRINKAGE * np.eye(pooled.shape[1])
         values, vectors = np.linalg.eigh(correlation)
         self._whiten = vectors * (1.0 / np.sqrt(np.maximum(values, 0.5 * SHRINKAGE)))
-        self._base = np.stack([self._totals((), side) for side in (0, 1)])
+        self._base = {
+            count: np.stack([self._totals((), side, count=count) for side in (0, 1)]) for count in (FRAMES, MANY_FRAMES)
+        }
         self._rate = self._rate_directions()
 
     def _frames(
@@ -131,26 +135,31 @@ class Detector:
         change = np.where(np.abs(change) > NOISE_CUT, change, 0.0)
         return np.asarray(change / np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-9))
 
-    def signature(self, effects: tuple[Effect, ...]) -> FloatArray:
-        """Of both seed sets, ``(2, C K)``, without what the rates can explain."""
-        change = np.stack([self._totals(effects, side) - self._base[side] for side in (0, 1)])
+    def signature(self, effects: tuple[Effect, ...], scatter_only: bool = False) -> FloatArray:
+        """Of both seed sets, ``(2, C K)``, without what the rates can explain.
+
+        ``scatter_only`` keeps the variances between frames: an effect that differs from frame to frame moves the mean
+        of a few frames by chance.
+        """
+        count = MANY_FRAMES if scatter_only else FRAMES
+        change = np.stack([self._totals(effects, side, count=count) for side in (0, 1)]) - self._base[count]
+        if scatter_only:
+            change[..., :-BROAD] = 0.0
+            return np.asarray(change.reshape(2, -1))
         along = (change * self._rate).sum(-1, keepdims=True)
         return np.asarray((change - along * self._rate).reshape(2, -1))
 
+    def length_of(self, effect: Known) -> float:
+        """d' of an effect."""
+        return length(self.signature((effect,), effect.differs))
+
     def curve(self, name: str, fixed: dict[str, float], sign: float) -> Curve:
         """Signatures of an effect over its strengths."""
-        kind = CATALOGUE[name]
-        signatures = np.stack([self.signature((kind.at(sign * strength, fixed),)) for strength in STRENGTHS], 1)
-        lengths = np.array([length(one) for one in np.moveaxis(signatures, 1, 0)])
+        kind = KINDS[name]
+        found = [self.signature((kind.at(sign * strength, fixed),), kind.differs) for strength in STRENGTHS]
+        signatures = np.stack(found, 1)
+        lengths = np.array([length(one) for one in found])
         return Curve(name, fixed, sign, np.array(STRENGTHS), lengths, signatures)
-
-    def curves(self, rng: np.random.Generator) -> dict[str, Curve]:
-        """Those of the whole catalogue, other parameters and signs drawn."""
-        found = {}
-        for name, kind in CATALOGUE.items():
-            sign = float(rng.choice([-1.0, 1.0])) if kind.two_sided else 1.0
-            found[name] = self.curve(name, kind.fixed(rng), sign)
-        return found
 
 
 def _direction(signature: FloatArray) -> FloatArray:
@@ -176,11 +185,11 @@ def cosine(first: FloatArray, second: FloatArray) -> float:
 
 
 def confusion(curves: dict[str, Curve], name: str, strength: float, weakest: float = 5.0) -> dict[str, float]:
-    """Largest absolute cosine of an effect's signature with every other effect that shows at all."""
+    """Largest absolute cosine of an effect's signature with each other of the catalogue that shows at all."""
     mine = curves[name].signature(strength)
     found = {}
     for other, curve in curves.items():
         usable = np.flatnonzero(curve.lengths >= weakest)
-        if other != name and len(usable):
+        if other != name and other in CATALOGUE and len(usable):
             found[other] = max(abs(cosine(mine, curve.signatures[:, k])) for k in usable)
     return found

@@ -7,7 +7,7 @@ nearest: the middle of a soft edge, the level at which a film saturates.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from .lidar_sensor import NO_ECHO, OTHER, PARTICLE, Echoes, Effect, Report, Shot
 from .rays import Target
 from .scene import FloatArray
 
-__all__ = ["CATALOGUE", "Known", "make_effect"]
+__all__ = ["CATALOGUE", "Known"]
 
 
 def _power(db: FloatArray | float) -> FloatArray:
@@ -39,7 +39,7 @@ class Known(Effect):
     """An effect of the catalogue with its parameters.
 
     ``swept`` is the parameter that sets its strength, ``weak`` and ``strong`` the ends between which the strength is
-    looked for; ``fixed`` draws the others.
+    looked for; ``fixed`` draws the others; ``differs`` says that it is another one in every frame.
     """
 
     parameters: dict[str, float]
@@ -49,6 +49,7 @@ class Known(Effect):
     weak: ClassVar[float] = 0.0
     strong: ClassVar[float] = 0.0
     two_sided: ClassVar[bool] = False
+    differs: ClassVar[bool] = False
 
     @property
     def value(self) -> float:
@@ -79,7 +80,7 @@ class BeamDivergence(Known):
 class IsolatedReturnFilter(Known):
     """Removes a return with no other of the 5 x 5 around it within a sphere (the obvious form: 3 x 3, along range)."""
 
-    name, swept, weak, strong = "isolated_return_filter", "probability", 0.005, 1.0
+    name, swept, weak, strong = "isolated_return_filter", "probability", 0.0005, 1.0
     same_form = False
     reach = 2
 
@@ -161,7 +162,7 @@ class WetTarget(Known):
 class BlindZone(Known):
     """The receiver wakes up late, 30 dB down inside, with a soft edge (the obvious form: a sharp cut)."""
 
-    name, swept, weak, strong = "blind_zone", "range_m", 1.0, 9.0
+    name, swept, weak, strong = "blind_zone", "range_m", 0.2, 9.0
     same_form = False
 
     def prepare(self, shot: Shot) -> None:
@@ -244,7 +245,7 @@ class StaticStructure(Known):
             np.where(hit, 0.9, target.cos_incidence),
             np.where(hit, 0.0, target.up),
         )
-        return View(scan, changed, view.sensor)
+        return replace(view, target=changed)
 
 
 class IntensityCompression(Known):
@@ -330,6 +331,7 @@ class PatchyWeather(Known):
     """The number of particles, and with it the extinction, differs from frame to frame."""
 
     name, swept, weak, strong = "patchy_weather", "log_std", 0.01, 1.5
+    differs = True
 
     def prepare(self, shot: Shot) -> None:
         draw = shot.rng.standard_normal(shot.shape[0])
@@ -384,8 +386,3 @@ CATALOGUE: dict[str, type[Known]] = {
     )
 }
 """By the catalogue's name, in its order."""
-
-
-def make_effect(name: str, parameters: Mapping[str, float]) -> Known:
-    """The effect with parameters as they stand in a sealed truth."""
-    return CATALOGUE[name](dict(parameters))

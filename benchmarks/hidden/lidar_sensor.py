@@ -15,7 +15,7 @@ from torchweather.sensors import Lidar
 
 from .particles import NODE_M, Air, Drops, air_of, draw_drops, fog_echo, near_response
 from .rays import Scan, Target
-from .scene import FloatArray
+from .scene import FloatArray, Scene
 
 __all__ = ["Effect", "Report", "Shot", "View", "Weather", "shoot", "study_sensor"]
 
@@ -68,11 +68,13 @@ class View:
         scan: directions.
         target: first surfaces.
         sensor: link budget.
+        scene: what stands there.
     """
 
     scan: Scan
     target: Target
     sensor: Lidar
+    scene: Scene
 
     @property
     def beams(self) -> int:

@@ -106,17 +106,17 @@ def _patch(position: FloatArray, edge_m: float, seed: int) -> FloatArray:
     return np.asarray(np.sqrt(-2.0 * np.log(first)) * np.cos(2.0 * np.pi * second))
 
 
-def cast(scene: Scene, scan: Scan, max_range_m: float) -> Target:
-    """The nearest surface along each beam, not farther than ``max_range_m``."""
+def cast(scene: Scene, scan: Scan, max_range_m: float, height_m: float = SENSOR_HEIGHT_M) -> Target:
+    """The nearest surface along each beam, not farther than ``max_range_m``, from a height over the ground."""
     beam = scan.direction.reshape(-1, 3)
     n = len(beam)
     with np.errstate(divide="ignore"):
-        nearest = np.where(beam[:, 2] < 0.0, -SENSOR_HEIGHT_M / beam[:, 2], np.inf)
+        nearest = np.where((beam[:, 2] < 0.0) & (height_m > 0.0), -height_m / beam[:, 2], np.inf)
     cosine, up, owner = np.abs(beam[:, 2]), np.ones(n), np.full(n, -1)
     for number, box in enumerate(scene.boxes):
         cos, sin = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        origin = turn @ -np.array([box.x_m, box.y_m, 0.5 * box.height_m - SENSOR_HEIGHT_M])
+        origin = turn @ -np.array([box.x_m, box.y_m, 0.5 * box.height_m - height_m])
         local = beam @ turn.T
         half = 0.5 * np.array([box.length_m, box.width_m, box.height_m])
         safe = np.where(np.abs(local) < 1e-12, 1e-12, local)

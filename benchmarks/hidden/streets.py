@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from .design import Design, Size, draw_design
-from .detectability import IDENTIFIABLE_BELOW, Detector, confusion
-from .effects import CATALOGUE
+from .detectability import IDENTIFIABLE_BELOW, KINDS, Curve, Detector, confusion
 from .sealed import plain, read_json, write_json
 
 __all__ = ["LEVELS", "Street", "street"]
 
 LEVELS = (5.0, 10.0, 30.0)
+# d' over its level that still counts as that level.
+NEAR = (0.65, 1.5)
 
 
 @dataclass(frozen=True)
@@ -55,20 +56,21 @@ def street(key: list[int], kind: str, size: Size, cache: Path | None, names: tup
         kind: of the weather.
         size: amount of data.
         cache: folder of tables; part of what is sealed.
-        names: effects that are needed; then cosines with the others are not computed. ``None``: all of them.
+        names: effects that are needed; then cosines with the others are not computed. ``None``: all, also those outside
+            of the catalogue.
     """
     rng = np.random.default_rng(key)
     design = draw_design(rng, kind, size, record="common", record_sd=0.0)
     path = None if cache is None else cache / f"street-{kind}-{'-'.join(map(str, key))}.json"
     if path is not None and path.exists():
         held = read_json(path)
-        if set(names or CATALOGUE) <= set(held):
+        if set(names or KINDS) <= set(held):
             return Street(design, held)
     detector = Detector(design, key[-1] + 1)
-    draws = {name: np.random.default_rng([*key, place]) for place, name in enumerate(CATALOGUE)}
+    draws = {name: np.random.default_rng([*key, place]) for place, name in enumerate(KINDS)}
     curves = {}
-    for name in names or CATALOGUE:
-        kind_of, own = CATALOGUE[name], draws[name]
+    for name in names or KINDS:
+        kind_of, own = KINDS[name], draws[name]
         sign = float(own.choice([-1.0, 1.0])) if kind_of.two_sided else 1.0
         curves[name] = detector.curve(name, kind_of.fixed(own), sign)
     table: dict[str, dict[str, Any]] = {}
@@ -78,8 +80,13 @@ def street(key: list[int], kind: str, size: Size, cache: Path | None, names: tup
             strength = curve.strength_for(level)
             if strength is None:
                 continue
+            strength, reached = _refined(detector, curve, strength, level)
+            # Some effects come in steps, such as a column of beams: the highest level then stands for more, too.
+            if reached < NEAR[0] * level or (reached > NEAR[1] * level and level != LEVELS[-1]):
+                continue
             table[name][f"{level:g}"] = {
                 "strength": strength,
+                "reached": round(reached, 2),
                 "parameters": curve.effect(strength).parameters,
                 "cosine": None if names else {k: round(v, 4) for k, v in confusion(curves, name, strength).items()},
             }
@@ -87,3 +94,18 @@ def street(key: list[int], kind: str, size: Size, cache: Path | None, names: tup
     if path is not None:
         write_json(path, table)
     return Street(design, table)
+
+
+def _refined(detector: Detector, curve: Curve, strength: float, level: float) -> tuple[float, float]:
+    """A strength nearer to the level, by two steps along a d' that grows as a power of the swept parameter."""
+    kind = KINDS[curve.name]
+    per_strength = abs(np.log(kind.strong / kind.weak))
+    best = (np.inf, strength, 0.0)
+    for _ in range(3):
+        reached = detector.length_of(curve.effect(strength))
+        away = abs(np.log(max(reached, 0.1) / level))
+        best = min(best, (away, strength, reached))
+        if away < 0.15:
+            break
+        strength = float(np.clip(strength + np.log(level / max(reached, 0.2 * level)) / per_strength, 0.01, 1.0))
+    return best[1], best[2]

@@ -1,0 +1,229 @@
+"""Answers against the sealed truth: shares with Wilson intervals, confusion, calibration, coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+__all__ = ["score", "wilson"]
+
+Row = dict[str, Any]
+NONE, UNKNOWN = "none", "unknown"
+
+
+def wilson(hits: int, of: int, z: float = 1.96) -> list[float] | None:
+    """95 % interval of a share (Wilson 1927)."""
+    if of == 0:
+        return None
+    share, spread = hits / of, z**2 / of
+    middle = (share + 0.5 * spread) / (1.0 + spread)
+    half = z / (1.0 + spread) * np.sqrt(share * (1.0 - share) / of + 0.25 * spread / of)
+    return [round(float(max(middle - half, 0.0)), 4), round(float(min(middle + half, 1.0)), 4)]
+
+
+def share(rows: Iterable[Row], holds: Callable[[Row], bool]) -> Row:
+    """How many rows hold, of how many, with the interval."""
+    listed = list(rows)
+    hits = sum(bool(holds(row)) for row in listed)
+    return {
+        "hits": hits,
+        "of": len(listed),
+        "share": hits / len(listed) if listed else None,
+        "wilson_95": wilson(hits, len(listed)),
+    }
+
+
+def score(truths: Mapping[str, Row], answers: Iterable[Row]) -> Row:
+    """The table of a bench.
+
+    Args:
+        truths: by case.
+        answers: lines of ``run``: ``case``, and ``report`` (of ``gap.json``) or ``error``.
+    """
+    rows = [_row(truths[one["case"]], one) for one in answers if one["case"] in truths]
+    singles = [row for row in rows if row["family"] == "single"]
+    clear_cut = [row for row in singles if row["identifiable"] and row["level"] >= 10.0]
+    several = [row for row in rows if row["family"] in ("pair", "triple")]
+    nulls = [row for row in rows if row["family"] == "null"]
+    outside = [row for row in rows if row["family"] == "outside"]
+    decoys = [row for row in rows if row["family"] == "decoy"]
+    named = [row for row in singles + several if row["exact"] and row["gap_after_over_floor"] is not None]
+    seconds = [row["seconds"] for row in rows if row["seconds"] is not None]
+    table: Row = {
+        "answered": len(rows),
+        "made": len(truths),
+        "errors": sorted(row["case"] for row in rows if row["error"]),
+        "singles_exact": share(singles, _is("exact")),
+        "singles_identifiable_exact": share(clear_cut, _is("exact")),
+        "singles_in_confusion_set": share(singles, _is("in_confusion_set")),
+        "singles_wrong_asserted": share(singles, _is("wrong")),
+        "singles_identifiable_unknown": share(clear_cut, lambda row: row["verdict"] == UNKNOWN),
+        "by_level": {
+            f"{level:g}": share((row for row in singles if row["level"] == level), _is("exact"))
+            for level in sorted({row["level"] for row in singles})
+        },
+        "by_weather": {
+            weather: share((row for row in singles if row["weather"] == weather), _is("exact"))
+            for weather in sorted({row["weather"] for row in singles})
+        },
+        "pairs_both": share((row for row in several if row["family"] == "pair"), _is("exact")),
+        "triples_all": share((row for row in several if row["family"] == "triple"), _is("exact")),
+        "several_wrong_asserted": share(several, _is("wrong")),
+        "nulls_alarm": share((row for row in nulls if not row["screen"]), lambda row: row["verdict"] != NONE),
+        "screen_nulls_alarm": share((row for row in nulls if row["screen"]), lambda row: row["verdict"] != NONE),
+        "outside_unknown": share(outside, lambda row: row["verdict"] == UNKNOWN),
+        "outside_detected": share(outside, lambda row: row["verdict"] != NONE),
+        "outside_right_axis": share((row for row in outside if row["verdict"] != NONE), _is("right_axis")),
+        "decoys_right": share(decoys, _is("right")),
+        "decoys": {row["case"]: [row["decoy"], row["verdict"], row["names"], row["right"]] for row in decoys},
+        "coverage_90": _coverage(row for row in rows if row["exact"]),
+        "coverage_90_same_form": _coverage(row for row in rows if row["exact"] and row["same_form"]),
+        "gap_after_within_1.15_floor": share(named, lambda row: row["gap_after_over_floor"] <= 1.15),
+        "seconds": {"median": _median(seconds), "most": max(seconds, default=None)},
+        "calibration": _calibration(rows),
+        "confusion": _confusion(rows),
+    }
+    return {"table": table, "cases": rows}
+
+
+def _is(name: str) -> Callable[[Row], bool]:
+    return lambda row: bool(row[name])
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _row(truth: Row, answer: Row) -> Row:
+    report = answer.get("report") or {}
+    effects = report.get("effects") or []
+    names = sorted(one["name"] for one in effects)
+    true = sorted(one["name"] for one in truth["effects"] if one["name"].startswith("lidar."))
+    verdict = "refused" if answer.get("error") else report.get("verdict", "")
+    # Sets of the truth; what the answer itself says about confusion never makes a wrong name right.
+    allowed = set(true)
+    for one in truth["effects"]:
+        allowed |= set(one["confusable_with"] or {})
+    flags = [one["identifiable"] for one in truth["effects"]]
+    gap = report.get("gap") or {}
+    after, floor = gap.get("after"), gap.get("floor")
+    right = truth.get("right")
+    row: Row = {
+        "case": truth["id"],
+        "family": truth["family"],
+        "weather": truth["weather"],
+        "screen": bool(truth["options"].get("screen")),
+        "decoy": truth["options"].get("decoy"),
+        "true": true or sorted(one["name"] for one in truth["effects"]),
+        "level": min((one["level"] for one in truth["effects"]), default=None),
+        "identifiable": bool(flags) and all(flags),
+        "same_form": all(one["same_form"] for one in truth["effects"]),
+        "verdict": verdict,
+        "names": names,
+        "error": answer.get("error"),
+        "exact": bool(true) and verdict in ("named", "named_and_rest") and names == true,
+        "in_confusion_set": bool(true) and bool(names) and set(names) <= allowed,
+        "wrong": bool(set(names) - allowed),
+        "confidence": [[one.get("confidence"), one["name"] in true] for one in effects],
+        "gap_after_over_floor": after / floor if after is not None and floor else None,
+        "gap_before": gap.get("before"),
+        "p_value": report.get("p_value"),
+        "seconds": answer.get("seconds"),
+        "intervals": _intervals(truth, effects),
+        "right_axis": _right_axis(truth, report),
+        "right": None,
+    }
+    if right is not None:
+        row["right"] = verdict in right["verdicts"] and set(names) <= set(right["names"])
+    return row
+
+
+def _number(value: Any) -> float:
+    return float(value)  # "inf" and "-inf" are numbers too
+
+
+def _intervals(truth: Row, effects: list[Row]) -> list[Row]:
+    """Each true finite parameter of a named effect with its interval."""
+    found = []
+    for one in truth["effects"]:
+        for answer in effects:
+            if answer["name"] != one["name"]:
+                continue
+            for name, value in one["parameters"].items():
+                interval = (answer.get("interval") or {}).get(name)
+                if interval is None or not np.isfinite(_number(value)):
+                    continue
+                low, high = (_number(end) for end in interval)
+                found.append({"parameter": f"{one['name']}.{name}", "true": _number(value), "low": low, "high": high})
+    for one in found:
+        one["covers"] = one["low"] <= one["true"] <= one["high"]
+        if not np.isfinite(one["high"] - one["low"]):
+            one["low"], one["high"] = str(one["low"]), str(one["high"])
+    return found
+
+
+def _coverage(rows: Iterable[Row]) -> Row:
+    return share((one for row in rows for one in row["intervals"]), _is("covers"))
+
+
+# Words by which an answer's axis is recognised.
+AXES = {
+    "range": ("range", "depth", "distance"),
+    "azimuth": ("azimuth", "column", "sector"),
+    "elevation": ("elevation", "ring", "row"),
+    "intensity": ("intensity", "reflectivity", "margin", "energy"),
+    "incidence": ("incidence", "up", "normal", "slope"),
+    "frame": ("frame", "time", "between"),
+    "any": ("",),
+}
+
+
+def _right_axis(truth: Row, report: Row) -> bool:
+    axes = {axis for one in truth["effects"] for axis in one.get("axes") or ()}
+    said = []
+    unknown = report.get("unknown")
+    if isinstance(unknown, Mapping):
+        said.append(str(unknown.get("axis", "")))
+    said += [str(one.get("axis", "")) for one in (report.get("where") or [])[:1]]
+    first = said[:1]
+    return any(word in text for axis in axes for word in AXES[axis] for text in first)
+
+
+def _calibration(rows: list[Row], bins: int = 5) -> list[Row]:
+    """Share of right names among those asserted with a confidence, by confidence."""
+    pairs = [pair for row in rows if row["family"] != "decoy" for pair in row["confidence"] if pair[0] is not None]
+    found = []
+    for low in np.linspace(0.0, 1.0, bins, endpoint=False):
+        inside = [
+            right
+            for value, right in pairs
+            if low <= value < low + 1.0 / bins or (value == 1.0 and low + 1.0 / bins >= 1.0)
+        ]
+        mean = [
+            value for value, _ in pairs if low <= value < low + 1.0 / bins or (value == 1.0 and low + 1.0 / bins >= 1.0)
+        ]
+        hits = sum(inside)
+        found.append(
+            {
+                "from": round(float(low), 3),
+                "mean_confidence": float(np.mean(mean)) if mean else None,
+                "right": hits,
+                "of": len(inside),
+                "wilson_95": wilson(hits, len(inside)),
+            }
+        )
+    return found
+
+
+def _confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
+    """What was answered where one effect, or none, was hidden."""
+    found: dict[str, dict[str, int]] = {}
+    for row in rows:
+        if row["family"] not in ("single", "null", "outside") or row["screen"]:
+            continue
+        truth = (row["true"] or [NONE])[0]
+        said = " + ".join(row["names"]) or row["verdict"]
+        found.setdefault(truth, {})[said] = found.get(truth, {}).get(said, 0) + 1
+    return found
