@@ -66,7 +66,7 @@ def test_shapes_that_would_broadcast_are_refused(name: str) -> None:
                 score(name, *images)
 
 
-@pytest.mark.parametrize("name", [name for name in EVERY if name != "psnr"])  # takes any number of channels
+@every_score
 def test_channels_last_and_other_channel_counts_are_refused(name: str) -> None:
     worse, clear = pair(name)
     for change in (
@@ -111,9 +111,35 @@ def test_a_data_range_that_the_data_contradict_is_refused(name: str) -> None:
     whole = [(255.0 * image).to(torch.uint8) for image in (worse, clear)]
     with pytest.raises(ValueError, match=r"must lie in 0\.\.data_range = 1;"):
         score(name, *whole)
-    for useless in (0.0, -1.0, math.nan):
-        with pytest.raises(ValueError, match=r"data_range must be above 0"):
+    for useless in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match=r"data_range must be above 0 and finite; got "):
             score(name, worse, clear, data_range=useless)
+    for wrong in ("1", None, True, torch.tensor(1.0)):
+        with pytest.raises(TypeError, match=r"data_range must be a number, the value of white; got "):
+            score(name, worse, clear, data_range=wrong)
+
+
+@every_score
+def test_a_type_that_ends_below_the_data_range_is_refused(name: str) -> None:
+    worse, clear = ((127.0 * image).round() for image in pair(name))
+    for place, which in enumerate(("distorted", "reference")):
+        for dtype, end in ((torch.uint8, 255), (torch.int8, 127), (torch.int16, 32767)):
+            images = [worse, clear]
+            images[place] = images[place].to(dtype)
+            with pytest.raises(ValueError, match=rf"data_range is 65535, but {which} is {dtype}, which ends at {end}"):
+                score(name, *images, data_range=65535)
+
+
+@every_score
+def test_one_image_of_another_range_in_a_batch_is_refused(name: str) -> None:
+    worse, clear = pair(name)
+    batches = [torch.stack([255.0 * image] * 3) for image in (worse, clear)]
+    assert score(name, *batches, data_range=255.0).shape == (3,)
+    for place, which in enumerate(("distorted", "reference")):
+        images = [batch.clone() for batch in batches]
+        images[place][1] /= 255.0
+        with pytest.raises(ValueError, match=rf"data_range is 255, but no value is above 0\.\d+ in image 1 of {which}"):
+            score(name, *images, data_range=255.0)
 
 
 @every_score
@@ -126,6 +152,19 @@ def test_what_is_no_image_is_refused(name: str) -> None:
     for kind in (torch.bool, torch.complex64):
         with pytest.raises(TypeError, match=rf"{name}: distorted must hold real numbers; got {kind}"):
             score(name, worse.to(kind), clear)
+
+
+@pytest.mark.parametrize("batch", [(0,), (2, 0), (0, 3)])
+@every_score
+def test_no_images_are_no_scores(name: str, batch: tuple[int, ...]) -> None:
+    for channels, dtype in ((1, torch.float32), (3, torch.float64), (3, torch.uint8)):
+        side = IMAGE_SCORES[name].minimum
+        none = torch.zeros(*batch, channels, side, side + 1, dtype=dtype)
+        found = score(name, none, none)
+        assert (found.shape, found.dtype) == (batch, torch.float64 if dtype == torch.float64 else torch.float32)
+    moving = none.double().requires_grad_()
+    (gradient,) = torch.autograd.grad(score(name, moving, none).sum(), moving)
+    assert gradient.shape == none.shape
 
 
 @every_score
@@ -191,7 +230,9 @@ def test_half_precision_images_are_scored_in_single(name: str, dtype: torch.dtyp
     assert torch.equal(found, score(name, worse.float(), clear.float()))
 
 
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.int16, torch.int32, torch.int64])
+@pytest.mark.parametrize(
+    "dtype", [torch.uint8, torch.int16, torch.int32, torch.int64, torch.uint16, torch.uint32, torch.uint64]
+)
 @every_score
 def test_whole_numbers_score_like_the_same_numbers(name: str, dtype: torch.dtype) -> None:
     worse, clear = ((255.0 * image).round() for image in pair(name))
@@ -201,6 +242,33 @@ def test_whole_numbers_score_like_the_same_numbers(name: str, dtype: torch.dtype
     tolerance = SINGLE.get(name, 1e-4)
     wanted = float(score(name, worse / 255.0, clear / 255.0))
     assert float(whole) == pytest.approx(wanted, rel=tolerance, abs=tolerance)
+
+
+@every_score
+def test_all_sixteen_bits_are_scored(name: str) -> None:
+    worse, clear = ((65535.0 * image).round() for image in pair(name, dtype=torch.float32))
+    whole = score(name, worse.to(torch.uint16), clear.to(torch.uint16), data_range=65535)
+    assert torch.equal(whole, score(name, worse, clear, data_range=65535.0))
+    assert float(score(name, clear.to(torch.uint16), clear.to(torch.uint16), data_range=65535)) == (
+        IMAGE_SCORES[name].ideal
+    )
+    mixed = score(name, worse.to(torch.uint16), clear.to(torch.int32), data_range=65535)
+    assert torch.equal(mixed, whole)
+
+
+@pytest.mark.parametrize("default", [torch.float64, torch.float16])
+@every_score
+def test_the_default_type_of_torch_does_not_matter(name: str, default: torch.dtype) -> None:
+    wanted = {dtype: score(name, *pair(name, dtype=dtype)) for dtype in (torch.float32, torch.float64)}
+    before = torch.get_default_dtype()
+    try:
+        torch.set_default_dtype(default)
+        for dtype, found in wanted.items():
+            again = score(name, *pair(name, dtype=dtype))
+            assert again.dtype == dtype
+            assert torch.equal(again, found)
+    finally:
+        torch.set_default_dtype(before)
 
 
 @every_score
@@ -489,6 +557,21 @@ def test_copies_of_points_change_means_only_by_their_weight() -> None:
     assert scores(r[:1].repeat(400, 1), r[:1].repeat(3, 1)) == dict.fromkeys(CLOUD_NAMES, 0.0)
 
 
+def test_the_default_type_of_torch_does_not_matter_to_clouds() -> None:
+    before = torch.get_default_dtype()
+    for dtype in (torch.float32, torch.float64):
+        p, r = cloud(1600, 1, dtype=dtype), cloud(1500, 2, dtype=dtype)
+        wanted = cloud_scores(p, r, names=CLOUD_NAMES)
+        try:
+            torch.set_default_dtype(torch.float64)
+            again = cloud_scores(p, r, names=CLOUD_NAMES)
+        finally:
+            torch.set_default_dtype(before)
+        for name in CLOUD_NAMES:
+            assert again[name].dtype == dtype
+            assert torch.equal(again[name], wanted[name]), name
+
+
 @pytest.mark.parametrize("n", [200, 2000])  # all pairs of points, and drawn ones
 def test_single_precision_far_from_the_origin(n: int) -> None:
     assert (n * (n - 1) // 2 > PAIRS) == (n == 2000)
@@ -501,9 +584,10 @@ def test_single_precision_far_from_the_origin(n: int) -> None:
     assert double == pytest.approx(near, rel=1e-9)
 
 
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.int16, torch.int64])
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.int16, torch.int64, torch.uint16])
 def test_other_number_types_are_scored_in_single_precision(dtype: torch.dtype) -> None:
-    p, r = cloud(30, 1, dtype=dtype), cloud(20, 2, dtype=dtype)
+    p, r = (cloud(n, seed).abs().to(dtype) for n, seed in ((30, 1), (20, 2)))
+    assert scores(p, r.to(torch.int32)) == scores(p.float(), r.int().float())
     found = cloud_scores(p, r, names=CLOUD_NAMES)
     assert {score.dtype for score in found.values()} == {torch.float32}
     assert scores(p, r) == scores(p.float(), r.float())

@@ -59,6 +59,8 @@ def test_several_at_once_in_the_order_asked_for() -> None:
     assert float(found["psnr"][1]) == math.inf
     with pytest.raises(ValueError, match="score must be one of"):
         image_scores(*pair, ["pnsr"])
+    with pytest.raises(TypeError, match=r"names must be a list of names such as .*; got the text 'psnr'"):
+        image_scores(*pair, "psnr")
     assert tw.metrics.image_scores is image_scores
 
 

@@ -107,6 +107,5 @@ def test_the_error_names_the_score_that_needs_the_largest_image() -> None:
     with pytest.raises(ValueError, match="vif: images must be 41 x 41 pixels or larger; got 40 x 60"):
         image_scores(*pair(3, 40, 60), ["psnr", "vif", "gmsd"])
     four = torch.rand(4, 8, 8)
-    assert list(image_scores(four, four, ["psnr"])) == ["psnr"]
     with pytest.raises(ValueError, match="C = 1 or 3"):
-        image_scores(four, four, ["psnr", "gmsd"])
+        image_scores(four, four, ["psnr"])

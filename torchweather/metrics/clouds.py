@@ -145,8 +145,7 @@ def _batch(clouds: Clouds) -> tuple[int, ...]:
 
 
 def _kind(distorted: Tensor, reference: Tensor) -> torch.dtype:
-    kind = torch.promote_types(distorted.dtype, reference.dtype)
-    return kind if kind in (torch.float32, torch.float64) else torch.float32
+    return torch.float64 if torch.float64 in (distorted.dtype, reference.dtype) else torch.float32
 
 
 def _check_reach(which: str, points: Tensor, mask: Tensor, name: str) -> None:

@@ -92,6 +92,8 @@ def image_scores(
         >>> sorted(image_scores(0.5 * clear + 0.2, clear, ["psnr", "gmsd"]))
         ['gmsd', 'psnr']
     """
+    if isinstance(names, str):
+        raise TypeError(f"image_scores: names must be a list of names such as ['ssim']; got the text {names!r}.")
     chosen = list(IMAGE_SCORES) if names is None else list(names)
     for name in chosen:
         check_one_of("score", name, IMAGE_SCORES, owner="image_scores")
@@ -99,10 +101,10 @@ def image_scores(
         return {}
     # the error names the score that needs the largest image
     neediest = max(chosen, key=lambda name: IMAGE_SCORES[name].minimum)
-    minimum, channels = IMAGE_SCORES[neediest].minimum, None if set(chosen) == {"psnr"} else (1, 3)
+    minimum = IMAGE_SCORES[neediest].minimum
 
     def pair() -> Pair:
-        return Pair(distorted, reference, data_range, channels=channels, minimum=minimum, owner=neediest)
+        return Pair(distorted, reference, data_range, minimum=minimum, owner=neediest)
 
     shared = pair()
     # a gradient may be taken of each score by itself: then nothing is shared, as its graph is gone after that

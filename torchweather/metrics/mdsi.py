@@ -99,5 +99,5 @@ def _complex_root(edges: Tensor, colours: Tensor, combination: str) -> tuple[Ten
     size, angle = torch.ones_like(edges), torch.zeros_like(edges)
     for value, exponent in factors:
         size = size * power(value.abs(), exponent)
-        angle = angle + math.pi * exponent * (value < 0)
+        angle = angle + math.pi * exponent * (value < 0).to(angle.dtype)
     return size * angle.cos(), size * angle.sin()

@@ -6,9 +6,11 @@ from functools import cached_property
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from torchweather.errors import owner_name
 from torchweather.metrics.colour import luma
+from torchweather.metrics.data_range import SIDES, check_values, value_of_white
 from torchweather.metrics.filters import automatic_factor, averaged_down, subsampled
 
 __all__ = ["Both", "Pair", "check_pair"]
@@ -17,14 +19,10 @@ Both = tuple[Tensor, Tensor]
 """Of the distorted image and of the reference, in this order."""
 
 
-# Values may leave their range by rounding, or by filters that overshoot.
-SLACK = 1e-3
-# Images in [0, 1] are declared to be 0..255 where the largest of both is below this share of the range.
-FAINT = 1.5 / 255.0
-
-
 class Pair:
     """Two images of one shape, checked, and what several scores need of them, found once and kept.
+
+    Of an empty batch ``images`` holds one black pair, which a Fourier transform can take; its score is left out.
 
     Args:
         distorted, reference: ``(..., C, H, W)``, as :func:`check_pair` wants them.
@@ -43,13 +41,12 @@ class Pair:
         reference: Tensor,
         data_range: float = 1.0,
         *,
-        channels: tuple[int, ...] | None = (1, 3),
+        channels: tuple[int, ...] = (1, 3),
         minimum: int = 1,
         owner: object,
     ) -> None:
-        self.images: Both = check_pair(
-            distorted, reference, data_range, channels=channels, minimum=minimum, owner=owner
-        )
+        images = check_pair(distorted, reference, data_range, channels=channels, minimum=minimum, owner=owner)
+        self.images: Both = images if len(images[0]) else (_with_a_black(images[0]), _with_a_black(images[1]))
         self.batch = reference.shape[:-3]
 
     @cached_property
@@ -70,7 +67,11 @@ class Pair:
 
     def per_image(self, score: Tensor) -> Tensor:
         """Scores ``(B,)`` in the batch shape of the images."""
-        return score.reshape(self.batch)
+        return score[: self.batch.numel()].reshape(self.batch)
+
+
+def _with_a_black(images: Tensor) -> Tensor:
+    return functional.pad(images, (0, 0, 0, 0, 0, 0, 0, 1))
 
 
 def check_pair(
@@ -78,7 +79,7 @@ def check_pair(
     reference: Tensor,
     data_range: float,
     *,
-    channels: tuple[int, ...] | None = (1, 3),
+    channels: tuple[int, ...] = (1, 3),
     minimum: int = 1,
     owner: object,
 ) -> Both:
@@ -86,21 +87,21 @@ def check_pair(
 
     Args:
         distorted, reference: ``(..., C, H, W)`` of one shape, floating point or integer, in ``[0, data_range]``.
-        data_range: value of white, above 0.
-        channels: numbers of channels that the score is defined for; None: any.
+        data_range: value of white, above 0; one that the images contradict is refused (``check_values``).
+        channels: numbers of channels that the score is defined for.
         minimum: least height and width, pixels.
         owner: for messages.
     """
     name = owner_name(owner)
-    for which, image in (("distorted", distorted), ("reference", reference)):
+    for which, image in zip(SIDES, (distorted, reference), strict=True):
         if not isinstance(image, Tensor):
             raise TypeError(f"{name}: {which} must be a tensor (..., C, H, W); got {type(image).__name__}.")
         if image.is_complex() or image.dtype == torch.bool:
             raise TypeError(f"{name}: {which} must hold real numbers; got {image.dtype}.")
-        if image.ndim < 3 or (channels is not None and image.shape[-3] not in channels):
-            wanted = "" if channels is None else " with C = " + " or ".join(str(number) for number in channels)
+        if image.ndim < 3 or image.shape[-3] not in channels:
+            wanted = " or ".join(str(number) for number in channels)
             raise ValueError(
-                f"{name}: {which} must be (..., C, H, W){wanted}; got {tuple(image.shape)}. Channels come "
+                f"{name}: {which} must be (..., C, H, W) with C = {wanted}; got {tuple(image.shape)}. Channels come "
                 "third from last."
             )
     if distorted.shape != reference.shape:
@@ -110,30 +111,10 @@ def check_pair(
     height, width = reference.shape[-2:]
     if min(height, width) < minimum:
         raise ValueError(f"{name}: images must be {minimum} x {minimum} pixels or larger; got {height} x {width}.")
-    if not data_range > 0:
-        raise ValueError(f"{name}: data_range must be above 0; got {data_range!r}.")
-    _check_range(distorted, reference, float(data_range), name)
-    kind = torch.promote_types(distorted.dtype, reference.dtype)
-    kind = kind if kind in (torch.float32, torch.float64) else torch.float32
+    white = value_of_white(data_range, (distorted, reference), name)
+    kind = torch.float64 if torch.float64 in (distorted.dtype, reference.dtype) else torch.float32
     first, second = (image.reshape(-1, *image.shape[-3:]).to(kind) for image in (distorted, reference))
-    white = float(data_range)
+    if reference.numel() and not torch.compiler.is_compiling():
+        floating = distorted.is_floating_point(), reference.is_floating_point()
+        check_values((first.detach(), second.detach()), floating, white, name)
     return (first, second) if white == 1.0 else (first / white, second / white)
-
-
-def _check_range(distorted: Tensor, reference: Tensor, data_range: float, name: str) -> None:
-    if torch.compiler.is_compiling() or not reference.numel():
-        return
-    highest = 0.0
-    for which, image in (("distorted", distorted), ("reference", reference)):
-        low, high = (float(value) for value in torch.aminmax(image.detach()))
-        if not (low >= -SLACK * data_range and high <= (1.0 + SLACK) * data_range):  # NaN too
-            raise ValueError(
-                f"{name}: {which} must lie in 0..data_range = {data_range:g}; got {low:g}..{high:g}. Set data_range "
-                "to the value of white."
-            )
-        highest = max(highest, high)
-    if data_range > 1.5 and reference.is_floating_point() and 0.0 < highest <= max(1.0, FAINT * data_range):
-        raise ValueError(
-            f"{name}: data_range is {data_range:g}, but no value is above {highest:g}: images in [0, 1] have "
-            "data_range=1. (A wrong range adds 48 dB to the PSNR of such images.)"
-        )

@@ -15,7 +15,7 @@ def psnr(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Te
     """Peak signal-to-noise ratio, dB: ``10 log10(data_range^2 / MSE)``.
 
     Args:
-        distorted, reference: ``(..., C, H, W)`` in ``[0, data_range]``, any number of channels.
+        distorted, reference: ``(..., C, H, W)`` in ``[0, data_range]``, C = 1 or 3.
         data_range: value of white.
 
     Returns:
@@ -28,7 +28,7 @@ def psnr(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Te
         >>> round(float(psnr(torch.full((3, 4, 4), 0.5), torch.full((3, 4, 4), 0.6))), 3)
         20.0
     """
-    return psnr_of(Pair(distorted, reference, data_range, channels=None, owner="psnr"))
+    return psnr_of(Pair(distorted, reference, data_range, owner="psnr"))
 
 
 def psnr_of(pair: Pair) -> Tensor:

@@ -74,7 +74,7 @@ def vsi_of(pair: Pair) -> Tensor:
     slopes = gradient_magnitude(torch.cat([image[:, :1] for image in lmn], 1), *SCHARR).chunk(2, 1)
     chroma = likeness(lmn[0][:, 1:], lmn[1][:, 1:], CHROMA).prod(1, keepdim=True)
     # Real part of a power of what opposite colours make negative
-    turned = torch.where(chroma < 0, math.cos(CHROMA_POWER * math.pi), 1.0)
+    turned = torch.where(chroma < 0, math.cos(CHROMA_POWER * math.pi), torch.ones_like(chroma))
     local = likeness(salient[0], salient[1], SALIENCY) * power(likeness(slopes[0], slopes[1], GRADIENT), GRADIENT_POWER)
     local = local * power(chroma.abs(), CHROMA_POWER) * turned
     return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])))
