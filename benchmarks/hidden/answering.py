@@ -2,49 +2,41 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-from .sealed import read_json
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from torchweather.errors import TorchweatherError
+from torchweather.gap.study import Study
 
 __all__ = ["answer", "draw_calibration", "draw_confusion"]
 
-# A study of 16,384 beams takes about a minute.
-LONGEST_S = 3600.0
-
 
 def answer(study: Path, seed: int) -> dict[str, Any]:
-    """What ``torchweather gap`` says of a study, in a process of its own; an exit code of 2 is a refusal.
+    """What the workflow says of a study.
 
     Returns:
-        ``seconds``, and ``report`` (``gap.json``) or ``error``.
+        ``seconds``, and ``report`` (as ``gap.json``), or ``error`` where the workflow refuses the study. Any other
+        exception is a fault of the workflow: it breaks the run off and is no answer.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "answer"
-        start = time.perf_counter()
-        command = [sys.executable, "-m", "torchweather", "gap", str(study), "--out", str(out), "--seed", str(seed)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, check=False)
-        seconds = round(time.perf_counter() - start, 2)
-        if done.returncode == 2:
-            return {"seconds": seconds, "error": done.stderr.strip()[-2000:] or "exit code 2"}
-        if done.returncode != 0:
-            # Not an answer: the workflow itself broke off, and the bench must not score it.
-            raise RuntimeError(f"{study}: exit code {done.returncode}: {done.stderr.strip()[-2000:]}")
-        return {"seconds": seconds, "report": read_json(out / "gap.json")}
+    from torchweather.gap import find_gap
+
+    start = time.perf_counter()
+    try:
+        found = {"report": find_gap(Study.read(study), seed=seed).to_dict()}
+    except TorchweatherError as error:
+        found = {"error": str(error)}
+    return {"seconds": round(time.perf_counter() - start, 2), **found}
 
 
 def draw_confusion(confusion: dict[str, dict[str, int]], path: Path) -> None:
     """Truth down, answer across."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    import numpy as np
-
     truths = sorted(confusion)
     answers = sorted({one for row in confusion.values() for one in row}, key=lambda one: (one not in truths, one))
     counts = np.array([[confusion[truth].get(one, 0) for one in answers] for truth in truths], dtype=float)
@@ -62,11 +54,6 @@ def draw_confusion(confusion: dict[str, dict[str, int]], path: Path) -> None:
 
 def draw_calibration(bins: list[dict[str, Any]], path: Path) -> None:
     """Share of right names over the confidence that was printed."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(figsize=(4.0, 4.0), layout="constrained")
     axes.plot([0, 1], [0, 1], color="0.7", label="calibrated")
     for one in bins:

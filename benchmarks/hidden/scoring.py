@@ -98,10 +98,10 @@ def _median(values: list[float]) -> float | None:
 
 def _row(truth: Row, answer: Row) -> Row:
     report = answer.get("report") or {}
-    effects = report.get("effects") or []
+    verdict = "refused" if answer.get("error") else report.get("verdict", "")
+    effects = (report.get("effects") or []) if verdict in ("named", "named_and_rest") else []
     names = sorted(one["name"] for one in effects)
     true = sorted(one["name"] for one in truth["effects"] if one["name"].startswith("lidar."))
-    verdict = "refused" if answer.get("error") else report.get("verdict", "")
     # Sets of the truth; what the answer itself says about confusion never makes a wrong name right.
     allowed = set(true)
     for one in truth["effects"]:
@@ -123,7 +123,7 @@ def _row(truth: Row, answer: Row) -> Row:
         "verdict": verdict,
         "names": names,
         "error": answer.get("error"),
-        "exact": bool(true) and verdict in ("named", "named_and_rest") and names == true,
+        "exact": bool(true) and names == true,
         "in_confusion_set": bool(true) and bool(names) and set(names) <= allowed,
         "wrong": bool(set(names) - allowed),
         "confidence": [[one.get("confidence"), one["name"] in true] for one in effects],
