@@ -23,9 +23,9 @@ __all__ = ["Effect", "Report", "Shot", "View", "Weather", "shoot", "study_sensor
 FOG_TO_M = 14.0
 # Relative standard deviation of a reported intensity, besides that of its photons (order of magnitude).
 READING_SPREAD = 0.02
-# From frame to frame: pulse energy and start of the clock of a whole frame (orders of magnitude; without them a mean
-# over 10,000 beams would show a hundredth of a decibel).
-ENERGY_SPREAD, CLOCK_SPREAD_M = 0.015, 0.004
+# From frame to frame: scale of the intensities and start of the clock of a whole frame (orders of magnitude; without
+# them a mean over 10,000 beams would show a hundredth of a decibel). Detection does not know of them.
+SCALE_SPREAD, CLOCK_SPREAD_M = 0.015, 0.004
 # Particles that send back less than this share of the threshold are not listed.
 FLOOR_SHARE = 0.5
 NO_ECHO, TARGET, PARTICLE, OTHER = 0, 1, 2, 3
@@ -261,7 +261,6 @@ def _echoes(shot: Shot) -> Echoes:
     clear = clear / np.pi * near_response(sensor, at) / at**2
     every = np.arange(frames)[:, None]
     signal = clear * shot.near_gain(at) * np.exp(-2.0 * shot.depth(every, at[None]))
-    energy = 1.0 + ENERGY_SPREAD * shot.target_rng.standard_normal(frames)
     none = np.zeros(0, dtype=np.int64)
     echoes = Echoes(np.broadcast_to(at, (frames, beams)), signal, none, none, np.zeros(0), np.zeros(0), none)
     if shot.air.sizes is not None:
@@ -271,8 +270,6 @@ def _echoes(shot: Shot) -> Echoes:
         range_m, power = _fog(shot)
         frame, beam = np.nonzero(power > _floor(shot))
         echoes.add(frame, beam, range_m[frame, beam], power[frame, beam], PARTICLE)
-    echoes.target = echoes.target * energy[:, None]
-    echoes.signal = echoes.signal * energy[echoes.frame]
     return echoes
 
 
@@ -347,7 +344,8 @@ def _finish(shot: Shot, report: Report) -> Report:
     clock = CLOCK_SPREAD_M * rng.standard_normal((shot.shape[0], 1))
     noisy = report.range_m + clock + shot.sensor.range_noise_m * rng.standard_normal(shot.shape)
     range_m = np.maximum(np.rint(noisy / step) * step, step)
-    read = report.intensity * (1.0 + READING_SPREAD * rng.standard_normal(shot.shape))
+    scale = 1.0 + SCALE_SPREAD * rng.standard_normal((shot.shape[0], 1))
+    read = report.intensity * scale * (1.0 + READING_SPREAD * rng.standard_normal(shot.shape))
     intensity = np.round(np.maximum(read, 0.0), 5)
     outside = range_m > shot.sensor.max_range_m
     seen &= ~outside

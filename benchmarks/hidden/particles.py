@@ -188,16 +188,18 @@ def fog_echo(
     near_top = (wave >= LOWEST_NODE * wave.max(-1, keepdims=True)).any((0, 1))
     nodes_m, wave = nodes_m[near_top], wave[..., near_top]
     wave = np.broadcast_to(wave, (frames, beams, len(nodes_m)))
-    cells = int(np.ceil(nodes_m[-1] / sensor.pulse_length_m)) + 2
-    draws = rng.standard_normal((frames, beams, cells), dtype=np.float32)
-    place = nodes_m / sensor.pulse_length_m
-    left = np.floor(place).astype(int)
-    part = (place - left).astype(np.float32)
-    length = np.sqrt(part**2 + (1.0 - part) ** 2)
-    noise = (draws[..., left] * ((1.0 - part) / length) + draws[..., left + 1] * (part / length)).astype(np.float32)
+    # Shot noise is white; the receiver, as long as the pulse, passes it on with that length.
+    nodes = len(nodes_m)
+    passes = (window / np.linalg.norm(window)).astype(np.float32)
+    band = np.zeros((nodes + len(passes) - 1, nodes), dtype=np.float32)
+    for node in range(nodes):
+        band[node : node + len(passes), node] = passes
+    white = rng.standard_normal((frames * beams, len(band)), dtype=np.float32)
+    noise = (white @ band).reshape(frames, beams, nodes)
     photon = np.float32(sensor.threshold_per_m2_sr / sensor.photons_at_threshold)
     seen = wave + np.sqrt(np.maximum(wave, 0.0) * photon) * noise
     seen = np.where(nodes_m <= range_m[None, :, None], seen, -np.inf)
     best = seen.argmax(-1)
     strongest = np.take_along_axis(seen, best[..., None], -1)[..., 0]
-    return nodes_m[best], np.maximum(strongest.astype(np.float64), 0.0)
+    # The window has an even number of nodes: its middle lies half a node behind the one it is counted at.
+    return nodes_m[best] + 0.5 * NODE_M, np.maximum(strongest.astype(np.float64), 0.0)
