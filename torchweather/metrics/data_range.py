@@ -39,22 +39,23 @@ def value_of_white(data_range: object, images: tuple[Tensor, Tensor], name: str)
     return white
 
 
-def check_values(images: tuple[Tensor, Tensor], floating: tuple[bool, bool], white: float, name: str) -> None:
-    """Raise ``ValueError`` unless all values lie in their range, and no image of floating point belongs to another.
+def check_values(images: tuple[Tensor, Tensor], floating: bool, white: float, name: str) -> None:
+    """Raise ``ValueError`` unless all values lie in their range, and no image shows that it belongs to another.
 
     Args:
         images: ``(B, C, H, W)`` floating point, distorted and reference.
-        floating: whether each came as floating point; whole numbers of a camera are taken at their word.
+        floating: both came as floating point; of an integer type, a number of bits is taken at its word.
         white: data range.
         name: for messages.
 
     Note:
         From a range of 100 on, an image in [0, 1] is one whose largest value is at most 1. Not refused are black ones
         (no value above 0.5 / 255) and whole numbers (the 0 and 1 of a nearly black recording). From 15 bits on, images
-        of 8 bits are a batch whose largest value, of both sides, lies in 16..255; darker ones may be of either.
+        of 8 bits are a batch of floating point whose largest value, of both sides, lies in 16..255; darker ones may be
+        of either.
     """
     highest = []
-    for which, image, floats in zip(SIDES, images, floating, strict=True):
+    for which, image in zip(SIDES, images, strict=True):
         of_each = image.amax((1, 2, 3))
         low, high = float(image.min()), float(of_each.max())
         if not (low >= -SLACK * white and high <= (1.0 + SLACK) * white):  # NaN too
@@ -62,10 +63,10 @@ def check_values(images: tuple[Tensor, Tensor], floating: tuple[bool, bool], whi
                 f"{name}: {which} must lie in 0..data_range = {white:g}; got {low:g}..{high:g}. Set data_range "
                 "to the value of white."
             )
-        if floats and white >= HUNDRED:
+        if white >= HUNDRED:
             _check_each(which, image, of_each, white, name)
         highest.append(high)
-    if white >= FIFTEEN_BITS and all(floating) and DARK < max(highest) <= EIGHT_BITS:
+    if white >= FIFTEEN_BITS and floating and DARK < max(highest) <= EIGHT_BITS:
         raise ValueError(
             f"{name}: data_range is {white:g}, but no value is above {max(highest):g}: images of 8 bits have "
             "data_range=255. If they are that dark, divide both images by data_range and leave it at 1."

@@ -115,6 +115,6 @@ def check_pair(
     kind = torch.float64 if torch.float64 in (distorted.dtype, reference.dtype) else torch.float32
     first, second = (image.reshape(-1, *image.shape[-3:]).to(kind) for image in (distorted, reference))
     if reference.numel() and not torch.compiler.is_compiling():
-        floating = distorted.is_floating_point(), reference.is_floating_point()
+        floating = distorted.is_floating_point() and reference.is_floating_point()
         check_values((first.detach(), second.detach()), floating, white, name)
     return (first, second) if white == 1.0 else (first / white, second / white)
