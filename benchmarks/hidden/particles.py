@@ -27,7 +27,7 @@ from .scene import FloatArray
 __all__ = ["Air", "Drops", "air_of", "draw_drops", "fog_echo"]
 
 # Length of a cell of range in which drops are counted, and of the nodes of the fog's waveform, m.
-CELL_M, NODE_M = 0.1, 0.15
+CELL_M, NODE_M = 0.1, 0.25
 # Nodes of the waveform below this share of its maximum are left out.
 LOWEST_NODE = 0.3
 
@@ -187,7 +187,6 @@ def fog_echo(
     # Noise of a few percent never lifts a node far below the maximum to the top.
     near_top = (wave >= LOWEST_NODE * wave.max(-1, keepdims=True)).any((0, 1))
     nodes_m, wave = nodes_m[near_top], wave[..., near_top]
-    wave = np.broadcast_to(wave, (frames, beams, len(nodes_m)))
     # Shot noise is white; the receiver, as long as the pulse, passes it on with that length.
     nodes = len(nodes_m)
     passes = (window / np.linalg.norm(window)).astype(np.float32)
@@ -197,8 +196,11 @@ def fog_echo(
     white = rng.standard_normal((frames * beams, len(band)), dtype=np.float32)
     noise = (white @ band).reshape(frames, beams, nodes)
     photon = np.float32(sensor.threshold_per_m2_sr / sensor.photons_at_threshold)
-    seen = wave + np.sqrt(np.maximum(wave, 0.0) * photon) * noise
-    seen = np.where(nodes_m <= range_m[None, :, None], seen, -np.inf)
+    seen = noise
+    seen *= np.sqrt(np.maximum(wave, 0.0) * photon)
+    seen += wave
+    short = np.flatnonzero(range_m < nodes_m[-1])
+    seen[:, short] = np.where(nodes_m <= range_m[short, None], seen[:, short], -np.inf)
     best = seen.argmax(-1)
     strongest = np.take_along_axis(seen, best[..., None], -1)[..., 0]
     # The window has an even number of nodes: its middle lies half a node behind the one it is counted at.

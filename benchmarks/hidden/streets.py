@@ -97,11 +97,11 @@ def street(key: list[int], kind: str, size: Size, cache: Path | None, names: tup
 
 
 def _refined(detector: Detector, curve: Curve, strength: float, level: float) -> tuple[float, float]:
-    """A strength nearer to the level, by two steps along a d' that grows as a power of the swept parameter."""
+    """A strength nearer to the level, by a step along a d' that grows as a power of the swept parameter."""
     kind = KINDS[curve.name]
     per_strength = abs(np.log(kind.strong / kind.weak))
     best = (np.inf, strength, 0.0)
-    for _ in range(3):
+    for _ in range(2):
         reached = detector.length_of(curve.effect(strength))
         away = abs(np.log(max(reached, 0.1) / level))
         best = min(best, (away, strength, reached))

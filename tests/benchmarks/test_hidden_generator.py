@@ -195,9 +195,9 @@ def test_fog_shines_where_its_waveform_peaks():
     signal = report.signal[report.kind == PARTICLE].mean()
     # The maximum of a noisy waveform lies above the maximum of its mean: by about one of its 3 %.
     assert signal == pytest.approx(best, rel=0.06)
-    assert still.signal.mean() == pytest.approx(best, rel=2e-3)
-    # Nodes are 0.15 m apart.
-    assert np.median(still.range_m) == pytest.approx(peak, abs=0.08)
+    assert still.signal.mean() == pytest.approx(best, rel=4e-3)
+    # Nodes are 0.25 m apart.
+    assert np.median(still.range_m) == pytest.approx(peak, abs=0.13)
 
 
 # ---- effects ---------------------------------------------------------------------------------------------------------
