@@ -2,7 +2,6 @@
 
 from torchweather.gap.adapters import study_from_folders, study_from_kitti
 from torchweather.gap.diagnosis import Finding, diagnose
-from torchweather.gap.embedded_study import embedded_study
 from torchweather.gap.simulation import simulate
 from torchweather.gap.study import Condition, Frame, Frames, Study, StudyScene
 from torchweather.gap.validation import Validation, validate
@@ -16,7 +15,6 @@ __all__ = [
     "StudyScene",
     "Validation",
     "diagnose",
-    "embedded_study",
     "simulate",
     "study_from_folders",
     "study_from_kitti",
