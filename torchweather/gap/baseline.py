@@ -1,0 +1,238 @@
+"""How far measured conditions are from a simulator, in units of its own scatter.
+
+A pool of simulated frames of each condition gives the distribution of its vector at the measured number of frames: its
+mean and its scatter. How the scatter of one entry goes with that of another follows from leaving out portions of the
+elements (beams, pixels, targets): simulated frames cannot tell it, they start from a handful of clear frames and know
+only so many directions of noise. The residual is the measured vector's departure in those units, made independent
+(whitened), so that each of its entries is about 1 if nothing is missing.
+
+References:
+    GAP.md 3 (2, 4). Shrinkage of a correlation matrix: Ledoit & Wolf 2004, Schaefer & Strimmer 2005.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from torchweather.gap.statistics import Layout, Pool, Reduced
+from torchweather.gap.study import Condition, Study
+from torchweather.stages.effects import Effect
+
+__all__ = [
+    "PORTIONED_FRAMES",
+    "PORTIONS",
+    "Baseline",
+    "ElementNoise",
+    "FrameModel",
+    "Target",
+    "Whitening",
+    "baseline",
+    "element_noise",
+    "targets",
+]
+
+Floats = NDArray[np.float64]
+
+DRAWS = 256  # of the vector from the pool
+PORTIONS = 128  # of the elements of a frame
+PORTIONED_FRAMES = 18  # of each condition
+SHRINKAGE = 0.1  # of the correlations towards none
+
+
+class FrameModel(Protocol):
+    """What the workflow needs of a kind of sensor: one file each."""
+
+    study: Study
+    layout: Layout
+
+    def measured(self, condition: Condition) -> Reduced:
+        """The condition's own frames."""
+        ...
+
+    def clear(self, scene_id: str) -> Reduced:
+        """The clear frames of a scene, each compared with the others."""
+        ...
+
+    def simulated(
+        self,
+        condition: Condition,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: Sequence[int],
+        portions: int = 1,
+    ) -> Reduced:
+        """Simulated frames of the condition, one for each seed; each in so many portions of its elements."""
+        ...
+
+
+@dataclass(frozen=True)
+class Target:
+    """A measured condition.
+
+    Args:
+        condition: of the study.
+        vector: ``(P,)`` of its frames.
+        enough: ``(P,)`` entries that hold enough to count.
+        frames: their number.
+    """
+
+    condition: Condition
+    vector: Floats
+    enough: NDArray[np.bool_]
+    frames: int
+
+    @property
+    def knob_sd(self) -> float:
+        """Standard deviation of the logarithm of the weather's knob, as the record states it."""
+        return float(self.condition.rel_sd)
+
+
+def targets(model: FrameModel, conditions: Sequence[Condition]) -> list[Target]:
+    """The measured vectors of conditions, their frames reduced once."""
+    found = []
+    for condition in conditions:
+        pool = Pool(model.layout, model.measured(condition))
+        number = len(pool)
+        vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
+        found.append(Target(condition, vector, pool.enough(number), number))
+    return found
+
+
+@dataclass(frozen=True)
+class ElementNoise:
+    """What the independent noise of the elements (beams, pixels, targets) of a frame makes of the vector.
+
+    Args:
+        scatter: condition to ``(P,)`` standard deviation of each entry; 0 where it tells nothing.
+        correlation: ``(P, P)`` of the entries, common to the conditions.
+    """
+
+    scatter: Mapping[str, Floats]
+    correlation: Floats
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Makes departures independent.
+
+    Args:
+        factor: ``(P, P)`` lower Cholesky factor of the correlations, shrunk.
+    """
+
+    factor: Floats
+
+    @classmethod
+    def of(cls, noise: ElementNoise, sd: Mapping[str, Floats]) -> Whitening:
+        """Correlations of entries whose scatter ``sd`` is the elements' and more that is each entry's own."""
+        names = list(noise.scatter)
+        share = np.mean([noise.scatter[name] / np.maximum(sd[name], 1e-300) for name in names], 0)
+        share = np.clip(share, 0.0, 1.0)
+        correlation = (1.0 - SHRINKAGE) * noise.correlation * np.outer(share, share)
+        np.fill_diagonal(correlation, 1.0)
+        return cls(np.linalg.cholesky(correlation))
+
+    def __call__(self, scaled: Floats) -> Floats:
+        """Departures ``(..., P)`` in units of their scatter to independent ones."""
+        flat = scaled.reshape(-1, scaled.shape[-1])
+        found: Floats = solve_triangular(self.factor, flat.T, lower=True).T.reshape(scaled.shape)
+        return found
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The simulator at one setting.
+
+    Args:
+        mean, sd: condition to ``(P,)`` mean of the vector and its scatter at the measured number of frames, with the
+            error of that mean.
+        used: condition to ``(P,)`` entries that count.
+        whitening: common to all conditions.
+        draws: condition to ``(DRAWS, P)`` vectors of the simulator itself.
+    """
+
+    mean: Mapping[str, Floats]
+    sd: Mapping[str, Floats]
+    used: Mapping[str, NDArray[np.bool_]]
+    whitening: Whitening
+    draws: Mapping[str, Floats]
+
+    def residual(self, target: Target, vector: Floats | None = None) -> Floats:
+        """Whitened departure ``(P,)`` of a vector, the measured one by default."""
+        name = target.condition.id
+        value = target.vector if vector is None else vector
+        return self.whitened(name, value - self.mean[name])
+
+    def whitened(self, name: str, difference: Floats) -> Floats:
+        """Whitened difference of vectors ``(..., P)``; entries that do not count are 0."""
+        scaled = np.where(self.used[name], difference / self.sd[name], 0.0)
+        return self.whitening(scaled)
+
+    def z(self, target: Target) -> Floats:
+        """Departure of each entry in units of its own scatter, 0 where it does not count."""
+        name = target.condition.id
+        found: Floats = np.where(self.used[name], (target.vector - self.mean[name]) / self.sd[name], 0.0)
+        return found
+
+
+def baseline(
+    pools: Mapping[str, Pool],
+    measured: Sequence[Target],
+    noise: ElementNoise,
+    whitening: Whitening | None,
+    seed: int,
+) -> Baseline:
+    """The distribution of the vectors that pools of simulated frames give.
+
+    Args:
+        pools: condition to simulated frames.
+        measured: the conditions, with their number of frames.
+        noise: of the elements.
+        whitening: of another setting, to be kept; ``None`` makes it from these pools.
+        seed: of the draws.
+    """
+    means, sds, used, draws = {}, {}, {}, {}
+    for number, target in enumerate(measured):
+        name, pool, n = target.condition.id, pools[target.condition.id], target.frames
+        generator = np.random.default_rng([seed, number])
+        count = len(pool)
+        index = np.argsort(generator.random((DRAWS, count)), 1)[:, : min(n, count)]
+        vectors = pool.vectors(index, target.condition.time_s)
+        mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
+        # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
+        share = min(n / count, 0.5)
+        least = np.maximum(pool.least_scatter(n), noise.scatter[name])
+        sd = np.sqrt(np.maximum(spread**2 / (1.0 - share), least**2) * (1.0 + share))
+        means[name], sds[name], draws[name] = mean, sd, vectors
+        used[name] = target.enough & pool.enough(n)
+    if whitening is None:
+        whitening = Whitening.of(noise, sds)
+    return Baseline(means, sds, used, whitening, draws)
+
+
+def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:
+    """Scatter and correlations from leaving out portions of the elements.
+
+    Args:
+        portioned: condition to simulated frames times ``PORTIONS``.
+        measured: the conditions.
+    """
+    size = next(iter(portioned.values())).layout.size
+    total = np.zeros((size, size))
+    scatter = {}
+    for target in measured:
+        name, number = target.condition.id, target.frames
+        pool = portioned[name]
+        vectors = pool.jackknife(PORTIONS, min(number, len(pool) // PORTIONS))
+        apart = (vectors - vectors.mean(1, keepdims=True)).reshape(-1, size)
+        variance = (apart**2).mean(0) * (PORTIONS - 1)
+        scatter[name] = np.sqrt(variance)
+        unit = np.where(target.enough, apart / np.where(variance > 0, np.sqrt(variance), 1.0), 0.0)
+        total += (unit.T @ unit) * (PORTIONS - 1) / len(unit)
+    spread = np.sqrt(np.diag(total))
+    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12))

@@ -1,0 +1,83 @@
+"""Where the search for an effect starts: settings of its parameters, from weak to strong, of either sign.
+
+Response curves come from finite settings, refined near the identity and of both signs: gradients at the identity vanish
+or are one-sided for half of the effects (GAP.md 3 (5)). An effect with a place (an azimuth) is tried where the residual
+is largest.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from torchweather.stages.effects import Effect, Parameter
+
+__all__ = ["Line", "lines"]
+
+# Strengths over the parameter's typical size.
+STEPS = (0.25, 1.0, 3.0)
+PLACES = ("azimuth_rad",)  # parameters that say where
+
+
+@dataclass(frozen=True)
+class Line:
+    """Settings of one effect along which it grows from its identity.
+
+    Args:
+        effect: its class.
+        settings: parameters from weak to strong, without the identity.
+    """
+
+    effect: type[Effect]
+    settings: tuple[Mapping[str, float], ...]
+
+
+def _strengths(parameter: Parameter) -> list[list[float]]:
+    """Values on either side of the identity, from weak to strong, inside the bounds."""
+    identity = parameter.identity
+    assert identity is not None
+    found = []
+    for sign in (1.0, -1.0):
+        if math.isinf(identity):
+            values = [parameter.scale * step for step in (4.0, 2.0, 1.0, 0.5)] if sign > 0 else []
+        elif identity > 0 and parameter.low >= 0:  # a factor
+            values = [identity * math.exp(sign * parameter.scale * step) for step in STEPS]
+        else:
+            values = [identity + sign * parameter.scale * step for step in STEPS]
+        inside = [value for value in values if parameter.low <= value <= parameter.high]
+        if len(inside) < len(values) and values:
+            bound = parameter.high if values[-1] > (identity if math.isfinite(identity) else 0.0) else parameter.low
+            if math.isfinite(bound) and bound != identity and bound not in inside:
+                inside.append(bound)
+        if inside:
+            found.append(inside)
+    return found
+
+
+def lines(effect: type[Effect], places: Sequence[float]) -> list[Line]:
+    """Lines of settings of an effect.
+
+    Args:
+        effect: its class.
+        places: azimuths, rad, at which it is tried if it has one.
+    """
+    deciding = [parameter for parameter in effect.arguments if parameter.identity is not None]
+    telling = [parameter for parameter in effect.arguments if parameter.identity is None]
+    choices: list[list[tuple[str, float]]] = []
+    for parameter in telling:
+        if parameter.name in PLACES:
+            values = list(places)
+        else:
+            around = parameter.value
+            values = [around] if around * 3.0 > parameter.high else [around, min(3.0 * around, parameter.high)]
+        choices.append([(parameter.name, value) for value in values])
+    found = []
+    for fixed in itertools.product(*choices):
+        for parameter in deciding:
+            found += [
+                Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
+                for values in _strengths(parameter)
+            ]
+    return found

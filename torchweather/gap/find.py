@@ -1,0 +1,65 @@
+"""find_gap: the workflow on a study, from its frames to a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from torchweather.errors import TorchweatherError
+from torchweather.gap.diagnosis import diagnose
+from torchweather.gap.gap_report import GapReport, gap_report
+from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.study import Study
+from torchweather.gap.workflow import find_gap_with
+from torchweather.stages.effects import Effect
+from torchweather.threads import one_thread_an_operation
+
+__all__ = ["find_gap"]
+
+
+def find_gap(
+    study: Study,
+    *,
+    options: Mapping[str, Any] | None = None,
+    model_effects: Sequence[Effect] = (),
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda text: None,
+) -> GapReport:
+    """Find where a simulation and measured frames disagree, and which effect of the catalogue explains it.
+
+    Args:
+        study: of a LiDAR, with clear frames and measured ones in weather, some conditions held out.
+        options: of ``LidarWeather``, the model that is put to the test.
+        model_effects: effects that the model has already.
+        effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
+        seed: of the simulation; the same seed gives the same answer but for ``seconds``.
+        say: told of every step.
+
+    Returns:
+        The report: ``verdict`` is ``none``, ``named``, ``named_and_rest`` or ``unknown``.
+
+    Raises:
+        TorchweatherError: the study is of another sensor, or lacks what an answer needs.
+
+    Note:
+        The error of the weather's record (its stated relative standard deviation) and of the mean of the clear frames
+        are fitted beside every effect. Intervals and the confidence are those of the least squares, widened; they have
+        not been calibrated on a blind bench.
+
+    References:
+        GAP.md 3, 4.
+    """
+    if study.kind != "lidar":
+        raise TorchweatherError(
+            f"find_gap: the search is built for LiDAR studies; this one is of kind {study.kind}. torchweather validate "
+            "holds any kind against its simulation."
+        )
+    broken = [finding for finding in diagnose(study) if finding.level == "error"]
+    if broken:
+        raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
+    # Sums must not depend on the number of threads.
+    with one_thread_an_operation():
+        model = LidarFrames(study, options, model_effects)
+        result = find_gap_with(model, study, effects, seed, say)
+    return gap_report(result, study.sha256, seed)

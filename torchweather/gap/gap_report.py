@@ -1,0 +1,278 @@
+"""GapReport: the answer of the workflow, as values, as files, and as a transform with the effect added."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from torchweather.gap.baseline import Baseline
+from torchweather.gap.search import Fit, Search
+from torchweather.gap.statistics import Group
+from torchweather.gap.workflow import GapResult
+from torchweather.io import atomic_write
+from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
+from torchweather.transforms import LidarWeather
+
+__all__ = ["Curve", "GapReport", "gap_report", "read_model", "write_model"]
+
+Floats = NDArray[np.float64]
+
+FORMAT, MODEL_FORMAT = "torchweather-gap/1", "torchweather-model/1"
+CENTRAL_90 = 1.6449  # standard deviations of a normal law
+# Least squares knows the noise of the entries, not that of the scatter they are counted in, nor of the clear mean.
+WIDENED = 1.5
+STANDS_OUT = 4.0  # standard deviations, from which a bin is named
+CURVES = 4
+LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
+DIGITS = 6  # significant
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A statistic along its axis.
+
+    Args:
+        statistic, axis: names, with units.
+        edges: of the bins.
+        condition: of the study.
+        before, after: ``(bins,)`` departure of the measurement from the simulation in units of its scatter, NaN where
+            nothing counts; ``after`` is ``None`` where nothing was added.
+    """
+
+    statistic: str
+    axis: str
+    edges: tuple[float, ...]
+    condition: str
+    before: Floats
+    after: Floats | None
+
+
+@dataclass(frozen=True)
+class GapReport:
+    """What was found.
+
+    Args:
+        answer: plain values in the format ``torchweather-gap/1``.
+        effects: the stages that were found.
+        curves: the statistics that depart most.
+        study_sha256: of the study's content.
+    """
+
+    answer: Mapping[str, Any]
+    effects: tuple[Effect, ...]
+    curves: tuple[Curve, ...]
+    study_sha256: str
+
+    @property
+    def verdict(self) -> str:
+        """``none``, ``named``, ``named_and_rest`` or ``unknown``."""
+        return str(self.answer["verdict"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer as JSON takes it."""
+        found: dict[str, Any] = json.loads(json.dumps(self.answer))
+        return found
+
+    def apply(self, model: LidarWeather) -> LidarWeather:
+        """The model with what was found, beside the effects that it has.
+
+        Args:
+            model: a transform for the sensor of the study.
+        """
+        own = {"q_eff", "q_back", "fog_extinction", "fog_backscatter"}
+        stages = model.chain.stages
+        options = {**stages["extinction"].config(), **stages["particle_returns"].config()}
+        kept = {name: value for name, value in options.items() if name in own}
+        present = [stage for stage in stages.values() if isinstance(stage, Effect)]
+        repaired = LidarWeather(
+            model.weather,
+            model.sensor,
+            lost=model.lost,
+            complete_scan=model.complete_scan,
+            variant=options["variant"],
+            effects=[*present, *self.effects],
+            **kept,
+        )
+        return repaired
+
+    def write(self, folder: Path) -> None:
+        """Write ``gap.json`` and ``model.yaml`` into a folder that exists."""
+        with atomic_write(folder / "gap.json") as unfinished:
+            unfinished.write_text(json.dumps(self.answer, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_model(folder / "model.yaml", self.effects)
+
+
+def write_model(path: Path, effects: Sequence[Effect]) -> None:
+    """Write effects as YAML: what is added to the ready-made chain."""
+    values = {"format": MODEL_FORMAT, "effects": [effect.to_dict() for effect in effects]}
+    with atomic_write(path) as unfinished:
+        unfinished.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def read_model(path: Path) -> list[Effect]:
+    """The effects that ``write_model`` wrote."""
+    values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    if not isinstance(values, Mapping) or values.get("format") != MODEL_FORMAT:
+        raise ValueError(f"{path}: wanted effects of format {MODEL_FORMAT!r}, as GapReport.write writes them.")
+    return [effect_from_dict(one) for one in values["effects"]]
+
+
+def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
+    """The report of a result."""
+    found = result.fit if result.verdict in ("named", "named_and_rest") else None
+    weights = _weights(result)
+    effects = [] if found is None else [_effect(name, found, result, weights) for name in found.setting.values]
+    curves = _curves(result)
+    knobs = result.search.origin.log_knob if result.fit is None else result.fit.setting.log_knob
+    low = max(0.0, result.after.gap - CENTRAL_90 * result.after.spread)
+    answer = {
+        "format": FORMAT,
+        "verdict": result.verdict,
+        "effects": effects,
+        "where": _where(result.search, result.search.start),
+        "nuisance": {name: math.exp(value) for name, value in knobs.items()},
+        "gap": {
+            "before": result.before.gap,
+            "after": result.after.gap,
+            "floor": result.after.floor,
+            "interval_after": [low, result.after.gap + CENTRAL_90 * result.after.spread],
+            "split": "holdout",
+        },
+        "p_value": result.screening.p_value,
+        "unknown": _unknown(result) if result.verdict in ("unknown", "named_and_rest") else None,
+        "candidates": [
+            {
+                "name": one.id,
+                "gain": one.gain,
+                "misfit": one.fit.misfit,
+                "weight": weight,
+                "parameters": dict(one.fit.setting.values[one.id]),
+            }
+            for one, weight in zip(result.candidates, weights, strict=True)
+        ],
+        "simulated_frames": result.search.simulated_frames,
+        "seconds": result.seconds,
+        "seed": seed,
+    }
+    stages = () if found is None else tuple(found.setting.effects())
+    return GapReport(_plain(answer), stages, tuple(curves), study_sha256)
+
+
+def _weights(result: GapResult) -> list[float]:
+    """Weight of each candidate after its misfit, in units of the noise that is left."""
+    if not result.candidates:
+        return []
+    misfits = np.array([one.fit.misfit for one in result.candidates])
+    unit = max(1.0, float(misfits.min()) / max(float(result.screening.misfit_null.mean()), 1.0))
+    weight = np.exp(-0.5 * (misfits - misfits.min()) / unit)
+    return [float(one) for one in weight / weight.sum()]
+
+
+def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[float]) -> dict[str, Any]:
+    values = fit.setting.values[name]
+    interval = {}
+    for place, (effect, parameter) in enumerate(fit.names):
+        if effect == name:
+            declared = next(one for one in EFFECTS[name].arguments if one.name == parameter)
+            half = CENTRAL_90 * WIDENED * math.sqrt(max(float(fit.covariance[place, place]), 0.0))
+            value = values[parameter]
+            interval[parameter] = [max(declared.low, value - half), min(declared.high, value + half)]
+    best = max(weights, default=1.0)
+    own = next((w for one, w in zip(result.candidates, weights, strict=True) if one.id == name), best)
+    others = [
+        one.id
+        for one, weight in zip(result.candidates, weights, strict=True)
+        if one.id not in fit.setting.values and weight > LIKELY * best
+    ]
+    return {
+        "name": name,
+        "parameters": dict(values),
+        "interval": interval,
+        "confidence": own,
+        "confusable_with": others,
+    }
+
+
+def _departures(search: Search, base: Baseline) -> dict[str, Floats]:
+    found = {}
+    for target in search.measured:
+        name = target.condition.id
+        found[name] = np.where(base.used[name], base.z(target), np.nan)
+    return found
+
+
+def _loudest(search: Search, base: Baseline) -> list[tuple[float, Group, slice]]:
+    """Groups along an axis by their loudest bin over all conditions together, loudest first."""
+    each = _departures(search, base)
+    layout = search.model.layout
+    stacked = np.stack(list(each.values()))
+    count = np.maximum(np.isfinite(stacked).sum(0), 1)
+    common = np.nansum(stacked, 0) / np.sqrt(count)
+    found = [
+        (float(np.abs(common[part]).max()), group, part)
+        for group, part in zip(layout.groups, layout.slices, strict=True)
+    ]
+    return sorted(found, key=lambda one: -one[0])
+
+
+def _where(search: Search, base: Baseline) -> list[dict[str, Any]]:
+    """The bins that stand out, of the loudest groups."""
+    each = np.stack(list(_departures(search, base).values()))
+    common = np.nansum(each, 0) / np.sqrt(np.maximum(np.isfinite(each).sum(0), 1))
+    found = []
+    for loudest, group, part in _loudest(search, base)[:CURVES]:
+        if loudest < STANDS_OUT:
+            break
+        place = int(np.abs(common[part]).argmax())
+        found.append(
+            {
+                "statistic": group.statistic,
+                "axis": group.axis,
+                "from": group.edges[place],
+                "to": group.edges[place + 1],
+                "z": float(common[part][place]),
+            }
+        )
+    return found
+
+
+def _curves(result: GapResult) -> list[Curve]:
+    search = result.search
+    before = _departures(search, search.start)
+    after = None if result.fit is None else _departures(search, result.fit.base)
+    found = []
+    axes = [one for one in _loudest(search, search.start) if one[1].bins > 1]
+    for _, group, part in axes[:CURVES]:
+        for target in search.measured:
+            name = target.condition.id
+            later = None if after is None else after[name][part]
+            found.append(Curve(group.statistic, group.axis, group.edges, name, before[name][part], later))
+    return found
+
+
+def _unknown(result: GapResult) -> dict[str, Any] | None:
+    """The statistic that departs most from the best that the catalogue can do."""
+    base = result.search.start if result.fit is None else result.fit.base
+    found = _where(result.search, base)
+    return found[0] if found else None
+
+
+def _plain(value: Any) -> Any:
+    """Values as JSON has them: six significant digits, infinities as text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        if math.isinf(value) or math.isnan(value):
+            return str(value)
+        return float(f"{value:.{DIGITS}g}")
+    return value

@@ -1,0 +1,270 @@
+"""Statistics of frames along physical axes: sums per frame, and vectors of stabilised values from several frames.
+
+A frame is reduced once, to sums over bins (weights, values, squares), a few scalars and a coarse map. A condition is a
+handful of frames; its vector holds, with the variance of each entry made nearly independent of its size:
+
+- ``share``: asin sqrt of the share, ``(sum v + 3/8) / (sum w + 3/4)``;
+- ``count``: sqrt(sum v + 3/8), of so many frames;
+- ``mean``: sum v / sum w;
+- ``spread``: half the logarithm of the variance inside the bin;
+- ``between``: logarithm of the standard deviation of a scalar from frame to frame;
+- ``slope``: of a scalar over time, from the first frame to the last;
+- ``persistence``: sqrt of the mean product of the maps of two different frames: what stays in its place.
+
+References:
+    GAP.md 3 (1). Anscombe 1948 (square root of counts), Freeman & Tukey 1950 (shares).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FEWEST", "Group", "Layout", "Pool", "Reduced"]
+
+Floats = NDArray[np.float64]
+
+FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
+"""Least weight in a bin, over all frames of a condition, for which its entry counts."""
+ANSCOMBE = 3.0 / 8.0
+FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
+INDEPENDENT = 0.5  # of the scatter that independent elements would give
+LEAST = {"between": 0.2, "slope": 1e-3, "persistence": 0.1}
+TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Group:
+    """Entries of one statistic along one axis.
+
+    Args:
+        statistic: what is looked at, such as ``log_intensity_ratio``.
+        axis: along what, with its unit in the name, such as ``range_m``.
+        kind: how sums become an entry (see the module).
+        edges: of the bins; of a ``between``, ``slope`` or ``persistence`` group ``(0, 1)``.
+    """
+
+    statistic: str
+    axis: str
+    kind: str
+    edges: tuple[float, ...]
+
+    @property
+    def bins(self) -> int:
+        """Number of entries."""
+        return len(self.edges) - 1
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each group stands in the vector.
+
+    Args:
+        binned: groups made from sums over bins.
+        scalars: names of the scalars of a frame; each gives a ``between`` and a ``slope`` entry.
+        maps: names of the maps of a frame; each gives a ``persistence`` entry.
+    """
+
+    binned: tuple[Group, ...]
+    scalars: tuple[str, ...]
+    maps: tuple[str, ...]
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """All groups in the order of the vector."""
+        between = [Group(name, "frame", "between", (0.0, 1.0)) for name in self.scalars]
+        slope = [Group(name, "time", "slope", (0.0, 1.0)) for name in self.scalars]
+        persistence = [Group(name, "place", "persistence", (0.0, 1.0)) for name in self.maps]
+        return (*self.binned, *between, *slope, *persistence)
+
+    @property
+    def slices(self) -> list[slice]:
+        """Place of each group."""
+        ends = np.cumsum([0] + [group.bins for group in self.groups])
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return sum(group.bins for group in self.groups)
+
+    @property
+    def bins(self) -> int:
+        """Number of entries that come from sums over bins."""
+        return sum(group.bins for group in self.binned)
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """What is kept of frames.
+
+    Args:
+        weight, value, square: ``(F, bins)`` sums over the elements of each bin of w, w v, w v^2.
+        scalar: ``(F, scalars)``.
+        maps: ``(F, maps, cells)``, of one number of cells.
+    """
+
+    weight: Floats
+    value: Floats
+    square: Floats
+    scalar: Floats
+    maps: Floats
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Reduced]) -> Reduced:
+        """The frames of several, one after the other."""
+        names = ("weight", "value", "square", "scalar", "maps")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+class Pool:
+    """Frames of one condition, from which vectors are made.
+
+    Args:
+        layout: of the vector.
+        frames: the reduced frames.
+    """
+
+    def __init__(self, layout: Layout, frames: Reduced) -> None:
+        self.layout, self.frames = layout, frames
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def vectors(self, index: NDArray[np.intp], time_s: Floats | None = None) -> Floats:
+        """Vectors ``(R, size)`` of R draws of n frames each.
+
+        Args:
+            index: ``(R, n)`` frames of each draw, in the order of time.
+            time_s: ``(n,)`` their times; ``None`` is evenly spaced.
+        """
+        frames, layout = self.frames, self.layout
+        weight, value, square = (getattr(frames, name)[index].sum(1) for name in ("weight", "value", "square"))
+        parts = []
+        start = 0
+        for group in layout.binned:
+            part = slice(start, start + group.bins)
+            start += group.bins
+            parts.append(_entry(group.kind, weight[:, part], value[:, part], square[:, part]))
+        scalar = frames.scalar[index]  # (R, n, S)
+        parts += [_between(scalar), _slope(scalar, time_s)]
+        maps = frames.maps[index]  # (R, n, M, cells)
+        parts.append(_persistence(maps))
+        return np.concatenate(parts, 1)
+
+    def jackknife(self, portions: int, number: int) -> Floats:
+        """Vectors ``(sets, portions, size)`` with one portion of the elements left out, of sets of ``number`` frames.
+
+        The rows of the pool are frames times portions. Entries that are not sums over bins come out 0: between frames
+        nothing is known of them here.
+        """
+        frames, bins = self.frames, self.layout.bins
+        sets = len(frames) // (portions * number)
+        parts = []
+        for name in ("weight", "value", "square"):
+            shaped = getattr(frames, name)[: sets * number * portions].reshape(sets, number, portions, bins).sum(1)
+            # Scaled to the size of the whole.
+            parts.append((shaped.sum(1, keepdims=True) - shaped) * (portions / (portions - 1)))
+        found = np.zeros((sets, portions, self.layout.size))
+        start = 0
+        for group in self.layout.binned:
+            part = slice(start, start + group.bins)
+            start += group.bins
+            found[..., part] = _entry(group.kind, *(sums[..., part] for sums in parts))
+        return found
+
+    def least_scatter(self, number: int) -> Floats:
+        """Scatter ``(size,)`` that each entry has at least over ``number`` frames, however alike simulated ones are."""
+        weight, value, square = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value", "square"))
+        found = []
+        start = 0
+        for group in self.layout.groups:
+            if group.kind in LEAST:
+                found.append(np.full(group.bins, LEAST[group.kind]))
+            else:
+                part = slice(start, start + group.bins)
+                found.append(_least_scatter(group.kind, weight[part], value[part], square[part]))
+                start += group.bins
+        return np.concatenate(found)
+
+    def enough(self, number: int) -> NDArray[np.bool_]:
+        """Entries ``(size,)`` for which ``number`` frames hold enough to count."""
+        weight = self.frames.weight.mean(0) * number
+        found = []
+        start = 0
+        for group in self.layout.groups:
+            if group.kind in ("between", "slope"):
+                found.append(np.full(group.bins, number >= 3))
+            elif group.kind == "persistence":
+                found.append(np.full(group.bins, number >= 2))
+            else:
+                part = weight[start : start + group.bins]
+                found.append(part >= FEWEST[group.kind] if group.kind in FEWEST else np.ones(group.bins, bool))
+                start += group.bins
+        return np.concatenate(found)
+
+
+def _least_scatter(kind: str, weight: Floats, value: Floats, square: Floats) -> Floats:
+    """Scatter that an entry has at least, from the weight in its bin: of a few counts, of elements that go together."""
+    some = np.maximum(weight, TINY)
+    if kind == "share":
+        found: Floats = FEW_COUNTS / np.sqrt(np.maximum(weight, 1.0))
+    elif kind == "count":
+        found = np.full(weight.shape, FEW_COUNTS)
+    else:
+        variance = np.maximum(square / some - (value / some) ** 2, TINY)
+        relative = INDEPENDENT / np.sqrt(np.maximum(weight, 1.0))
+        found = relative * (np.sqrt(variance) if kind == "mean" else math.sqrt(0.5))
+    return found
+
+
+def _entry(kind: str, weight: Floats, value: Floats, square: Floats) -> Floats:
+    some = np.maximum(weight, TINY)
+    if kind == "share":
+        found: Floats = np.arcsin(np.sqrt((value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)))
+    elif kind == "count":
+        found = np.sqrt(value + ANSCOMBE)
+    elif kind == "mean":
+        found = value / some
+    else:
+        variance = np.maximum(square / some - (value / some) ** 2, TINY)
+        found = 0.5 * np.log(variance)
+    return found
+
+
+def _between(scalar: Floats) -> Floats:
+    """Logarithm of the standard deviation over the frames, ``(R, S)``."""
+    if scalar.shape[1] < 2:
+        return np.zeros((len(scalar), scalar.shape[2]))
+    found: Floats = 0.5 * np.log(np.maximum(scalar.var(1, ddof=1), TINY))
+    return found
+
+
+def _slope(scalar: Floats, time_s: Floats | None) -> Floats:
+    """Change from the first frame to the last, by least squares, ``(R, S)``."""
+    number = scalar.shape[1]
+    if number < 3:
+        return np.zeros((len(scalar), scalar.shape[2]))
+    time = np.arange(number, dtype=np.float64) if time_s is None else np.asarray(time_s, dtype=np.float64)
+    span = time.max() - time.min()
+    centred = (time - time.mean()) / (span if span > 0 else 1.0)
+    found: Floats = np.einsum("n,rns->rs", centred, scalar) / max(float(centred @ centred), TINY)
+    return found
+
+
+def _persistence(maps: Floats) -> Floats:
+    """Root of the summed products of two different frames' maps, ``(R, M)``: what stays in its place."""
+    number = maps.shape[1]
+    if number < 2:
+        return np.zeros((len(maps), maps.shape[2]))
+    pairs = (maps.sum(1) ** 2 - (maps**2).sum(1)).sum(-1) / (number * (number - 1))
+    found: Floats = np.sqrt(np.maximum(pairs, 0.0))
+    return found
