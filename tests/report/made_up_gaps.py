@@ -1,0 +1,88 @@
+"""Reports of the search for a missing effect, made up: one for each verdict."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from torchweather.gap.gap_report import Curve, GapReport
+from torchweather.gap.study import Study
+from torchweather.stages.effects_lidar import EFFECTS
+
+RANGE_M = (0.0, 8.0, 17.0, 30.0, 55.0, 110.0, 1000.0)
+SECTORS = tuple(float(v) for v in np.linspace(-math.pi, math.pi, 17))
+WINDOW_LOSS = {
+    "name": "lidar.window_loss",
+    "parameters": {"loss_db": 0.02},
+    "interval": {"loss_db": [0.018, 0.022]},
+    "confidence": 0.973,
+    "confusable_with": [],
+}
+STATIC = {
+    "name": "lidar.static_structure",
+    "parameters": {"azimuth_rad": -0.52, "range_m": 9.7, "width_rad": 0.031},
+    "interval": {"azimuth_rad": [-0.54, -0.5], "range_m": [9.6, 9.8], "width_rad": [0.025, 0.037]},
+    "confidence": 0.9991,
+    "confusable_with": ["lidar.sector_loss"],
+}
+CANDIDATES = [
+    {"name": "lidar.window_loss", "gain": 812.0, "misfit": 431.0, "weight": 0.973, "parameters": {"loss_db": 0.02}},
+    {"name": "lidar.threshold_shift", "gain": 420.0, "misfit": 823.0, "weight": 0.02, "parameters": {"shift_db": 0.4}},
+    {
+        "name": "lidar.intensity_compression",
+        "gain": 377.0,
+        "misfit": 866.0,
+        "weight": 0.007,
+        "parameters": {"exponent": 0.97, "saturation": "inf"},
+    },
+]
+WHERE = [
+    {"statistic": "log_intensity_ratio", "axis": "range_m", "from": 17.0, "to": 30.0, "z": -18.3},
+    {"statistic": "lost_share", "axis": "azimuth_rad", "from": -math.pi, "to": math.pi / 2, "z": 6.7},
+]
+
+
+def curves(study: Study, *, size: float, left: float | None) -> tuple[Curve, ...]:
+    """Departures of about ``size`` before and ``left`` after (``None``: nothing was added); the last bin is empty."""
+    rng = np.random.default_rng(4)
+    found = []
+    for statistic, axis, edges in (
+        ("log_intensity_ratio", "range_m", RANGE_M),
+        ("lost_share", "azimuth_rad", SECTORS),
+        ("particles_before_objects", "particle_range_m", RANGE_M),
+    ):
+        for one in study.fit:
+            bins = len(edges) - 1
+            before = -size * np.linspace(0.4, 1.0, bins) + rng.standard_normal(bins)
+            before[-1] = np.nan
+            after = None if left is None else left * rng.standard_normal(bins)
+            found.append(Curve(statistic, axis, edges, one.id, before, after))
+    return tuple(found)
+
+
+def report(verdict: str, study: Study, **more: Any) -> GapReport:
+    """A report of a study with a verdict; ``more`` replaces parts of the answer."""
+    found: dict[str, list[dict[str, Any]]] = {"named": [WINDOW_LOSS], "named_and_rest": [STATIC, WINDOW_LOSS]}
+    nothing = verdict == "none"
+    gap = {"floor": 1.0, "split": "holdout", "before": 1.03 if nothing else 2.13, "after": 1.03}
+    nuisance = {one.id: 1.02 + 0.1 * number for number, one in enumerate(study.fit) if one.weather is not None}
+    answer = {
+        "format": "torchweather-gap/1",
+        "verdict": verdict,
+        "effects": found.get(verdict, []),
+        "where": [] if nothing else WHERE,
+        "nuisance": nuisance,
+        "gap": {**gap, "interval_after": [0.94, 1.13]},
+        "p_value": 0.314 if nothing else 3e-12,
+        "unknown": WHERE[1] if verdict in ("named_and_rest", "unknown") else None,
+        "candidates": [] if nothing else CANDIDATES,
+        "simulated_frames": 4321,
+        "seconds": 41.2,
+        "seed": 7,
+        **more,
+    }
+    stages = tuple(EFFECTS[str(one["name"])](**one["parameters"]) for one in answer["effects"])
+    picture = curves(study, size=1.0 if nothing else 14.0, left=None if nothing else 1.0)
+    return GapReport(answer, stages, picture, study.sha256)

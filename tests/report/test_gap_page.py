@@ -1,0 +1,203 @@
+"""The page of the search for a missing effect: its sentence, its numbers and its pictures, for every verdict."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.gap import studies
+from tests.report.made_up_gaps import WINDOW_LOSS, report
+from tests.report.test_sweep_page import Page
+from torchweather.gap.gap_report import Curve, GapReport, read_model
+from torchweather.gap.study import Study
+from torchweather.report.gap_figures import curve_uri
+from torchweather.report.gap_page import write_gap
+from torchweather.report.gap_words import verdict_sentence
+from torchweather.stages.effects_lidar import EFFECTS
+
+VERDICTS = ("none", "named", "named_and_rest", "unknown")
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return studies.study("lidar")
+
+
+@pytest.fixture(scope="module")
+def pages(study: Study, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    found = {}
+    for verdict in VERDICTS:
+        found[verdict] = tmp_path_factory.mktemp("gap") / verdict
+        write_gap(found[verdict], study, report(verdict, study))
+    return found
+
+
+def page_of(folder: Path) -> Page:
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
+
+
+def words_of(folder: Path) -> str:
+    return " ".join(page_of(folder).words.split())
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_the_page_is_whole_and_carries_everything(verdict: str, pages: dict[str, Path]) -> None:
+    folder = pages[verdict]
+    assert {path.name for path in folder.iterdir()} == {"gap.json", "model.yaml", "report.html"}
+    page = page_of(folder)
+    assert page.mistakes == []
+    assert page.open == []
+    images = [attrs for tag, attrs in page.elements if tag == "img"]
+    assert len(images) == 3 + 1  # curves, and the held-out gap
+    assert all(str(image["src"]).startswith("data:image/") and image["alt"] for image in images)
+    ids = {attrs.get("id") for _, attrs in page.elements}
+    for tag, attrs in page.elements:
+        assert tag != "script"
+        link = attrs.get("href")
+        if tag == "a":
+            assert link is not None
+            assert link[1:] in ids if link.startswith("#") else (folder / link).is_file()
+    assert "built-in method" not in page.words
+    for wrong in (r"\bNone\b", r"\bnan\b", r"\binf\b", r"\{"):
+        assert not re.search(wrong, page.words), wrong
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_sentence_and_provenance_stand_on_the_page(verdict: str, pages: dict[str, Path], study: Study) -> None:
+    answer = json.loads((pages[verdict] / "gap.json").read_text(encoding="utf-8"))
+    words = words_of(pages[verdict])
+    assert verdict_sentence(answer) in words
+    assert f"seed 7 · 41.2 s · study {study.sha256}" in words
+
+
+def test_the_model_of_the_folder_holds_what_was_named(pages: dict[str, Path]) -> None:
+    assert read_model(pages["none"] / "model.yaml") == []
+    (effect,) = read_model(pages["named"] / "model.yaml")
+    assert effect.to_dict() == {"effect": "lidar.window_loss", "loss_db": pytest.approx(0.02)}
+
+
+def test_a_named_effect_in_one_sentence(study: Study) -> None:
+    assert verdict_sentence(report("named", study).answer) == (
+        "The simulation lacks window loss (lidar.window_loss): 0.0200 dB (0.0180 to 0.0220), confidence 0.97; "
+        "held-out gap 2.13 → 1.03, floor 1.00."
+    )
+
+
+def test_two_effects_their_rival_and_the_rest_in_one_paragraph(study: Study) -> None:
+    assert verdict_sentence(report("named_and_rest", study).answer) == (
+        "The simulation lacks static structure (lidar.static_structure): azimuth_rad −0.520 rad (−0.540 to −0.500), "
+        "range_m 9.70 m (9.60 to 9.80), width_rad 0.0310 rad (0.0250 to 0.0370), confidence over 0.99; and window loss "
+        "(lidar.window_loss): 0.0200 dB (0.0180 to 0.0220), confidence 0.97; held-out gap 2.13 → 1.03, floor 1.00. "
+        "These data cannot exclude sector loss in its place. More is missing, which no effect of the catalogue "
+        "explains (most of it in: beams that lost their return, by azimuth)."
+    )
+
+
+def test_nothing_and_unknown_name_no_effect(study: Study) -> None:
+    nothing = verdict_sentence(report("none", study).answer)
+    assert nothing == "Nothing is missing that these data could show (p = 0.31); held-out gap 1.03, floor 1.00."
+    unknown = verdict_sentence(report("unknown", study).answer)
+    assert unknown.startswith("Something is missing that no effect of the catalogue explains (most of it in: beams")
+    assert "lidar." not in unknown
+    nowhere = verdict_sentence(report("unknown", study, unknown=None).answer)
+    assert nowhere.startswith("Something is missing that no effect of the catalogue explains; held-out gap 2.13")
+
+
+def test_a_parameter_that_was_not_fitted_and_does_nothing_is_left_out(study: Study) -> None:
+    effect = {
+        **WINDOW_LOSS,
+        "name": "lidar.intensity_compression",
+        "parameters": {"exponent": 0.8, "saturation": "inf"},
+        "interval": {"exponent": [0.7, 0.9]},
+    }
+    said = verdict_sentence(report("named", study, effects=[effect]).answer)
+    assert "intensity compression (lidar.intensity_compression): 0.800 (0.700 to 0.900), confidence 0.97;" in said
+
+
+def test_what_tells_rivals_apart_is_the_catalogue_s(pages: dict[str, Path]) -> None:
+    words = words_of(pages["named_and_rest"])
+    between = EFFECTS["lidar.static_structure"].confusable_with["lidar.sector_loss"]
+    assert f"sector loss cannot be excluded {between}" in words
+    between = EFFECTS["lidar.window_loss"].confusable_with["lidar.threshold_shift"]
+    assert f"threshold shift fits worse {between}" in words
+    between = EFFECTS["lidar.window_loss"].confusable_with["lidar.wet_target"]
+    assert f"wet target explains less; not refitted {between}" in words
+
+
+def test_the_ranking_lists_candidates_without_idle_parameters(pages: dict[str, Path]) -> None:
+    words = words_of(pages["named"])
+    assert re.search(r"window loss the window is wet or dirty loss_db 0\.0200 dB 812 431 threshold shift", words)
+    assert "exponent 0.970 377 866" in words
+    assert "saturation" not in words
+    assert "Ranking" not in words_of(pages["none"])
+
+
+def test_the_record_is_shown_in_its_own_uncertainty(pages: dict[str, Path], study: Study) -> None:
+    moved = report("named", study).answer["nuisance"]
+    name, factor = next(iter(moved.items()))
+    (one,) = [each for each in study.conditions if each.id == name]
+    in_sd = np.log(factor) / one.rel_sd
+    assert one.rel_sd > 0
+    assert f"{100 * (factor - 1):+.1f} % {in_sd:+.1f}" in words_of(pages["named"])
+
+
+def test_held_out_conditions_are_named(pages: dict[str, Path], study: Study) -> None:
+    (held,) = [one for one in study.holdout if one.weather is not None]
+    assert f"Held out: {held.id} (" in words_of(pages["named"])
+    assert "before and 1.03 after (90 % interval 0.940 to 1.13)" in words_of(pages["named"])
+    assert "Nothing was added, so before and after are one." in words_of(pages["none"])
+
+
+def test_angles_are_in_degrees_as_on_the_axis(pages: dict[str, Path]) -> None:
+    assert "azimuth, degrees −180 90.0 +6.7" in words_of(pages["named"])
+
+
+def svg(uri: str) -> str:
+    return base64.b64decode(uri.partition(",")[2]).decode("utf-8")
+
+
+def marks(text: str, colour: str) -> int:
+    """Number of marks that a figure draws in a colour, fill or edge."""
+    return len(re.findall(rf"<use [^>]*style=\"[^\"]*{colour}", text))
+
+
+def test_a_bin_without_enough_in_it_has_no_mark() -> None:
+    before = np.array([3.0, np.nan, -40.0])
+    curve = Curve("lost_share", "range_m", (0.0, 10.0, 20.0, 30.0), "c0", before, np.array([0.1, np.nan, 0.2]))
+    full = Curve("lost_share", "range_m", (0.0, 10.0, 20.0, 30.0), "c0", np.ones(3), np.zeros(3))
+    shown, all_shown = svg(curve_uri([curve])), svg(curve_uri([full]))
+    for colour in ("#e03131", "#1c7ed6"):
+        assert (marks(shown, colour), marks(all_shown, colour)) == (2, 3)
+
+
+def test_the_same_report_gives_the_same_page(pages: dict[str, Path], study: Study, tmp_path: Path) -> None:
+    write_gap(tmp_path / "again", study, report("named", study))
+    assert (tmp_path / "again" / "report.html").read_bytes() == (pages["named"] / "report.html").read_bytes()
+
+
+def test_nothing_is_left_where_writing_fails(study: Study, tmp_path: Path) -> None:
+    class Broken(GapReport):
+        def write(self, folder: Path) -> None:
+            (folder / "gap.json").write_text("half", encoding="utf-8")
+            raise OSError("disk full")
+
+    good = report("named", study)
+    with pytest.raises(OSError, match="disk full"):
+        write_gap(tmp_path / "deep" / "out", study, Broken(good.answer, good.effects, good.curves, good.study_sha256))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_names_of_conditions_are_escaped(study: Study, tmp_path: Path) -> None:
+    good = report("named", study)
+    curves = tuple(
+        Curve(one.statistic, one.axis, one.edges, f"<b>{one.condition}", one.before, one.after) for one in good.curves
+    )
+    write_gap(tmp_path / "out", study, GapReport(good.answer, good.effects, curves, good.study_sha256))
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<b>c" not in text
+    assert "&lt;b&gt;c" in text

@@ -1,0 +1,114 @@
+"""Figures of the gap's page: statistics along their axes before and after, and the held-out gap beside its floor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from torchweather.gap.gap_report import Curve
+from torchweather.report.correlation_figures import MARKS
+from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
+from torchweather.report.gap_words import axis_name
+from torchweather.report.tables import number_text
+
+__all__ = ["AFTER", "BAND", "BEFORE", "curve_uri", "gap_uri"]
+
+BEFORE, AFTER = "#e03131", "#1c7ed6"
+BAND = "#dde3e9"
+# Departures within so many scatters are drawn to scale, larger ones nearly as their logarithm (asinh).
+TO_SCALE = 3.0
+TICKS = (-1000, -300, -100, -30, -10, -3, 0, 3, 10, 30, 100, 300, 1000)
+MOST_LABELS = 12
+LEAST_SPAN = 4.0  # in scatters, either side of zero, so that a curve inside the band looks small
+
+Floats = NDArray[np.float64]
+
+
+def curve_uri(curves: Sequence[Curve]) -> str:
+    """One statistic along its axis in all conditions: before as filled marks, after as hollow ones, the band grey.
+
+    Args:
+        curves: of one statistic and axis, one a condition; at most as many conditions as ``MARKS`` are told apart.
+    """
+    first = curves[0]
+    bins = np.arange(len(first.edges) - 1)
+    known = [values for one in curves for values in (one.before, one.after) if values is not None]
+    with mpl.rc_context({**STYLE, "font.size": 9.5}):
+        figure = Figure(figsize=(5.6, 3.1))
+        axes = figure.add_axes((0.095, 0.185, 0.89, 0.785))
+        plain_axes(axes)
+        axes.grid(axis="x", visible=False)
+        axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)
+        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        aside = np.linspace(-0.22, 0.22, len(curves)) if len(curves) > 1 else np.zeros(1)
+        for number, (one, shift) in enumerate(zip(curves, aside, strict=True)):
+            mark = MARKS[number % len(MARKS)]
+            line: dict[str, Any] = {"marker": mark, "markersize": 4.5, "linewidth": 1.0}
+            axes.plot(bins + shift, _scaled(one.before), color=BEFORE, alpha=0.85, zorder=3, **line)
+            if one.after is not None:
+                hollow = {"color": AFTER, "markerfacecolor": "white", "markeredgewidth": 1.2}
+                axes.plot(bins + shift, _scaled(one.after), zorder=4, **hollow, **line)
+        largest = max([LEAST_SPAN, *(float(np.nanmax(np.abs(v))) for v in known if np.isfinite(v).any())])
+        end = _scaled(1.15 * largest)
+        axes.set_ylim(-end, end)
+        ticks = [tick for tick in TICKS if abs(_scaled(tick)) <= end]
+        axes.set_yticks([_scaled(tick) for tick in ticks], labels=[f"{tick}".replace("-", "−") for tick in ticks])
+        labels = _edge_labels(first)
+        every = math.ceil(len(labels) / MOST_LABELS)
+        axes.set_xticks(np.arange(len(labels))[::every] - 0.5, labels=labels[::every])
+        axes.set_xlim(-0.5, len(bins) - 0.5)
+        axes.set_xlabel(axis_name(first.axis), labelpad=3)
+        axes.set_ylabel("measured − simulated, scatters", labelpad=2)
+        return svg_uri(figure)
+
+
+def gap_uri(gap: Mapping[str, Any]) -> str:
+    """The held-out gap before and after beside the floor, from zero.
+
+    Args:
+        gap: of the answer.
+    """
+    before, after, floor = (float(gap[name]) for name in ("before", "after", "floor"))
+    low, high = (float(end) for end in gap["interval_after"])
+    with mpl.rc_context({**STYLE, "font.size": 10.5}):
+        figure = Figure(figsize=(6.4, 1.75))
+        axes = figure.add_axes((0.1, 0.33, 0.78, 0.5))
+        plain_axes(axes)
+        axes.grid(axis="y", visible=False)
+        axes.axvline(floor, color=MUTED, linewidth=1.2, linestyle=(0, (4, 3)), zorder=2)
+        axes.text(
+            floor, -0.62, f"floor {number_text(floor)}", color=MUTED, fontsize=9.5, ha="center", va="bottom",
+        )  # fmt: skip
+        axes.plot((low, high), (1, 1), color=AFTER, linewidth=5, alpha=0.3, solid_capstyle="butt", zorder=3)
+        for place, value, colour in ((0, before, BEFORE), (1, after, AFTER)):
+            axes.plot(value, place, "o", color=colour, markersize=9, zorder=4)
+            beside = max(value, high) if place else value
+            axes.annotate(
+                number_text(value), (beside, place), (10, 0), textcoords="offset points", va="center", fontweight="bold"
+            )
+        axes.set_ylim(1.5, -0.55)
+        axes.set_xlim(0.0, 1.06 * max(before, high, floor, 1e-9))
+        axes.set_yticks((0, 1), labels=("before", "after"))
+        axes.tick_params(axis="y", length=0, labelcolor=INK)
+        axes.set_xlabel("departure on held-out conditions, root mean square, scatters of the simulation")
+        return svg_uri(figure)
+
+
+def _scaled(value: Any) -> Any:
+    """Departures on the scale of the figure."""
+    return np.arcsinh(np.asarray(value, dtype=np.float64) / TO_SCALE)
+
+
+def _edge_labels(curve: Curve) -> list[str]:
+    """Edges of the bins as people write them: angles in degrees, at most two decimals."""
+    edges = np.asarray(curve.edges)
+    if curve.axis.endswith("_rad"):
+        edges = np.rad2deg(edges)
+    decimals = 0 if curve.axis == "azimuth_rad" else 1 if curve.axis.endswith("_rad") else 2
+    return [f"{round(float(edge), decimals) + 0.0:g}".replace("-", "−") for edge in edges]

@@ -1,0 +1,194 @@
+"""The answer of the search for a missing effect in sentences: the verdict, names, numbers with units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from torchweather.report.tables import number_text
+from torchweather.stages.effects_lidar import EFFECTS
+
+__all__ = [
+    "axis_name",
+    "effect_name",
+    "headline",
+    "parameter_rows",
+    "probability_text",
+    "signed_text",
+    "statistic_name",
+    "verdict_sentence",
+]
+
+STATISTICS = {
+    "lost_share": "Beams that lost their return",
+    "new_share": "Beams that return in front of their surface",
+    "new_share_of_empty_beams": "Returns of beams that see nothing in clear air",
+    "beyond_share": "Beams that return behind their surface",
+    "log_intensity_ratio": "Intensity over clear air's",
+    "log_intensity_spread": "Spread of intensity over clear air's",
+    "range_residual_m": "Range less clear air's",
+    "range_residual_spread": "Spread of range less clear air's",
+    "particles_before_objects": "Particle returns in front of surfaces",
+    "particles_of_empty_beams": "Particle returns in front of the sky",
+    "clustered_share": "Particle returns with a neighbour",
+    "log_particle_intensity": "Intensity of particle returns",
+    "log_particle_intensity_spread": "Spread of the intensity of particle returns",
+    "lost_share_of_thin_targets": "Beams that lost their return, thin targets beside others",
+    "particle_root": "Number of particle returns",
+    "near_particle_root": "Number of near particle returns",
+    "particles": "Map of the particle returns",
+}
+AXES = {
+    "range_m": "range in clear air, m",
+    "margin_db": "margin over the detection threshold in clear air, dB",
+    "azimuth_rad": "azimuth, degrees",
+    "elevation_rad": "elevation, degrees",
+    "cos_incidence": "cosine of incidence on the surface",
+    "up": "upward part of the surface's normal",
+    "log_intensity": "logarithm of intensity in clear air",
+    "particle_range_m": "range of the particle, m",
+    "isolated": "0 extended, 1 thin target",
+    "frame": "from frame to frame",
+    "time": "over time",
+    "place": "in one place of every frame",
+}
+SURE = 0.995
+TINY_P = 1e-6
+
+
+def effect_name(name: str) -> str:
+    """An effect's id in words.
+
+    Example:
+        >>> effect_name("lidar.window_loss")
+        'window loss'
+    """
+    return name.partition(".")[2].replace("_", " ")
+
+
+def statistic_name(name: str) -> str:
+    """A statistic in words; one that this page does not know by its name."""
+    return STATISTICS.get(name, name.replace("_", " "))
+
+
+def axis_name(name: str) -> str:
+    """An axis with its unit; one that this page does not know by its name."""
+    return AXES.get(name, name.replace("_", " "))
+
+
+def signed_text(value: float | str) -> str:
+    """A number with three significant digits and its sign; infinities, which the answer holds as text, as ∞.
+
+    Example:
+        >>> [signed_text(value) for value in (-0.02, 3.0, "inf", "nan")]
+        ['−0.0200', '3.00', '∞', '–']
+    """
+    number = float(value)
+    if math.isnan(number):
+        return "–"
+    return ("−" if number < 0 else "") + ("∞" if math.isinf(number) else number_text(abs(number)))
+
+
+def probability_text(p: float) -> str:
+    """A p-value with two significant digits.
+
+    Example:
+        >>> [probability_text(p) for p in (0.4567, 0.00214, 1e-30)]
+        ['0.46', '0.0021', 'below 0.000001']
+    """
+    return f"below {TINY_P:f}" if p < TINY_P else f"{p:.2g}"
+
+
+def parameter_rows(effect: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Parameters of a found effect with unit and interval; those that were not fitted and do nothing are left out.
+
+    Args:
+        effect: of the answer's ``effects``.
+    """
+    interval = effect["interval"]
+    declared = {one.name: one for one in EFFECTS[effect["name"]].arguments} if effect["name"] in EFFECTS else {}
+    rows = []
+    for name, value in effect["parameters"].items():
+        one = declared.get(name)
+        if name not in interval and one is not None and one.identity == float(value):
+            continue
+        unit = "" if one is None or one.unit == "1" else one.unit
+        between = " to ".join(signed_text(end) for end in interval[name]) if name in interval else ""
+        does_nothing = "" if one is None or one.identity is None else signed_text(one.identity)
+        rows.append(
+            {"name": name, "value": signed_text(value), "unit": unit, "interval": between, "identity": does_nothing}
+        )
+    return rows
+
+
+def headline(answer: Mapping[str, Any]) -> str:
+    """The verdict in a few words."""
+    names = _listed([effect_name(effect["name"]) for effect in answer["effects"]])
+    return {
+        "none": "Nothing is missing",
+        "named": f"Missing: {names}",
+        "named_and_rest": f"Missing: {names}, and more",
+        "unknown": "Something unknown is missing",
+    }[answer["verdict"]]
+
+
+def verdict_sentence(answer: Mapping[str, Any]) -> str:
+    """The verdict in plain words, with its numbers.
+
+    Args:
+        answer: in the format ``torchweather-gap/1``.
+
+    Example:
+        >>> gap = {"before": 2.13, "after": 1.02, "floor": 1.0, "interval_after": [0.9, 1.1], "split": "holdout"}
+        >>> print(verdict_sentence({"verdict": "none", "effects": [], "gap": {**gap, "after": 2.13}, "p_value": 0.31}))
+        Nothing is missing that these data could show (p = 0.31); held-out gap 2.13, floor 1.00.
+        >>> loss = {"name": "lidar.window_loss", "parameters": {"loss_db": 0.02}, "interval": {"loss_db": [0.018, 0.022]},
+        ...         "confidence": 0.97, "confusable_with": []}
+        >>> print(verdict_sentence({"verdict": "named", "effects": [loss], "gap": gap, "p_value": 1e-9}))
+        The simulation lacks window loss (lidar.window_loss): 0.0200 dB (0.0180 to 0.0220), confidence 0.97; held-out gap 2.13 → 1.02, floor 1.00.
+    """  # noqa: E501
+    gap = answer["gap"]
+    floor = f"floor {number_text(gap['floor'])}"
+    change = f"held-out gap {number_text(gap['before'])} → {number_text(gap['after'])}, {floor}"
+    if answer["verdict"] == "none":
+        chance = probability_text(answer["p_value"])
+        return (
+            f"Nothing is missing that these data could show (p = {chance}); held-out gap {number_text(gap['before'])}, "
+            f"{floor}."
+        )
+    if answer["verdict"] == "unknown":
+        return f"Something is missing that no effect of the catalogue explains{_seen(answer)}; {change}."
+    found = "; and ".join(_lack(effect) for effect in answer["effects"])
+    text = f"The simulation lacks {found}; {change}."
+    others = list(dict.fromkeys(name for effect in answer["effects"] for name in effect["confusable_with"]))
+    if others:
+        text += f" These data cannot exclude {_listed([effect_name(name) for name in others], 'or')} in its place."
+    if answer["verdict"] == "named_and_rest":
+        text += f" More is missing, which no effect of the catalogue explains{_seen(answer)}."
+    return text
+
+
+def _lack(effect: Mapping[str, Any]) -> str:
+    rows = parameter_rows(effect)
+    parts = []
+    for row in rows:
+        label = "" if len(rows) == 1 else f"{row['name']} "
+        unit = f" {row['unit']}" if row["unit"] else ""
+        parts.append(f"{label}{row['value']}{unit}" + (f" ({row['interval']})" if row["interval"] else ""))
+    sure = effect["confidence"]
+    confidence = f"over {SURE - 0.005:g}" if sure > SURE else f"{sure:.2f}"
+    return f"{effect_name(effect['name'])} ({effect['name']}): {', '.join(parts)}, confidence {confidence}"
+
+
+def _seen(answer: Mapping[str, Any]) -> str:
+    """Where the rest shows, where that is known."""
+    rest = answer.get("unknown")
+    if not rest:
+        return ""
+    statistic, axis = statistic_name(rest["statistic"]), axis_name(rest["axis"]).partition(",")[0]
+    return f" (most of it in: {statistic[0].lower()}{statistic[1:]}, by {axis})"
+
+
+def _listed(names: Sequence[str], word: str = "and") -> str:
+    return f" {word} ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
