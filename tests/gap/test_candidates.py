@@ -1,0 +1,89 @@
+"""Where the search starts: settings inside the bounds, of either sign, away from the identity."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from torchweather.gap.candidates import Line, lines
+from torchweather.stages.effects import EFFECTS, Effect
+from torchweather.stages.effects_lidar import EFFECTS as LIDAR_EFFECTS
+
+PLACES = (-2.0, 0.5)
+NAMES = sorted(name for name in LIDAR_EFFECTS if name.startswith("lidar."))
+
+
+def varied(line: Line) -> list[str]:
+    """Parameters that change along a line."""
+    return [name for name in line.settings[0] if len({values[name] for values in line.settings}) > 1]
+
+
+def departures(effect: type[Effect], line: Line) -> dict[str, list[float]]:
+    """By how much each deciding parameter that a line sets departs from its identity."""
+    found = {}
+    for parameter in effect.arguments:
+        if parameter.identity is not None and parameter.name in line.settings[0]:
+            values = [one[parameter.name] for one in line.settings]
+            # A far extent or saturation is near to none.
+            found[parameter.name] = [
+                -1.0 / value if math.isinf(parameter.identity) else value - parameter.identity for value in values
+            ]
+    return found
+
+
+def test_the_catalogue_is_there() -> None:
+    assert len(NAMES) == 20
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_settings_lie_inside_the_bounds_and_are_no_identity(name: str) -> None:
+    effect = EFFECTS[name]
+    bounds = {parameter.name: (parameter.low, parameter.high) for parameter in effect.arguments}
+    found = lines(effect, PLACES)
+    assert found
+    for line in found:
+        assert line.effect is effect and len(line.settings) >= 1
+        for values in line.settings:
+            assert all(bounds[key][0] <= value <= bounds[key][1] for key, value in values.items())
+            assert not bool(effect(**values).at_identity)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_settings_grow_along_a_line(name: str) -> None:
+    for line in lines(EFFECTS[name], PLACES):
+        changed = departures(EFFECTS[name], line)
+        assert len(changed) == 1  # one deciding parameter a line
+        assert varied(line) in ([], list(changed))
+        (steps,) = changed.values()
+        sizes = [abs(step) for step in steps]
+        assert sizes == sorted(set(sizes))
+        assert len({math.copysign(1.0, step) for step in steps}) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_deciding_parameter_is_tried_on_either_side_where_its_bounds_allow(name: str) -> None:
+    effect = EFFECTS[name]
+    signs: dict[str, set[float]] = {}
+    for line in lines(effect, PLACES):
+        for key, steps in departures(effect, line).items():
+            signs.setdefault(key, set()).add(math.copysign(1.0, steps[0]))
+    for parameter in effect.arguments:
+        if parameter.identity is None:
+            continue
+        expected = {-1.0} if parameter.identity > parameter.low else set()
+        if parameter.identity < parameter.high:
+            expected |= {1.0}
+        assert signs[parameter.name] == expected
+
+
+def test_a_place_is_tried_where_the_caller_says() -> None:
+    found = {values["azimuth_rad"] for line in lines(EFFECTS["lidar.sector_loss"], PLACES) for values in line.settings}
+    assert found == set(PLACES)
+    assert not lines(EFFECTS["lidar.sector_loss"], [])
+
+
+def test_weak_and_strong_settings_span_a_decade_where_the_bounds_allow() -> None:
+    (line,) = lines(EFFECTS["lidar.window_loss"], PLACES)
+    strengths = [values["loss_db"] for values in line.settings]
+    assert strengths[-1] / strengths[0] >= 10.0

@@ -1,0 +1,245 @@
+"""Statistics of frames: stabilised entries against closed forms, vectors against plain loops, the jackknife."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from torchweather.gap.statistics import FEWEST, Group, Layout, Pool, Reduced
+
+RNG = np.random.default_rng
+
+
+def reduced(weight: Any, value: Any = None, square: Any = None, scalar: Any = None, maps: Any = None) -> Reduced:
+    """Frames of one bin each, or as given; what is not given is 0."""
+    weight = np.asarray(weight, dtype=np.float64)
+    weight = weight[:, None] if weight.ndim == 1 else weight
+    parts = [np.zeros_like(weight) if part is None else np.reshape(part, weight.shape) for part in (value, square)]
+    scalar = np.zeros((len(weight), 0)) if scalar is None else np.asarray(scalar, dtype=np.float64)
+    maps = np.zeros((len(weight), 0, 1)) if maps is None else np.asarray(maps, dtype=np.float64)
+    return Reduced(weight, *parts, scalar, maps)
+
+
+def one_bin(kind: str) -> Layout:
+    return Layout((Group("it", "axis", kind, (0.0, 1.0)),), (), ())
+
+
+def each_alone(layout: Layout, frames: Reduced) -> Any:
+    """The entry of each frame by itself."""
+    return Pool(layout, frames).vectors(np.arange(len(frames))[:, None])[:, 0]
+
+
+# ---- closed forms ----------------------------------------------------------------------------------------------------
+
+# The variance of 20,000 draws is known to sqrt(2 / 20,000) = 1 %; 5 % is five times that.
+DRAWS, TOLERANCE = 20_000, 0.05
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.9])
+def test_the_variance_of_a_share_is_a_quarter_over_the_number(share: float) -> None:
+    number = 400
+    hits = RNG(1).binomial(number, share, DRAWS)
+    found = each_alone(one_bin("share"), reduced(np.full(DRAWS, number), hits, hits))
+    assert found.var() == pytest.approx(1.0 / (4 * number), rel=TOLERANCE)
+    assert np.sin(found.mean()) ** 2 == pytest.approx(share, abs=0.002)
+
+
+@pytest.mark.parametrize("mean", [10.0, 40.0, 400.0])
+def test_the_variance_of_a_count_is_a_quarter(mean: float) -> None:
+    counts = RNG(2).poisson(mean, DRAWS)
+    found = each_alone(one_bin("count"), reduced(np.ones(DRAWS), counts, counts))
+    assert found.var() == pytest.approx(0.25, rel=TOLERANCE)
+
+
+def test_the_variance_of_a_spread_is_a_half_over_the_number_whatever_the_scale() -> None:
+    number = 200
+    for scale in (0.01, 10.0):
+        values = scale * RNG(3).normal(size=(DRAWS // 4, number)) + 3.0 * scale
+        sums = (values.sum(1), (values**2).sum(1))
+        found = each_alone(one_bin("spread"), reduced(np.full(len(values), number), *sums))
+        # 5,000 draws: 2 %.
+        assert found.var() == pytest.approx(1.0 / (2 * number), rel=2.0 * TOLERANCE)
+        # Half of 1/n is lost to the mean of the bin, half to the curve of the logarithm; 4 x 0.05 / sqrt(5,000).
+        assert found.mean() == pytest.approx(math.log(scale) - 1.0 / number, abs=0.003)
+
+
+def test_a_share_and_a_count_of_nothing_are_finite() -> None:
+    nothing = reduced(np.zeros(2))
+    for kind in ("share", "count", "mean", "spread"):
+        assert np.isfinite(each_alone(one_bin(kind), nothing)).all()
+
+
+def test_between_is_the_logarithm_of_the_standard_deviation_of_the_frames() -> None:
+    scalar = np.array([1.0, 4.0, 2.0, 9.0])
+    pool = Pool(Layout((), ("it",), ()), reduced(np.zeros((4, 0)), scalar=scalar[:, None]))
+    between, _ = pool.vectors(np.array([[0, 1, 2, 3]]))[0]
+    assert between == pytest.approx(math.log(scalar.std(ddof=1)), rel=1e-12)
+
+
+@pytest.mark.parametrize("time_s", [None, np.array([0.0, 1.0, 5.0, 6.0, 20.0])])
+def test_slope_is_the_change_from_the_first_frame_to_the_last(time_s: Any) -> None:
+    along = np.arange(5.0) / 4.0 if time_s is None else time_s / 20.0
+    pool = Pool(Layout((), ("it",), ()), reduced(np.zeros((5, 0)), scalar=(7.0 - 3.0 * along)[:, None]))
+    assert pool.vectors(np.arange(5)[None], time_s)[0, 1] == pytest.approx(-3.0, rel=1e-12)
+    backwards = pool.vectors(np.arange(5)[None, ::-1], None if time_s is None else time_s[::-1])[0, 1]
+    assert backwards == pytest.approx(3.0 if time_s is None else -3.0, rel=1e-12)
+
+
+def test_frames_of_one_time_have_no_slope() -> None:
+    pool = Pool(Layout((), ("it",), ()), reduced(np.zeros((3, 0)), scalar=np.array([[1.0], [2.0], [3.0]])))
+    assert pool.vectors(np.arange(3)[None], np.zeros(3))[0, 1] == 0.0
+
+
+def test_persistence_is_what_stays_in_its_place() -> None:
+    same, apart = np.tile([3.0, 0.0, 4.0, 0.0], (3, 1)), 5.0 * np.eye(3, 4)
+    for maps, expected in ((same, 5.0), (apart, 0.0)):
+        pool = Pool(Layout((), (), ("it",)), reduced(np.zeros((3, 0)), maps=maps[:, None]))
+        assert pool.vectors(np.arange(3)[None])[0, 0] == pytest.approx(expected, abs=1e-12)
+
+
+# ---- the vector ------------------------------------------------------------------------------------------------------
+
+WHOLE = Layout(
+    (
+        Group("a", "x", "share", (0.0, 1.0, 2.0)),
+        Group("b", "x", "mean", (0.0, 1.0, 2.0, 3.0)),
+        Group("b", "y", "spread", (0.0, 1.0, 2.0)),
+        Group("c", "z", "count", (0.0, 5.0)),
+    ),
+    ("s", "t"),
+    ("m",),
+)
+
+
+def random_frames(number: int, seed: int = 4) -> Reduced:
+    rng = RNG(seed)
+    weight = rng.integers(30, 60, (number, WHOLE.bins)).astype(np.float64)
+    value = weight * rng.uniform(0.1, 0.9, weight.shape)
+    return Reduced(weight, value, 2.0 * value, rng.normal(size=(number, 2)), rng.poisson(2.0, (number, 1, 6)) * 1.0)
+
+
+def looped(frames: Reduced, draw: Any, time_s: Any) -> list[float]:
+    """One vector, entry by entry, in plain Python."""
+    found, place = [], 0
+    for group in WHOLE.binned:
+        for _ in range(group.bins):
+            w, v, q = (
+                sum(float(part[k, place]) for k in draw) for part in (frames.weight, frames.value, frames.square)
+            )
+            found.append(
+                {
+                    "share": math.asin(math.sqrt((v + 0.375) / (w + 0.75))),
+                    "count": math.sqrt(v + 0.375),
+                    "mean": v / w,
+                    "spread": math.log(math.sqrt(q / w - (v / w) ** 2)),
+                }[group.kind]
+            )
+            place += 1
+    columns = [[float(frames.scalar[k, place]) for k in draw] for place in range(2)]
+    found += [math.log(np.std(column, ddof=1)) for column in columns]
+    found += [float(np.polyfit(time_s, column, 1)[0]) * (max(time_s) - min(time_s)) for column in columns]
+    pairs = [
+        float(frames.maps[j, 0] @ frames.maps[k, 0])
+        for place, j in enumerate(draw)
+        for other, k in enumerate(draw)
+        if place != other
+    ]
+    return [*found, math.sqrt(sum(pairs) / len(pairs))]
+
+
+def test_vectors_agree_with_plain_loops() -> None:
+    frames, time_s = random_frames(7), np.array([0.0, 0.1, 0.3, 0.35])
+    index = np.array([[0, 3, 5, 6], [6, 5, 1, 2], [4, 4, 0, 1]])
+    found = Pool(WHOLE, frames).vectors(index, time_s)
+    assert found.shape == (3, WHOLE.size)
+    expected = [looped(frames, draw, time_s) for draw in index]
+    # Double precision; the variance of a bin loses two digits.
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_the_layout_covers_the_vector_once() -> None:
+    groups, slices = WHOLE.groups, WHOLE.slices
+    assert [group.kind for group in groups[4:]] == ["between", "between", "slope", "slope", "persistence"]
+    assert [place for part in slices for place in range(part.start, part.stop)] == list(range(WHOLE.size))
+    assert all(part.stop - part.start == group.bins for part, group in zip(slices, groups, strict=True))
+    assert (WHOLE.bins, WHOLE.size) == (8, 13)
+
+
+def test_joined_frames_give_what_one_pool_gives() -> None:
+    frames = random_frames(6)
+    names = ("weight", "value", "square", "scalar", "maps")
+    parts = [Reduced(*(getattr(frames, name)[cut] for name in names)) for cut in (slice(0, 2), slice(2, 6))]
+    index = np.array([[1, 2, 5]])
+    np.testing.assert_array_equal(Pool(WHOLE, Reduced.joined(parts)).vectors(index), Pool(WHOLE, frames).vectors(index))
+
+
+# ---- leaving out portions --------------------------------------------------------------------------------------------
+
+
+def jackknife_variance(layout: Layout, frames: Reduced, portions: int, number: int) -> Any:
+    left_out = Pool(layout, frames).jackknife(portions, number)
+    return ((left_out - left_out.mean(1, keepdims=True)) ** 2).sum(1) * (portions - 1) / portions
+
+
+@pytest.mark.parametrize("number", [1, 3])
+def test_the_jackknife_variance_of_a_mean_is_that_of_its_elements_over_their_number(number: int) -> None:
+    portions, sets = 50, 2
+    values = RNG(5).normal(2.0, 3.0, (sets, number, portions))
+    frames = reduced(np.ones(values.size), values.ravel(), values.ravel() ** 2)
+    found = jackknife_variance(one_bin("mean"), frames, portions, number)[:, 0]
+    # One portion of a set is its mean over the frames.
+    np.testing.assert_allclose(found, values.mean(1).var(1, ddof=1) / portions, rtol=1e-10)
+
+
+def test_the_jackknife_variance_of_a_count_is_a_quarter() -> None:
+    # Portions of a Poisson count are Poisson. 400 sets of 50 portions: known to sqrt(2 / 20,000) = 1 %, and
+    # 1 / (4 * 25) of it is left of the variance of the root.
+    portions, sets = 50, 400
+    counts = RNG(6).poisson(2.0, sets * portions)
+    found = jackknife_variance(one_bin("count"), reduced(np.ones(len(counts)), counts, counts), portions, 1)
+    assert found.mean() == pytest.approx(0.25, rel=TOLERANCE)
+
+
+def test_the_jackknife_knows_nothing_of_what_is_between_frames() -> None:
+    found = Pool(WHOLE, random_frames(12)).jackknife(4, 3)
+    assert found.shape == (1, 4, WHOLE.size)
+    assert (found[..., WHOLE.bins :] == 0).all()
+    assert (found[..., : WHOLE.bins].var(1) > 0).all()
+
+
+# ---- what counts -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", sorted(FEWEST))
+def test_a_bin_counts_from_its_least_weight(kind: str) -> None:
+    for frames, expected in ((3, False), (4, True)):
+        pool = Pool(one_bin(kind), reduced(np.full(2, FEWEST[kind] / 4.0)))
+        assert pool.enough(frames).tolist() == [expected]
+
+
+def test_what_is_between_frames_needs_three_of_them_and_persistence_two() -> None:
+    layout = Layout((), ("it",), ("m",))
+    pool = Pool(layout, reduced(np.zeros((5, 0)), scalar=np.zeros((5, 1)), maps=np.zeros((5, 1, 2))))
+    assert [pool.enough(number).tolist() for number in (1, 2, 3)] == [
+        [False, False, False],
+        [False, False, True],
+        [True, True, True],
+    ]
+    assert np.isfinite(pool.vectors(np.array([[0]]))).all()
+
+
+def test_the_least_scatter_lies_below_that_of_independent_elements() -> None:
+    number, weight, sd = 4, 100.0, 2.0
+    frames = reduced(np.full(3, weight), np.zeros(3), np.full(3, weight * sd**2))
+    elements = number * weight
+    for kind, closed in (
+        ("share", 0.5 / math.sqrt(elements)),
+        ("count", 0.5),
+        ("mean", sd / math.sqrt(elements)),
+        ("spread", 1.0 / math.sqrt(2.0 * elements)),
+    ):
+        found = float(Pool(one_bin(kind), frames).least_scatter(number)[0])
+        assert 0.4 * closed < found < closed
