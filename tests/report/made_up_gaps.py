@@ -53,7 +53,7 @@ def curves(study: Study, *, size: float, left: float | None) -> tuple[Curve, ...
         ("lost_share", "azimuth_rad", SECTORS),
         ("particles_before_objects", "particle_range_m", RANGE_M),
     ):
-        for one in study.fit:
+        for one in (each for each in study.fit if each.weather is not None):
             bins = len(edges) - 1
             before = -size * np.linspace(0.4, 1.0, bins) + rng.standard_normal(bins)
             before[-1] = np.nan
@@ -68,7 +68,7 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
     nothing = verdict == "none"
     gap = {"floor": 1.0, "split": "holdout", "before": 1.03 if nothing else 2.13, "after": 1.03}
     nuisance = {one.id: 1.02 + 0.1 * number for number, one in enumerate(study.fit) if one.weather is not None}
-    answer = {
+    answer: dict[str, Any] = {
         "format": "torchweather-gap/1",
         "verdict": verdict,
         "effects": found.get(verdict, []),
@@ -83,6 +83,9 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
         "seed": 7,
         **more,
     }
-    stages = tuple(EFFECTS[str(one["name"])](**one["parameters"]) for one in answer["effects"])
+    stages = tuple(
+        EFFECTS[one["name"]](**{name: float(value) for name, value in one["parameters"].items()})
+        for one in answer["effects"]
+    )
     picture = curves(study, size=1.0 if nothing else 14.0, left=None if nothing else 1.0)
     return GapReport(answer, stages, picture, study.sha256)

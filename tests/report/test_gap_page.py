@@ -90,11 +90,11 @@ def test_a_named_effect_in_one_sentence(study: Study) -> None:
 
 def test_two_effects_their_rival_and_the_rest_in_one_paragraph(study: Study) -> None:
     assert verdict_sentence(report("named_and_rest", study).answer) == (
-        "The simulation lacks static structure (lidar.static_structure): azimuth_rad −0.520 rad (−0.540 to −0.500), "
-        "range_m 9.70 m (9.60 to 9.80), width_rad 0.0310 rad (0.0250 to 0.0370), confidence over 0.99; and window loss "
-        "(lidar.window_loss): 0.0200 dB (0.0180 to 0.0220), confidence 0.97; held-out gap 2.13 → 1.03, floor 1.00. "
-        "These data cannot exclude sector loss in its place. More is missing, which no effect of the catalogue "
-        "explains (most of it in: beams that lost their return, by azimuth)."
+        "The simulation lacks static structure (lidar.static_structure): azimuth_rad −0.520 rad, range_m 9.70 m, "
+        "width_rad 0.0310 rad, confidence over 0.99; and window loss (lidar.window_loss): 0.0200 dB (0.0180 to "
+        "0.0220), confidence 0.97; held-out gap 2.13 → 1.03, floor 1.00. These data cannot exclude sector loss in its "
+        "place. More is missing, which no effect of the catalogue explains (most of it in: "
+        "beams that lost their return, by azimuth)."
     )
 
 

@@ -41,7 +41,7 @@ def curve_uri(curves: Sequence[Curve]) -> str:
     known = [values for one in curves for values in (one.before, one.after) if values is not None]
     with mpl.rc_context({**STYLE, "font.size": 9.5}):
         figure = Figure(figsize=(5.6, 3.1))
-        axes = figure.add_axes((0.095, 0.185, 0.89, 0.785))
+        axes = figure.add_axes((0.095, 0.185, 0.865, 0.785))
         plain_axes(axes)
         axes.grid(axis="x", visible=False)
         axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)

@@ -17,6 +17,7 @@ from torchweather.report.correlation_figures import MARKS
 from torchweather.report.gap_figures import AFTER, BAND, BEFORE, curve_uri, gap_uri
 from torchweather.report.gap_words import (
     axis_name,
+    confidence_text,
     effect_name,
     headline,
     parameter_rows,
@@ -141,7 +142,7 @@ def _found(effect: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, An
         "title": declared.title,
         "term": declared.term,
         "percollect": declared.percollect,
-        "confidence": f"{effect['confidence']:.2f}",
+        "confidence": confidence_text(effect["confidence"]),
         "parameters": parameter_rows(effect),
         "rivals": [
             {

@@ -11,6 +11,7 @@ from torchweather.stages.effects_lidar import EFFECTS
 
 __all__ = [
     "axis_name",
+    "confidence_text",
     "effect_name",
     "headline",
     "parameter_rows",
@@ -100,6 +101,16 @@ def probability_text(p: float) -> str:
     return f"below {TINY_P:f}" if p < TINY_P else f"{p:.2g}"
 
 
+def confidence_text(confidence: float) -> str:
+    """A confidence with two decimals, never as certain.
+
+    Example:
+        >>> [confidence_text(value) for value in (0.5, 0.973, 1.0)]
+        ['0.50', '0.97', 'over 0.99']
+    """
+    return "over 0.99" if confidence > SURE else f"{confidence:.2f}"
+
+
 def parameter_rows(effect: Mapping[str, Any]) -> list[dict[str, str]]:
     """Parameters of a found effect with unit and interval; those that were not fitted and do nothing are left out.
 
@@ -173,12 +184,12 @@ def _lack(effect: Mapping[str, Any]) -> str:
     rows = parameter_rows(effect)
     parts = []
     for row in rows:
-        label = "" if len(rows) == 1 else f"{row['name']} "
-        unit = f" {row['unit']}" if row["unit"] else ""
-        parts.append(f"{label}{row['value']}{unit}" + (f" ({row['interval']})" if row["interval"] else ""))
-    sure = effect["confidence"]
-    confidence = f"over {SURE - 0.005:g}" if sure > SURE else f"{sure:.2f}"
-    return f"{effect_name(effect['name'])} ({effect['name']}): {', '.join(parts)}, confidence {confidence}"
+        value = f"{row['value']} {row['unit']}".strip()
+        # Of several parameters the intervals would drown the rest; the table has them.
+        alone = f"{value} ({row['interval']})" if row["interval"] else value
+        parts.append(alone if len(rows) == 1 else f"{row['name']} {value}")
+    sure = confidence_text(effect["confidence"])
+    return f"{effect_name(effect['name'])} ({effect['name']}): {', '.join(parts)}, confidence {sure}"
 
 
 def _seen(answer: Mapping[str, Any]) -> str:
