@@ -154,7 +154,7 @@ def test_held_out_conditions_are_named(pages: dict[str, Path], study: Study) -> 
 
 
 def test_angles_are_in_degrees_as_on_the_axis(pages: dict[str, Path]) -> None:
-    assert "azimuth, degrees −180 90.0 +6.7" in words_of(pages["named"])
+    assert "azimuth, degrees −180 90 +6.7" in words_of(pages["named"])
 
 
 def svg(uri: str) -> str:

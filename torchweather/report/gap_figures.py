@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torchweather.gap.gap_report import Curve
 from torchweather.report.correlation_figures import MARKS
 from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
-from torchweather.report.gap_words import axis_name
+from torchweather.report.gap_words import axis_name, edge_text
 from torchweather.report.tables import number_text
 
 __all__ = ["AFTER", "BAND", "BEFORE", "curve_uri", "gap_uri"]
@@ -25,6 +25,7 @@ BAND = "#dde3e9"
 TO_SCALE = 3.0
 TICKS = (-1000, -300, -100, -30, -10, -3, 0, 3, 10, 30, 100, 300, 1000)
 MOST_LABELS = 12
+ROOM = 1.25
 LEAST_SPAN = 4.0  # in scatters, either side of zero, so that a curve inside the band looks small
 
 Floats = NDArray[np.float64]
@@ -38,10 +39,10 @@ def curve_uri(curves: Sequence[Curve]) -> str:
     """
     first = curves[0]
     bins = np.arange(len(first.edges) - 1)
-    known = [values for one in curves for values in (one.before, one.after) if values is not None]
+    known = [v for one in curves for v in (one.before, one.after) if v is not None and np.isfinite(v).any()]
     with mpl.rc_context({**STYLE, "font.size": 9.5}):
         figure = Figure(figsize=(5.6, 3.1))
-        axes = figure.add_axes((0.095, 0.185, 0.865, 0.785))
+        axes = figure.add_axes((0.125, 0.185, 0.845, 0.785))
         plain_axes(axes)
         axes.grid(axis="x", visible=False)
         axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)
@@ -54,17 +55,18 @@ def curve_uri(curves: Sequence[Curve]) -> str:
             if one.after is not None:
                 hollow = {"color": AFTER, "markerfacecolor": "white", "markeredgewidth": 1.2}
                 axes.plot(bins + shift, _scaled(one.after), zorder=4, **hollow, **line)
-        largest = max([LEAST_SPAN, *(float(np.nanmax(np.abs(v))) for v in known if np.isfinite(v).any())])
-        end = _scaled(1.15 * largest)
-        axes.set_ylim(-end, end)
-        ticks = [tick for tick in TICKS if abs(_scaled(tick)) <= end]
+        lowest = min([-LEAST_SPAN, *(float(np.nanmin(values)) for values in known)])
+        highest = max([LEAST_SPAN, *(float(np.nanmax(values)) for values in known)])
+        axes.set_ylim(_scaled(ROOM * lowest), _scaled(ROOM * highest))
+        ticks = [tick for tick in TICKS if ROOM * lowest <= tick <= ROOM * highest]
         axes.set_yticks([_scaled(tick) for tick in ticks], labels=[f"{tick}".replace("-", "−") for tick in ticks])
-        labels = _edge_labels(first)
+        labels = [edge_text(first.axis, edge) for edge in first.edges]
         every = math.ceil(len(labels) / MOST_LABELS)
         axes.set_xticks(np.arange(len(labels))[::every] - 0.5, labels=labels[::every])
         axes.set_xlim(-0.5, len(bins) - 0.5)
         axes.set_xlabel(axis_name(first.axis), labelpad=3)
-        axes.set_ylabel("measured − simulated, scatters", labelpad=2)
+        axes.set_ylabel("measured − simulated, scatters")
+        axes.yaxis.set_label_coords(-0.1, 0.5)
         return svg_uri(figure)
 
 
@@ -103,12 +105,3 @@ def gap_uri(gap: Mapping[str, Any]) -> str:
 def _scaled(value: Any) -> Any:
     """Departures on the scale of the figure."""
     return np.arcsinh(np.asarray(value, dtype=np.float64) / TO_SCALE)
-
-
-def _edge_labels(curve: Curve) -> list[str]:
-    """Edges of the bins as people write them: angles in degrees, at most two decimals."""
-    edges = np.asarray(curve.edges)
-    if curve.axis.endswith("_rad"):
-        edges = np.rad2deg(edges)
-    decimals = 0 if curve.axis == "azimuth_rad" else 1 if curve.axis.endswith("_rad") else 2
-    return [f"{round(float(edge), decimals) + 0.0:g}".replace("-", "−") for edge in edges]

@@ -18,11 +18,11 @@ from torchweather.report.gap_figures import AFTER, BAND, BEFORE, curve_uri, gap_
 from torchweather.report.gap_words import (
     axis_name,
     confidence_text,
+    edge_text,
     effect_name,
     headline,
     parameter_rows,
     probability_text,
-    signed_text,
     statistic_name,
     verdict_sentence,
 )
@@ -92,7 +92,7 @@ def _figures(curves: Sequence[Curve]) -> list[dict[str, str]]:
     return [
         {
             "title": statistic_name(statistic),
-            "axis": axis_name(axis).partition(",")[0],
+            "axis": axis_name(axis).partition(",")[0].removesuffix(" in clear air"),
             "picture": curve_uri(members),
         }
         for (statistic, axis), members in groups.items()
@@ -115,13 +115,12 @@ def _marks(study: Study, curves: Sequence[Curve]) -> list[dict[str, str]]:
 
 def _bin(one: Mapping[str, Any]) -> dict[str, str]:
     """A bin that stands out."""
-    angle = 180.0 / math.pi if one["axis"].endswith("_rad") else 1.0
     whole = one["axis"] in ("frame", "time", "place")
     return {
         "statistic": statistic_name(one["statistic"]),
         "axis": axis_name(one["axis"]),
-        "from": "" if whole else signed_text(angle * one["from"]),
-        "to": "" if whole else signed_text(angle * one["to"]),
+        "from": "" if whole else edge_text(one["axis"], one["from"]),
+        "to": "" if whole else edge_text(one["axis"], one["to"]),
         "z": f"{one['z']:+.1f}".replace("-", "−"),
     }
 

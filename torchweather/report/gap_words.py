@@ -12,6 +12,7 @@ from torchweather.stages.effects_lidar import EFFECTS
 __all__ = [
     "axis_name",
     "confidence_text",
+    "edge_text",
     "effect_name",
     "headline",
     "parameter_rows",
@@ -47,7 +48,7 @@ AXES = {
     "elevation_rad": "elevation, degrees",
     "cos_incidence": "cosine of incidence on the surface",
     "up": "upward part of the surface's normal",
-    "log_intensity": "logarithm of intensity in clear air",
+    "log_intensity": "intensity in clear air, as the sensor gives it",
     "particle_range_m": "range of the particle, m",
     "isolated": "0 extended, 1 thin target",
     "frame": "from frame to frame",
@@ -56,6 +57,7 @@ AXES = {
 }
 SURE = 0.995
 TINY_P = 1e-6
+NO_END = 1e9  # an edge beyond it is none
 
 
 def effect_name(name: str) -> str:
@@ -76,6 +78,20 @@ def statistic_name(name: str) -> str:
 def axis_name(name: str) -> str:
     """An axis with its unit; one that this page does not know by its name."""
     return AXES.get(name, name.replace("_", " "))
+
+
+def edge_text(axis: str, edge: float) -> str:
+    """An edge of a bin in the units of ``axis_name``: angles in degrees, no logarithms, at most two decimals.
+
+    Example:
+        >>> edge_text("azimuth_rad", -math.pi), edge_text("log_intensity", 30.0), edge_text("margin_db", 1.5)
+        ('−180', '∞', '1.5')
+    """
+    if axis.endswith("_rad"):
+        value = round(math.degrees(edge), 0 if axis == "azimuth_rad" else 1)
+    else:
+        value = round(math.exp(edge) if axis.startswith("log_") else edge, 2)
+    return "∞" if value > NO_END else f"{value + 0.0:g}".replace("-", "−")
 
 
 def signed_text(value: float | str) -> str:
