@@ -70,35 +70,36 @@ def curve_uri(curves: Sequence[Curve]) -> str:
         return svg_uri(figure)
 
 
-def gap_uri(gap: Mapping[str, Any]) -> str:
+def gap_uri(gap: Mapping[str, Any], *, added: bool) -> str:
     """The held-out gap before and after beside the floor, from zero.
 
     Args:
         gap: of the answer.
+        added: whether an effect was added; without one there is nothing after.
     """
-    before, after, floor = (float(gap[name]) for name in ("before", "after", "floor"))
-    low, high = (float(end) for end in gap["interval_after"])
+    floor, (low, high) = float(gap["floor"]), (float(end) for end in gap["interval_after"])
+    rows = [("before", float(gap["before"]), BEFORE), ("after", float(gap["after"]), AFTER)]
+    rows = rows if added else [("as it is", *rows[0][1:])]
+    last = len(rows) - 1
     with mpl.rc_context({**STYLE, "font.size": 10.5}):
-        figure = Figure(figsize=(6.4, 1.75))
-        axes = figure.add_axes((0.1, 0.33, 0.78, 0.5))
+        height = 1.25 + 0.3 * len(rows)
+        figure = Figure(figsize=(6.4, height))
+        axes = figure.add_axes((0.11, 0.6 / height, 0.77, 1.0 - 0.9 / height))
         plain_axes(axes)
         axes.grid(axis="y", visible=False)
         axes.axvline(floor, color=MUTED, linewidth=1.2, linestyle=(0, (4, 3)), zorder=2)
-        axes.text(
-            floor, -0.62, f"floor {number_text(floor)}", color=MUTED, fontsize=9.5, ha="center", va="bottom",
-        )  # fmt: skip
-        axes.plot((low, high), (1, 1), color=AFTER, linewidth=5, alpha=0.3, solid_capstyle="butt", zorder=3)
-        for place, value, colour in ((0, before, BEFORE), (1, after, AFTER)):
+        axes.text(floor, -0.62, f"floor {number_text(floor)}", color=MUTED, fontsize=9.5, ha="center", va="bottom")
+        axes.plot((low, high), (last, last), color=rows[-1][2], linewidth=5, alpha=0.3, solid_capstyle="butt", zorder=3)
+        for place, (_, value, colour) in enumerate(rows):
             axes.plot(value, place, "o", color=colour, markersize=9, zorder=4)
-            beside = max(value, high) if place else value
-            axes.annotate(
-                number_text(value), (beside, place), (10, 0), textcoords="offset points", va="center", fontweight="bold"
-            )
-        axes.set_ylim(1.5, -0.55)
-        axes.set_xlim(0.0, 1.06 * max(before, high, floor, 1e-9))
-        axes.set_yticks((0, 1), labels=("before", "after"))
+            beside = (max(value, high) if place == last else value, place)
+            text: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontweight": "bold"}
+            axes.annotate(number_text(value), beside, (10, 0), **text)
+        axes.set_ylim(last + 0.5, -0.55)
+        axes.set_xlim(0.0, 1.06 * max(high, floor, 1e-9, *(value for _, value, _ in rows)))
+        axes.set_yticks(range(len(rows)), labels=[label for label, _, _ in rows])
         axes.tick_params(axis="y", length=0, labelcolor=INK)
-        axes.set_xlabel("departure on held-out conditions, root mean square, scatters of the simulation")
+        axes.set_xlabel("departure on held-out conditions, root mean square, scatters")
         return svg_uri(figure)
 
 

@@ -66,7 +66,7 @@ def write_gap(out_dir: Path, study: Study, report: GapReport) -> dict[str, Any]:
         rest=_bin(answer["unknown"]) if answer["unknown"] else None,
         found=[_found(effect, answer) for effect in answer["effects"]],
         ranking=_ranking(answer),
-        gap_picture=gap_uri(answer["gap"]),
+        gap_picture=gap_uri(answer["gap"], added=answer["verdict"] != "none"),
         gap={name: number_text(answer["gap"][name]) for name in ("before", "after", "floor")},
         interval=[number_text(end) for end in answer["gap"]["interval_after"]],
         held=[f"{one.id} ({weather_label(one.weather)})" for one in study.holdout if one.weather is not None],

@@ -153,7 +153,7 @@ def headline(answer: Mapping[str, Any]) -> str:
     """The verdict in a few words."""
     names = _listed([effect_name(effect["name"]) for effect in answer["effects"]])
     return {
-        "none": "Nothing is missing",
+        "none": "Nothing found missing",
         "named": f"Missing: {names}",
         "named_and_rest": f"Missing: {names}, and more",
         "unknown": "Something unknown is missing",
