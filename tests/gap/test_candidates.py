@@ -43,7 +43,8 @@ def test_settings_lie_inside_the_bounds_and_are_no_identity(name: str) -> None:
     found = lines(effect, PLACES)
     assert found
     for line in found:
-        assert line.effect is effect and len(line.settings) >= 1
+        assert line.effect is effect
+        assert line.settings
         for values in line.settings:
             assert all(bounds[key][0] <= value <= bounds[key][1] for key, value in values.items())
             assert not bool(effect(**values).at_identity)

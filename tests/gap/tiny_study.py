@@ -16,7 +16,7 @@ from torchweather.sensors import Lidar
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_lidar import EFFECTS as EFFECTS  # the catalogue, filled
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Rain, Snow, Weather
+from torchweather.weather import Snow, Weather
 
 SENSOR = Lidar.preset(
     "ouster-os1-128",

@@ -1,0 +1,197 @@
+"""Departures in units of the simulator's own scatter: whitening, noise of the elements, studies that lack nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.gap.tiny_study import tiny_study
+from torchweather.gap.baseline import (
+    PORTIONED_FRAMES,
+    PORTIONS,
+    SHRINKAGE,
+    Baseline,
+    ElementNoise,
+    Target,
+    Whitening,
+    baseline,
+    element_noise,
+    targets,
+)
+from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.statistics import Group, Layout, Pool, Reduced
+from torchweather.gap.study import Condition, Study
+from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.weather import Snow
+
+RNG = np.random.default_rng
+BINS = 6
+LAYOUT = Layout((Group("a", "x", "mean", tuple(range(BINS + 1))),), (), ())
+
+
+def pool(frames: int, seed: int, *, common: float = 0.0, elements: int = 400) -> Pool:
+    """Means of normal elements; of the variance of each mean a part may be common to a frame."""
+    rng = RNG(seed)
+    mean = rng.normal(size=(frames, BINS)) / np.sqrt(elements) + common * rng.normal(size=(frames, 1))
+    weight = np.full((frames, BINS), float(elements))
+    square = weight * (mean**2 + 1.0)
+    return Pool(LAYOUT, Reduced(weight, weight * mean, square, np.zeros((frames, 0)), np.zeros((frames, 0, 1))))
+
+
+def target(study: Study, vector: Any, frames: int) -> Target:
+    condition = replace(study.conditions[0], time_s=None)
+    return Target(condition, vector, np.ones(len(vector), bool), frames)
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return tiny_study(rows=16, columns=32, clear=8, frames=5, weathers=(Snow(2.0), Snow(1.5)))
+
+
+@pytest.fixture(scope="module")
+def model(study: Study) -> LidarFrames:
+    return LidarFrames(study)
+
+
+def no_noise(name: str) -> ElementNoise:
+    return ElementNoise({name: np.zeros(BINS)}, np.eye(BINS))
+
+
+# ---- the scatter of a condition --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", [1, 4, 10])
+def test_the_scatter_is_that_of_a_fresh_measurement_against_the_mean_of_the_pool(study: Study, frames: int) -> None:
+    count, common = 40, 0.2
+    aim = target(study, np.zeros(BINS), frames)
+    name = aim.condition.id
+    z = []
+    for seed in range(60):
+        found = baseline({name: pool(count, seed, common=common)}, [aim], no_noise(name), None, seed)
+        fresh = pool(frames, 10_000 + seed, common=common).vectors(np.arange(frames)[None])[0]
+        z.append(found.z(target(study, fresh, frames)))
+    # 60 departures whose entries go together: mean square known to 18 %; the scatter of 40 frames in addition to 22 %
+    # each, over 60 pools 3 %.
+    assert np.mean(np.square(z)) == pytest.approx(1.0, abs=0.6)
+
+
+def test_the_scatter_is_at_least_that_of_the_elements(study: Study) -> None:
+    aim = target(study, np.zeros(BINS), 4)
+    name = aim.condition.id
+    noise = ElementNoise({name: np.linspace(0.0, 5.0, BINS)}, np.eye(BINS))
+    found = baseline({name: pool(40, 0)}, [aim], noise, None, 0)
+    assert (found.sd[name] >= noise.scatter[name]).all()
+    assert found.sd[name][-1] == pytest.approx(5.0 * np.sqrt(1.1), rel=1e-6)  # 4 of 40 frames: their mean's error
+
+
+def test_entries_that_do_not_count_are_zero(study: Study) -> None:
+    aim = target(study, np.full(BINS, 100.0), 4)
+    aim.enough[2] = False
+    name = aim.condition.id
+    found = baseline({name: pool(40, 0)}, [aim], no_noise(name), None, 0)
+    assert found.z(aim)[2] == 0.0
+    assert found.residual(aim)[2] == 0.0
+    assert (np.abs(found.z(aim)[[0, 1, 3, 4, 5]]) > 10.0).all()
+
+
+# ---- whitening -------------------------------------------------------------------------------------------------------
+
+
+def correlation(rho: float) -> Any:
+    place = np.arange(BINS)
+    return rho ** np.abs(place[:, None] - place[None])
+
+
+def test_whitened_departures_are_independent() -> None:
+    shrunk = (1.0 - SHRINKAGE) * correlation(0.8) + SHRINKAGE * np.eye(BINS)
+    whitening = Whitening.of(ElementNoise({"c": np.ones(BINS)}, correlation(0.8)), {"c": np.ones(BINS)})
+    draws = RNG(1).normal(size=(20_000, BINS)) @ np.linalg.cholesky(shrunk).T
+    found = whitening(draws)
+    # 20,000 draws: 5 x sqrt(2 / 20,000) on the diagonal.
+    np.testing.assert_allclose(found.T @ found / len(found), np.eye(BINS), atol=0.05)
+    np.testing.assert_allclose(whitening(draws[0]), found[0], rtol=1e-12)
+
+
+def test_scatter_that_is_an_entrys_own_counts_as_independent() -> None:
+    noise = ElementNoise({"c": np.ones(BINS)}, correlation(0.8))
+    factor = Whitening.of(noise, {"c": np.full(BINS, 1e6)}).factor
+    np.testing.assert_allclose(factor, np.eye(BINS), atol=1e-9)
+    half = Whitening.of(noise, {"c": np.full(BINS, 2.0)}).factor
+    assert (half @ half.T)[0, 1] == pytest.approx((1.0 - SHRINKAGE) * 0.8 * 0.25, rel=1e-12)
+
+
+def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study: Study) -> None:
+    """Element noise with known sd and correlation: x in three bins, 0.6 x + 0.8 y in the other three."""
+    elements, number = 64, 5
+    rng = RNG(2)
+    x, y = rng.normal(size=(2, PORTIONED_FRAMES, PORTIONS))
+    values = np.stack([x, x, x, *([0.6 * x + 0.8 * y] * 3)], -1).reshape(-1, BINS) / np.sqrt(elements)
+    weight = np.full(values.shape, float(elements))
+    frames = len(values)
+    portioned = Reduced(weight, weight * values, weight, np.zeros((frames, 0)), np.zeros((frames, 0, 1)))
+    aim = target(study, np.zeros(BINS), number)
+    found = element_noise({aim.condition.id: Pool(LAYOUT, portioned)}, [aim])
+    # 3 sets of 128 portions: sqrt(0.5 / 384) = 4 % of a standard deviation, 5 % of a correlation; three times that.
+    expected = 1.0 / np.sqrt(number * PORTIONS * elements)
+    np.testing.assert_allclose(found.scatter[aim.condition.id], expected, rtol=0.12)
+    assert found.correlation[0, 5] == pytest.approx(0.6, abs=0.15)
+    assert found.correlation[0, 1] == pytest.approx(1.0, rel=1e-9)
+
+
+# ---- studies that lack nothing ---------------------------------------------------------------------------------------
+
+
+def of_study(study: Study, model: LidarFrames, seed: int, frames: int = 32) -> tuple[list[Target], Baseline]:
+    aims = targets(model, study.fit)
+    seeds = [seed * 1000 + place for place in range(frames)]
+    pools, portioned = (
+        {
+            aim.condition.id: Pool(model.layout, model.simulated(aim.condition, (), 0.0, seeds[:number], portions))
+            for aim in aims
+        }
+        for number, portions in ((frames, 1), (PORTIONED_FRAMES, PORTIONS))
+    )
+    return aims, baseline(pools, aims, element_noise(portioned, aims), None, seed)
+
+
+def test_measured_vectors_are_those_of_the_conditions_frames(study: Study, model: LidarFrames) -> None:
+    (aim,) = targets(model, study.fit)
+    condition: Condition = aim.condition
+    frames = Pool(model.layout, model.measured(condition))
+    assert (aim.frames, aim.knob_sd) == (5, 0.05)
+    np.testing.assert_array_equal(aim.vector, frames.vectors(np.arange(5)[None], condition.time_s)[0])
+
+
+@pytest.mark.slow
+def test_departures_of_studies_that_lack_nothing_are_about_one() -> None:
+    """Root mean square over three studies of about 230 entries each, before and after whitening."""
+    squares: dict[str, list[float]] = {"z": [], "whitened": []}
+    for seed in range(3):
+        made = tiny_study(seed=seed, rows=16, columns=32, weathers=(Snow(2.0), Snow(1.5)))
+        aims, found = of_study(made, LidarFrames(made), seed)
+        for aim in aims:
+            used = found.used[aim.condition.id]
+            assert used.sum() > 150
+            squares["z"] += list(found.z(aim)[used] ** 2)
+            squares["whitened"] += list(found.residual(aim)[used] ** 2)
+    for values in squares.values():
+        # Scatters have a least value, so that departures of thin bins are smaller than 1; whitened entries of three
+        # studies: 4 x sqrt(0.5 / 600) above.
+        assert 0.6 < np.sqrt(np.mean(values)) < 1.12
+
+
+def test_a_vector_of_the_simulator_departs_as_much_as_its_draws(study: Study, model: LidarFrames) -> None:
+    (aim,), found = of_study(study, model, 7)
+    name = aim.condition.id
+    others = Pool(model.layout, model.simulated(aim.condition, (), 0.0, range(90_000, 90_025)))
+    vectors = others.vectors(np.arange(25).reshape(5, 5), aim.condition.time_s)
+    used = found.used[name]
+    own = [found.residual(aim, vector)[used] for vector in vectors]
+    assert 0.6 < np.sqrt(np.mean(np.square(own))) < 1.12
+    # An effect shows: half a decibel of all intensities.
+    window = [EFFECTS["lidar.window_loss"](loss_db=0.5)]
+    moved = Pool(model.layout, model.simulated(aim.condition, window, 0.0, range(90_000, 90_005)))
+    assert np.sqrt(np.mean(found.residual(aim, moved.vectors(np.arange(5)[None])[0])[used] ** 2)) > 3.0

@@ -1,0 +1,329 @@
+"""LiDAR frames: what became of each beam against plain loops, clear frames left out, what the chain keeps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
+from torchweather.gap.lidar import CLUSTER_M, SAME_SURFACE_M, LidarFrames
+from torchweather.gap.statistics import Reduced
+from torchweather.gap.study import Study
+from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.transforms import LidarWeather
+from torchweather.weather import Fog, Rain, Snow
+
+ROWS, COLUMNS, CLEAR, FRAMES = 16, 16, 4, 3
+WEATHERS = (Snow(2.0), Fog(60.0), Rain(40.0))
+SEEDS = (11, 2**40 + 5, 17)
+WINDOW, DRIFT = EFFECTS["lidar.window_loss"], EFFECTS["lidar.range_bias"]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return tiny_study(seed=3, rows=ROWS, columns=COLUMNS, clear=CLEAR, frames=FRAMES, weathers=WEATHERS)
+
+
+@pytest.fixture(scope="module")
+def model(study: Study) -> LidarFrames:
+    return LidarFrames(study)
+
+
+def assert_same(found: Reduced, expected: Reduced, tolerance: float = 0.0) -> None:
+    for field in fields(Reduced):
+        np.testing.assert_allclose(
+            getattr(found, field.name), getattr(expected, field.name), rtol=tolerance, atol=tolerance
+        )
+
+
+def stacked(frames: Any, name: str) -> Any:
+    return np.stack([frame[name] for frame in frames]).reshape(len(frames), -1)
+
+
+def group(model: LidarFrames, frames: Reduced, statistic: str, axis: str, what: str = "value") -> Any:
+    """Sums ``(F, bins)`` of one group."""
+    for one, part in zip(model.layout.binned, model.layout.slices, strict=False):
+        if (one.statistic, one.axis) == (statistic, axis):
+            return getattr(frames, what)[:, part]
+    raise AssertionError(f"no {statistic} along {axis}")
+
+
+# ---- what a frame is compared with -----------------------------------------------------------------------------------
+
+
+def test_references_leave_one_clear_frame_out(study: Study, model: LidarFrames) -> None:
+    scene = model.scenes["s0"]
+    range_m, intensity = (stacked(study.scenes["s0"].clear, name) for name in ("range_m", "intensity"))
+    for row in range(CLEAR + 1):
+        others = [k for k in range(CLEAR) if k != row]
+        seen = (range_m[others] > 0).all(0)
+        np.testing.assert_array_equal(scene.stable[row].numpy(), seen)
+        np.testing.assert_array_equal(scene.empty[row].numpy(), (range_m[others] == 0).all(0))
+        for reference, values in (
+            (scene.reference_range_m, range_m),
+            (scene.reference_intensity, intensity),
+        ):
+            np.testing.assert_allclose(reference[row].numpy()[seen], values[others].mean(0)[seen], rtol=1e-6)
+
+
+def test_a_beam_that_sees_two_surfaces_or_flickers_is_neither_stable_nor_empty() -> None:
+    rng = np.random.default_rng(0)
+    direction = tiny_study(rows=4, columns=4, clear=2, frames=1, weathers=WEATHERS[:2]).beams["direction"]
+
+    def frame(first: float, second: float) -> dict[str, Any]:
+        range_m = np.full((4, 4), 20.0) + 0.01 * rng.normal(size=(4, 4))
+        range_m[0, 0], range_m[0, 1], range_m[0, 2] = first, second, 0.0
+        return {"range_m": range_m, "intensity": np.where(range_m > 0, 0.4, 0.0)}
+
+    made = Study.from_arrays(
+        sensor=SENSOR,
+        beams={"direction": direction},
+        scenes=[{"id": "s0", "clear": [frame(*pair) for pair in ((9.0, 0.0), (14.0, 8.0), (9.0, 8.0))]}],
+        conditions=[
+            {"id": name, "scene": "s0", "weather": "snow:rate=1", "rel_sd": 0.1, "frames": [frame(9.0, 8.0)]}
+            for name in ("c0", "c1")
+        ],
+    )
+    scene = LidarFrames(made).scenes["s0"]
+    stable, empty = scene.stable.numpy(), scene.empty.numpy()
+    assert not (stable | empty)[:, 0].any()  # two surfaces
+    assert not stable[-1, 1]  # flickers
+    assert not empty[:, 1].any()
+    np.testing.assert_array_equal(empty[:, 2], ~stable[:, 2])
+    assert empty[:, 2].all()
+    assert stable[:, 3:].all()
+
+
+def test_measured_and_clear_frames_depart_from_their_references_by_the_same_noise(study: Study) -> None:
+    """A frame against the mean of the others: sd sqrt(1 + 1 / (K - 1)) of one frame's, measured or clear."""
+    made = tiny_study(seed=5, rows=32, columns=64, clear=CLEAR, frames=CLEAR, weathers=(Rain(0.1), Rain(0.1)))
+    model = LidarFrames(made)
+    beams = model.scenes["s0"].stable[-1].sum().item() * CLEAR
+    for frames in (model.measured(made.conditions[0]), model.clear("s0")):
+        for statistic, noise in (("range_residual_m", RANGE_NOISE_M), ("log_intensity_ratio", INTENSITY_NOISE)):
+            number, square = (group(model, frames, statistic, "range_m", what).sum() for what in ("weight", "square"))
+            # About 7,000 departures, each clear frame in all of them: 4 x sqrt(0.5 / 7,000) x 2.
+            assert number > 0.95 * beams
+            assert math.sqrt(square / number) == pytest.approx(noise * math.sqrt(1.0 + 1.0 / (CLEAR - 1)), rel=0.06)
+
+
+# ---- what became of each beam ----------------------------------------------------------------------------------------
+
+
+def altered(study: Study) -> tuple[Any, Any]:
+    """Two frames in which beams were lost, moved to the front, moved back, dimmed and lit."""
+    range_m, intensity = (stacked(study.scenes["s0"].clear, name)[:2].copy() for name in ("range_m", "intensity"))
+    rng = np.random.default_rng(7)
+    what = rng.integers(0, 6, range_m.shape)
+    seen = range_m > 0
+    range_m = np.where(what == 0, 0.0, range_m)
+    range_m = np.where((what == 1) & seen, 0.5 * range_m, range_m)
+    range_m = np.where((what == 2) & seen, range_m + 3.0, range_m)
+    intensity = np.where(what == 3, 0.7 * intensity, intensity)
+    lit = (what == 4) & ~seen
+    range_m = np.where(lit, 6.0, range_m)
+    intensity = np.where(lit, 0.02, np.where(range_m > 0, intensity, 0.0))
+    return range_m.astype(np.float32), intensity.astype(np.float32)
+
+
+def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[str, list[list[float]]]:
+    """Weight, value and square of some groups, beam by beam."""
+    scene = model.scenes["s0"]
+    edges = scene.edges["range_m"]
+    names = ("lost_share", "new_share", "beyond_share", "log_intensity_ratio", "range_residual_m")
+    sums = {name: [[0.0] * (len(edges) - 1) for _ in range(3)] for name in names}
+    sums["new_share_of_empty_beams"] = [[0.0], [0.0], [0.0]]
+
+    def add(name: str, place: int, value: float) -> None:
+        for total, more in zip(sums[name], (1.0, value, value**2), strict=True):
+            total[place] += more
+
+    for beam in range(ROWS * COLUMNS):
+        found, reference = float(range_m[beam]), float(scene.reference_range_m[row, beam])
+        if scene.empty[row, beam]:
+            add("new_share_of_empty_beams", 0, float(found > 0))
+        if not scene.stable[row, beam]:
+            continue
+        place = next(k for k in range(len(edges) - 1) if edges[k] <= reference < edges[k + 1])
+        apart, seen = found - reference, found > 0
+        add("lost_share", place, float(not seen))
+        add("new_share", place, float(seen and apart < -SAME_SURFACE_M))
+        add("beyond_share", place, float(seen and apart > SAME_SURFACE_M))
+        if seen and abs(apart) < SAME_SURFACE_M:
+            old = float(scene.reference_intensity[row, beam])
+            add("log_intensity_ratio", place, math.log(float(intensity[beam]) / old))
+            add("range_residual_m", place, apart)
+    return sums
+
+
+def test_sums_agree_with_a_loop_over_the_beams(study: Study, model: LidarFrames) -> None:
+    range_m, intensity = altered(study)
+    rows = [0, 1]
+    found = model.reduce("s0", torch.from_numpy(range_m), torch.from_numpy(intensity), torch.tensor(rows))
+    for frame, row in enumerate(rows):
+        for name, expected in looped(model, range_m[frame], intensity[frame], row).items():
+            axis = "elevation_rad" if name == "new_share_of_empty_beams" else "range_m"
+            for what, sums in zip(("weight", "value", "square"), expected, strict=True):
+                given = group(model, found, name, axis, what)[frame]
+                given = given.sum(keepdims=True) if axis == "elevation_rad" else given
+                # Single precision of a residual of centimetres at 45 m: 4e-6 m each.
+                np.testing.assert_allclose(given, sums, rtol=1e-4, atol=2e-4)
+            assert sum(expected[1]) != 0.0  # each of them happens
+
+
+def test_particles_are_counted_by_range_and_by_whether_a_neighbour_shares_theirs(
+    study: Study, model: LidarFrames
+) -> None:
+    range_m, intensity = altered(study)
+    found = model.reduce("s0", torch.from_numpy(range_m), torch.from_numpy(intensity), torch.tensor([0, 1]))
+    scene = model.scenes["s0"]
+    for frame in range(2):
+        image = range_m[frame].reshape(ROWS, COLUMNS)
+        particles = clustered = 0
+        for beam in range(ROWS * COLUMNS):
+            reach = float(range_m[frame, beam])
+            before = bool(scene.stable[frame, beam]) and reach > 0
+            before = before and reach - float(scene.reference_range_m[frame, beam]) < -SAME_SURFACE_M
+            if not (before or (bool(scene.empty[frame, beam]) and reach > 0)):
+                continue
+            particles += 1
+            down, aside = divmod(beam, COLUMNS)
+            clustered += any(
+                0 <= down + i < ROWS
+                and (i or j)
+                and image[down + i, (aside + j) % COLUMNS] > 0
+                and abs(image[down + i, (aside + j) % COLUMNS] - image[down, aside]) < CLUSTER_M
+                for i in (-1, 0, 1)
+                for j in (-1, 0, 1)
+            )
+        weight, value = (
+            group(model, found, "clustered_share", "particle_range_m", what)[frame] for what in ("weight", "value")
+        )
+        assert (weight.sum(), value.sum()) == (particles, clustered)
+        assert particles > clustered > 0
+        counts = sum(
+            group(model, found, name, "particle_range_m")[frame].sum()
+            for name in ("particles_before_objects", "particles_of_empty_beams")
+        )
+        assert counts == particles
+        assert found.maps[frame].sum() == particles
+
+
+def test_portions_add_up_to_the_whole(model: LidarFrames, study: Study) -> None:
+    condition, portions = study.conditions[0], 8
+    whole = model.simulated(condition, (), 0.0, SEEDS)
+    parts = model.simulated(condition, (), 0.0, SEEDS, portions)
+    for name in ("weight", "value", "square", "maps"):
+        part = getattr(parts, name)
+        total = part.reshape(len(SEEDS), portions, *part.shape[1:]).sum(1)
+        if name == "weight":  # a count is of frames, not of beams
+            counts = [
+                place
+                for one, where in zip(model.layout.binned, model.layout.slices, strict=False)
+                if one.kind == "count"
+                for place in range(where.start, where.stop)
+            ]
+            total[:, counts] /= portions
+        # Sums of single precision, in another order.
+        np.testing.assert_allclose(total, getattr(whole, name), rtol=1e-4, atol=1e-4)
+
+
+# ---- simulated frames ------------------------------------------------------------------------------------------------
+
+
+def test_same_seeds_give_the_same_bits_and_others_do_not(study: Study) -> None:
+    condition = study.conditions[0]
+    first, again = (LidarFrames(study).simulated(condition, (WINDOW(loss_db=1.0),), 0.02, SEEDS) for _ in range(2))
+    assert_same(first, again)
+    other = LidarFrames(study).simulated(condition, (WINDOW(loss_db=1.0),), 0.02, [seed + 1 for seed in SEEDS])
+    assert not np.array_equal(first.value, other.value)
+
+
+def test_a_frame_depends_on_its_own_seed_alone(model: LidarFrames, study: Study) -> None:
+    for condition in study.conditions:
+        together = model.simulated(condition, (), 0.0, SEEDS)
+        alone = Reduced.joined([model.simulated(condition, (), 0.0, [seed]) for seed in SEEDS])
+        # Tables of particles are made per frame; sums of single precision.
+        assert_same(together, alone, 1e-5)
+
+
+@pytest.mark.parametrize("name", ["lidar.window_loss", "lidar.extinction_scale", "lidar.range_bias"])
+def test_what_is_kept_of_the_chain_gives_the_bits_of_the_whole_chain(study: Study, name: str) -> None:
+    settings = {
+        "lidar.window_loss": ({"loss_db": 0.5}, {"loss_db": 3.0}),
+        "lidar.extinction_scale": ({"factor": 0.7}, {"factor": 1.5}),
+        "lidar.range_bias": ({"offset_m": 0.05}, {"offset_m": -0.1}),
+    }[name]
+    condition = study.conditions[0]
+    keeping = LidarFrames(study)
+    for values in settings:  # the second starts from what the first kept
+        effects = [EFFECTS["lidar.wet_target"](share=0.2), EFFECTS[name](**values)]
+        found = keeping.simulated(condition, effects, 0.05, SEEDS)
+        assert_same(found, LidarFrames(study).simulated(condition, effects, 0.05, SEEDS))
+    # Another setting of what comes before must not be taken for it.
+    effects = [EFFECTS["lidar.wet_target"](share=0.6), EFFECTS[name](**settings[1])]
+    found = keeping.simulated(condition, effects, 0.05, SEEDS)
+    assert_same(found, LidarFrames(study).simulated(condition, effects, 0.05, SEEDS))
+
+
+def test_what_is_kept_depends_on_the_knob_and_on_the_condition(study: Study) -> None:
+    keeping = LidarFrames(study)
+    for condition in study.conditions:
+        for log_knob in (0.0, 0.3):
+            effects = [WINDOW(loss_db=1.0)]
+            found = keeping.simulated(condition, effects, log_knob, SEEDS)
+            assert_same(found, LidarFrames(study).simulated(condition, effects, log_knob, SEEDS))
+
+
+def test_effects_of_the_model_are_those_of_the_call(study: Study) -> None:
+    condition = study.conditions[0]
+    window, drift = WINDOW(loss_db=2.0), DRIFT(offset_m=0.04)
+    inside = LidarFrames(study, effects=[window]).simulated(condition, [drift], 0.0, SEEDS)
+    assert_same(inside, LidarFrames(study).simulated(condition, [window, drift], 0.0, SEEDS))
+    assert not np.array_equal(inside.value, LidarFrames(study).simulated(condition, [drift], 0.0, SEEDS).value)
+
+
+def test_an_effect_at_its_identity_changes_no_bit(study: Study, model: LidarFrames) -> None:
+    condition = study.conditions[0]
+    without = model.simulated(condition, (), 0.0, SEEDS)
+    for name in ("lidar.window_loss", "lidar.crosstalk", "lidar.limited_extent"):
+        assert_same(model.simulated(condition, [EFFECTS[name]()], 0.0, SEEDS), without)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_the_knob_is_that_of_the_weather_and_is_put_back(study: Study, place: int) -> None:
+    condition = study.conditions[place]
+    model = LidarFrames(study)
+    plain = model.simulated(condition, (), 0.0, SEEDS)
+    moved = model.simulated(condition, (), math.log(1.25), SEEDS)
+    assert_same(LidarFrames(study).simulated(condition, (), 0.0, SEEDS), plain)
+    swapped = LidarFrames(study)
+    swapped.transforms[condition.id] = LidarWeather([Snow(2.5), Fog(75.0), Rain(50.0)][place], swapped.sensor)
+    # exp(log 1.25) is 1.25 to the last bit of single precision: a beam at the threshold may differ, no more.
+    expected = swapped.simulated(condition, (), 0.0, SEEDS)
+    for statistic in ("particles_before_objects", "particles_of_empty_beams"):
+        found, wanted = (group(model, one, statistic, "particle_range_m").sum() for one in (moved, expected))
+        assert found == pytest.approx(wanted, abs=2)
+    ratio, wanted = (group(model, one, "log_intensity_ratio", "range_m").sum() for one in (moved, expected))
+    assert ratio == pytest.approx(wanted, rel=1e-3, abs=0.05)
+    assert not np.array_equal(moved.value, plain.value)
+
+
+def test_one_thread_and_two_agree(study: Study) -> None:
+    condition, before = study.conditions[0], torch.get_num_threads()
+    try:
+        found = []
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            found.append(LidarFrames(study).simulated(condition, [WINDOW(loss_db=1.0)], 0.1, SEEDS))
+    finally:
+        torch.set_num_threads(before)
+    # Which beam became what is the same to the bit; values are summed in single precision, in another order.
+    for name in ("weight", "maps"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
+    assert_same(found[0], found[1], 3e-6)
