@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")
     study = Study.read(args.study)
     report = find.find_gap(study, effects=effects, seed=args.seed, say=lambda text: note(text, quiet=args.quiet))
-    answer = write_gap(args.out, study, report)
+    answer = write_gap(args.out, study, report, effects=effects)
     if args.json:
         print_json(answer)
     else:

@@ -38,18 +38,22 @@ FAR_OFF = 2.0
 BAR_PX = 150
 
 
-def write_gap(out_dir: Path, study: Study, report: GapReport) -> dict[str, Any]:
+def write_gap(
+    out_dir: Path, study: Study, report: GapReport, *, effects: Sequence[str] | None = None
+) -> dict[str, Any]:
     """Write ``gap.json``, ``model.yaml`` and ``report.html`` (self-contained); nothing where anything fails.
 
     Args:
         out_dir: gets the files; what it held before stays, unless it has the same name.
         study: that was searched.
         report: of the study.
+        effects: ids that the search was confined to; ``None`` is the whole catalogue of the sensor.
 
     Returns:
         What ``gap.json`` holds.
     """
     answer = report.to_dict()
+    searched = [name for name in EFFECTS if effects is None or name in effects]
     page = html_page(
         "gap.html",
         answer=answer,
@@ -64,7 +68,9 @@ def write_gap(out_dir: Path, study: Study, report: GapReport) -> dict[str, Any]:
         with_after=any(one.after is not None for one in report.curves),
         where=[_bin(one) for one in answer["where"]],
         rest=_bin(answer["unknown"]) if answer["unknown"] else None,
-        found=[_found(effect, answer) for effect in answer["effects"]],
+        found=[_found(effect, answer, searched) for effect in answer["effects"]],
+        searched=[effect_name(name) for name in searched],
+        confined=effects is not None,
         ranking=_ranking(answer),
         gap_picture=gap_uri(answer["gap"], added=answer["verdict"] != "none"),
         gap={name: number_text(answer["gap"][name]) for name in ("before", "after", "floor")},
@@ -128,12 +134,10 @@ def _bin(one: Mapping[str, Any]) -> dict[str, str]:
 # ---- what ------------------------------------------------------------------------------------------------------------
 
 
-def _found(effect: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
+def _found(effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str]) -> dict[str, Any]:
     """An effect with its parameters, and what it could be mistaken for."""
     name = effect["name"]
     declared = EFFECTS[name]
-    tried = {one["name"] for one in answer["candidates"]}
-    named = {one["name"] for one in answer["effects"]}
     rivals = dict.fromkeys([*effect["confusable_with"], *declared.confusable_with])
     return {
         "id": name,
@@ -148,18 +152,23 @@ def _found(effect: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, An
                 "name": effect_name(rival),
                 "id": rival,
                 "open": rival in effect["confusable_with"],
-                "status": "found, too"
-                if rival in named
-                else "cannot be excluded"
-                if rival in effect["confusable_with"]
-                else "fits worse"
-                if rival in tried
-                else "explains less; not refitted",
+                "status": _status(rival, effect, answer, searched),
                 "data": _data_between(name, rival),
             }
             for rival in rivals
         ],
     }
+
+
+def _status(rival: str, effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str]) -> str:
+    """What these data say of an effect that another could be mistaken for."""
+    if rival in effect["confusable_with"]:
+        return "cannot be excluded"
+    if rival in {one["name"] for one in answer["effects"]}:
+        return "found, too"
+    if rival in {one["name"] for one in answer["candidates"]}:
+        return "fits worse"
+    return "explains less; not refitted" if rival in searched else "was not searched for"
 
 
 def _data_between(name: str, rival: str) -> str:
