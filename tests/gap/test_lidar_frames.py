@@ -119,11 +119,14 @@ def altered(study: Study) -> tuple[Any, Any]:
     """Two frames in which beams were lost, moved to the front, moved back, dimmed and lit."""
     range_m, intensity = (stacked(study.scenes["s0"].clear, name)[:2].copy() for name in ("range_m", "intensity"))
     rng = np.random.default_rng(7)
-    what = rng.integers(0, 6, range_m.shape)
+    what = rng.integers(0, 8, range_m.shape)
     seen = range_m > 0
     range_m = np.where(what == 0, 0.0, range_m)
     range_m = np.where((what == 1) & seen, 0.5 * range_m, range_m)
     range_m = np.where((what == 2) & seen, range_m + 3.0, range_m)
+    # On either side of what still counts as the surface.
+    range_m = np.where((what == 5) & seen, range_m - 1.2 * SAME_SURFACE_M, range_m)
+    range_m = np.where((what == 6) & seen, range_m + 0.8 * SAME_SURFACE_M, range_m)
     intensity = np.where(what == 3, 0.7 * intensity, intensity)
     lit = (what == 4) & ~seen
     range_m = np.where(lit, 6.0, range_m)

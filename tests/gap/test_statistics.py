@@ -203,6 +203,12 @@ def test_the_jackknife_variance_of_a_count_is_a_quarter() -> None:
     assert found.mean() == pytest.approx(0.25, rel=TOLERANCE)
 
 
+def test_what_is_left_is_scaled_to_the_size_of_the_whole() -> None:
+    counts = np.array([3.0, 8.0, 1.0, 4.0])
+    found = Pool(one_bin("count"), reduced(np.ones(4), counts, counts)).jackknife(4, 1)[0, :, 0]
+    np.testing.assert_allclose(found, np.sqrt((counts.sum() - counts) * 4.0 / 3.0 + 0.375), rtol=1e-12)
+
+
 def test_the_jackknife_knows_nothing_of_what_is_between_frames() -> None:
     found = Pool(WHOLE, random_frames(12)).jackknife(4, 3)
     assert found.shape == (1, 4, WHOLE.size)
