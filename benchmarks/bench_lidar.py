@@ -23,10 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from measure import machine, times_ms
+from measure import hand_over, machine, times_ms
 
 import torchweather as tw
-from torchweather.io import atomic_write
 from torchweather.scenes import lidar_view, test_track
 
 ROOT = Path(__file__).parents[1]
@@ -245,12 +244,7 @@ def main() -> None:
             name: {"value": round(value, 3), "target_at_most": TARGETS[name]} for name, value in figures.items()
         },
     }
-    text = json.dumps(result, indent=2) + "\n"
-    if arguments.out is None:
-        print(text, end="")
-    else:
-        with atomic_write(arguments.out) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+    hand_over(result, arguments.out)
 
 
 if __name__ == "__main__":

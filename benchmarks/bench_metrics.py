@@ -12,7 +12,6 @@ same scene, clear and in snow: the six cloud scores in one call, against a bare 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import subprocess
@@ -23,14 +22,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from measure import machine, times_ms
+from measure import hand_over, machine, times_ms
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 import torchweather as tw
 from torchweather.image import demosaic
 from torchweather.image.tone import srgb_encode
-from torchweather.io import atomic_write
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, cloud_scores, image_scores
 from torchweather.scenes import lidar_view, test_track
 
@@ -180,12 +178,7 @@ def main() -> None:
             name: {"value": round(value, 3), "target_at_most": TARGETS[name]} for name, value in figures.items()
         },
     }
-    text = json.dumps(result, indent=2) + "\n"
-    if arguments.out is None:
-        print(text, end="")
-    else:
-        with atomic_write(arguments.out) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+    hand_over(result, arguments.out)
 
 
 if __name__ == "__main__":

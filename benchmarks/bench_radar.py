@@ -13,7 +13,6 @@ torch's own operations on arrays of those sizes, called in turn with what they a
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import statistics
 import time
@@ -22,10 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from measure import machine, spread, times_ms
+from measure import hand_over, machine, spread, times_ms
 
 import torchweather as tw
-from torchweather.io import atomic_write
 from torchweather.physics import received_power_dbm
 from torchweather.radar import FmcwRadar, Scatterers, beat_signal, car_scatterers
 
@@ -202,12 +200,7 @@ def main() -> None:
         },
         "times_faster_than_d34": round(D34_FRAME_S / sum_s),
     }
-    text = json.dumps(result, indent=2) + "\n"
-    if arguments.out is None:
-        print(text, end="")
-    else:
-        with atomic_write(arguments.out) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+    hand_over(result, arguments.out)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import statistics
@@ -12,7 +13,9 @@ from typing import Any
 
 import torch
 
-__all__ = ["machine", "spread", "times_ms"]
+from torchweather.io import atomic_write
+
+__all__ = ["hand_over", "machine", "spread", "times_ms"]
 
 
 def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
@@ -57,3 +60,13 @@ def machine() -> dict[str, Any]:
         "torch": torch.__version__,
         "load_at_start": load,
     }
+
+
+def hand_over(result: dict[str, Any], out: Path | None) -> None:
+    """Write a result as JSON to a file, or print it."""
+    text = json.dumps(result, indent=2) + "\n"
+    if out is None:
+        print(text, end="")
+        return
+    with atomic_write(out) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")

@@ -15,7 +15,10 @@ def test_importing_the_library_does_not_import_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("part", ["export", "gap", "image", "io", "metrics", "physics", "radar", "scenes", "stages", "sweep", "transforms"])
+PARTS = ("export", "gap", "image", "io", "metrics", "physics", "radar", "scenes", "stages", "sweep", "transforms")
+
+
+@pytest.mark.parametrize("part", PARTS)
 def test_parts_are_reached_without_an_import_of_their_own(part: str) -> None:
     code = f"import torchweather; print(torchweather.{part}.__name__)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from tests.report.parsed_page import Page
 from torchweather import report
 from torchweather.errors import TorchweatherError
 from torchweather.io import read_image, write_image
@@ -18,32 +18,6 @@ from torchweather.report.tables import number_text
 from torchweather.sensors import Camera
 
 Demo = tuple[Path, dict[str, Any]]
-VOID = {"meta", "link", "img", "br", "hr", "input", "source"}
-
-
-class Page(HTMLParser):
-    """The elements of a page, and what is wrong with their nesting."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.mistakes: list[str] = []
-        self.feed(text)
-        self.close()
-        self.mistakes += [f"<{tag}> is not closed" for tag in self.open]
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        if not self.open or self.open.pop() != tag:
-            self.mistakes.append(f"</{tag}> closes nothing at {self.getpos()}")
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attrs for name, attrs in self.elements if name == tag]
 
 
 @pytest.fixture(scope="module")

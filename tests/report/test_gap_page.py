@@ -12,7 +12,7 @@ import pytest
 
 from tests.gap import studies
 from tests.report.made_up_gaps import WINDOW_LOSS, report
-from tests.report.test_sweep_page import Page
+from tests.report.parsed_page import Page
 from torchweather.gap.gap_report import Curve, GapReport, read_model
 from torchweather.gap.study import Study
 from torchweather.report.gap_figures import curve_uri

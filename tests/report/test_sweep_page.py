@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from tests.report.parsed_page import Page
 from torchweather.errors import TorchweatherError
 from torchweather.io import read_table
 from torchweather.report.sweep_page import write_sweep
@@ -20,33 +20,6 @@ from torchweather.sensors import Camera, Lidar
 from torchweather.sweep import CameraSubject, LidarSubject, parse_levels
 
 Written = tuple[Path, dict[str, Any]]
-VOID = {"meta", "link", "img", "br", "hr", "input", "source"}
-
-
-class Page(HTMLParser):
-    """The elements of a page with their text, and what is wrong with their nesting."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.mistakes: list[str] = []
-        self.words = ""
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        if not self.open or self.open.pop() != tag:
-            self.mistakes.append(f"</{tag}> closes nothing at {self.getpos()}")
-
-    def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
-            self.words += f"{data.strip()} "
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.gap import studies
-from tests.report.test_demo import Page
+from tests.report.parsed_page import Page
 from torchweather.gap.diagnosis import Finding
 from torchweather.gap.embedded_study import embedded_study
 from torchweather.gap.study import Study

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torchweather.gap.baseline import Baseline
 from torchweather.gap.search import Fit, Search
 from torchweather.gap.statistics import Group
-from torchweather.gap.workflow import GapResult
+from torchweather.gap.workflow import Candidate, GapResult
 from torchweather.io import atomic_write
 from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
 from torchweather.transforms import LidarWeather
@@ -31,6 +31,7 @@ CENTRAL_90 = 1.6449  # standard deviations of a normal law
 WIDENED = 1.5
 STANDS_OUT = 4.0  # standard deviations, from which a bin is named
 CURVES = 4
+AXES_OF_ONE = 2  # of one statistic, that are shown
 LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
 DIGITS = 6  # significant
 
@@ -128,7 +129,7 @@ def read_model(path: Path) -> list[Effect]:
 def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     """The report of a result."""
     found = result.fit if result.verdict in ("named", "named_and_rest") else None
-    weights = _weights(result)
+    weights = [_weights(round_, result) for round_ in result.rounds]
     effects = [] if found is None else [_effect(name, found, result, weights) for name in found.setting.values]
     curves = _curves(result)
     knobs = result.search.origin.log_knob if result.fit is None else result.fit.setting.log_knob
@@ -156,8 +157,10 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
                 "weight": weight,
                 "parameters": dict(one.fit.setting.values[one.id]),
             }
-            for one, weight in zip(result.candidates, weights, strict=True)
-        ],
+            for one, weight in zip(result.rounds[0], weights[0], strict=True)
+        ]
+        if result.rounds
+        else [],
         "simulated_frames": result.search.simulated_frames,
         "seconds": result.seconds,
         "seed": seed,
@@ -166,17 +169,16 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     return GapReport(_plain(answer), stages, tuple(curves), study_sha256)
 
 
-def _weights(result: GapResult) -> list[float]:
-    """Weight of each candidate after its misfit, in units of the noise that is left."""
-    if not result.candidates:
-        return []
-    misfits = np.array([one.fit.misfit for one in result.candidates])
+def _weights(candidates: Sequence[Candidate], result: GapResult) -> list[float]:
+    """Weight of each candidate of a round after its misfit, in units of the noise that is left."""
+    misfits = np.array([one.fit.misfit for one in candidates])
     unit = max(1.0, float(misfits.min()) / max(float(result.screening.misfit_null.mean()), 1.0))
     weight = np.exp(-0.5 * (misfits - misfits.min()) / unit)
     return [float(one) for one in weight / weight.sum()]
 
 
-def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[float]) -> dict[str, Any]:
+def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[float]]) -> dict[str, Any]:
+    """An effect of the answer; its confidence is that of the round in which it was found."""
     values = fit.setting.values[name]
     interval = {}
     for place, (effect, parameter) in enumerate(fit.names):
@@ -185,18 +187,18 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[float]) ->
             half = CENTRAL_90 * WIDENED * math.sqrt(max(float(fit.covariance[place, place]), 0.0))
             value = values[parameter]
             interval[parameter] = [max(declared.low, value - half), min(declared.high, value + half)]
-    best = max(weights, default=1.0)
-    own = next((w for one, w in zip(result.candidates, weights, strict=True) if one.id == name), best)
+    own = next(number for number, round_ in enumerate(result.rounds) if round_[0].id == name)
+    confidence = weights[own][0]
     others = [
         one.id
-        for one, weight in zip(result.candidates, weights, strict=True)
-        if one.id not in fit.setting.values and weight > LIKELY * best
+        for one, weight in zip(result.rounds[own], weights[own], strict=True)
+        if one.id not in fit.setting.values and weight > LIKELY * confidence
     ]
     return {
         "name": name,
         "parameters": dict(values),
         "interval": interval,
-        "confidence": own,
+        "confidence": confidence,
         "confusable_with": others,
     }
 
@@ -220,7 +222,11 @@ def _loudest(search: Search, base: Baseline) -> list[tuple[float, Group, slice]]
         (float(np.abs(common[part]).max()), group, part)
         for group, part in zip(layout.groups, layout.slices, strict=True)
     ]
-    return sorted(found, key=lambda one: -one[0])
+    kept: list[tuple[float, Group, slice]] = []
+    for one in sorted(found, key=lambda one: -one[0]):
+        if sum(other[1].statistic == one[1].statistic for other in kept) < AXES_OF_ONE:
+            kept.append(one)
+    return kept
 
 
 def _where(search: Search, base: Baseline) -> list[dict[str, Any]]:

@@ -37,6 +37,7 @@ ALARM_P = 2e-3
 REFITTED = 4  # candidates that are refitted in the simulator
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 MOST_EFFECTS = 3
+FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 FURTHER = 0.03  # of what is explained, that a further effect must add
 WORSE = 0.5  # spreads of the held-out floor, by which an effect may make the held-out gap worse
 FURTHER_HELD = 0.98  # of the held-out gap, to which it must come down
@@ -105,7 +106,7 @@ class GapResult:
     Args:
         verdict: ``none``, ``named``, ``named_and_rest`` or ``unknown``.
         fit: the final setting; ``None`` where nothing was fitted.
-        candidates: fitted single effects, best first.
+        rounds: the effects fitted in each round, best first; the first round is of single effects.
         screening: on the base model.
         before, after: of the held-out conditions.
         left: ``(C P,)`` whitened departure of the fitted conditions at the end.
@@ -115,7 +116,7 @@ class GapResult:
 
     verdict: str
     fit: Fit | None
-    candidates: tuple[Candidate, ...]
+    rounds: tuple[tuple[Candidate, ...], ...]
     screening: Screening
     before: HeldOut
     after: HeldOut
@@ -156,12 +157,17 @@ def screen(search: Search, effects: Sequence[type[Effect]], nuisance: Nuisance, 
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
     gain = gains(nodes, residual[None], nuisance)[0]
     misfit = float(residual @ nuisance(residual))
-    counted = int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
+    counted = screening_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (OVERDISPERSION - 1.0) * 0.5), misfit)
     return Screening(
         residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, min(1.0, 2.0 * min(p_gain, p_misfit))
     )
+
+
+def screening_entries(search: Search) -> int:
+    """Number of statistics that hold enough to count, over all conditions."""
+    return int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
 
 
 def _tail(null: Floats, value: float) -> float:
@@ -199,6 +205,11 @@ def find_gap_with(
     search = Search(model, targets(model, fit_conditions), seed)
     search.settle()
     nuisance = search.nuisance(search.origin, search.start)
+    if screening_entries(search) < FEWEST_ENTRIES:
+        raise TorchweatherError(
+            f"find_gap: not enough data to decide: {screening_entries(search)} statistics hold enough beams to count; "
+            f"wanted {FEWEST_ENTRIES} or more. More frames a condition, or more beams that see a surface, would tell."
+        )
     say("response curves")
     screening = screen(search, chosen, nuisance, seed)
     held = Search(model, targets(model, held_conditions), seed + 1)
@@ -206,8 +217,8 @@ def find_gap_with(
     if screening.p_value > ALARM_P:
         left = nuisance(screening.residual)
         return GapResult("none", None, (), screening, before, before, left, search, time.perf_counter() - started)
-    fits = _refitted(search, search.origin, screening.nodes, screening.gains, screening.misfit, say)
-    found = fits[0]
+    rounds = [_refitted(search, search.origin, screening.nodes, screening.gains, screening.misfit, say)]
+    found = rounds[0][0]
     threshold = float(np.quantile(screening.best_null, 1.0 - ALARM_P))
     after = _gap(held, Setting(found.fit.setting.values))
     best, left, misfit = found.fit, *_left(search, found.fit)
@@ -218,14 +229,18 @@ def find_gap_with(
         explained = screening.misfit - misfit
         if further.max() < max(threshold, FURTHER * explained):
             break
-        more = _refitted(search, best.setting, rest, further, misfit, say)[0]
+        fitted = _refitted(search, best.setting, rest, further, misfit, say)
+        more = fitted[0]
         held_after = _gap(held, Setting(more.fit.setting.values))
         if more.gain < max(threshold, FURTHER * explained) or held_after.gap > FURTHER_HELD * after.gap:
             break
+        rounds.append(fitted)
         best, after = more.fit, held_after
         left, misfit = _left(search, best)
     verdict = _verdict(screening, misfit, before, after)
-    return GapResult(verdict, best, tuple(fits), screening, before, after, left, search, time.perf_counter() - started)
+    return GapResult(
+        verdict, best, tuple(map(tuple, rounds)), screening, before, after, left, search, time.perf_counter() - started
+    )
 
 
 def _refitted(

@@ -53,7 +53,7 @@ def curve_uri(curves: Sequence[Curve]) -> str:
             line: dict[str, Any] = {"marker": mark, "markersize": 4.5, "linewidth": 1.0}
             axes.plot(bins + shift, _scaled(one.before), color=BEFORE, alpha=0.85, zorder=3, **line)
             if one.after is not None:
-                hollow = {"color": AFTER, "markerfacecolor": "white", "markeredgewidth": 1.2}
+                hollow: dict[str, Any] = {"color": AFTER, "markerfacecolor": "white", "markeredgewidth": 1.2}
                 axes.plot(bins + shift, _scaled(one.after), zorder=4, **hollow, **line)
         lowest = min([-LEAST_SPAN, *(float(np.nanmin(values)) for values in known)])
         highest = max([LEAST_SPAN, *(float(np.nanmax(values)) for values in known)])
