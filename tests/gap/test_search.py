@@ -119,7 +119,11 @@ def test_a_gain_is_what_the_best_amplitude_takes_off_the_square() -> None:
 def test_a_gain_is_never_negative_and_the_whole_square_of_a_response_itself() -> None:
     one, response = nuisance(), RNG(7).normal(size=40)
     assert gains([node(response)], -response[None], one)[0, 0] == 0.0
-    assert gains([node(response)], response[None], one)[0, 0] == pytest.approx(response @ one(response), rel=1e-12)
+    square = float(response @ one(response))
+    assert gains([node(response)], response[None], one)[0, 0] == pytest.approx(square, rel=1e-12)
+    # No more than 1.35 times a response is believed: 2 a 3 - a^2 squares.
+    expected = (6.0 * AMPLITUDES[1] - AMPLITUDES[1] ** 2) * square
+    assert gains([node(response)], 3.0 * response[None], one)[0, 0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: Search) -> None:
@@ -173,6 +177,16 @@ def test_a_response_to_a_knob_is_that_of_a_study_whose_record_is_off(null: Searc
     np.testing.assert_allclose(one.response[:, 0], null.start.whitened(name, 0.5 * moved), atol=1e-9)
     assert np.abs(one.response[:, 0]).max() > 0.3
     assert one.log_knobs(one.response[:, 0])[0] == pytest.approx(sd, rel=0.5)
+
+
+def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: Search) -> None:
+    name = ("lidar.window_loss", "loss_db")
+    settings = [Setting({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
+    here, low, high = (null.mean(setting) for setting in settings)
+    found = null._derivative(settings[0], name, here, null.start)
+    expected = null.whitened(null.start, [(b - a) / 0.8 for a, b in zip(low, high, strict=True)])
+    # A logarithm of intensities is linear in decibels; a few beams at the threshold are not.
+    assert float(found @ expected) == pytest.approx(float(expected @ expected), rel=0.05)
 
 
 # ---- parameters found again ------------------------------------------------------------------------------------------
