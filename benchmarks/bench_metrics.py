@@ -30,6 +30,7 @@ import torchweather as tw
 from torchweather.image import demosaic
 from torchweather.image.tone import srgb_encode
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, cloud_scores, image_scores
+from torchweather.metrics.nearest import SLIDING
 from torchweather.scenes import lidar_view, test_track
 
 ROOT = Path(__file__).parents[1]
@@ -129,7 +130,7 @@ def cloud_figures(pair: tuple[Tensor, Tensor], repeats: int) -> dict[str, Any]:
     first, second = (cloud.double().numpy() for cloud in pair)
 
     def bare() -> None:
-        trees = cKDTree(first), cKDTree(second)
+        trees = cKDTree(first, **SLIDING), cKDTree(second, **SLIDING)
         trees[1].query(first, workers=THREADS)
         trees[0].query(second, workers=THREADS)
 
@@ -154,7 +155,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.repeats < 7:
         parser.error("--repeats: fewer than 7 calls give no median to speak of")
-    repeats, memory_repeats, camera = arguments.repeats, 3, tw.Camera.preset("lucid-triton")
+    repeats, memory_repeats, camera = arguments.repeats, 1, tw.Camera.preset("lucid-triton")
     points, columns = POINTS, COLUMNS
     if arguments.quick:
         repeats, memory_repeats, camera, points, columns = 2, 1, camera.resized(484, 366), 4096, 128

