@@ -50,6 +50,7 @@ class FrameModel(Protocol):
 
     study: Study
     layout: Layout
+    effects: list[Effect]
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""

@@ -194,7 +194,7 @@ class LidarFrames:
             inner = torch.quantile(level[-1, stable].double(), shares).tolist() if bool(stable.any()) else []
             levels = (-30.0, *inner, 30.0)
             floats["log_intensity"] = (level, levels)
-        sectors = tuple(float(v) for v in np.linspace(-math.pi, math.pi + 1e-6, AZIMUTH_SECTORS + 1))
+        sectors = tuple(float(v) for v in np.linspace(-math.pi - 1e-6, math.pi + 1e-6, AZIMUTH_SECTORS + 1))
         floats["azimuth_rad"] = (self.azimuth, sectors)
         low, high = float(self.elevation.min()), float(self.elevation.max())
         floats["elevation_rad"] = (

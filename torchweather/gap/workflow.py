@@ -200,7 +200,8 @@ def find_gap_with(
     known = [name for name in EFFECTS if name.startswith(kind)]
     for name in effects or ():
         check_one_of("effect", name, known, owner="find_gap")
-    chosen = [EFFECTS[name] for name in (effects or known)]
+    present = {effect.id for effect in model.effects}
+    chosen = [EFFECTS[name] for name in (effects or known) if name not in present]
     say("simulating the conditions as they are")
     search = Search(model, targets(model, fit_conditions), seed)
     search.settle()
