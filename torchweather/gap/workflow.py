@@ -30,6 +30,7 @@ __all__ = ["Candidate", "GapResult", "HeldOut", "Screening", "find_gap_with"]
 Floats = NDArray[np.float64]
 
 NULLS = 1000
+# The numbers below were set by judgement on a handful of studies, not calibrated on a bench.
 # Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
 # screening are those of noise so many times larger in square.
 OVERDISPERSION = 1.5
