@@ -287,8 +287,8 @@ class Search:
     def fit(self, start: Setting, iterations: int = ITERATIONS) -> Fit:
         """Parameters and knobs that explain the measured conditions best, by Gauss-Newton in the simulator.
 
-        The steps are weighed with the scatter of the start, the final misfit with that of the fitted setting. A step that
-        does not help is shortened.
+        The steps are weighed with the scatter of the start, the final misfit with that of the fitted setting. A step
+        that does not help is shortened.
         """
         names = [
             (effect, parameter.name)
