@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from hidden.answering import answer, draw_calibration, draw_confusion
-from hidden.cases import GROUPS, Streets, build, plan
+from hidden.cases import GROUPS, Streets, build, needed_strengths, plan
 from hidden.design import Size
 from hidden.scoring import score
 from hidden.sealed import append_line, read_json, read_lines, sha256_of, write_json
@@ -33,9 +33,7 @@ def make(arguments: argparse.Namespace) -> None:
     cases = cases[arguments.skip :][: arguments.count]
     truth_path = folder / "sealed" / "truth.json"
     truths = read_json(truth_path) if truth_path.exists() else {}
-    needed = {name for case in cases for name in case.names}
-    if any("decoy" in case.options for case in cases):
-        needed |= {"lidar.window_loss", "lidar.range_noise"}
+    needed = set().union(*(needed_strengths(case) for case in cases))
     names = tuple(sorted(needed)) if arguments.few else None
     streets = Streets(arguments.set, arguments.seed, folder / "sealed", names)
     for case in cases:
@@ -57,20 +55,33 @@ def run(arguments: argparse.Namespace) -> None:
     folder: Path = arguments.folder
     answers = folder / "answers.jsonl"
     seal = read_json(folder / "seal.json")
-    done = {one["case"] for one in read_lines(answers)}
     cases = sorted(path.parent.name for path in (folder / "studies").glob("*/study.yaml"))
-    waiting = [case for case in cases if case not in done]
-    if arguments.part:
-        number, parts = (int(value) for value in arguments.part.split("/"))
-        waiting = waiting[number - 1 :: parts]
-    waiting = waiting[: arguments.count]
+    done = answered(answers)
+    waiting = [case for case in part_of(cases, arguments.part) if case not in done][: arguments.count]
     print(f"set {seal['set']}, SHA-256 of the sealed truth: {seal['truth_sha256']}")
     print(f"{len(done)} of {len(cases)} studies have an answer; {len(waiting)} to go")
     for case in waiting:
+        if case in answered(answers):  # by another process
+            continue
         found = answer(folder / "studies" / case, arguments.seed)
         append_line(answers, {"case": case, "seed": arguments.seed, "sealed": seal["truth_sha256"], **found})
         said = found.get("report", {}).get("verdict", "refused")
         print(f"{case}  {said}  {found['seconds']:.1f} s", flush=True)
+
+
+def answered(answers: Path) -> set[str]:
+    """Studies that have an answer."""
+    return {one["case"] for one in read_lines(answers)}
+
+
+def part_of(cases: list[str], part: str | None) -> list[str]:
+    """Every n-th of all studies from the k-th: parts never overlap, whatever is done already."""
+    if part is None:
+        return cases
+    number, parts = (int(value) for value in part.split("/"))
+    if not 1 <= number <= parts:
+        raise SystemExit(f"--part: wanted k/n with k from 1 to n; got {part}.")
+    return cases[number - 1 :: parts]
 
 
 def report(arguments: argparse.Namespace) -> None:

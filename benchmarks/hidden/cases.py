@@ -12,7 +12,7 @@ import numpy as np
 
 from torchweather.gap.study import Study
 
-from .decoys import DECOYS
+from .decoys import DECOYS, STRENGTHS_OF
 from .design import Size, study_of, with_record
 from .detectability import KINDS
 from .effects import CATALOGUE
@@ -20,7 +20,7 @@ from .lidar_sensor import Effect
 from .outside import OUTSIDE
 from .streets import LEVELS, Street, street
 
-__all__ = ["Case", "GROUPS", "build", "plan"]
+__all__ = ["Case", "GROUPS", "Streets", "build", "needed_strengths", "plan"]
 
 WEATHERS = ("rain", "fog", "snow")
 # Streets of each weather that the cases of a set share; scenes differ between them, records and noise between cases.
@@ -61,15 +61,22 @@ class Streets:
 
     def __init__(self, set_name: str, seed: int, cache: Path | None, names: tuple[str, ...] | None = None) -> None:
         self.set_name, self.seed, self.cache, self.names = set_name, seed, cache, names
-        self._made: dict[tuple[str, int, Size], Street] = {}
+        self._made: dict[tuple[str, int, Size, bool], Street] = {}
 
     def __call__(self, weather: str, number: int, size: Size) -> Street:
         """One of a weather's streets."""
+        return self._street(weather, number, size, self.names)
+
+    def bare(self, weather: str, number: int, size: Size) -> Street:
+        """The same street without its table, for studies that need no strength of an effect: made at once."""
+        return self._street(weather, number, size, ())
+
+    def _street(self, weather: str, number: int, size: Size, names: tuple[str, ...] | None) -> Street:
         grid = Size(rings=size.rings, columns=size.columns)  # less data, same places
-        which = (weather, number % STREETS, grid)
+        which = (weather, number % STREETS, grid, names == ())
         if which not in self._made:
             key = [_key(self.set_name), self.seed, which[1], grid.columns, WEATHERS.index(weather)]
-            self._made[which] = street(key, weather, grid, self.cache, self.names)
+            self._made[which] = street(key, weather, grid, self.cache, names)
         return self._made[which]
 
 
@@ -198,6 +205,11 @@ GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
 }
 
 
+def needed_strengths(case: Case) -> set[str]:
+    """Effects whose strengths the study needs, from the tables of the streets."""
+    return {*case.names, *STRENGTHS_OF.get(case.options.get("decoy", ""), ())}
+
+
 def build(case: Case, streets: Streets) -> tuple[Study, dict[str, Any]]:
     """The study of a case, and its truth."""
     rng = np.random.default_rng(list(case.seed))
@@ -247,6 +259,8 @@ def _effect_truth(place: Street, name: str, level: float, parameters: dict[str, 
 
 def _where_it_shows(case: Case, streets: Streets, number: int) -> tuple[Street, tuple[float, ...]]:
     """A street in which the effects reach their levels: this weather's, else another one's, else a weaker level."""
+    if not needed_strengths(case):
+        return streets.bare(case.weather, number, case.size), ()
     for weaker in (0, 1, 2):
         levels = tuple(LEVELS[max(0, LEVELS.index(level) - weaker)] for level in case.levels)
         for turn in range(3):

@@ -13,7 +13,7 @@ from .lidar_sensor import Echoes, Effect, Shot, View
 from .rays import cast
 from .scene import move_a_car
 
-__all__ = ["DECOYS", "Decoy"]
+__all__ = ["DECOYS", "STRENGTHS_OF", "Decoy"]
 
 Parameters = Callable[[str, float], dict[str, float]]
 
@@ -118,3 +118,6 @@ DECOYS: dict[str, Callable[[Design, Parameters, np.random.Generator], Decoy]] = 
     "decoy.no_target": _no_target,
 }
 """By name: from the design and the parameters of effects at a level."""
+
+STRENGTHS_OF = {"decoy.fit_only": ("lidar.window_loss",), "decoy.in_clear_too": ("lidar.range_noise",)}
+"""Decoys that ask for parameters at a level, and of which effects."""

@@ -39,11 +39,21 @@ def read_json(path: Path) -> Any:
 
 
 def append_line(path: Path, value: Any) -> None:
-    """Add one line of JSON, on the disk before the call returns."""
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(plain(value), sort_keys=True, allow_nan=False) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
+    """Add one line of JSON, on the disk before the call returns.
+
+    The line goes out in one write at the end of the file, so that lines of several processes stay whole. What a
+    process that was killed left of a line is ended first.
+    """
+    line = json.dumps(plain(value), sort_keys=True, allow_nan=False).encode() + b"\n"
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        size = os.fstat(file).st_size
+        if size and os.pread(file, 1, size - 1) != b"\n":
+            line = b"\n" + line
+        os.write(file, line)
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 def read_lines(path: Path) -> list[Any]:

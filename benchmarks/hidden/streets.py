@@ -56,20 +56,23 @@ def street(key: list[int], kind: str, size: Size, cache: Path | None, names: tup
         kind: of the weather.
         size: amount of data.
         cache: folder of tables; part of what is sealed.
-        names: effects that are needed; then cosines with the others are not computed. ``None``: all, also those outside
-            of the catalogue.
+        names: effects that are needed; then cosines with the others are not computed. Without any it is the design
+            alone. ``None``: all, also those outside of the catalogue.
     """
     rng = np.random.default_rng(key)
     design = draw_design(rng, kind, size, record="common", record_sd=0.0)
+    wanted = tuple(KINDS) if names is None else names
+    if not wanted:
+        return Street(design, {})
     path = None if cache is None else cache / f"street-{kind}-{'-'.join(map(str, key))}.json"
     if path is not None and path.exists():
         held = read_json(path)
-        if set(names or KINDS) <= set(held):
+        if set(wanted) <= set(held):
             return Street(design, held)
     detector = Detector(design, key[-1] + 1)
     draws = {name: np.random.default_rng([*key, place]) for place, name in enumerate(KINDS)}
     curves = {}
-    for name in names or KINDS:
+    for name in wanted:
         kind_of, own = KINDS[name], draws[name]
         sign = float(own.choice([-1.0, 1.0])) if kind_of.two_sided else 1.0
         curves[name] = detector.curve(name, kind_of.fixed(own), sign)
