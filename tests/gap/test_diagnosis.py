@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,9 @@ def only(values: dict[str, Any], start: str) -> Finding:
 @pytest.fixture
 def lidar() -> dict[str, Any]:
     values = copy.deepcopy(arguments("lidar"))
-    # Of the five conditions of a whole study three lack nothing: rain at two rates, snow.
+    # Of the five conditions of a whole study three lack nothing: rain at two rates, snow in the other scene.
     values["conditions"] = [one for one in values["conditions"] if one["id"] in ("c0", "c2", "c4")]
+    values["conditions"][1]["scene"] = "s1"
     return values
 
 
@@ -202,6 +204,32 @@ def test_equal_intensities(lidar: dict[str, Any]) -> None:
     assert "lidar.threshold_shift" in one.cost
     all_frames(lidar)[0]["intensity"][all_frames(lidar)[0]["range_m"] > 0] = 0.2
     assert not [one for one in found(lidar) if one.what.startswith("All intensities")]
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("reflectivity", 255.0), ("uint8_linear", 1.0), ("photons", None)])
+def test_intensities_of_another_unit(lidar: dict[str, Any], unit: str, factor: float | None) -> None:
+    """Of white and of black: half of the returns of the study have a reflectivity about 0.5."""
+    lidar["sensor"] = replace(lidar["sensor"], intensity_unit=unit)
+    for frame in all_frames(lidar):
+        frame["intensity"] = frame["intensity"] * (factor or 1.0)
+    said = [one for one in found(lidar) if one.what.startswith("The median intensity of the clear frames")]
+    assert [one.level for one in said] == ([] if factor is None else ["warning", "warning"])
+
+
+def test_returns_without_intensity_are_an_error_unless_the_unit_says_so(lidar: dict[str, Any]) -> None:
+    for frame in all_frames(lidar):
+        frame["intensity"] = np.zeros((H, W))
+    one = only(lidar, "The clear frames of s0, s1 have returns and no intensity (Study.from_arrays: scenes[0].clear)")
+    assert one.level == "error"
+    lidar["sensor"] = replace(lidar["sensor"], intensity_unit="none")
+    assert not [one for one in found(lidar) if one.level == "error"]
+    assert only(lidar, "All intensities are equal").level == "warning"
+
+
+def test_a_scene_without_a_condition(lidar: dict[str, Any]) -> None:
+    for one in lidar["conditions"]:
+        one["scene"] = "s0"
+    assert only(lidar, "No condition belongs to the scene s1").level == "note"
 
 
 def test_frames_without_returns(lidar: dict[str, Any]) -> None:

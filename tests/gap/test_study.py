@@ -299,6 +299,8 @@ BAD_VALUES = [
     (("conditions", 0, "frames"), [np.zeros(3)], r"frames\[0\]: wanted arrays by name \(range_m, intensity\)"),
     (("conditions", 0, "time_s"), [0.0], r"time_s must have one value in seconds for each of the 2 frames; got 1"),
     (("conditions", 0, "time_s"), [0.0, math.nan], r"time_s\[1\] must lie in -inf..inf s; got nan"),
+    (("conditions", 0, "time_s"), [0.2, 0.1], r"time_s must not fall from frame to frame, s; got 0.1 at 1 after 0.2"),
+    (("conditions", 0, "rel_sd"), 10.0, r"conditions\[0\].rel_sd must lie in 0..1; got 10"),
     (("conditions", 0, "split"), "test", r"split must be fit or holdout; got 'test'"),
     (("conditions", 0, "ego_speed_m_per_s"), "fast", r"ego_speed_m_per_s must be a number in m/s; got 'fast'"),
     (("conditions", 0, "exposure_s"), 5000.0, r"exposure_s must lie in 0..10 s; got 5000"),

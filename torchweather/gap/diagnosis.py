@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import PurePath
 
 import numpy as np
+import torch
 
 from torchweather.errors import check_one_of
 from torchweather.gap.conditions import Condition
@@ -16,6 +18,8 @@ from torchweather.gap.frames import Frame, Frames
 from torchweather.gap.simulation import dry_samples
 from torchweather.gap.splits import condition_group
 from torchweather.gap.study import Study
+from torchweather.sensors import Lidar
+from torchweather.stages.intensity import reflectivity_from_intensity
 
 __all__ = ["LEVELS", "Finding", "diagnose"]
 
@@ -36,6 +40,8 @@ IN_TIME = {
     "camera": "a drift of the exposure passes for camera.exposure_gain",
     "radar": "radar.range_migration, and the drying of radar.wet_radome, cannot be seen",
 }
+# The darkest calibrated target that is sold (Spectralon) reflects 2 %; half of a scene is never half as dark.
+DARKEST = 0.01
 SHOWN = 5
 
 
@@ -45,7 +51,7 @@ class Finding:
 
     Args:
         level: ``error``, ``warning`` or ``note``.
-        what: what is missing.
+        what: what is missing; of an error, with file and key in brackets.
         cost: what that costs.
         advice: what to do.
     """
@@ -88,7 +94,7 @@ def diagnose(study: Study) -> list[Finding]:
         ...     conditions=[{"id": "c0", "scene": "s0", "weather": "rain:rate=25", "frames": frames[1:]}],
         ... )
         >>> print(diagnose(study)[0].what)
-        The scene s0 has one clear frame.
+        The scene s0 has one clear frame (Study.from_arrays: scenes[0].clear).
     """
     if study.kind == "link":
         found: Iterable[Finding] = _of_links(study)
@@ -96,7 +102,7 @@ def diagnose(study: Study) -> list[Finding]:
         clear = {one.id: [_look(study, frame) for frame in one.clear] for one in study.scenes.values()}
         measured = {one.id: [_look(study, frame) for frame in one.frames] for one in study.conditions}
         found = chain(
-            _of_clear_frames(clear),
+            _of_clear_frames(study, clear),
             _of_frames(study, measured),
             _of_copies(study, clear, measured),
             _of_weather(study),
@@ -112,11 +118,12 @@ def diagnose(study: Study) -> list[Finding]:
 
 @dataclass(frozen=True)
 class _Look:
-    """What one look at a frame tells: its hash, how many values are signals, the range of those, clutter."""
+    """What one look at a frame tells: its hash, how many values are signals, range and median of those, clutter."""
 
     sha256: str
     signals: int
     low: float
+    middle: float
     high: float
     clutter: bool
 
@@ -127,17 +134,17 @@ def _look(study: Study, frame: Frame) -> _Look:
     else:
         values = np.asarray(frame["power_db" if study.kind == "radar" else "bayer"]).reshape(-1)
         values = values[~np.isnan(values)]
-    low, high = (float(values.min()), float(values.max())) if values.size else (math.nan, math.nan)
-    return _Look(frame_sha256(frame), int(values.size), low, high, "clutter" in frame)
+    low, middle, high = np.quantile(values, (0.0, 0.5, 1.0)).tolist() if values.size else 3 * (math.nan,)
+    return _Look(frame_sha256(frame), int(values.size), low, middle, high, "clutter" in frame)
 
 
-def _of_clear_frames(clear: dict[str, list[_Look]]) -> Iterator[Finding]:
+def _of_clear_frames(study: Study, clear: dict[str, list[_Look]]) -> Iterator[Finding]:
     for name, looks in clear.items():
         n = len(looks)
         if n == 1:
             yield Finding(
                 "error",
-                f"The scene {name} has one clear frame.",
+                f"The scene {name} has one clear frame ({_place(study.scenes[name].clear)}).",
                 "How much clear frames differ from each other is unknown, so any difference counts as weather.",
                 f"Record {CLEAR_ADVISED} or more clear frames, 2 at least.",
             )
@@ -189,15 +196,16 @@ def _of_copies(study: Study, clear: dict[str, list[_Look]], measured: dict[str, 
         if copies and copies == len(looks) - 1:
             yield Finding(
                 "error",
-                f"All {len(looks)} clear frames of the scene {name} are the same, bit for bit.",
+                f"All {len(looks)} clear frames of the scene {name} are the same, bit for bit "
+                f"({_place(study.scenes[name].clear)}).",
                 "The floor of any gap is zero: every difference, however small, would count.",
                 "Give frames that carry the sensor's noise, each its own.",
             )
         elif copies:
-            yield _sold_as_replicates(f"The scene {name}", copies, len(looks))
-    for name, looks in measured.items():
-        if _copies(looks):
-            yield _sold_as_replicates(f"The condition {name}", _copies(looks), len(looks))
+            yield _sold_as_replicates(f"The scene {name}", study.scenes[name].clear, looks)
+    for one in study.conditions:
+        if _copies(measured[one.id]):
+            yield _sold_as_replicates(f"The condition {one.id}", one.frames, measured[one.id])
     by_hash = {look.sha256: name for name, looks in clear.items() for look in looks}
     for one in study.conditions:
         shared = [look for look in measured[one.id] if look.sha256 in by_hash]
@@ -205,18 +213,19 @@ def _of_copies(study: Study, clear: dict[str, list[_Look]], measured: dict[str, 
             yield Finding(
                 "error",
                 f"{len(shared)} frames of the condition {one.id} are clear frames of the scene "
-                f"{by_hash[shared[0].sha256]}, bit for bit.",
+                f"{by_hash[shared[0].sha256]}, bit for bit ({_place(one.frames)}).",
                 "What was measured in weather is clear air.",
                 "Check which files belong to the condition.",
             )
     owner_of: dict[str, str] = {}
-    for name, looks in measured.items():
-        twins = {owner_of[look.sha256] for look in looks if look.sha256 in owner_of}
-        owner_of |= {look.sha256: name for look in looks}
+    for one in study.conditions:
+        twins = {owner_of[look.sha256] for look in measured[one.id] if look.sha256 in owner_of}
+        owner_of |= {look.sha256: one.id for look in measured[one.id]}
         if twins:
             yield Finding(
                 "error",
-                f"The conditions {', '.join(sorted(twins))} and {name} share frames, bit for bit.",
+                f"The conditions {', '.join(sorted(twins))} and {one.id} share frames, bit for bit "
+                f"({_place(one.frames)}).",
                 "One of them is not what its record says; where one is held out, nothing is tested by it.",
                 "Check which files belong to which condition.",
             )
@@ -226,12 +235,16 @@ def _copies(looks: Sequence[_Look]) -> int:
     return len(looks) - len({look.sha256 for look in looks})
 
 
-def _sold_as_replicates(what: str, copies: int, frames: int) -> Finding:
+def _sold_as_replicates(what: str, frames: Frames, looks: Sequence[_Look]) -> Finding:
+    number, copies = len(looks), _copies(looks)
+    hashes = [look.sha256 for look in looks]
+    again = next(place for place, found in enumerate(hashes) if found in hashes[:place])
     return Finding(
         "error",
-        f"{what} has {copies} of {frames} frames that repeat another one, bit for bit.",
-        f"They are no replicates: spread and uncertainty come out too small, as if {frames} frames were known where "
-        f"there are {frames - copies}.",
+        f"{what} has {copies} of {number} frames that repeat another one, bit for bit ({_place(frames)}[{again}] "
+        f"repeats [{hashes.index(hashes[again])}]).",
+        f"They are no replicates: spread and uncertainty come out too small, as if {number} frames were known where "
+        f"there are {number - copies}.",
         "Drop the copies.",
     )
 
@@ -244,7 +257,7 @@ def _of_weather(study: Study) -> Iterator[Finding]:
     if not inside:
         yield Finding(
             "error",
-            "No condition has weather.",
+            f"No condition has weather ({_file(study)}: conditions[].weather).",
             "There is nothing to simulate and to compare.",
             "Add conditions in rain, fog or snow.",
         )
@@ -264,6 +277,14 @@ def _of_weather(study: Study) -> Iterator[Finding]:
             f"{_conditions(none)} a recorded rate of 0 or an infinite visibility.",
             "Nothing is simulated there; any difference counts as a gap.",
             "Correct the record, or state the weather as clear.",
+        )
+    unused = [name for name in study.scenes if name not in {one.scene for one in study.conditions}]
+    if unused:
+        yield Finding(
+            "note",
+            f"No condition belongs to the scene{'s' * (len(unused) > 1)} {', '.join(unused)}.",
+            "Clear frames alone tell nothing of weather.",
+            "Check the scene of each condition.",
         )
     if len(study.scenes) == 1:
         yield Finding(
@@ -299,7 +320,10 @@ def _of_split(study: Study) -> Iterator[Finding]:
         )
     if not study.fit:
         yield Finding(
-            "error", "All conditions are held out.", "There is nothing to fit to.", "Set split: fit for some of them."
+            "error",
+            f"All conditions are held out ({_file(study)}: conditions[].split).",
+            "There is nothing to fit to.",
+            "Set split: fit for some of them.",
         )
     fitted = {condition_group(one) for one in study.fit}
     repeated = [one.id for one in study.holdout if condition_group(one) in fitted]
@@ -370,7 +394,7 @@ def _of_signals(study: Study, clear: dict[str, list[_Look]], measured: dict[str,
     if dark:
         yield Finding(
             "error",
-            f"The clear frames of {', '.join(dark)} have no {what}.",
+            f"The clear frames of {', '.join(dark)} have no {what} ({_place(study.scenes[dark[0]].clear)}).",
             "There is nothing that weather could change.",
             "Check range_m and power_db, and their units.",
         )
@@ -383,7 +407,17 @@ def _of_signals(study: Study, clear: dict[str, list[_Look]], measured: dict[str,
             "Check the files, or record weaker weather.",
         )
     looks = [look for some in (*clear.values(), *measured.values()) for look in some if look.signals]
-    if study.kind == "lidar" and looks and min(look.low for look in looks) == max(look.high for look in looks):
+    black = [name for name, some in clear.items() if name not in dark and not any(look.high > 0 for look in some)]
+    if isinstance(study.sensor, Lidar) and study.sensor.intensity_unit != "none" and black:
+        yield Finding(
+            "error",
+            f"The clear frames of {', '.join(black)} have returns and no intensity "
+            f"({_place(study.scenes[black[0]].clear)}).",
+            f"In {study.sensor.intensity_unit}, the sensor's intensity_unit, this says that nothing reflects: every "
+            "return then stands at the threshold of detection, and any weather takes it away.",
+            "Give the sensor's intensities, or state intensity_unit: none in the sensor's overrides.",
+        )
+    elif study.kind == "lidar" and looks and min(look.low for look in looks) == max(look.high for look in looks):
         yield Finding(
             "warning",
             "All intensities are equal.",
@@ -391,10 +425,11 @@ def _of_signals(study: Study, clear: dict[str, list[_Look]], measured: dict[str,
             "only in the points that are lost.",
             "Give the sensor's intensities where it has any.",
         )
+    yield from _of_intensity_unit(study, clear)
     if study.kind == "camera" and looks and all(look.low == look.high for look in looks):
         yield Finding(
             "error",
-            "All pixels of a frame are equal, in every frame.",
+            f"All pixels of a frame are equal, in every frame ({_place(study.conditions[0].frames)}).",
             "There is nothing that weather could change.",
             "Check how bayer was made.",
         )
@@ -407,11 +442,35 @@ def _of_signals(study: Study, clear: dict[str, list[_Look]], measured: dict[str,
         )
 
 
+def _of_intensity_unit(study: Study, clear: dict[str, list[_Look]]) -> Iterator[Finding]:
+    """Half of a scene's returns brighter than white, or darker than anything: the data are in another unit."""
+    if not isinstance(study.sensor, Lidar) or study.sensor.intensity_unit in ("none", "photons"):
+        return
+    unit = study.sensor.intensity_unit
+    for name, looks in clear.items():
+        middle = max((look.middle for look in looks if look.high > 0), default=math.nan)
+        reflectivity = reflectivity_from_intensity(torch.tensor(middle), unit, study.sensor.assumed_reflectivity).item()
+        if reflectivity < DARKEST or reflectivity > 1.0:
+            yield Finding(
+                "warning",
+                f"The median intensity of the clear frames of {name}, {middle:.3g}, is a reflectivity of "
+                f"{reflectivity:.2g} in {unit}, the sensor's intensity_unit.",
+                f"Targets of a road lie between {DARKEST:g} and 1. In a wrong unit the model loses too many returns or "
+                "too few.",
+                "State the unit of the data as intensity_unit in the sensor's overrides.",
+            )
+
+
 def _of_links(study: Study) -> Iterator[Finding]:
     links = study.links
     holdout = np.asarray(links["split"]) == 1
     if holdout.all():
-        yield Finding("error", "All links are held out.", "There is nothing to fit to.", "Set split 0 for some links.")
+        yield Finding(
+            "error",
+            f"All links are held out ({_file(study)}: split of links).",
+            "There is nothing to fit to.",
+            "Set split 0 for some links.",
+        )
     if not holdout.any():
         yield Finding(
             "warning",
@@ -440,13 +499,17 @@ def _of_series(name: str, frames: Frames) -> Iterator[Finding]:
         if len(undry):
             yield Finding(
                 "error",
-                f"{len(undry)} of {dry.shape[1]} links of {name} have no dry sample (more than 15 min from rain).",
+                f"{len(undry)} of {dry.shape[1]} links of {name} have no dry sample, more than 15 min from rain "
+                f"({_place(frames)}).",
                 "What they attenuate in clear air is unknown, so nothing can be said of rain.",
                 "Give a longer series, or leave these links out.",
             )
         if not (rain > 0).any():
             yield Finding(
-                "error", f"{name} has no rain.", "There is nothing to compare.", "Give a series with rain in it."
+                "error",
+                f"{name} has no rain ({_place(frames)}).",
+                "There is nothing to compare.",
+                "Give a series with rain in it.",
             )
         missing = 1.0 - float(known.mean())
         if missing > 0.5:
@@ -463,6 +526,17 @@ def _of_series(name: str, frames: Frames) -> Iterator[Finding]:
                 "The law of rain attenuation bends, so a mean rate tells less than the rates along the path.",
                 "Give rain_mm_per_h (T, L, P) with several samples along each path, from a radar or several gauges.",
             )
+
+
+def _place(frames: Frames) -> str:
+    """File and key of frames, without the folder: ``study.yaml: scenes[0].clear``."""
+    owner, _, key = frames.name.rpartition(": ")
+    return f"{PurePath(owner).name}: {key}"
+
+
+def _file(study: Study) -> str:
+    """The file of a study, without the folder: ``study.yaml``."""
+    return _place(study.conditions[0].frames).rpartition(": ")[0]
 
 
 def _conditions(names: Sequence[str]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +11,13 @@ from typing import Any, overload
 
 from numpy.typing import NDArray
 
+from torchweather.errors import TorchweatherError
 from torchweather.io.arrays import read_archive
 
 __all__ = ["Check", "Frame", "FrameSource", "Frames", "NpzFile", "load"]
+
+# Of all arrays of a file, unpacked. A mosaic of 60 million pixels with depth, normals and labels in float64 has 3e9.
+MOST_BYTES = 4 * 2**30
 
 Frame = Mapping[str, NDArray[Any]]
 """Arrays by name, such as ``range_m`` and ``intensity``."""
@@ -31,6 +37,13 @@ class NpzFile:
 
     def __call__(self) -> Frame:
         """The arrays of the file."""
+        with contextlib.suppress(OSError, zipfile.BadZipFile), zipfile.ZipFile(self.path) as archive:
+            # `read_archive` says what is wrong with a file that cannot be opened, and reads no more than is stated.
+            stated = sum(member.file_size for member in archive.infolist())
+            if stated > MOST_BYTES:
+                raise TorchweatherError(
+                    f"{self.path}: wanted one frame, at most {MOST_BYTES} bytes unpacked; its arrays have {stated}."
+                )
         return read_archive(self.path)[0]
 
     def __str__(self) -> str:
@@ -50,7 +63,8 @@ class Frames(Sequence[Frame]):
     Args:
         sources: frames, or what gives one when it is called (`NpzFile`).
         check: called with each frame and its name; those in memory are checked at once.
-        name: of the whole; frames in memory are ``name[0]``, ``name[1]``, ...
+        name: of the whole: who complains, and the key, such as ``study.yaml: scenes[0].clear``; frames in memory are
+            ``name[0]``, ``name[1]``, ...
 
     Example:
         >>> import numpy as np
@@ -60,7 +74,7 @@ class Frames(Sequence[Frame]):
     """
 
     def __init__(self, sources: Iterable[FrameSource], check: Check, name: str) -> None:
-        self._check = check
+        self._check, self.name = check, name
         given = list(sources)
         self.names = tuple(str(one) if callable(one) else f"{name}[{place}]" for place, one in enumerate(given))
         self._sources: tuple[FrameSource, ...] = tuple(
@@ -80,7 +94,8 @@ class Frames(Sequence[Frame]):
     def __getitem__(self, place: int | slice) -> Frame | Frames:
         if isinstance(place, slice):
             part = object.__new__(Frames)
-            part._check, part._sources, part.names = self._check, self._sources[place], self.names[place]
+            part._check, part.name = self._check, self.name
+            part._sources, part.names = self._sources[place], self.names[place]
             return part
         source = self._sources[place]
         return self._check(source(), self.names[place]) if callable(source) else source

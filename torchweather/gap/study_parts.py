@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import numbers
 import reprlib
@@ -36,8 +37,8 @@ CONDITION_KEYS = (
     *("id", "scene", "weather", "rel_sd", "frames", "time_s", "split"),
     *("ego_speed_m_per_s", "exposure_s"),
 )
-# Guards against another unit. A record that is off by ten times its value says nothing.
-MOST_REL_SD = 10.0
+# Guards against another unit. A record that is off by its own value says nothing; 10 % is 0.1.
+MOST_REL_SD = 1.0
 FASTEST_M_PER_S = 150.0  # 540 km/h
 LONGEST_EXPOSURE_S = 10.0
 
@@ -235,9 +236,7 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
             raise TorchweatherError(
                 f"{owner}: {where}.{knob} is missing: {name} needs it.{nearest_name(knob, map(str, given))}"
             )
-        for field in (knob, spread):
-            if field in given:
-                _number(given[field], f"{owner}: {where}.{field}", 0.0, math.inf, "")
+        _number(given[knob], f"{owner}: {where}.{knob}", 0.0, math.inf, "")
         rel_sd = _number(given.pop(spread, rel_sd), f"{owner}: {where}.{spread}", 0.0, MOST_REL_SD, "")
     if given is None:
         raise TorchweatherError(
@@ -278,6 +277,12 @@ def _times(values: Any, frames: int, name: str) -> np.ndarray[Any, np.dtype[np.f
             f"{name} must have one value in seconds for each of the {frames} frames; got {len(values)}."
         )
     found = [_number(value, f"{name}[{k}]", -math.inf, math.inf, "s") for k, value in enumerate(values)]
+    for place, (before, after) in enumerate(itertools.pairwise(found), 1):
+        if after < before:
+            raise TorchweatherError(
+                f"{name} must not fall from frame to frame, s; got {after:g} at {place} after {before:g}. Sort the "
+                "frames by time."
+            )
     return np.array(found, dtype=np.float64)
 
 
