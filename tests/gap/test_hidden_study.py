@@ -1,0 +1,153 @@
+"""Studies of the embedded scene with effects hidden in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from torchweather.gap import hidden_study as module
+from torchweather.gap.hidden_study import HIDEABLE, WEATHERS, HiddenStudy, drawn_effect, drawn_study, hidden_study
+from torchweather.gap.study import Study
+from torchweather.scenes import SCENES, LidarView, Scene, lidar_view
+from torchweather.sensors import Lidar
+from torchweather.stages.effects import Effect
+from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.weather import Rain, Weather
+
+LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def seen_once() -> Iterator[None]:
+    """Rendering takes most of the time of a small study, and the views are the same."""
+    track = SCENES["test-track"]()
+
+    @lru_cache
+    def view(columns: int) -> LidarView:
+        return lidar_view(track, module._sensor(columns))
+
+    def kept(scene: Scene, lidar: Lidar) -> LidarView:
+        assert lidar.columns is not None
+        return view(lidar.columns)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "lidar_view", kept)
+        yield
+
+
+def small(effects: Sequence[Effect] = (), weathers: Sequence[Weather] = WEATHERS["snow"], **more: Any) -> HiddenStudy:
+    return hidden_study(effects, weathers, **{"columns": 16, "clear_frames": 2, "frames": 2, **more})
+
+
+def frames(study: Study) -> list[bytes]:
+    """All frames in weather, bit by bit."""
+    return [
+        one.frames[number][key].tobytes() for one in study.conditions for number in range(2) for key in one.frames[0]
+    ]
+
+
+def test_it_holds_what_was_asked_for() -> None:
+    hidden = small([EFFECTS["lidar.window_loss"](loss_db=2.0)], WEATHERS["fog"], clear_frames=3, rel_sd=0.2, columns=20)
+    study = hidden.study
+    scene = study.scenes["test-track"]
+    assert study.beams["direction"].shape == (64, 20, 3)
+    assert len(scene.clear) == 3
+    assert [one.weather for one in study.conditions] == list(WEATHERS["fog"])
+    assert [one.split for one in study.conditions] == ["fit", "fit", "holdout", "fit"]
+    assert all(len(one.frames) == 2 and one.rel_sd == 0.2 for one in study.conditions)
+    seen = scene.clear[0]["range_m"] > 0
+    assert np.all(scene.geometry["cos_incidence"][seen] > 0)
+    assert hidden.truth()["effects"] == [{"name": "lidar.window_loss", "parameters": {"loss_db": 2.0}}]
+    assert list(hidden.truth()["weather_factor"]) == [one.id for one in study.conditions]
+
+
+def test_the_same_seed_gives_the_same_study() -> None:
+    assert small(seed=1).study.sha256 == small(seed=1).study.sha256
+    assert small(seed=1).study.sha256 != small(seed=2).study.sha256
+
+
+@pytest.mark.parametrize("weather", list(WEATHERS))
+def test_effects_at_their_identity_leave_every_bit(weather: str) -> None:
+    everything = [EFFECTS[name]() for name in LIDAR]
+    assert small(everything, WEATHERS[weather]).study.sha256 == small((), WEATHERS[weather]).study.sha256
+
+
+@pytest.mark.parametrize("name", list(HIDEABLE))
+def test_an_effect_changes_frames_in_weather_and_no_clear_one(name: str) -> None:
+    chosen = HIDEABLE[name]
+    weakest = {parameter: min(span, key=abs) for parameter, span in chosen.spans.items()}
+    with_effect = small([EFFECTS[name](**weakest)], WEATHERS[chosen.weather]).study
+    without = small((), WEATHERS[chosen.weather]).study
+    assert frames(with_effect) != frames(without)
+    pair = (study.scenes["test-track"].clear for study in (with_effect, without))
+    for one, other in zip(*pair, strict=True):
+        assert all(np.array_equal(one[key], other[key]) for key in one)
+
+
+def test_every_frame_has_noise_of_its_own() -> None:
+    study = small(clear_frames=8, columns=64).study
+    clear = study.scenes["test-track"].clear
+    range_m, intensity = (np.stack([frame[key] for frame in clear]) for key in ("range_m", "intensity"))
+    seen = (range_m > 0).all(0)
+    # 1,800 beams of 8 frames: the deviation is known to 0.6 %.
+    assert range_m[:, seen].std(0, ddof=1).mean() == pytest.approx(0.01 * 0.965, rel=0.03)  # c4 of 8 draws is 0.965
+    assert np.log(intensity[:, seen]).std(0, ddof=1).mean() == pytest.approx(0.03 * 0.965, rel=0.03)
+    assert len(set(frames(study))) == len(frames(study))
+
+
+def test_the_record_is_off_and_the_frames_have_the_true_weather() -> None:
+    hidden = small(rel_sd=0.2, seed=3)
+    factors = list(hidden.weather_factor.values())
+    assert len(set(factors)) == 4
+    true = [
+        replace(one, rate_mm_per_h=one.rate_mm_per_h * by) for one, by in zip(WEATHERS["snow"], factors, strict=True)
+    ]
+    assert frames(small((), true, rel_sd=0.0, seed=3).study) == frames(hidden.study)
+
+
+def test_the_record_is_off_by_a_draw_from_its_stated_uncertainty() -> None:
+    many = [Rain(10.0 + 0.1 * number) for number in range(100)]
+    n = np.log(list(small((), many, rel_sd=0.1, frames=1).weather_factor.values())) / 0.1
+    # 100 standard normal numbers: their deviation is known to 7 %, their mean to 0.1; 3.5 sigma.
+    assert np.std(n) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(n) == pytest.approx(0.0, abs=0.35)
+
+
+def test_draws_lie_within_their_spans_and_any_effect_comes() -> None:
+    drawn = [drawn_effect(seed) for seed in range(200)]
+    for effect, weather in drawn:
+        if effect is None:
+            continue
+        assert weather == HIDEABLE[effect.id].weather
+        for parameter, (low, high) in HIDEABLE[effect.id].spans.items():
+            room = 2e-3 * max(abs(low), abs(high))  # three digits
+            assert low - room <= float(getattr(effect, parameter)) <= high + room
+    # Each of 20 has a chance of 4e-5 to be missing from 200 draws.
+    assert {effect.id if effect else None for effect, _ in drawn} == {None, *HIDEABLE}
+
+
+def test_the_draw_is_that_of_its_seed() -> None:
+    one, again, other = (drawn_study(seed, columns=16) for seed in (4, 4, 8))
+    assert (one.truth(), one.study.sha256) == (again.truth(), again.study.sha256)
+    assert one.truth() != other.truth()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"scene": "moon"}, "scene must be one of"),
+        ({"weathers": WEATHERS["rain"][:2]}, "weathers must be 3 or more"),
+        ({"columns": 4}, "columns must be 16 or more"),
+        ({"clear_frames": 1}, "clear_frames must be 2 or more"),
+        ({"frames": 0}, "frames must be 1 or more"),
+        ({"rel_sd": -0.1}, "rel_sd must be 0 or more"),
+    ],
+)
+def test_what_cannot_be_a_study_is_refused(arguments: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        hidden_study(**arguments)
