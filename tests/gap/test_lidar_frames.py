@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
-from torchweather.gap.lidar import CLUSTER_M, SAME_SURFACE_M, LidarFrames
+from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.lidar_scene import CLUSTER_M, SAME_SURFACE_M
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Study
 from torchweather.stages.effects_lidar import EFFECTS

@@ -351,10 +351,17 @@ class ParticleReturns(Stage):
             return ReturnTable.of(part.between(beam, extinction, density))
         before, table = self._last_tables.get(part.kind, (None, None))
         if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
+            shared = density is None and all(value.numel() == 1 for value in inputs[1:]) and _all_alike(extinction)
             with torch.no_grad():
-                table = ReturnTable.of(part.between(beam, extinction, density))
+                # One table serves all samples that are in the same weather.
+                table = ReturnTable.of(part.between(beam, extinction[:1] if shared else extinction, density))
+            table = table.expanded(len(extinction)) if shared else table
             self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
         return table
+
+
+def _all_alike(values: Tensor) -> bool:
+    return len(values) > 0 and torch.equal(values, values[:1].expand_as(values))
 
 
 def _same(one: Tensor, other: Tensor) -> bool:
@@ -510,12 +517,32 @@ class ToPoints(_SensorStage):
         step = self.sensor.range_resolution_m
         return torch.round(range_m / step) * step if step > 0 else range_m
 
+    def measurement(self, state: LidarState, noise: Mapping[str, Tensor], echo: int = 0) -> tuple[Tensor, Tensor]:
+        """Range, metres, and intensity ``(B, N)`` of one reported echo; 0 and 0 where there is none.
+
+        What no stage touched has the input's own intensity.
+        """
+        drawn = noise.get("range_noise")
+        range_m, value, lost = self._out(state, None if drawn is None else drawn[:, echo], echo)
+        return torch.where(lost, 0.0, range_m), torch.where(lost, 0.0, value)
+
+    def _out(self, state: LidarState, noise: Tensor | None, echo: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Range and intensity of one reported echo, and where there is none, ``(B, N)`` each."""
+        clear = state.clear_range_m
+        range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
+        particle, lost = kind == PARTICLE, kind == LOST
+        range_m = torch.where(particle, self._measured(range_m, noise), range_m)
+        gain = signal / torch.where(clear > 0, state.clear_signal, 1.0)
+        unit, intensity, integral = self.sensor.intensity_unit, state.points_in[..., 3], state.integral
+        returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
+        value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
+        return range_m, value, lost
+
     def _cloud(self, state: LidarState, echo: int, noise: Tensor | None) -> Tensor:
         """Points ``(B, N, C)`` of one reported echo."""
         points, clear = state.points_in, state.clear_range_m
-        range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
-        particle, lost, seen = kind == PARTICLE, kind == LOST, clear > 0
-        range_m = torch.where(particle, self._measured(range_m, noise), range_m)
+        range_m, value, lost = self._out(state, noise, echo)
+        seen = clear > 0
         gone = lost & seen
         # 1 for an object that stayed where it was, and for a beam that was empty and stayed so.
         scale = torch.where(lost, 1.0, range_m / torch.where(seen, clear, 1.0))
@@ -525,10 +552,6 @@ class ToPoints(_SensorStage):
             here = seen | lost
             columns = [torch.where(here, own, given) for own, given in zip(columns, along, strict=True)]
         columns = [torch.where(gone, 0.0, column * scale) for column in columns]
-        gain = signal / torch.where(seen, state.clear_signal, 1.0)
-        unit, intensity, integral = self.sensor.intensity_unit, points[..., 3], state.integral
-        returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
-        value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
         # A beam that was empty and stayed so keeps what it came with.
-        value = torch.where(gone, 0.0, torch.where(lost, intensity, value))
+        value = torch.where(gone, 0.0, torch.where(lost, points[..., 3], value))
         return torch.stack([*columns, value, *points[..., 4:].unbind(-1)], -1)

@@ -122,6 +122,11 @@ class ReturnTable:
         share = (between / end.clamp_min(FEW)).flatten(1)
         return cls(signal, share, place, places, signals)
 
+    def expanded(self, batch: int) -> ReturnTable:
+        """A table of one sample for so many, without a copy."""
+        signal, share, place = (values.expand(batch, -1) for values in (self.signal, self.share, self.place))
+        return ReturnTable(signal, share, place, self.places, self.signals)
+
     def strongest_before(self, arrivals: Tensor, place: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """As the function of that name, read from the grid."""
         step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
