@@ -202,6 +202,20 @@ def fog_echo(
     short = np.flatnonzero(range_m < nodes_m[-1])
     seen[:, short] = np.where(nodes_m <= range_m[short, None], seen[:, short], -np.inf)
     best = seen.argmax(-1)
-    strongest = np.take_along_axis(seen, best[..., None], -1)[..., 0]
+    strongest, between = _vertex(seen, best)
     # The window has an even number of nodes: its middle lies half a node behind the one it is counted at.
-    return nodes_m[best] + 0.5 * NODE_M, np.maximum(strongest.astype(np.float64), 0.0)
+    return nodes_m[best] + (0.5 + between) * NODE_M, np.maximum(strongest, 0.0)
+
+
+def _vertex(seen: FloatArray, best: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """Height of the parabola through the highest node and those beside it, and its place, -0.5 to 0.5 nodes."""
+    last = seen.shape[-1] - 1
+    left, middle, right = (
+        np.take_along_axis(seen, np.clip(best + step, 0, last)[..., None], -1)[..., 0].astype(np.float64)
+        for step in (-1, 0, 1)
+    )
+    inside = (best > 0) & (best < last) & np.isfinite(left) & np.isfinite(right)
+    left, right = np.where(inside, left, middle), np.where(inside, right, middle)
+    bend = left - 2.0 * middle + right
+    place = np.clip(0.5 * (left - right) / np.where(bend < 0.0, bend, -1e300), -0.5, 0.5)
+    return middle - 0.25 * (left - right) * place, place

@@ -60,6 +60,10 @@ class FrameModel(Protocol):
         """The clear frames of a scene, each compared with the others."""
         ...
 
+    def nuisances(self, condition: Condition) -> Mapping[str, Effect]:
+        """What nobody knows of a condition's model, each as a stage of one standard deviation, by name."""
+        ...
+
     def simulated(
         self,
         condition: Condition,

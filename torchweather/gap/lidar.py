@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.gap.lidar_nuisance import FogEchoRange, WeakSignalNoise
 from torchweather.gap.lidar_scene import LidarScene, lidar_scene
 from torchweather.gap.lidar_sums import LidarSums, lidar_layout
 from torchweather.gap.statistics import Reduced
@@ -25,14 +26,15 @@ from torchweather.sensors import Lidar
 from torchweather.stages import Chain, Extinction, LidarState, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.stages.states import PointKind
 from torchweather.transforms import LidarWeather
 
 __all__ = ["LidarFrames"]
 
 TOGETHER = 8  # frames: more do not fit into the processor's cache
 KEPT = 48  # states, so that those of a setting are kept for every condition
+FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
 DRAWN = 256  # random numbers of a stage, so that those of the base chain are kept for every condition
-EXTRA = frozenset(effect.default_name for effect in EFFECTS.values())
 
 
 class LidarFrames:
@@ -90,6 +92,19 @@ class LidarFrames:
             self.transforms[condition.id] = LidarWeather(condition.weather, self.sensor, **self.options)
         return self.transforms[condition.id]
 
+    def nuisances(self, condition: Condition) -> dict[str, Effect]:
+        """What nobody knows of a condition's model, each as a stage of one standard deviation, by name."""
+        scene = self.scenes[condition.scene]
+        found: dict[str, Effect] = {}
+        if scene.variance_at_threshold > 0:
+            found["noise"] = WeakSignalNoise(variance_at_threshold=min(scene.variance_at_threshold, 1.0))
+        assert condition.weather is not None
+        if "fog" in {part.kind for part in condition.weather.parts}:
+            share = FOG_RANGE_SHARE * self.sensor.pulse_length_m
+            found["fog shift"] = FogEchoRange(shift_m=share)
+            found["fog spread"] = FogEchoRange(spread_m=share)
+        return found
+
     def simulated(
         self,
         condition: Condition,
@@ -113,7 +128,7 @@ class LidarFrames:
             some = list(seeds[first : first + TOGETHER])
             row = torch.tensor([_hash(seed) % len(scene.range_m) for seed in some])
             with torch.no_grad():
-                out = self._through(condition, scene, scene.range_m[row], scene.intensity[row], effects, log_knob, some)
+                out = self._through(condition, scene, row, effects, log_knob, some)
             parts.append(self.reduce(condition.scene, *out, row, portions))
         return Reduced.joined(parts)
 
@@ -121,24 +136,29 @@ class LidarFrames:
         self,
         condition: Condition,
         scene: LidarScene,
-        range_m: Tensor,
-        intensity: Tensor,
+        row: Tensor,
         effects: Sequence[Effect],
         log_knob: float,
         seeds: list[int],
     ) -> tuple[Tensor, Tensor]:
         """Range and intensity ``(F, N)`` that come out of the chain."""
         transform = self.transform(condition)
-        chain = with_effects(transform.chain, [*self.effects, *effects])
+        chain = with_effects(transform.chain, [*self.effects, *(one for one in effects if one.id in EFFECTS)])
+        for one in effects:
+            if one.id not in EFFECTS:  # of lidar_nuisance.py
+                chain = chain.insert(one, before={"particle_returns": "detection"}.get(one.after, "to_points"))
         # What comes before the last effect is the same for all its settings: kept.
         names = [name for name in chain.stages if name != ToPoints.default_name]
         last = max((names.index(effect.default_name) for effect in effects), default=len(names))
         before = tuple(
-            (name, str(stage.config())) for name, stage in list(chain.stages.items())[:last] if name in EXTRA
+            (name, str(stage.config()))
+            for name, stage in list(chain.stages.items())[:last]
+            if isinstance(stage, Effect)
         )
         key = (condition.id, log_knob, tuple(seeds), names[last - 1], before)
         kept = self._kept.get(key)
         if kept is None:
+            range_m, intensity = scene.range_m[row], scene.intensity[row]
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
             state = replace(state, grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
@@ -147,7 +167,11 @@ class LidarFrames:
         state = self._part(chain, condition, log_knob, kept, seeds, last, len(names))
         points = chain.stages[ToPoints.default_name]
         assert isinstance(points, ToPoints)
-        return points.measurement(state, self._noise(chain, points.default_name, condition, state, seeds))
+        noise = self._noise(chain, points.default_name, condition, state, seeds)
+        range_m, intensity = points.measurement(state, noise)
+        # Objects have their clear frame's scale already, particles have not.
+        ours = (state.kind[..., 0] == int(PointKind.PARTICLE)) & ~state.integral
+        return range_m, torch.where(ours, intensity * scene.gain[row, None], intensity)
 
     def _part(
         self, chain: Chain, condition: Condition, log_knob: float, state: LidarState, seeds: list[int], *ends: int
@@ -171,7 +195,7 @@ class LidarFrames:
         drawn = self._drawn.get(key)
         if drawn is None:
             drawn = chain.stages[name].draw(state, seed=torch.tensor(seeds), name=name)
-            if name not in EXTRA:
+            if not isinstance(chain.stages[name], Effect):
                 with self._lock:
                     while len(self._drawn) >= DRAWN:
                         self._drawn.pop(next(iter(self._drawn)))

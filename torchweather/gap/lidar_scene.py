@@ -34,9 +34,9 @@ SAME_SURFACE_M = 0.35
 SPREAD_TIMES = 6.0
 CLUSTER_M = 0.5  # returns of one thing in neighbouring beams
 FAINTEST = 1e-6  # of intensities in logarithms
-# A beam nearer to the threshold than so many standard deviations of its own noise is chosen by that noise: seen in all
-# clear frames, it was lucky.
-FLICKER_SD = 3.0
+# A beam nearer to the threshold than so many standard deviations of the noise of beams is chosen by that noise: seen in
+# all clear frames, it was lucky. (Beams at the threshold are about twice as noisy as the mean one.)
+FLICKER_SD = 6.0
 DB_PER_NEPER = 10.0 / math.log(10.0)  # of a power
 LEAST_NOISE_M = 2e-3  # a range that is written in millimetres
 
@@ -49,9 +49,12 @@ class LidarScene:
         range_m, intensity: ``(K, N)`` clear frames.
         reference_range_m, reference_intensity: ``(K + 1, N)`` mean over the clear frames other than k, the last row
             over all; 0 where it is not defined.
-        stable, empty: ``(K + 1, N)`` which beams count as what.
+        stable, empty: ``(N,)`` which beams count as what.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
+        gain: ``(K,)`` intensities of each clear frame over those of the others: what a sensor's scale does from frame
+            to frame.
+        variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.
         bins: axis to the bin of each beam ``(K + 1, N)``, -1 for none, after the clear frames other than k: a frame
             must not choose the bin that it is put into.
         edges: axis to the edges of its bins.
@@ -66,6 +69,8 @@ class LidarScene:
     empty: Tensor
     tolerance_m: float
     noise_m: float
+    gain: Tensor
+    variance_at_threshold: float
     bins: dict[str, Tensor]
     edges: dict[str, tuple[float, ...]]
     cos_incidence: Tensor | None
@@ -100,7 +105,9 @@ def lidar_scene(
     mean_intensity = (keep @ (intensity.double() * seen)) / count.clamp_min(1.0)
     far, near = range_m.amax(0), torch.where(range_m > 0, range_m, torch.inf).amin(0)
     one_surface = torch.where(far > 0, far - near, 0.0) < 2.0 * SAME_SURFACE_M
-    stable, empty = (count == frames_of) & one_surface, count == 0
+    # Of all frames: a beam that a single frame sees is not empty, nor is one stable that a single frame lacks.
+    stable = (keep @ seen == frames_of).all(0) & one_surface
+    empty = count[-1] == 0
     usual = _spread(range_m.double() - mean_range[-1], (seen > 0) & one_surface)
     geometry = {
         name: torch.from_numpy(np.asarray(scene.geometry[name], dtype=np.float32)).reshape(-1)
@@ -110,13 +117,18 @@ def lidar_scene(
     with torch.no_grad():
         signal = energy.signal_of_intensity(mean_intensity.float(), mean_range.float())
     margin_db = 10.0 * torch.log10((signal / energy.beam.threshold).clamp_min(1e-6))
+    gain, variance_at_threshold = torch.ones(number), 0.0
     if with_intensity:
-        level = intensity.double().clamp_min(FAINTEST).log()
-        noise_db = DB_PER_NEPER * _spread(level - mean_intensity[-1].clamp_min(FAINTEST).log(), stable[-1])
-        stable = stable & (margin_db > FLICKER_SD * noise_db)
+        apart = intensity.double().clamp_min(FAINTEST).log() - mean_intensity[-1].clamp_min(FAINTEST).log()
+        noise_db = DB_PER_NEPER * _spread(apart, stable)
+        stable = stable & (margin_db[-1] > FLICKER_SD * noise_db)
+        if bool(stable.any()) and number > 1:
+            common = apart[:, stable].mean(1)
+            gain = common.exp().float()
+            variance_at_threshold = _growing_variance(apart[:, stable] - common[:, None], margin_db[-1, stable])
     isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M)[0]
     bins, edges = _bins(
-        direction, mean_range, mean_intensity, margin_db, isolated, stable[-1], with_intensity, geometry
+        direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry
     )
     return LidarScene(
         range_m=range_m,
@@ -127,6 +139,8 @@ def lidar_scene(
         empty=empty,
         tolerance_m=max(SAME_SURFACE_M, SPREAD_TIMES * min(usual, 0.2)),
         noise_m=max(usual, LEAST_NOISE_M),
+        gain=gain,
+        variance_at_threshold=variance_at_threshold,
         bins=bins,
         edges=edges,
         cos_incidence=geometry.get("cos_incidence"),
@@ -142,6 +156,15 @@ def _spread(departure: Tensor, where: Tensor) -> float:
     if number == 0 or share == 0:
         return 0.0
     return float((torch.where(counted, departure, 0.0).square().sum() / (number * share)).sqrt())
+
+
+def _growing_variance(apart: Tensor, margin_db: Tensor) -> float:
+    """v of a variance ``c + v / M`` of departures ``(K, S)`` of beams M times over the threshold, by least squares."""
+    frames = len(apart)
+    variance = apart.square().sum(0) / (frames - 1)
+    weak = 10.0 ** (-0.1 * margin_db)
+    centred = weak - weak.mean()
+    return max(0.0, float((centred * variance).sum() / centred.square().sum().clamp_min(1e-12)))
 
 
 def _bins(

@@ -130,13 +130,12 @@ class LidarSums:
     def __init__(self, scene: LidarScene, layout: Layout, grid: tuple[int, int], azimuth: Tensor) -> None:
         self.scene, self.layout = scene, layout
         axes = {group.axis for group in layout.binned} - {"particle_range_m"}
-        self.surfaces = _Beams(scene, scene.stable.any(0), sorted(axes))
-        self.nothing = _Beams(scene, scene.empty.any(0), ("azimuth_rad", "elevation_rad"))
-        self._reference, self._reference_intensity, self._stable = (
+        self.surfaces = _Beams(scene, scene.stable, sorted(axes))
+        self.nothing = _Beams(scene, scene.empty, ("azimuth_rad", "elevation_rad"))
+        self._reference, self._reference_intensity = (
             values[:, self.surfaces.beam]
-            for values in (scene.reference_range_m, scene.reference_intensity.clamp_min(FAINTEST), scene.stable)
+            for values in (scene.reference_range_m, scene.reference_intensity.clamp_min(FAINTEST))
         )
-        self._empty = scene.empty[:, self.nothing.beam]
         self.grid = grid
         ticks = torch.arange(int(PARTICLE_RANGE_M[-2] * TICKS_PER_M) + 1) / TICKS_PER_M
         self._bin, self._ring = (
@@ -157,8 +156,8 @@ class LidarSums:
                 ``F * portions`` rows, one for each frame and portion, frame by frame.
         """
         compared, before = self._compared(range_m, intensity, row)
-        of_empty = self._empty[row] & (range_m[:, self.nothing.beam] > 0)
-        empties = torch.stack([self._empty[row].float(), of_empty.float()], 1)
+        of_empty = range_m[:, self.nothing.beam] > 0
+        empties = torch.stack([torch.ones(of_empty.shape), of_empty.float()], 1)
         portion = self._portions(range_m.shape[1], portions)
         if portions == 1:
             surfaces, nothing = self.surfaces.whole(compared, row), self.nothing.whole(empties, row)
@@ -191,14 +190,14 @@ class LidarSums:
     def _compared(self, range_m: Tensor, intensity: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         """What became of each stable beam ``(F, rows, S)``, and which of them see a particle ``(F, S)``."""
         beam, tolerance_m = self.surfaces.beam, self.scene.tolerance_m
-        stable, range_m = self._stable[row], range_m[:, beam]
-        seen = stable & (range_m > 0)
+        range_m = range_m[:, beam]
+        seen = range_m > 0
         apart = range_m - self._reference[row]
         before, beyond = seen & (apart <= -tolerance_m), seen & (apart >= tolerance_m)
         same = seen & ~before & ~beyond
         ratio = torch.log(intensity[:, beam].clamp_min(FAINTEST) / self._reference_intensity[row])
         found = torch.empty(len(row), len(OF_SURFACES), len(beam))
-        found[:, 0], found[:, 1], found[:, 2], found[:, 3], found[:, 4] = stable, stable & ~seen, before, beyond, same
+        found[:, 0], found[:, 1], found[:, 2], found[:, 3], found[:, 4] = 1.0, ~seen, before, beyond, same
         weight = found[:, 4]
         torch.mul(ratio, weight, out=found[:, 5])
         torch.mul(ratio, found[:, 5], out=found[:, 6])

@@ -40,10 +40,10 @@ __all__ = ["Fit", "Node", "Nuisance", "Search", "Setting"]
 
 Floats = NDArray[np.float64]
 
-POOL_FRAMES = 64  # of each condition, for the scatter
+POOL_FRAMES = 48  # of each condition, for the scatter
 SCREEN_FRAMES = 8  # of each condition, for a response in the screening; the first of the pool
-PROBE_FRAMES = 24  # of each condition, for a derivative
-PROBE_DRAWS = 96
+PROBE_FRAMES = 16  # of each condition, for a derivative
+PROBE_DRAWS = 32
 AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 LEAST_KNOB_STEP = 0.03
 STEP = 0.2  # of a derivative, over the parameter's typical size
@@ -164,16 +164,19 @@ class Search:
         generator = np.random.default_rng([self.seed, 7919, condition])
         return [int(value) for value in generator.integers(0, 2**62, self.pool_frames)[:number]]
 
-    def pools(self, setting: Setting, number: int, portions: int = 1) -> dict[str, Pool]:
-        """Simulated frames of all conditions, in portions of their elements."""
-        effects = setting.effects()
+    def pools(
+        self, setting: Setting, number: int, portions: int = 1, more: Mapping[str, Effect] | None = None
+    ) -> dict[str, Pool]:
+        """Simulated frames of all conditions, in portions of their elements; with one more stage in some conditions."""
+        effects, more = setting.effects(), more or {}
         found: dict[str, Pool] = {}
 
         def simulate(place: int, target: Target) -> None:
             name = target.condition.id
             seeds = self.seeds(place, number)
             log_knob = setting.log_knob.get(name, 0.0)
-            reduced = self.model.simulated(target.condition, effects, log_knob, seeds, portions)
+            own = [*effects, more[name]] if name in more else effects
+            reduced = self.model.simulated(target.condition, own, log_knob, seeds, portions)
             found[name] = Pool(self.model.layout, reduced)
 
         side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
@@ -186,14 +189,17 @@ class Search:
         whitening = self.start.whitening if hasattr(self, "start") else None
         return baseline(pools, self.measured, self.noise, whitening, self.seed)
 
-    def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
-        """Mean vectors at a setting, from so many frames of each condition."""
-        pools = self.pools(setting, frames)
+    def mean(
+        self, setting: Setting, frames: int = PROBE_FRAMES, more: Mapping[str, Effect] | None = None
+    ) -> list[Floats]:
+        """Mean vectors at a setting, from so many frames of each condition; ``more`` as in ``pools``."""
+        pools = self.pools(setting, frames, more=more)
         found = []
         for number, target in enumerate(self.measured):
             generator = np.random.default_rng([self.seed, 104729, number])
             n = min(target.frames, frames)
-            index = np.argsort(generator.random((PROBE_DRAWS, frames)), 1)[:, :n]
+            draws = PROBE_DRAWS if n < frames else 1
+            index = np.argsort(generator.random((draws, frames)), 1)[:, :n]
             vectors = pools[target.condition.id].vectors(index, target.condition.time_s)
             found.append(vectors.mean(0))
         return found
@@ -245,7 +251,20 @@ class Search:
             column[number] = base.whitened(name, (high - low) * (sd[number] / (2.0 * step)))
             columns.append(column.ravel())
         columns += self._clear_errors(base)
+        columns += self._open_questions(setting, base)
         return Nuisance(np.stack(columns, 1), sd)
+
+    def _open_questions(self, setting: Setting, base: Baseline) -> list[Floats]:
+        """Columns of what the model leaves open, the same in all conditions."""
+        each = {target.condition.id: self.model.nuisances(target.condition) for target in self.measured}
+        names = dict.fromkeys(name for stages in each.values() for name in stages)
+        before = self.mean(setting) if names else []
+        columns = []
+        for name in names:
+            more = {condition: stages[name] for condition, stages in each.items() if name in stages}
+            after = self.mean(setting, more=more)
+            columns.append(self.whitened(base, [new - old for new, old in zip(after, before, strict=True)]))
+        return columns
 
     def _clear_errors(self, base: Baseline) -> list[Floats]:
         """Columns of the error of each scene's clear mean: it moves means and spreads of all its conditions alike."""

@@ -146,6 +146,10 @@ class BeamParticles(nn.Module):
         row = ((torch.log(signal.clamp_min(1e-30)) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
         return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
 
+    def located_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
+        """Where a particle at a range ``(B, N)`` is reported: there."""
+        return range_m
+
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid from which particles count; ``None`` is its first node."""
         return self.grid.position(PUBLISHED_START * reach_m) if self.published else None

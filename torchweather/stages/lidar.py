@@ -336,7 +336,8 @@ class ParticleReturns(Stage):
             else:
                 between = part.between(beam, extinction, density)
                 row, column, exists = strongest_before(between, arrived, own_place, reach, start)
-            ranges.append(part.grid.range_m(column) * exists)
+            range_m = torch.minimum(part.located_m(part.grid.range_m(column), beam, extinction), reach_m)
+            ranges.append(range_m * exists)
             signals.append(part.signal_at(row, beam) * exists)
         return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
 

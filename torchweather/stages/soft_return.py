@@ -10,8 +10,9 @@ reading of a beam is the largest count, at its range. With F(e; S) the distribut
 
     P(largest <= e) = prod F = exp(-Lambda(e, R)),   Lambda(e, R) = int_0^R -ln F(e; S(r)) dr / l,
 
-so the strongest return of fog is drawn from a table of Lambda just as the strongest particle is, and its range follows
-from the derivative in e in the same way.
+so the strongest return of fog is drawn from a table of Lambda just as the strongest particle is, and the pulse length in
+which it lies follows from the derivative in e in the same way. Counts closer together are not independent: the receiver
+is as slow as the pulse, and reports the place of the maximum of S within half a pulse length of the one drawn.
 
 References:
     PHYSICS.md 5.3 (photons), 5.8 (waveform).
@@ -163,6 +164,15 @@ class SoftReturn(nn.Module):
         photons = (signal / beam.threshold * self.photons_at_threshold).clamp_min(1e-12)
         row = ((torch.sqrt(photons) - self.root_low) / self.root_step).clamp(0.0, COUNT_NODES - 1)
         return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
+
+    def located_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
+        """Where a reading at a range ``(B, N)`` is reported: at the maximum of S, no farther off than half a pulse."""
+        nodes = self.grid.quadrature_m
+        with torch.no_grad():
+            waveform = self.signal(beam, extinction_per_m, nodes).flatten(1)
+            peak_m = nodes.flatten()[waveform.argmax(1)][:, None]
+        half_m = 0.5 * self.pulse_length_m
+        return torch.minimum(torch.maximum(peak_m, range_m - half_m), range_m + half_m)
 
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid where the fog begins; ``None`` is its first node."""

@@ -1,0 +1,81 @@
+"""What a LiDAR study leaves open about the model and what must not be taken for a missing effect.
+
+Each stage here has the strength of one standard deviation of what nobody knows; the search forgets departures along its
+response (``search.Nuisance``). They are not effects of the catalogue and never an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.random import Variate
+from torchweather.stages.effects import Effect, Parameter
+from torchweather.stages.states import LidarState, PointKind
+
+__all__ = ["FogEchoRange", "WeakSignalNoise"]
+
+
+class WeakSignalNoise(Effect):
+    """Noise that a signal gains when it grows weaker, as counted photons and a quantised reading have.
+
+    A simulated frame carries the noise of its clear frame, relative to a signal that was stronger. With a relative
+    variance ``v / M`` at M times the threshold, weather that takes the signal from M to M' adds ``v (1 / M' - 1 / M)``.
+
+    Args:
+        variance_at_threshold: v.
+    """
+
+    id: ClassVar[str] = "gap.weak_signal_noise"
+    title: ClassVar[str] = "weaker signals are noisier"
+    term: ClassVar[str] = "shot noise"
+    arguments: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("variance_at_threshold", "1", 0.0, 1.0, scale=1e-3, identity=0.0),
+    )
+    after: ClassVar[str] = "particle_returns"
+    axes: ClassVar[tuple[str, ...]] = ("margin",)
+
+    def variates(self) -> tuple[Variate, ...]:
+        """A number a beam."""
+        return (Variate("noise", "normal", ("N",)),)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The object's signal, with the noise it lacks."""
+        threshold, signal = state.threshold, state.signal[..., 0]
+        lacking = (threshold / signal.clamp_min(1e-30) - threshold / state.clear_signal.clamp_min(1e-30)).clamp(0.0, 10.0)
+        spread = (self.value("variance_at_threshold", signal) * lacking).sqrt()
+        noisy = signal * (1.0 + spread * noise["noise"].to(signal)).clamp_min(0.0)
+        return {"signal": torch.cat([noisy[..., None], state.signal[..., 1:]], -1)}
+
+
+class FogEchoRange(Effect):
+    """Where on its waveform a receiver says that fog is: a matter of its filter, of a fraction of the pulse length.
+
+    Args:
+        shift_m: of all returns of fog.
+        spread_m: standard deviation of a shift of each.
+    """
+
+    id: ClassVar[str] = "gap.fog_echo_range"
+    title: ClassVar[str] = "fog is reported nearer or farther"
+    term: ClassVar[str] = "range walk of a soft target"
+    arguments: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("shift_m", "m", -5.0, 5.0, scale=0.1, identity=0.0),
+        Parameter("spread_m", "m", 0.0, 5.0, scale=0.1, identity=0.0),
+    )
+    after: ClassVar[str] = "detection"
+    axes: ClassVar[tuple[str, ...]] = ("range",)
+
+    def variates(self) -> tuple[Variate, ...]:
+        """A number a beam."""
+        return (Variate("shift", "normal", ("N",)),)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The range of the reported particles."""
+        range_m = state.range_m
+        each = self.value("spread_m", range_m) * noise["shift"].to(range_m)[..., None]
+        moved = (range_m + self.value("shift_m", range_m) + each).clamp_min(0.1)
+        return {"range_m": torch.where(state.kind == int(PointKind.PARTICLE), moved, range_m)}
