@@ -1,0 +1,250 @@
+"""A departure in natural units, and the stage that copies it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from tests.gap.tiny_study import SENSOR, tiny_study
+from torchweather.gap.baseline import targets
+from torchweather.gap.empirical_fit import WHY_NOT, Departures, empirical_stage, natural_curve
+from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.statistics import Group, Layout, Pool
+from torchweather.gap.study import Study
+from torchweather.stages.empirical import Empirical
+
+Floats = NDArray[np.float64]
+Frame = dict[str, NDArray[np.float32]]
+
+EDGES = (0.0, 10.0, 20.0, 1000.0)
+SECTORS = tuple(float(v) for v in np.linspace(-math.pi, math.pi, 5))
+
+
+def stable_share(share: Any) -> Floats:
+    found: Floats = np.arcsin(np.sqrt(np.asarray(share, dtype=np.float64)))
+    return found
+
+
+def departures(group: Group, measured: Any, simulated: Any, sd: Any, used: Any = True, frames: int = 5) -> Departures:
+    """Of one group and as many conditions as ``measured`` has rows."""
+    rows = np.atleast_2d(np.asarray(measured, dtype=np.float64))
+    shape = rows.shape
+    return Departures(
+        layout=Layout((group,), (), ()),
+        measured=rows,
+        simulated=np.broadcast_to(np.asarray(simulated, dtype=np.float64), shape),
+        sd=np.broadcast_to(np.asarray(sd, dtype=np.float64), shape),
+        used=np.broadcast_to(np.asarray(used), shape),
+        frames=np.full(len(rows), frames),
+        weight=np.full(shape, 100.0),
+    )
+
+
+def test_means_are_natural_and_averaged_by_their_weights() -> None:
+    group = Group("log_intensity_ratio", "range_m", "mean", EDGES)
+    curve = natural_curve(departures(group, [[0.3, 0.1, 0.0], [0.2, 0.1, 0.0]], 0.0, [[0.1], [0.2]]), group)
+    assert curve.unit == "ln(intensity ratio)"
+    np.testing.assert_allclose(curve.value, [(0.3 * 4 + 0.2) / 5, 0.1, 0.0])
+    np.testing.assert_allclose(curve.sd, math.sqrt(1.0 / 125.0))  # weights 100 and 25
+    np.testing.assert_allclose(curve.high - curve.low, 2 * 1.6449 * curve.sd)
+
+
+def test_the_band_widens_where_conditions_disagree() -> None:
+    group = Group("log_intensity_ratio", "range_m", "mean", EDGES)
+    curve = natural_curve(departures(group, [[0.0], [1.0], [2.0]] * np.ones(3), 0.0, 0.1), group)
+    np.testing.assert_allclose(curve.value, 1.0)
+    np.testing.assert_allclose(curve.sd, 1.0 / math.sqrt(3))  # spread 1 of three
+
+
+def test_a_bin_that_never_counts_is_not_known() -> None:
+    group = Group("log_intensity_ratio", "range_m", "mean", EDGES)
+    used = [[True, False, False], [False, True, False]]
+    curve = natural_curve(departures(group, [[0.3, 9.0, 9.0], [9.0, 0.2, 9.0]], 0.0, 0.1, used), group)
+    np.testing.assert_allclose(curve.value, [0.3, 0.2, np.nan])
+    assert np.isnan(curve.sd).tolist() == [False, False, True]
+    stage = empirical_stage(departures(group, [[0.3, 9.0, 9.0], [9.0, 0.2, 9.0]], 0.0, 0.1, used), group)
+    assert isinstance(stage, Empirical)
+    assert (stage.measured_from, stage.measured_to) == (0.0, 20.0)
+
+
+@pytest.mark.parametrize(("measured", "value"), [(0.3, 0.2 / 0.9), (0.04, -0.06 / 0.1)])
+def test_lost_shares_are_shares_and_a_stage_that_drops_or_gives_back(measured: float, value: float) -> None:
+    group = Group("lost_share", "range_m", "share", EDGES)
+    given = departures(group, stable_share([measured] * 3), stable_share(0.1), 0.02)
+    curve = natural_curve(given, group)
+    np.testing.assert_allclose(curve.value, measured - 0.1)
+    # d sin^2 v = sin 2v dv = 2 sqrt(p (1 - p)) dv; of a difference to second order.
+    np.testing.assert_allclose(curve.sd, 2 * math.sqrt(0.1 * 0.9) * 0.02, rtol=1e-3)
+    stage = empirical_stage(given, group)
+    assert isinstance(stage, Empirical)
+    assert (stage.kind, stage.of, stage.axis) == ("loss", "object", "range_m")
+    assert stage.config()["value"] == pytest.approx([value] * 3)
+    assert stage.config()["at"] == [5.0, 15.0, 25.0]
+    assert (stage.measured_from, stage.measured_to) == (0.0, 30.0)
+
+
+def test_counts_are_returns_a_frame() -> None:
+    group = Group("particles_before_objects", "particle_range_m", "count", EDGES)
+    counts = np.array([40.0, 10.0, 5.0])
+    curve = natural_curve(departures(group, np.sqrt(counts + 0.375), np.sqrt(5.0 + 0.375), 0.5), group)
+    np.testing.assert_allclose(curve.value, (counts - 5.0) / 5)
+    assert curve.unit == "returns per frame"
+
+
+def test_spreads_are_standard_deviations_and_their_variances_subtract() -> None:
+    group = Group("range_residual_spread", "range_m", "spread", EDGES)
+    given = departures(group, np.log([0.05, 0.03, 0.03]), math.log(0.03), 0.01)
+    np.testing.assert_allclose(natural_curve(given, group).value, [0.02, 0.0, 0.0], atol=1e-12)
+    stage = empirical_stage(given, group)
+    assert isinstance(stage, Empirical)
+    assert stage.kind == "range_noise"
+    assert stage.config()["value"] == pytest.approx([0.04, 0.0, 0.0], abs=1e-9)
+    less = departures(group, np.log([0.01] * 3), math.log(0.03), 0.01)
+    assert "scatters less" in str(empirical_stage(less, group))
+
+
+@pytest.mark.parametrize("what", WHY_NOT)
+def test_what_no_stage_can_copy_has_a_reason(what: str) -> None:
+    kind = what if what in ("between", "slope", "persistence") else "share"
+    group = Group(what, "range_m", kind, EDGES)
+    found = empirical_stage(departures(group, [[0.5, 0.5, 0.5]], 0.3, 0.01), group)
+    assert found == WHY_NOT[what]
+
+
+def test_a_statistic_without_a_stage_says_so() -> None:
+    group = Group("my_statistic", "range_m", "mean", EDGES)
+    assert empirical_stage(departures(group, [[0.5, 0.5, 0.5]], 0.3, 0.01), group) == "no stage acts on my_statistic"
+
+
+def test_a_full_circle_closes() -> None:
+    group = Group("log_intensity_ratio", "azimuth_rad", "mean", SECTORS)
+    stage = empirical_stage(departures(group, [[1.0, 2.0, 3.0, 4.0]], 0.0, 0.1), group)
+    assert isinstance(stage, Empirical)
+    ends = stage.curve(torch.tensor([-math.pi + 1e-6, math.pi - 1e-6]))
+    torch.testing.assert_close(ends, torch.full((2,), 2.5), rtol=0.0, atol=1e-4)
+
+
+# ---- from frames to a curve and back -------------------------------------------------------------------------------
+
+
+def changed(study: Study, change: Callable[[Frame, Frame, np.random.Generator], Frame]) -> Study:
+    """The study with its measured frames changed by plain numpy; ``change`` gets a frame and the first clear one."""
+    rng = np.random.default_rng(8)
+    clear = {name: np.asarray(values) for name, values in dict(study.scenes["s0"].clear[0]).items()}
+    scenes = [
+        {"id": "s0", "clear": list(study.scenes["s0"].clear), "geometry": dict(study.scenes["s0"].geometry)},
+    ]
+    conditions = [
+        {
+            "id": one.id,
+            "scene": one.scene,
+            "weather": one.weather,
+            "rel_sd": one.rel_sd,
+            "frames": [change({k: np.array(v) for k, v in dict(frame).items()}, clear, rng) for frame in one.frames],
+            "split": one.split,
+        }
+        for one in study.conditions
+    ]
+    return Study.from_arrays(sensor=SENSOR, beams=dict(study.beams), scenes=scenes, conditions=conditions)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Study:
+    return tiny_study(seed=5, frames=24, clear=4)
+
+
+def between(plain: Study, other: Study) -> Departures:
+    """The changed frames beside the plain ones, with the scatter from frame to frame."""
+    models = LidarFrames(plain), LidarFrames(other)
+    conditions = [one for one in plain.fit if one.weather is not None]
+    before, after = targets(models[0], conditions), targets(models[1], [o for o in other.fit if o.weather is not None])
+    sd = []
+    for one in conditions:
+        pool = Pool(models[0].layout, models[0].measured(one))
+        halves = pool.vectors(np.stack([np.arange(len(pool)).reshape(2, -1)[half] for half in (0, 1)]))
+        sd.append(np.abs(halves[0] - halves[1]) / 2 + 1e-3)
+    return Departures(
+        layout=models[0].layout,
+        measured=np.stack([one.vector for one in after]),
+        simulated=np.stack([one.vector for one in before]),
+        sd=np.stack(sd),
+        used=np.stack([one.enough & other.enough for one, other in zip(before, after, strict=True)]),
+        frames=np.array([one.frames for one in after]),
+        weight=np.stack([models[1].measured(one).weight.mean(0) for one in conditions]),
+    )
+
+
+def fitted(found: Departures, statistic: str, axis: str) -> Empirical:
+    (group,) = [one for one in found.layout.groups if (one.statistic, one.axis) == (statistic, axis)]
+    stage = empirical_stage(found, group)
+    assert isinstance(stage, Empirical)
+    return stage
+
+
+def azimuth(study: Study) -> Floats:
+    direction = np.asarray(study.beams["direction"], dtype=np.float64)
+    found: Floats = np.arctan2(direction[..., 1], direction[..., 0])
+    return found
+
+
+def test_a_ripple_of_the_intensity_comes_back_as_a_stage(plain: Study) -> None:
+    def ripple(x: Any) -> Any:
+        return 0.1 * np.sin(2.0 * x + 0.5)
+
+    def change(frame: Frame, clear: Frame, rng: np.random.Generator) -> Frame:
+        return {**frame, "intensity": (frame["intensity"] * np.exp(ripple(azimuth(plain)))).astype(np.float32)}
+
+    found = between(plain, changed(plain, change))
+    stage = fitted(found, "log_intensity_ratio", "azimuth_rad")
+    assert (stage.kind, stage.of) == ("intensity", "object")
+    (edges,) = {group.edges for group in found.layout.groups if group.axis == "azimuth_rad"}
+    columns = azimuth(plain)[0]
+    sector = np.digitize(columns, edges) - 1
+    wanted = [ripple(columns[sector == number]).mean() for number in range(16)]
+    # 3 % of noise, 700 returns a sector.
+    np.testing.assert_allclose(stage.config()["value"][1:-1], wanted, atol=5 * 0.03 / math.sqrt(700))
+
+
+def test_added_returns_come_back_as_probability_and_places(plain: Study) -> None:
+    """A tenth of the beams reports something at 2.5 to 3.5 m instead of its surface."""
+
+    def change(frame: Frame, clear: Frame, rng: np.random.Generator) -> Frame:
+        hit = (rng.random(frame["range_m"].shape) < 0.1) & (clear["range_m"] > 3.6)
+        place = rng.uniform(2.5, 3.5, hit.shape)
+        return {
+            "range_m": np.where(hit, place, frame["range_m"]).astype(np.float32),
+            "intensity": np.where(hit, 0.01, frame["intensity"]).astype(np.float32),
+        }
+
+    found = between(plain, changed(plain, change))
+    for statistic, axis in (("particles_before_objects", "particle_range_m"), ("new_share", "azimuth_rad")):
+        stage = fitted(found, statistic, axis)
+        assert (stage.kind, stage.of) == ("returns", "object")
+        place = int(np.argmax(stage.shares))
+        assert stage.places_m[place : place + 2] == [2.5, 3.5]
+        assert stage.shares[place] > 0.8 * sum(stage.shares)
+        # 850 beams, 24 frames, two conditions: 0.0015 by chance, and a few returns of snow that were replaced.
+        chance = float(np.mean(stage.config()["value"]))
+        assert chance == pytest.approx(0.1, abs=0.012)
+    removed = between(changed(plain, change), plain)
+    (group,) = [one for one in removed.layout.groups if one.statistic == "particles_before_objects"]
+    assert "fewer such returns than simulated" in str(empirical_stage(removed, group))
+
+
+def test_lost_returns_come_back_as_a_probability(plain: Study) -> None:
+    """Beyond 20 m a fifth of what was reported is lost."""
+
+    def change(frame: Frame, clear: Frame, rng: np.random.Generator) -> Frame:
+        lost = (rng.random(frame["range_m"].shape) < 0.2) & (clear["range_m"] > 23.0)
+        return {name: np.where(lost, 0.0, values).astype(np.float32) for name, values in frame.items()}
+
+    stage = fitted(between(plain, changed(plain, change)), "lost_share", "range_m")
+    value = stage.curve(torch.tensor([10.0, 20.0, 26.0, 35.0])).numpy()
+    # 60 beams a bin, 24 frames, two conditions: 0.008 by chance; snow stands in front of a few.
+    np.testing.assert_allclose(value, [0.0, 0.0, 0.2, 0.2], atol=0.035)
