@@ -1,15 +1,21 @@
-"""Studies of the embedded scene with effects hidden in them."""
+"""Studies with effects hidden in them, and ``examples/gap_d34_suspicions.py``, which searches four."""
 
 from __future__ import annotations
 
+import importlib.util
+import json
+import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.report.made_up_gaps import report
 from torchweather.gap import hidden_study as module
 from torchweather.gap.hidden_study import HIDEABLE, WEATHERS, HiddenStudy, drawn_effect, drawn_study, hidden_study
 from torchweather.gap.study import Study
@@ -19,6 +25,7 @@ from torchweather.stages.effects import Effect
 from torchweather.stages.effects_lidar import EFFECTS
 from torchweather.weather import Rain, Weather
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "gap_d34_suspicions.py"
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
 
 
@@ -151,3 +158,53 @@ def test_the_draw_is_that_of_its_seed() -> None:
 def test_what_cannot_be_a_study_is_refused(arguments: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         hidden_study(**arguments)
+
+
+# ---- the example of D3.4's suspicions --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def suspicions(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The example, its search replaced by one that always says window loss; the studies that it was given."""
+    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    example: Any = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, EXAMPLE.stem, example)  # its dataclasses look themselves up
+    spec.loader.exec_module(example)
+    example.searched_studies = []
+
+    def made_up(study: Study, **arguments: Any) -> Any:
+        assert not arguments  # no effect is suggested to it
+        example.searched_studies.append(study)
+        return report("named", study)
+
+    monkeypatch.setattr(example, "find_gap", made_up)
+    return example
+
+
+def test_each_suspicion_is_hidden_in_its_weather(suspicions: Any) -> None:
+    assert {(one.section, one.effect.id, one.weather) for one in suspicions.SUSPICIONS.values()} == {
+        ("5.2.2", "lidar.isolated_return_filter", "snow"),
+        ("5.3.2", "lidar.extinction_scale", "fog"),
+        ("7.4.2", "lidar.limited_extent", "rain"),
+        ("7.4.2.1", "lidar.static_structure", "rain"),
+    }
+    assert not any(bool(one.effect.at_identity) for one in suspicions.SUSPICIONS.values())
+
+
+def test_the_example_writes_what_it_found_and_says_where_it_is_wrong(
+    suspicions: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--columns", "16", "--only", "extinction", "extent", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", [EXAMPLE.name, *arguments])
+    suspicions.main()
+    assert [one.conditions[0].weather.kind for one in suspicions.searched_studies] == ["fog", "rain"]
+    table = {re.sub(r"  +", "|", line) for line in capsys.readouterr().out.splitlines()}
+    assert "5.3.2|lidar.extinction_scale.factor 0.700|-|2.13 -> 1.03|1.00" in table
+    assert "|(not lidar.window_loss.loss_db)|0.0200 dB|0.0180 to 0.0220" in table
+    rows = json.loads((tmp_path / "suspicions.json").read_text(encoding="utf-8"))
+    assert [row["hidden"]["name"] for row in rows] == ["lidar.extinction_scale", "lidar.limited_extent"]
+    for name in ("extinction", "extent"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 0
+        assert {file.name for file in (tmp_path / name).iterdir()} == {"gap.json", "model.yaml", "report.html"}
