@@ -2,11 +2,12 @@
 
     python benchmarks/gap_bench.py make DIR --set dev --seed 1 --cases singles nulls --count 20
     python benchmarks/gap_bench.py run DIR                  # resumable: one line of JSON a case
+    python benchmarks/gap_bench.py known DIR                # opens the truth: how narrow intervals could be
     python benchmarks/gap_bench.py score DIR --out benchmarks/gap_bench
 
 ``make`` writes studies to ``DIR/studies`` and what is hidden in them to ``DIR/sealed/truth.json``, whose SHA-256 it
-prints and keeps in ``DIR/seal.json``. ``run`` never opens the sealed folder. A set that led to a change of the workflow
-is a development set (``--set dev...``) from then on.
+prints and keeps in ``DIR/seal.json``. ``run`` never opens the sealed folder; ``known`` and ``score`` do, so they come
+after it. A set that led to a change of the workflow is a development set (``--set dev...``) from then on.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from hidden.answering import answer, draw_calibration, draw_confusion
 from hidden.cases import GROUPS, Streets, build, needed_strengths, plan
@@ -84,18 +86,39 @@ def part_of(cases: list[str], part: str | None) -> list[str]:
     return cases[number - 1 :: parts]
 
 
+def truth_of(folder: Path) -> dict[str, Any]:
+    """The sealed truth, if it is still what was sealed."""
+    path = folder / "sealed" / "truth.json"
+    if sha256_of(path) != read_json(folder / "seal.json")["truth_sha256"]:
+        raise SystemExit(f"{path}: its SHA-256 is not the one that was sealed; make the set anew.")
+    return dict(read_json(path))
+
+
+def known(arguments: argparse.Namespace) -> None:
+    """Answer again, allowed the true effects alone, the studies whose answer named just these."""
+    folder: Path = arguments.folder
+    truths, lines = truth_of(folder), folder / "known.jsonl"
+    missing = sorted(set(truths) - answered(folder / "answers.jsonl"))
+    if missing:
+        raise SystemExit(f"{folder}: {len(missing)} studies have no answer yet; run them first, the truth opens then.")
+    rows = score(truths, read_lines(folder / "answers.jsonl"))["cases"]
+    exact = {row["case"]: row["true"] for row in rows if row["exact"]}
+    waiting = [case for case in part_of(sorted(exact), arguments.part) if case not in answered(lines)]
+    for case in waiting[: arguments.count]:
+        found = answer(folder / "studies" / case, arguments.seed, exact[case])
+        append_line(lines, {"case": case, "seed": arguments.seed, **found})
+        print(f"{case}  {found['seconds']:.1f} s", flush=True)
+
+
 def report(arguments: argparse.Namespace) -> None:
     """Open the truth and set it against the answers."""
     folder: Path = arguments.folder
-    seal = read_json(folder / "seal.json")
-    truth_path = folder / "sealed" / "truth.json"
-    if sha256_of(truth_path) != seal["truth_sha256"]:
-        raise SystemExit(f"{truth_path}: its SHA-256 is not the one that was sealed; make the set anew.")
+    seal, truths = read_json(folder / "seal.json"), truth_of(folder)
     answers = read_lines(folder / "answers.jsonl")
     strange = sorted({one["case"] for one in answers if one["sealed"] != seal["truth_sha256"]})
     if strange:
         raise SystemExit(f"answers.jsonl: {', '.join(strange)} were answered under another seal; answer them again.")
-    found = score(read_json(truth_path), answers)
+    found = score(truths, answers, read_lines(folder / "known.jsonl"))
     out: Path = arguments.out or folder / "score"
     write_json(out / "score.json", {**seal, **found})
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
@@ -103,7 +126,8 @@ def report(arguments: argparse.Namespace) -> None:
     for name, value in found["table"].items():
         if isinstance(value, dict) and "share" in value and value["of"]:
             print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")
-    print(f"seconds: {found['table']['seconds']}")
+    for name in ("interval_width_over_known", "other_metrics_after_over_before", "seconds"):
+        print(f"{name}: {found['table'][name]}")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -125,12 +149,16 @@ def main(argv: list[str] | None = None) -> int:
     one.add_argument("--small", action="store_true", help="4,096 beams")
     one.add_argument("--few", action="store_true", help="strengths of the needed effects only, no cosines: faster")
     one.set_defaults(run=make)
-    one = commands.add_parser("run", help="answer every study that has no answer yet")
-    one.add_argument("folder", type=Path)
-    one.add_argument("--seed", type=int, default=0)
-    one.add_argument("--count", type=int, default=None, help="no more than these")
-    one.add_argument("--part", default=None, help="k/n: every n-th study from the k-th, for several processes")
-    one.set_defaults(run=run)
+    for name, act, what in (
+        ("run", run, "answer every study that has no answer yet"),
+        ("known", known, "open the sealed truth and search again for the true effects alone"),
+    ):
+        one = commands.add_parser(name, help=what)
+        one.add_argument("folder", type=Path)
+        one.add_argument("--seed", type=int, default=0)
+        one.add_argument("--count", type=int, default=None, help="no more than these")
+        one.add_argument("--part", default=None, help="k/n: every n-th study from the k-th, for several processes")
+        one.set_defaults(run=act)
     one = commands.add_parser("score", help="open the sealed truth and write the table and pictures")
     one.add_argument("folder", type=Path)
     one.add_argument("--out", type=Path, default=None, help="default: DIR/score")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +15,39 @@ import numpy as np
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.study import Study
+from torchweather.threads import one_thread_an_operation
+
+from .other_metrics import other_metrics
 
 __all__ = ["answer", "draw_calibration", "draw_confusion"]
 
 
-def answer(study: Path, seed: int) -> dict[str, Any]:
+def answer(folder: Path, seed: int, effects: Sequence[str] | None = None) -> dict[str, Any]:
     """What the workflow says of a study.
 
+    Args:
+        folder: of the study.
+        seed: of the workflow.
+        effects: that may be named; ``None``: all.
+
     Returns:
-        ``seconds``, and ``report`` (as ``gap.json``), or ``error`` where the workflow refuses the study. Any other
-        exception is a fault of the workflow: it breaks the run off and is no answer.
+        ``seconds``, and ``report`` (as ``gap.json``), or ``error`` where the workflow refuses the study. Where an
+        effect is named also ``other_metrics``, whose time does not count. Any other exception is a fault of the
+        workflow: it breaks the run off and is no answer.
     """
     from torchweather.gap import find_gap
 
     start = time.perf_counter()
     try:
-        found = {"report": find_gap(Study.read(study), seed=seed).to_dict()}
+        study = Study.read(folder)
+        report = find_gap(study, effects=effects, seed=seed)
     except TorchweatherError as error:
-        found = {"error": str(error)}
-    return {"seconds": round(time.perf_counter() - start, 2), **found}
+        return {"seconds": round(time.perf_counter() - start, 2), "error": str(error)}
+    found = {"seconds": round(time.perf_counter() - start, 2), "report": report.to_dict()}
+    if report.effects and effects is None:
+        with one_thread_an_operation():
+            found["other_metrics"] = other_metrics(study, report, seed)
+    return found
 
 
 def draw_confusion(confusion: dict[str, dict[str, int]], path: Path) -> None:

@@ -35,14 +35,17 @@ def share(rows: Iterable[Row], holds: Callable[[Row], bool]) -> Row:
     }
 
 
-def score(truths: Mapping[str, Row], answers: Iterable[Row]) -> Row:
+def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row] = ()) -> Row:
     """The table of a bench.
 
     Args:
         truths: by case.
-        answers: lines of ``run``: ``case``, and ``report`` (of ``gap.json``) or ``error``.
+        answers: lines of ``run``: ``case``, and ``report`` (of ``gap.json``) or ``error``. Of several of a case the
+            first counts.
+        known: lines of ``known``: the same for a search that may name the true effects alone.
     """
-    rows = [_row(truths[one["case"]], one) for one in answers if one["case"] in truths]
+    told = _first(known)
+    rows = [_row(truths[case], one, told.get(case, {})) for case, one in _first(answers).items() if case in truths]
     singles = [row for row in rows if row["family"] == "single"]
     clear_cut = [row for row in singles if row["identifiable"] and row["level"] >= 10.0]
     several = [row for row in rows if row["family"] in ("pair", "triple")]
@@ -80,12 +83,21 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row]) -> Row:
         "decoys": {row["case"]: [row["decoy"], row["verdict"], row["names"], row["right"]] for row in decoys},
         "coverage_90": _coverage(row for row in rows if row["exact"]),
         "coverage_90_same_form": _coverage(row for row in rows if row["exact"] and row["same_form"]),
+        "interval_width_over_known": _widths(row for row in rows if row["exact"]),
+        "other_metrics_after_over_before": _other(row for row in rows if row["exact"]),
         "gap_after_within_1.15_floor": share(named, lambda row: row["gap_after_over_floor"] <= 1.15),
         "seconds": {"median": _median(seconds), "most": max(seconds, default=None)},
         "calibration": _calibration(rows),
         "confusion": _confusion(rows),
     }
     return {"table": table, "cases": rows}
+
+
+def _first(lines: Iterable[Row]) -> dict[str, Row]:
+    found: dict[str, Row] = {}
+    for one in lines:
+        found.setdefault(one["case"], one)
+    return found
 
 
 def _is(name: str) -> Callable[[Row], bool]:
@@ -96,7 +108,7 @@ def _median(values: list[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 
-def _row(truth: Row, answer: Row) -> Row:
+def _row(truth: Row, answer: Row, known: Row) -> Row:
     report = answer.get("report") or {}
     verdict = "refused" if answer.get("error") else report.get("verdict", "")
     effects = (report.get("effects") or []) if verdict in ("named", "named_and_rest") else []
@@ -131,7 +143,8 @@ def _row(truth: Row, answer: Row) -> Row:
         "gap_before": gap.get("before"),
         "p_value": report.get("p_value"),
         "seconds": answer.get("seconds"),
-        "intervals": _intervals(truth, effects),
+        "intervals": _intervals(truth, effects, (known.get("report") or {}).get("effects") or []),
+        "other_metrics": _shrunk(answer.get("other_metrics")),
         "right_axis": _right_axis(truth, report),
         "right": None,
     }
@@ -144,9 +157,11 @@ def _number(value: Any) -> float:
     return float(value)  # "inf" and "-inf" are numbers too
 
 
-def _intervals(truth: Row, effects: list[Row]) -> list[Row]:
-    """Each true finite parameter of a named effect with its interval."""
+def _intervals(truth: Row, effects: list[Row], known: list[Row]) -> list[Row]:
+    """Each true finite parameter of a named effect with its interval, and its width over that of a fit that knows the
+    effects."""
     found = []
+    told = {one["name"]: one.get("interval") or {} for one in known}
     for one in truth["effects"]:
         for answer in effects:
             if answer["name"] != one["name"]:
@@ -156,12 +171,56 @@ def _intervals(truth: Row, effects: list[Row]) -> list[Row]:
                 if interval is None or not np.isfinite(_number(value)):
                     continue
                 low, high = (_number(end) for end in interval)
-                found.append({"parameter": f"{one['name']}.{name}", "true": _number(value), "low": low, "high": high})
+                row = {"parameter": f"{one['name']}.{name}", "true": _number(value), "low": low, "high": high}
+                found.append({**row, "over_known": _ratio(interval, told.get(one["name"], {}).get(name))})
     for one in found:
         one["covers"] = one["low"] <= one["true"] <= one["high"]
         if not np.isfinite(one["high"] - one["low"]):
             one["low"], one["high"] = str(one["low"]), str(one["high"])
     return found
+
+
+def _ratio(interval: list[Any], other: list[Any] | None) -> float | None:
+    """Width of an interval over that of another one; ``None`` where there is none, or one that is no length."""
+    if other is None:
+        return None
+    width, known = (_number(one[1]) - _number(one[0]) for one in (interval, other))
+    return width / known if np.isfinite(width) and np.isfinite(known) and known > 0.0 else None
+
+
+def _widths(rows: Iterable[Row]) -> Row:
+    """Of all parameters of exact answers that a fit with the true effects alone gives an interval as well."""
+    ratios = [one["over_known"] for row in rows for one in row["intervals"] if one["over_known"] is not None]
+    return {"median": _median(ratios), "of": len(ratios)}
+
+
+# Gaps before, in units of the simulator's distance from itself, from which shrinking means something.
+STANDS_OUT = 2.0
+
+
+def _shrunk(gaps: Row | None) -> dict[str, float] | None:
+    """Excess over the floor that is left, over the excess before, of each metric that stood out."""
+    if gaps is None:
+        return None
+    after = gaps["after"]
+    return {
+        name: max(after[name] - 1.0, 0.0) / (value - 1.0)
+        for name, value in gaps["before"].items()
+        if value >= STANDS_OUT
+    }
+
+
+def _other(rows: Iterable[Row]) -> Row:
+    """Median over cases of the median over the metrics that stood out, and the median of each metric."""
+    listed = [row["other_metrics"] for row in rows if row["other_metrics"] is not None]
+    each = [float(np.median(list(one.values()))) for one in listed if one]
+    metrics = sorted({name for one in listed for name in one})
+    return {
+        "median": _median(each),
+        "of": len(each),
+        "nothing_stood_out": sum(not one for one in listed),
+        "by_metric": {name: _median([one[name] for one in listed if name in one]) for name in metrics},
+    }
 
 
 def _coverage(rows: Iterable[Row]) -> Row:

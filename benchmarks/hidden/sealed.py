@@ -42,7 +42,8 @@ def append_line(path: Path, value: Any) -> None:
     """Add one line of JSON, on the disk before the call returns.
 
     The line goes out in one write at the end of the file, so that lines of several processes stay whole. What a
-    process that was killed left of a line is ended first.
+    process that was killed left of a line is ended first; a line that another process is writing as well, which leaves
+    an empty one.
     """
     line = json.dumps(plain(value), sort_keys=True, allow_nan=False).encode() + b"\n"
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)

@@ -1,0 +1,171 @@
+"""The order of things on a bench: make, run in parts, known, score; and files that several processes write."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import cases, streets
+from benchmarks.hidden.cases import Streets, build, needed_strengths, plan
+from benchmarks.hidden.design import Size
+from benchmarks.hidden.scoring import score
+from benchmarks.hidden.sealed import append_line, read_lines, sha256_of, write_json
+
+ROOT = Path(__file__).resolve().parents[2]
+LOSS = "lidar.window_loss"
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """The script as a module."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import gap_bench
+
+    return gap_bench
+
+
+def _truth(case, name=LOSS):
+    effect = {
+        "name": name, "parameters": {"loss_db": 1.0}, "same_form": True, "level": 30.0, "confusable_with": {},
+        "identifiable": True, "axes": None,
+    }  # fmt: skip
+    return {"id": case, "family": "single", "weather": "rain", "effects": [effect], "options": {}}
+
+
+def _answer(name=LOSS, width=0.4, **more):
+    effect = {"name": name, "parameters": {"loss_db": 1.0}, "interval": {"loss_db": [1.0, 1.0 + width]}}
+    return {"seconds": 1.0, "report": {"verdict": "named", "effects": [{**effect, "confidence": 0.9}]}, **more}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Of three studies, the answers of which are put in."""
+    for case in ("a", "b", "c"):
+        (tmp_path / "studies" / case).mkdir(parents=True)
+        (tmp_path / "studies" / case / "study.yaml").write_text("")
+    write_json(tmp_path / "sealed" / "truth.json", {case: _truth(case) for case in "abc"})
+    seal = sha256_of(tmp_path / "sealed" / "truth.json")
+    write_json(tmp_path / "seal.json", {"set": "dev", "seed": 1, "truth_sha256": seal})
+    return tmp_path
+
+
+def _arguments(folder, **more):
+    return SimpleNamespace(**{"folder": folder, "seed": 0, "count": None, "part": None, "out": None, **more})
+
+
+def test_lines_of_two_processes_stay_whole(tmp_path):
+    path = tmp_path / "answers.jsonl"
+    code = (
+        "import sys; from pathlib import Path; from benchmarks.hidden.sealed import append_line\n"
+        "path, who = Path(sys.argv[1]), sys.argv[2]\n"
+        "for i in range(60): append_line(path, {'who': who, 'i': i, 'long': who * 30000})"
+    )
+    both = [subprocess.Popen([sys.executable, "-c", code, str(path), who], cwd=ROOT) for who in "xy"]
+    assert [one.wait() for one in both] == [0, 0]
+    # A line that is seen while it is being written is ended once more: an empty line, and nothing else.
+    found = [json.loads(line) for line in path.read_text().splitlines() if line]
+    assert sorted((one["who"], one["i"]) for one in found) == sorted((who, i) for who in "xy" for i in range(60))
+
+
+def test_a_line_after_one_that_was_cut_off_is_whole(tmp_path):
+    path = tmp_path / "answers.jsonl"
+    append_line(path, {"case": "a"})
+    with path.open("a") as file:
+        file.write('{"case": "b", "va')
+    append_line(path, {"case": "c"})
+    assert [one["case"] for one in read_lines(path)] == ["a", "c"]
+
+
+def test_parts_never_overlap_whatever_is_done_already(bench, folder, monkeypatch, capsys):
+    monkeypatch.setattr(bench, "answer", lambda study, seed: _answer())
+    assert bench.part_of(["a", "b", "c"], "1/2") == ["a", "c"]
+    bench.run(_arguments(folder, part="1/2", count=1))
+    bench.run(_arguments(folder, part="2/2"))
+    bench.run(_arguments(folder, part="1/2"))
+    assert [one["case"] for one in read_lines(folder / "answers.jsonl")] == ["a", "b", "c"]
+    bench.run(_arguments(folder))
+    assert "3 of 3 studies have an answer; 0 to go" in capsys.readouterr().out
+    for wrong in ("0/2", "3/2"):
+        with pytest.raises(SystemExit, match="k/n"):
+            bench.part_of(["a"], wrong)
+
+
+def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effects_alone(bench, folder, monkeypatch):
+    asked = []
+
+    def answer(study, seed, effects=None):
+        asked.append((study.name, effects))
+        return _answer("lidar.spray" if study.name == "b" else LOSS, width=0.4 if effects is None else 0.2)
+
+    monkeypatch.setattr(bench, "answer", answer)
+    bench.run(_arguments(folder, count=2))
+    with pytest.raises(SystemExit, match="1 studies have no answer"):
+        bench.known(_arguments(folder))
+    bench.run(_arguments(folder))
+    asked.clear()
+    bench.known(_arguments(folder, count=1))
+    bench.known(_arguments(folder))
+    assert asked == [("a", [LOSS]), ("c", [LOSS])]  # b was not answered right
+    bench.report(_arguments(folder))
+    table = json.loads((folder / "score" / "score.json").read_text())["table"]
+    assert table["singles_exact"]["hits"] == 2
+    assert table["interval_width_over_known"] == {"median": pytest.approx(2.0), "of": 2}
+    write_json(folder / "sealed" / "truth.json", {case: _truth(case, "lidar.spray") for case in "abc"})
+    for act in (bench.known, bench.report):
+        with pytest.raises(SystemExit, match="SHA-256"):
+            act(_arguments(folder))
+
+
+def test_of_several_answers_to_a_study_the_first_counts():
+    answers = [{"case": "a", **_answer()}, {"case": "a", **_answer("lidar.spray")}]
+    table = score({"a": _truth("a")}, answers)["table"]
+    assert (table["answered"], table["singles_exact"]["hits"], table["singles_wrong_asserted"]["hits"]) == (1, 1, 0)
+
+
+def test_what_is_left_of_the_other_metrics_is_of_those_that_stood_out():
+    gaps = {
+        "before": {"returns": 5.0, "lost": 9.0, "particles": 1.9},
+        "after": {"returns": 2.0, "lost": 0.8, "particles": 7.0},
+    }
+    table = score({"a": _truth("a")}, [{"case": "a", **_answer(other_metrics=gaps)}])["table"]
+    found = table["other_metrics_after_over_before"]
+    assert found["by_metric"] == {"lost": 0.0, "returns": 0.25}
+    assert (found["median"], found["of"], found["nothing_stood_out"]) == (0.125, 1, 0)
+    quiet = {"before": {"returns": 1.5}, "after": {"returns": 1.5}}
+    found = score({"a": _truth("a")}, [{"case": "a", **_answer(other_metrics=quiet)}])["table"]
+    assert found["other_metrics_after_over_before"]["nothing_stood_out"] == 1
+    assert found["other_metrics_after_over_before"]["median"] is None
+
+
+def test_a_null_needs_no_table_of_strengths(monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError("a detector was made")
+
+    monkeypatch.setattr(streets, "Detector", refuse)
+    tiny = Size(rings=16, columns=64, clear_frames=2, rates=2, frames=2)
+    places = Streets("dev", 1, None)
+    nulls = [case for case in plan("dev", 1, ["nulls", "screen"], tiny) if case.size.rings < 64][:7]
+    assert {tuple(needed_strengths(case)) for case in nulls} == {()}
+    study, truth = build(nulls[0], places)
+    assert len(study.conditions) == 4
+    assert truth["effects"] == []
+    single = next(plan("dev", 1, ["singles"], tiny))
+    with pytest.raises(AssertionError, match="detector"):
+        build(single, places)
+
+
+def test_decoys_say_which_strengths_they_ask_for():
+    asked = {}
+    for name, decoy in cases.DECOYS.items():
+
+        def at(effect, level, name=name):
+            asked.setdefault(name, set()).add(effect)
+            return {"loss_db": 1.0, "std_m": 1.0}
+
+        if name != "decoy.no_target":  # it looks at the scene
+            decoy(SimpleNamespace(views=()), at, np.random.default_rng(1))
+    assert asked == {name: set(effects) for name, effects in cases.STRENGTHS_OF.items()}
