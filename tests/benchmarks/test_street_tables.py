@@ -1,0 +1,33 @@
+"""The strengths of the reduced bench are kept beside the tests; they follow from the seed.
+
+``python benchmarks/gap_bench.py make DIR --set ci --seed 1 --cases reduced --small --few`` makes them and leaves them in
+``DIR/sealed``.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.hidden.cases import Streets, needed_strengths, plan
+from benchmarks.hidden.design import Size
+
+HERE = Path(__file__).parent
+SMALL = Size().smaller_grid()
+
+
+def test_the_tables_hold_what_the_reduced_bench_needs():
+    reduced = list(plan("ci", 1, ["reduced"], SMALL))
+    needed = set().union(*(needed_strengths(case) for case in reduced))
+    tables = sorted((HERE / "streets").glob("street-*.json"))
+    assert {path.name.split("-")[1] for path in tables} == {"rain", "fog", "snow"}
+    assert all(needed <= set(json.loads(path.read_text())) for path in tables)
+
+
+@pytest.mark.slow
+def test_a_table_follows_from_the_seed():
+    name = "lidar.window_loss"
+    made = Streets("ci", 1, None, (name,))("rain", 1, SMALL)
+    kept = Streets("ci", 1, HERE / "streets", (name,))("rain", 1, SMALL)
+    assert made.parameters(name, 30.0) == pytest.approx(kept.parameters(name, 30.0), rel=1e-6)
+    assert made.table[name]["30"]["reached"] == pytest.approx(kept.table[name]["30"]["reached"], abs=0.02)
