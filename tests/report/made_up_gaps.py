@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
 import numpy as np
 
-from torchweather.gap.gap_report import Curve, GapReport
+from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response
 from torchweather.gap.study import Study
+from torchweather.stages.empirical import Empirical
 from torchweather.stages.effects_lidar import EFFECTS
 
 RANGE_M = (0.0, 8.0, 17.0, 30.0, 55.0, 110.0, 1000.0)
@@ -42,6 +44,57 @@ WHERE = [
     {"statistic": "log_intensity_ratio", "axis": "range_m", "from": 17.0, "to": 30.0, "z": -18.3},
     {"statistic": "lost_share", "axis": "azimuth_rad", "from": -math.pi, "to": math.pi / 2, "z": 6.7},
 ]
+RIPPLE = [round(0.05 * math.sin(3.0 * 0.5 * (a + b) + 0.4), 4) for a, b in itertools.pairwise(SECTORS)]
+EMPIRICAL = Empirical(
+    "intensity",
+    "azimuth_rad",
+    [0.5 * (a + b) for a, b in itertools.pairwise(SECTORS)][1:],
+    RIPPLE[1:],
+    SECTORS[1],
+    SECTORS[-1],
+)
+# A ripple of the intensity over the azimuth; its first sector holds too little.
+UNKNOWN: dict[str, Any] = {
+    "statistic": "log_intensity_ratio",
+    "axis": "azimuth_rad",
+    "from": SECTORS[3],
+    "to": SECTORS[4],
+    "z": 7.4,
+    "curve": {
+        "edges": list(SECTORS),
+        "value": [None, *RIPPLE[1:]],
+        "low": [None, *(value - 0.011 for value in RIPPLE[1:])],
+        "high": [None, *(value + 0.011 for value in RIPPLE[1:])],
+        "unit": "ln(intensity ratio)",
+    },
+    "formula": {
+        "name": "sine",
+        "text": "0.0513 sin(3 azimuth_rad + 0.4)",
+        "parameters": {"amplitude": 0.0513, "phase_rad": 0.4, "times": 3.0},
+        "chi2_per_dof": 1.13,
+        "values": RIPPLE,
+    },
+    "empirical": EMPIRICAL.config(),
+    "why_not": None,
+}
+# The power of the laser drifts: one number, which no stage can copy.
+DRIFT: dict[str, Any] = {
+    "statistic": "log_intensity_ratio",
+    "axis": "time",
+    "from": 0.0,
+    "to": 1.0,
+    "z": -12.0,
+    "curve": {
+        "edges": [0.0, 1.0],
+        "value": [-0.21],
+        "low": [-0.24],
+        "high": [-0.18],
+        "unit": "change from the first frame to the last",
+    },
+    "formula": None,
+    "empirical": None,
+    "why_not": "it changes from the first frame to the last, and a stage does not know when a frame was taken",
+}
 
 
 def curves(study: Study, *, size: float, left: float | None) -> tuple[Curve, ...]:
@@ -62,6 +115,24 @@ def curves(study: Study, *, size: float, left: float | None) -> tuple[Curve, ...
     return tuple(found)
 
 
+def responses(study: Study) -> tuple[Response, ...]:
+    """The measurement and three effects, of which the first fits."""
+    rng = np.random.default_rng(5)
+    shape = -20.0 * np.linspace(0.4, 1.0, len(RANGE_M) - 1)
+    shape[-1] = np.nan
+    given = [(None, shape + rng.standard_normal(len(shape)))]
+    given += [(one["name"], shape * share) for one, share in zip(CANDIDATES, (1.0, 0.5, -0.2), strict=True)]
+    return tuple(Response("log_intensity_ratio", "range_m", RANGE_M, name, values) for name, values in given)
+
+
+def residuals(study: Study, *, fitted: bool) -> ResidualMap:
+    """Three statistics, of which the last has too little in it."""
+    groups = (("log_intensity_ratio", "range_m"), ("lost_share", "azimuth_rad"), ("particles", "place"))
+    conditions = tuple(one.id for one in study.fit if one.weather is not None)
+    before = np.tile([[14.0], [6.5], [np.nan]], (1, len(conditions)))
+    return ResidualMap(groups, conditions, before, np.ones_like(before) if fitted else None)
+
+
 def report(verdict: str, study: Study, **more: Any) -> GapReport:
     """A report of a study with a verdict; ``more`` replaces parts of the answer."""
     found: dict[str, list[dict[str, Any]]] = {"named": [WINDOW_LOSS], "named_and_rest": [STATIC, WINDOW_LOSS]}
@@ -73,10 +144,10 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
         "verdict": verdict,
         "effects": found.get(verdict, []),
         "where": [] if nothing else WHERE,
-        "nuisance": nuisance,
+        "nuisance": {"rate_factor": 1.04, "by_condition": nuisance},
         "gap": {**gap, "interval_after": [0.94, 1.13]},
         "p_value": 0.314 if nothing else 3e-12,
-        "unknown": WHERE[1] if verdict in ("named_and_rest", "unknown") else None,
+        "unknown": {"named_and_rest": DRIFT, "unknown": UNKNOWN}.get(verdict),
         "candidates": [] if nothing else CANDIDATES,
         "simulated_frames": 4321,
         "seconds": 41.2,
@@ -88,4 +159,12 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
         for one in answer["effects"]
     )
     picture = curves(study, size=1.0 if nothing else 14.0, left=None if nothing else 1.0)
-    return GapReport(answer, stages, picture, study.sha256)
+    return GapReport(
+        answer,
+        stages,
+        picture,
+        study.sha256,
+        EMPIRICAL if verdict == "unknown" else None,
+        () if nothing else responses(study),
+        residuals(study, fitted=not nothing),
+    )

@@ -80,7 +80,7 @@ def side_by_side(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[st
     factors = truth["weather_factor"]
     rows += [
         [f"true over recorded weather, {name}", f"{factors[name]:.3f}", f"{value:.3f}"]
-        for name, value in answer["nuisance"].items()
+        for name, value in answer["nuisance"]["by_condition"].items()
     ]
     return aligned(rows)
 

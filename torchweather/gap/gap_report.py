@@ -10,27 +10,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from torchweather import __version__
 from torchweather.gap.baseline import Baseline
+from torchweather.gap.model_file import Additions, read_model, write_model
 from torchweather.gap.search import Fit, Search
 from torchweather.gap.statistics import Group
+from torchweather.gap.unknown import unknown
 from torchweather.gap.workflow import Candidate, GapResult
 from torchweather.io import atomic_write
-from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
+from torchweather.stages.effects import EFFECTS, Effect
+from torchweather.stages.empirical import Empirical
 from torchweather.transforms import LidarWeather
+from torchweather.weather import Fog
 
-__all__ = ["Curve", "GapReport", "gap_report", "read_model", "write_model"]
+__all__ = ["Curve", "GapReport", "ResidualMap", "Response", "gap_report", "read_model", "write_model"]
 
 Floats = NDArray[np.float64]
 
-FORMAT, MODEL_FORMAT = "torchweather-gap/1", "torchweather-model/1"
+FORMAT = "torchweather-gap/1"
 CENTRAL_90 = 1.6449  # standard deviations of a normal law
 # Least squares knows the noise of the entries, not that of the scatter they are counted in, nor of the clear mean.
 WIDENED = 1.5
 STANDS_OUT = 4.0  # standard deviations, from which a bin is named
 CURVES = 4
+RESPONSES = 2  # statistics, of which responses are shown
 AXES_OF_ONE = 2  # of one statistic, that are shown
 LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
 DIGITS = 6  # significant
@@ -57,6 +62,43 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class Response:
+    """What one effect would do to a statistic along its axis, beside what was measured.
+
+    Args:
+        statistic, axis: names, with units.
+        edges: of the bins.
+        effect: its id; ``None`` is the measurement.
+        values: ``(bins,)`` departure from the simulation as it is, all conditions together, in units of its scatter;
+            NaN where nothing counts.
+    """
+
+    statistic: str
+    axis: str
+    edges: tuple[float, ...]
+    effect: str | None
+    values: Floats
+
+
+@dataclass(frozen=True)
+class ResidualMap:
+    """How far each statistic is off in each condition.
+
+    Args:
+        groups: (statistic, axis) of each row.
+        conditions: ids of the columns.
+        before, after: ``(rows, columns)`` root mean square departure over the bins in units of the simulation's
+            scatter, 1 in the mean where nothing is missing, NaN where nothing counts; ``after`` is ``None`` where
+            nothing was fitted.
+    """
+
+    groups: tuple[tuple[str, str], ...]
+    conditions: tuple[str, ...]
+    before: Floats
+    after: Floats | None
+
+
+@dataclass(frozen=True)
 class GapReport:
     """What was found.
 
@@ -65,12 +107,18 @@ class GapReport:
         effects: the stages that were found.
         curves: the statistics that depart most.
         study_sha256: of the study's content.
+        empirical: stage that copies what no effect explains, or ``None``.
+        responses: of the fitted effects, in the statistics that depart most.
+        residuals: of all statistics.
     """
 
     answer: Mapping[str, Any]
     effects: tuple[Effect, ...]
     curves: tuple[Curve, ...]
     study_sha256: str
+    empirical: Empirical | None = None
+    responses: tuple[Response, ...] = ()
+    residuals: ResidualMap | None = None
 
     @property
     def verdict(self) -> str:
@@ -82,48 +130,21 @@ class GapReport:
         found: dict[str, Any] = json.loads(json.dumps(self.answer))
         return found
 
-    def apply(self, model: LidarWeather) -> LidarWeather:
+    def apply(self, model: LidarWeather, *, empirical: bool = False) -> LidarWeather:
         """The model with what was found, beside the effects that it has.
 
         Args:
             model: a transform for the sensor of the study.
+            empirical: add the empirical stage as well, which copies what no effect explains; it is valid in the range,
+                the weather and the scenes that it was measured in.
         """
-        own = {"q_eff", "q_back", "fog_extinction", "fog_backscatter"}
-        stages = model.chain.stages
-        options = {**stages["extinction"].config(), **stages["particle_returns"].config()}
-        kept = {name: value for name, value in options.items() if name in own}
-        present = [stage for stage in stages.values() if isinstance(stage, Effect)]
-        repaired = LidarWeather(
-            model.weather,
-            model.sensor,
-            lost=model.lost,
-            complete_scan=model.complete_scan,
-            variant=options["variant"],
-            effects=[*present, *self.effects],
-            **kept,
-        )
-        return repaired
+        return Additions(self.effects, self.empirical).apply(model, empirical=empirical)
 
     def write(self, folder: Path) -> None:
         """Write ``gap.json`` and ``model.yaml`` into a folder that exists."""
         with atomic_write(folder / "gap.json") as unfinished:
             unfinished.write_text(json.dumps(self.answer, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        write_model(folder / "model.yaml", self.effects)
-
-
-def write_model(path: Path, effects: Sequence[Effect]) -> None:
-    """Write effects as YAML: what is added to the ready-made chain."""
-    values = {"format": MODEL_FORMAT, "effects": [effect.to_dict() for effect in effects]}
-    with atomic_write(path) as unfinished:
-        unfinished.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
-
-
-def read_model(path: Path) -> list[Effect]:
-    """The effects that ``write_model`` wrote."""
-    values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    if not isinstance(values, Mapping) or values.get("format") != MODEL_FORMAT:
-        raise ValueError(f"{path}: wanted effects of format {MODEL_FORMAT!r}, as GapReport.write writes them.")
-    return [effect_from_dict(one) for one in values["effects"]]
+        write_model(folder / "model.yaml", self.effects, self.empirical)
 
 
 def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
@@ -131,15 +152,14 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     found = result.fit if result.verdict in ("named", "named_and_rest") else None
     weights = [_weights(round_, result) for round_ in result.rounds]
     effects = [] if found is None else [_effect(name, found, result, weights) for name in found.setting.values]
-    curves = _curves(result)
-    knobs = result.search.origin.log_knob if result.fit is None else result.fit.setting.log_knob
+    rest = unknown(result) if result.verdict in ("unknown", "named_and_rest") else None
     low = max(0.0, result.after.gap - CENTRAL_90 * result.after.spread)
     answer = {
         "format": FORMAT,
         "verdict": result.verdict,
         "effects": effects,
         "where": _where(result.search, result.search.start),
-        "nuisance": {name: math.exp(value) for name, value in knobs.items()},
+        "nuisance": _nuisance(result),
         "gap": {
             "before": result.before.gap,
             "after": result.after.gap,
@@ -148,7 +168,7 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
             "split": "holdout",
         },
         "p_value": result.screening.p_value,
-        "unknown": _unknown(result) if result.verdict in ("unknown", "named_and_rest") else None,
+        "unknown": None if rest is None else rest.to_dict(),
         "candidates": [
             {
                 "name": one.id,
@@ -164,9 +184,37 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
         "simulated_frames": result.search.simulated_frames,
         "seconds": result.seconds,
         "seed": seed,
+        "version": __version__,
+        "study_sha256": study_sha256,
     }
-    stages = () if found is None else tuple(found.setting.effects())
-    return GapReport(_plain(answer), stages, tuple(curves), study_sha256)
+    return GapReport(
+        _plain(answer),
+        () if found is None else tuple(found.setting.effects()),
+        tuple(_curves(result)),
+        study_sha256,
+        None if rest is None else rest.empirical,
+        tuple(_responses(result)),
+        _residuals(result),
+    )
+
+
+def _nuisance(result: GapResult) -> dict[str, Any]:
+    """How far the weather's record moved.
+
+    ``rate_factor`` is the common factor on the amount of weather: of rates, and of one over the visibility for fog;
+    conditions count with the precision of their record. ``by_condition`` has the factor on each recorded rate or
+    visibility.
+    """
+    knobs = result.search.origin.log_knob if result.fit is None else result.fit.setting.log_knob
+    total, weight = 0.0, 0.0
+    for target in result.search.measured:
+        if target.knob_sd > 0:
+            sign = -1.0 if isinstance(target.condition.weather, Fog) else 1.0
+            precision = target.knob_sd**-2
+            total += sign * precision * knobs.get(target.condition.id, 0.0)
+            weight += precision
+    common = math.exp(total / weight) if weight > 0 else 1.0
+    return {"rate_factor": common, "by_condition": {name: math.exp(value) for name, value in knobs.items()}}
 
 
 def _weights(candidates: Sequence[Candidate], result: GapResult) -> list[float]:
@@ -264,11 +312,47 @@ def _curves(result: GapResult) -> list[Curve]:
     return found
 
 
-def _unknown(result: GapResult) -> dict[str, Any] | None:
-    """The statistic that departs most from the best that the catalogue can do."""
-    base = result.search.start if result.fit is None else result.fit.base
-    found = _where(result.search, base)
-    return found[0] if found else None
+def _responses(result: GapResult) -> list[Response]:
+    """What the effects that were fitted alone do to the loudest statistics, each at its best parameters."""
+    search = result.search
+    start, names = search.start, [target.condition.id for target in search.measured]
+    if not result.rounds:
+        return []
+
+    def common(parts: Mapping[str, Floats], part: slice) -> Floats:
+        each = np.stack([np.where(start.used[name][part], parts[name][part], np.nan) for name in names])
+        count = np.isfinite(each).sum(0)
+        return np.where(count > 0, np.nansum(each, 0) / np.sqrt(np.maximum(count, 1)), np.nan)
+
+    found = []
+    axes = [one for one in _loudest(search, start) if one[1].bins > 1]
+    for _, group, part in axes[:RESPONSES]:
+        seen: list[tuple[str | None, Floats]] = [(None, common(_departures(search, start), part))]
+        for candidate in result.rounds[0]:
+            base = candidate.fit.base
+            moved = {name: (base.mean[name] - start.mean[name]) / start.sd[name] for name in names}
+            seen.append((candidate.id, common(moved, part)))
+        found += [Response(group.statistic, group.axis, group.edges, effect, values) for effect, values in seen]
+    return found
+
+
+def _residuals(result: GapResult) -> ResidualMap:
+    """Every statistic in every condition, as the model is and with the best fit."""
+    search, layout = result.search, result.search.model.layout
+
+    def of(base: Baseline) -> Floats:
+        each = _departures(search, base).values()
+        found: Floats = np.sqrt([[_mean_square(values[part]) for values in each] for part in layout.slices])
+        return found
+
+    groups = tuple((group.statistic, group.axis) for group in layout.groups)
+    conditions = tuple(target.condition.id for target in search.measured)
+    return ResidualMap(groups, conditions, of(search.start), None if result.fit is None else of(result.fit.base))
+
+
+def _mean_square(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float((known**2).mean()) if len(known) else math.nan
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,5 @@
-"""Figures of the gap's page: statistics along their axes before and after, and the held-out gap beside its floor."""
+"""Figures of the gap's page: statistics along their axes before and after, responses of the effects that were fitted,
+the map of what is left, the curve that nothing explains, and the held-out gap beside its floor."""
 
 from __future__ import annotations
 
@@ -8,16 +9,17 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from torchweather.gap.gap_report import Curve
+from torchweather.gap.gap_report import Curve, ResidualMap, Response
 from torchweather.report.correlation_figures import MARKS
 from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
-from torchweather.report.gap_words import axis_name, edge_text
+from torchweather.report.gap_words import axis_name, edge_text, effect_name, group_name
 from torchweather.report.tables import number_text
 
-__all__ = ["AFTER", "BAND", "BEFORE", "curve_uri", "gap_uri"]
+__all__ = ["AFTER", "BAND", "BEFORE", "curve_uri", "gap_uri", "residual_uri", "response_uri", "unknown_uri"]
 
 BEFORE, AFTER = "#e03131", "#1c7ed6"
 BAND = "#dde3e9"
@@ -26,6 +28,10 @@ TO_SCALE = 3.0
 TICKS = (-1000, -300, -100, -30, -10, -3, 0, 3, 10, 30, 100, 300, 1000)
 MOST_LABELS = 12
 ROOM = 1.25
+# Of the effects of a response figure, the best first; told apart without colour by their dashes.
+LINES = (("#1c7ed6", "-"), ("#e8590c", (0, (5, 2))), ("#2b8a3e", (0, (2, 1.5))), ("#862e9c", (0, (5, 1.5, 1, 1.5))))
+# Root mean square departures of a map: where its colours begin (chance) and end.
+MAP_FROM, MAP_TO = 1.0, 30.0
 LEAST_SPAN = 4.0  # in scatters, either side of zero, so that a curve inside the band looks small
 
 Floats = NDArray[np.float64]
@@ -57,16 +63,103 @@ def curve_uri(curves: Sequence[Curve]) -> str:
                 axes.plot(bins + shift, _scaled(one.after), zorder=4, **hollow, **line)
         lowest = min([-LEAST_SPAN, *(float(np.nanmin(values)) for values in known)])
         highest = max([LEAST_SPAN, *(float(np.nanmax(values)) for values in known)])
-        axes.set_ylim(_scaled(ROOM * lowest), _scaled(ROOM * highest))
-        ticks = [tick for tick in TICKS if ROOM * lowest <= tick <= ROOM * highest]
-        axes.set_yticks([_scaled(tick) for tick in ticks], labels=[f"{tick}".replace("-", "−") for tick in ticks])
-        labels = [edge_text(first.axis, edge) for edge in first.edges]
-        every = math.ceil(len(labels) / MOST_LABELS)
-        axes.set_xticks(np.arange(len(labels))[::every] - 0.5, labels=labels[::every])
-        axes.set_xlim(-0.5, len(bins) - 0.5)
-        axes.set_xlabel(axis_name(first.axis), labelpad=3)
+        _departures_up(axes, lowest, highest)
+        _bins_along(axes, first.axis, first.edges)
         axes.set_ylabel("measured − simulated, scatters")
         axes.yaxis.set_label_coords(-0.1, 0.5)
+        return svg_uri(figure)
+
+
+def response_uri(responses: Sequence[Response]) -> str:
+    """What was measured beside what each fitted effect would do, one statistic along its axis, all conditions together.
+
+    Args:
+        responses: of one statistic and axis, the measurement first; at most as many effects as ``LINES``.
+    """
+    first, *effects = responses
+    bins = np.arange(len(first.edges) - 1)
+    known = [one.values[np.isfinite(one.values)] for one in responses]
+    with mpl.rc_context({**STYLE, "font.size": 9.5}):
+        figure = Figure(figsize=(5.6, 3.3))
+        axes = figure.add_axes((0.125, 0.175, 0.845, 0.67))
+        plain_axes(axes)
+        axes.grid(axis="x", visible=False)
+        axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)
+        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        for one, (colour, dashes) in zip(effects[: len(LINES)], LINES, strict=False):
+            label = effect_name(one.effect or "")
+            axes.plot(bins, _scaled(one.values), color=colour, linestyle=dashes, linewidth=1.6, zorder=3, label=label)
+        dots: dict[str, Any] = {"color": INK, "marker": "o", "linestyle": "none", "markersize": 4.5}
+        axes.plot(bins, _scaled(first.values), zorder=4, label="measured", **dots)
+        lowest = min([-LEAST_SPAN, *(float(values.min()) for values in known if len(values))])
+        highest = max([LEAST_SPAN, *(float(values.max()) for values in known if len(values))])
+        _departures_up(axes, lowest, highest)
+        _bins_along(axes, first.axis, first.edges)
+        axes.set_ylabel("change, scatters")
+        axes.yaxis.set_label_coords(-0.1, 0.5)
+        figure.legend(loc="upper left", bbox_to_anchor=(0.115, 1.0), ncols=3, frameon=False, fontsize=9.0)
+        return svg_uri(figure)
+
+
+def residual_uri(residuals: ResidualMap) -> str:
+    """Statistics by conditions, the departure as a colour and a number, before and with the best fit."""
+    panels = [("the simulation as it is", residuals.before)]
+    if residuals.after is not None:
+        panels.append(("with the best fit", residuals.after))
+    shown = [bool(np.isfinite(row).any()) for row in residuals.before]
+    labels = [group_name(*group) for group, keep in zip(residuals.groups, shown, strict=True) if keep]
+    columns = len(residuals.conditions)
+    left, cell, row = 4.6, 0.62, 0.235
+    width = left + len(panels) * (columns * cell + 0.3)
+    height = 0.75 + row * len(labels)
+    with mpl.rc_context({**STYLE, "font.size": 9.0}):
+        figure = Figure(figsize=(width, height))
+        for number, (title, values) in enumerate(panels):
+            start = left + number * (columns * cell + 0.3)
+            box = (start / width, 0.1 / height, columns * cell / width, row * len(labels) / height)
+            axes = figure.add_axes(box)
+            part = values[np.array(shown)]
+            share = np.log(np.clip(part, MAP_FROM, MAP_TO) / MAP_FROM) / math.log(MAP_TO / MAP_FROM)
+            axes.imshow(np.where(np.isfinite(part), share, np.nan), cmap="OrRd", vmin=0.0, vmax=1.15, aspect="auto")
+            for (y, x), value in np.ndenumerate(part):
+                dark = np.isfinite(value) and share[y, x] > 0.65
+                text = number_text(float(value)) if np.isfinite(value) else "–"
+                axes.text(x, y, text, ha="center", va="center", fontsize=8.0, color="white" if dark else INK)
+            axes.set_xticks(range(columns), labels=residuals.conditions)
+            axes.xaxis.tick_top()
+            axes.set_yticks(range(len(labels)), labels=labels if number == 0 else [""] * len(labels))
+            axes.tick_params(length=0, labelcolor=INK)
+            axes.set_title(title, fontsize=9.5, pad=6)
+            for side in axes.spines.values():
+                side.set_visible(False)
+        return svg_uri(figure)
+
+
+def unknown_uri(axis: str, curve: Mapping[str, Any], formula: Mapping[str, Any] | None) -> str:
+    """The curve that no effect explains in natural units with its central 90 %, and the simplest formula through it.
+
+    Args:
+        axis: its name.
+        curve, formula: of the answer's ``unknown``.
+    """
+    edges = tuple(float(edge) for edge in curve["edges"])
+    value, low, high = (_numbers(curve[name]) for name in ("value", "low", "high"))
+    bins = np.arange(len(value))
+    with mpl.rc_context({**STYLE, "font.size": 9.5}):
+        figure = Figure(figsize=(6.4, 3.5))
+        axes = figure.add_axes((0.135, 0.165, 0.84, 0.735))
+        plain_axes(axes)
+        axes.grid(axis="x", visible=False)
+        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        known = np.isfinite(value)
+        axes.bar(bins[known], (high - low)[known], bottom=low[known], width=0.86, color="#f3c6c6", zorder=2)
+        axes.plot(bins, value, "o", color=BEFORE, markersize=4.5, zorder=4, label="measured − simulated, central 90 %")
+        if formula is not None:
+            line = _numbers(formula["values"])
+            axes.plot(bins, line, color=INK, linewidth=1.4, zorder=5, label="mean of the formula over each bin")
+        _bins_along(axes, axis, edges)
+        axes.set_ylabel(str(curve["unit"]))
+        figure.legend(loc="upper left", bbox_to_anchor=(0.125, 1.005), ncols=2, frameon=False, fontsize=9.0)
         return svg_uri(figure)
 
 
@@ -101,6 +194,27 @@ def gap_uri(gap: Mapping[str, Any], *, added: bool) -> str:
         axes.tick_params(axis="y", length=0, labelcolor=INK)
         axes.set_xlabel("departure on held-out conditions, root mean square, scatters")
         return svg_uri(figure)
+
+
+def _bins_along(axes: Axes, axis: str, edges: Sequence[float]) -> None:
+    """Bins side by side, their edges as labels."""
+    labels = [edge_text(axis, edge) for edge in edges]
+    every = math.ceil(len(labels) / MOST_LABELS)
+    axes.set_xticks(np.arange(len(labels))[::every] - 0.5, labels=labels[::every])
+    axes.set_xlim(-0.5, len(edges) - 1.5)
+    axes.set_xlabel(axis_name(axis), labelpad=3)
+
+
+def _departures_up(axes: Axes, lowest: float, highest: float) -> None:
+    """Departures on the scale of the figure, with some room."""
+    axes.set_ylim(_scaled(ROOM * lowest), _scaled(ROOM * highest))
+    ticks = [tick for tick in TICKS if ROOM * lowest <= tick <= ROOM * highest]
+    axes.set_yticks([_scaled(tick) for tick in ticks], labels=[f"{tick}".replace("-", "−") for tick in ticks])
+
+
+def _numbers(values: Sequence[float | None]) -> Floats:
+    """With NaN for ``None``."""
+    return np.array([np.nan if one is None else one for one in values], dtype=np.float64)
 
 
 def _scaled(value: Any) -> Any:

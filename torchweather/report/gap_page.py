@@ -3,26 +3,42 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+
 from torchweather import __version__
 from torchweather.gap.diagnosis import diagnose
-from torchweather.gap.gap_report import Curve, GapReport
+from torchweather.gap.gap_report import Curve, GapReport, Response
 from torchweather.gap.severity import weather_label
 from torchweather.gap.study import Study
 from torchweather.io import atomic_folder
 from torchweather.report.correlation_figures import MARKS
-from torchweather.report.gap_figures import AFTER, BAND, BEFORE, curve_uri, gap_uri
+from torchweather.report.gap_figures import (
+    AFTER,
+    BAND,
+    BEFORE,
+    curve_uri,
+    gap_uri,
+    residual_uri,
+    response_uri,
+    unknown_uri,
+)
 from torchweather.report.gap_words import (
     axis_name,
     confidence_text,
     edge_text,
     effect_name,
+    exact_twins,
+    formula_words,
     headline,
     parameter_rows,
     probability_text,
+    signed_text,
     statistic_name,
     verdict_sentence,
 )
@@ -67,8 +83,11 @@ def write_gap(
         marks=_marks(study, report.curves),
         with_after=any(one.after is not None for one in report.curves),
         where=[_bin(one) for one in answer["where"]],
-        rest=_bin(answer["unknown"]) if answer["unknown"] else None,
-        found=[_found(effect, answer, searched) for effect in answer["effects"]],
+        rest=_rest(answer["unknown"]) if answer["unknown"] else None,
+        found=[_found(effect, answer, searched, study) for effect in answer["effects"]],
+        responses=_responses(report.responses),
+        residuals=None if report.residuals is None else residual_uri(report.residuals),
+        versions=f"torch {torch.__version__}, numpy {np.__version__}, Python {platform.python_version()}",
         searched=[effect_name(name) for name in searched],
         confined=effects is not None,
         ranking=_ranking(answer),
@@ -77,7 +96,8 @@ def write_gap(
         interval=[number_text(end) for end in answer["gap"]["interval_after"]],
         held=[f"{one.id} ({weather_label(one.weather)})" for one in study.holdout if one.weather is not None],
         fitted=[f"{one.id} ({weather_label(one.weather)})" for one in study.fit if one.weather is not None],
-        records=_records(study, answer["nuisance"]),
+        records=_records(study, answer["nuisance"]["by_condition"]),
+        rate_factor=f"{100 * (answer['nuisance']['rate_factor'] - 1):+.1f} %".replace("-", "−"),
         findings=diagnose(study),
         seconds=number_text(answer["seconds"]),
     )
@@ -134,11 +154,68 @@ def _bin(one: Mapping[str, Any]) -> dict[str, str]:
 # ---- what ------------------------------------------------------------------------------------------------------------
 
 
-def _found(effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str]) -> dict[str, Any]:
+def _rest(one: Mapping[str, Any]) -> dict[str, Any]:
+    """What no effect explains: its bin, its curve, its formula, its stage."""
+    whole = len(one["curve"]["value"]) == 1
+    curve, formula, stage = one["curve"], one["formula"], one["empirical"]
+    words = None
+    if formula is not None:
+        words = {
+            "shape": formula_words(formula["name"]),
+            "text": formula["text"].replace("-", "−"),
+            "chi2": number_text(formula["chi2_per_dof"]),
+        }
+    valid = None
+    if stage is not None:
+        everywhere = stage["axis"] == "every_beam"
+        valid = {
+            "kind": stage["kind"].replace("_", " "),
+            "axis": axis_name(stage["axis"]),
+            "from": "" if everywhere else edge_text(stage["axis"], stage["measured_from"]),
+            "to": "" if everywhere else edge_text(stage["axis"], stage["measured_to"]),
+        }
+    return {
+        **_bin(one),
+        "picture": None if whole else unknown_uri(one["axis"], curve, formula),
+        "single": _single(curve) if whole else "",
+        "unit": curve["unit"],
+        "formula": words,
+        "stage": valid,
+        "why_not": one["why_not"],
+    }
+
+
+def _single(curve: Mapping[str, Any]) -> str:
+    """A curve of one bin in words."""
+    value, low, high = (curve[name][0] for name in ("value", "low", "high"))
+    if value is None:
+        return ""
+    return f"{signed_text(value)} ({signed_text(low)} to {signed_text(high)})"
+
+
+def _responses(responses: Sequence[Response]) -> list[dict[str, str]]:
+    """A picture of the responses for each statistic."""
+    groups: dict[tuple[str, str], list[Response]] = {}
+    for one in responses:
+        groups.setdefault((one.statistic, one.axis), []).append(one)
+    return [
+        {
+            "title": statistic_name(statistic),
+            "axis": axis_name(axis).partition(",")[0].removesuffix(" in clear air"),
+            "picture": response_uri(members),
+        }
+        for (statistic, axis), members in groups.items()
+    ]
+
+
+def _found(
+    effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str], study: Study
+) -> dict[str, Any]:
     """An effect with its parameters, and what it could be mistaken for."""
     name = effect["name"]
     declared = EFFECTS[name]
     rivals = dict.fromkeys([*effect["confusable_with"], *declared.confusable_with])
+    with_intensity = getattr(study.sensor, "intensity_unit", "none") != "none"
     return {
         "id": name,
         "name": effect_name(name),
@@ -147,6 +224,7 @@ def _found(effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Seque
         "percollect": declared.percollect,
         "confidence": confidence_text(effect["confidence"]),
         "parameters": parameter_rows(effect),
+        "twins": exact_twins(name, with_intensity=with_intensity),
         "rivals": [
             {
                 "name": effect_name(rival),

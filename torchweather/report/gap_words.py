@@ -14,6 +14,9 @@ __all__ = [
     "confidence_text",
     "edge_text",
     "effect_name",
+    "exact_twins",
+    "formula_words",
+    "group_name",
     "headline",
     "parameter_rows",
     "probability_text",
@@ -51,9 +54,36 @@ AXES = {
     "log_intensity": "intensity in clear air, as the sensor gives it",
     "particle_range_m": "range of the particle, m",
     "isolated": "0 extended, 1 thin target",
+    "every_beam": "every beam alike",
     "frame": "from frame to frame",
     "time": "over time",
     "place": "in one place of every frame",
+}
+FORMULAS = {
+    "constant": "a constant",
+    "linear": "a straight line",
+    "quadratic": "a parabola",
+    "logarithm": "a logarithm",
+    "power": "a power",
+    "exponential_approach": "an exponential approach to a limit",
+    "step": "a step",
+    "sine": "a sine",
+}
+# GAP.md 2: what acts exactly like an effect, and what would tell them apart.
+TWINS = {
+    "lidar.window_loss": (
+        "a laser that is weaker than in the clear frames",
+        "clear frames recorded after those in weather, or the sensor's own record of its power",
+    ),
+    "lidar.extinction_scale": (
+        "a rate or visibility that is farther off than its stated uncertainty, with as many particle returns as now",
+        "a second record of the weather: a disdrometer, a visibility meter",
+    ),
+}
+# Without intensities only.
+SILENT_TWINS = {
+    "lidar.window_loss": "a higher detection threshold (lidar.threshold_shift)",
+    "lidar.threshold_shift": "a loss at the window (lidar.window_loss)",
 }
 SURE = 0.995
 TINY_P = 1e-6
@@ -78,6 +108,42 @@ def statistic_name(name: str) -> str:
 def axis_name(name: str) -> str:
     """An axis with its unit; one that this page does not know by its name."""
     return AXES.get(name, name.replace("_", " "))
+
+
+def group_name(statistic: str, axis: str) -> str:
+    """A statistic with its axis, for a row of a table.
+
+    Example:
+        >>> group_name("lost_share", "range_m"), group_name("particles", "place")
+        ('Beams that lost their return, by range', 'Map of the particle returns, in one place of every frame')
+    """
+    along = axis_name(axis).partition(",")[0].removesuffix(" in clear air")
+    word = "" if axis in ("frame", "time", "place") else "by "
+    return f"{statistic_name(statistic)}, {word}{along}"
+
+
+def formula_words(name: str) -> str:
+    """The shape of a formula in words."""
+    return FORMULAS.get(name, name.replace("_", " "))
+
+
+def exact_twins(name: str, *, with_intensity: bool) -> list[tuple[str, str]]:
+    """What cannot be told from an effect with such data, and what would tell it.
+
+    Args:
+        name: of the effect.
+        with_intensity: whether the sensor gives intensities.
+
+    Example:
+        >>> [twin for twin, _ in exact_twins("lidar.threshold_shift", with_intensity=False)]
+        ['a loss at the window (lidar.window_loss)']
+        >>> exact_twins("lidar.range_noise", with_intensity=False)
+        []
+    """
+    found = [TWINS[name]] if name in TWINS else []
+    if name in SILENT_TWINS and not with_intensity:
+        found.append((SILENT_TWINS[name], "intensities, which the threshold leaves alone"))
+    return found
 
 
 def edge_text(axis: str, edge: float) -> str:
@@ -213,8 +279,8 @@ def _seen(answer: Mapping[str, Any]) -> str:
     rest = answer.get("unknown")
     if not rest:
         return ""
-    statistic, axis = statistic_name(rest["statistic"]), axis_name(rest["axis"]).partition(",")[0]
-    return f" (most of it in: {statistic[0].lower()}{statistic[1:]}, by {axis})"
+    name = group_name(rest["statistic"], rest["axis"])
+    return f" (most of it in: {name[0].lower()}{name[1:]})"
 
 
 def _listed(names: Sequence[str], word: str = "and") -> str:

@@ -1,0 +1,112 @@
+"""What a search adds to a model: effects, and an empirical stage; written to YAML and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+import yaml
+
+from torchweather.errors import TorchweatherError
+from torchweather.io import atomic_write
+from torchweather.stages.effects import Effect, effect_from_dict
+from torchweather.stages.empirical import Empirical
+from torchweather.transforms import LidarWeather
+
+__all__ = ["Additions", "read_model", "write_model"]
+
+MODEL_FORMAT = "torchweather-model/1"
+# Options of LidarWeather that its stages hold.
+OWN = {"q_eff", "q_back", "fog_extinction", "fog_backscatter"}
+
+
+@dataclass(frozen=True)
+class Additions(Sequence[Effect]):
+    """What is added to the ready-made chain: a sequence of the effects, with the empirical stage beside it.
+
+    Args:
+        effects: of the catalogue, found by name.
+        empirical: a curve without a cause, or ``None``.
+    """
+
+    effects: tuple[Effect, ...]
+    empirical: Empirical | None = None
+
+    def __len__(self) -> int:
+        """Number of effects."""
+        return len(self.effects)
+
+    @overload
+    def __getitem__(self, place: int) -> Effect: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[Effect, ...]: ...
+    def __getitem__(self, place: int | slice) -> Effect | tuple[Effect, ...]:
+        """One of the effects."""
+        return self.effects[place]
+
+    def apply(self, model: LidarWeather, *, empirical: bool = False) -> LidarWeather:
+        """The model with the effects, beside those that it has.
+
+        Args:
+            model: a transform for the sensor that they were found for.
+            empirical: add the empirical stage as well; it is valid in the range, the weather and the scenes that it
+                was measured in.
+        """
+        stages = model.chain.stages
+        options = {**stages["extinction"].config(), **stages["particle_returns"].config()}
+        present = [stage for stage in stages.values() if isinstance(stage, Effect)]
+        repaired = LidarWeather(
+            model.weather,
+            model.sensor,
+            lost=model.lost,
+            complete_scan=model.complete_scan,
+            variant=options["variant"],
+            effects=[*present, *self.effects],
+            **{name: value for name, value in options.items() if name in OWN},
+        )
+        if empirical:
+            if self.empirical is None:
+                raise ValueError("Additions.apply: there is no empirical stage; leave empirical=False.")
+            repaired.chain = repaired.chain.insert(self.empirical, before="to_points")
+        return repaired
+
+
+def write_model(path: Path, effects: Sequence[Effect], empirical: Empirical | None = None) -> None:
+    """Write what is added to the ready-made chain as YAML."""
+    values: dict[str, Any] = {"format": MODEL_FORMAT, "effects": [effect.to_dict() for effect in effects]}
+    if empirical is not None:
+        values["empirical"] = empirical.config()
+    with atomic_write(path) as unfinished:
+        unfinished.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def read_model(path: Path) -> Additions:
+    """What ``write_model`` wrote.
+
+    Raises:
+        TorchweatherError: the file is missing, is no such file, or holds an effect that cannot be.
+    """
+    try:
+        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise TorchweatherError(f"{path}: wanted a model written by GapReport.write; {error}.") from error
+    if not isinstance(values, Mapping) or values.get("format") != MODEL_FORMAT:
+        raise TorchweatherError(f"{path}: wanted effects of format {MODEL_FORMAT!r}, as GapReport.write writes them.")
+    listed, empirical = values.get("effects"), values.get("empirical")
+    if not isinstance(listed, list):
+        raise TorchweatherError(f"{path}: effects must be a list of effects; got {listed!r}.")
+    if empirical is not None and not isinstance(empirical, Mapping):
+        raise TorchweatherError(f"{path}: empirical must be the arguments of an Empirical stage; got {empirical!r}.")
+    effects = []
+    for number, one in enumerate(listed):
+        try:
+            effects.append(effect_from_dict(one))
+        except (TypeError, ValueError) as error:
+            raise TorchweatherError(f"{path}: effects[{number}]: {error}") from error
+    try:
+        stage = None if empirical is None else Empirical(**empirical)
+    except (TypeError, ValueError) as error:
+        raise TorchweatherError(f"{path}: empirical: {error}") from error
+    return Additions(tuple(effects), stage)
