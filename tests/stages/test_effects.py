@@ -27,6 +27,7 @@ from tests.stages.effect_scene import (
     states,
 )
 from torchweather.export import draw_feed, to_onnx
+from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.stages import (
     EFFECTS,
     Chain,
@@ -476,11 +477,20 @@ def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(NOT_IN_A_GRAPH))
-def test_effects_that_know_the_scans_rows_cannot_be_exported_and_say_so(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("onnxscript")
+def test_effects_that_know_the_scans_rows_refuse_what_the_exporter_traces(name: str) -> None:
+    """The module and the arguments that `to_onnx` hands over, run once, as the exporter does."""
     transform = LidarRain(Rain(50.0), scan_sensor(), effects=[active(name)])
+    traced = traceable_lidar(transform, points=100, columns=4, directions=True)
+    with pytest.raises(ValueError, match="wanted a state with grid"):
+        traced.module(*traced.arguments)
+
+
+def test_an_effect_that_cannot_be_exported_says_so_and_nothing_is_written(tmp_path: Path) -> None:
+    pytest.importorskip("onnxscript")
+    transform = LidarRain(Rain(50.0), scan_sensor(), effects=[active(sorted(NOT_IN_A_GRAPH)[0])])
     with pytest.raises(Exception, match="wanted a state with grid"):
         to_onnx(transform, tmp_path / "rain.onnx", points=100, directions=True)
+    assert not list(tmp_path.iterdir())
 
 
 # ---- devices -----------------------------------------------------------------------------------------------------
