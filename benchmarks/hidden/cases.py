@@ -13,9 +13,9 @@ import numpy as np
 from torchweather.gap.study import Study
 
 from .decoys import DECOYS, STRENGTHS_OF
-from .design import Size, study_of, with_record
+from .design import Condition, Design, Size, study_of, with_record
 from .detectability import KINDS
-from .effects import CATALOGUE
+from .effects import CATALOGUE, Known
 from .lidar_sensor import Effect
 from .outside import OUTSIDE
 from .streets import LEVELS, Street, street
@@ -175,6 +175,12 @@ def _decoys(seed: int) -> Iterator[Row]:
         yield WEATHERS[(number + number // len(DECOYS) + seed) % 3], (), (), None, {"decoy": name}
 
 
+def _moving(seed: int) -> Iterator[Row]:
+    """Spray of a vehicle that drives at another speed in each condition."""
+    for weather in WEATHERS:
+        yield weather, ("lidar.spray",), (30.0,), None, {"moving": True}
+
+
 def _screen(seed: int) -> Iterator[Row]:
     """400 nulls of 4,096 beams for the first stage of the search."""
     for number in range(400):
@@ -200,6 +206,7 @@ GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "triples": _triples,
     "outside": _outside,
     "decoys": _decoys,
+    "moving": _moving,
     "screen": _screen,
     "reduced": _reduced,
 }
@@ -233,6 +240,11 @@ def build(case: Case, streets: Streets) -> tuple[Study, dict[str, Any]]:
             views=decoy.views,
             repeated=decoy.repeated,
         )
+    elif case.options.get("moving"):
+        design = _driven(design, np.random.default_rng([*case.seed, 1]))
+        study = study_of(design, tuple(effects), rng, grown=_with_speed)
+        for one in truth["effects"]:  # it has no one strength
+            one["parameters"] = {key: value for key, value in one["parameters"].items() if key != "strength"}
     else:
         study = study_of(design, tuple(effects), rng)
     truth["conditions"] = [
@@ -240,6 +252,28 @@ def build(case: Case, streets: Streets) -> tuple[Study, dict[str, Any]]:
         for one in design.conditions
     ]
     return study, truth
+
+
+# Speeds of a vehicle in rain, m/s, and the one at which spray has its nominal strength (orders of magnitude).
+SPEEDS_M_PER_S, NOMINAL_SPEED_M_PER_S = (8.0, 30.0), 20.0
+
+
+def _driven(design: Design, rng: np.random.Generator) -> Design:
+    """The same conditions, at a speed each."""
+    speeds = rng.uniform(*SPEEDS_M_PER_S, len(design.conditions))
+    driven = [
+        replace(one, ego_speed_m_per_s=round(float(speed), 1))
+        for one, speed in zip(design.conditions, speeds, strict=True)
+    ]
+    return replace(design, conditions=tuple(driven))
+
+
+def _with_speed(effect: Effect, condition: Condition) -> Effect:
+    """Spray that grows as the square of the speed, as the energy of the water that the wheels throw."""
+    assert isinstance(effect, Known)
+    assert condition.ego_speed_m_per_s is not None
+    share = (condition.ego_speed_m_per_s / NOMINAL_SPEED_M_PER_S) ** 2
+    return replace(effect, parameters={**effect.parameters, effect.swept: effect.value * share})
 
 
 def _effect_truth(place: Street, name: str, level: float, parameters: dict[str, float]) -> dict[str, Any]:

@@ -49,13 +49,14 @@ class Size:
 
 @dataclass(frozen=True)
 class Condition:
-    """One scene in one weather: as it truly is, and as it is recorded."""
+    """One scene in one weather: as it truly is, and as it is recorded; at a speed, where the vehicle drives."""
 
     id: str
     scene: int
     weather: Weather
     recorded: float
     split: str
+    ego_speed_m_per_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,7 @@ def study_of(
     *,
     clear_effects: tuple[Effect, ...] = (),
     acts: Callable[[Condition], bool] = lambda condition: True,
+    grown: Callable[[Effect, Condition], Effect] = lambda effect, condition: effect,
     views: tuple[View, ...] | None = None,
     repeated: bool = False,
 ) -> Study:
@@ -144,6 +146,7 @@ def study_of(
         rng: of the noise.
         clear_effects: act in the clear frames.
         acts: whether the effects act in a condition.
+        grown: an effect as it is in a condition.
         views: what the weather frames see where it is not what the clear frames see.
         repeated: the first frame of each condition stands for all of them.
     """
@@ -159,7 +162,8 @@ def study_of(
     seen = views or design.views
     conditions: list[Mapping[str, Any]] = []
     for one in design.conditions:
-        report = shoot(seen[one.scene], one.weather, effects if acts(one) else (), design.times_s, rng)
+        acting = tuple(grown(effect, one) for effect in effects) if acts(one) else ()
+        report = shoot(seen[one.scene], one.weather, acting, design.times_s, rng)
         frames = _frames(design, report)
         if repeated:
             frames = [frames[0] for _ in frames]
@@ -173,6 +177,7 @@ def study_of(
                 "frames": frames,
                 "time_s": design.times_s.tolist(),
                 "split": one.split,
+                **({} if one.ego_speed_m_per_s is None else {"ego_speed_m_per_s": one.ego_speed_m_per_s}),
             }
         )
     beams = {"direction": design.scan.direction.astype(np.float32)}

@@ -14,6 +14,7 @@ from benchmarks.hidden.cases import Streets, build, needed_strengths, plan
 from benchmarks.hidden.design import Size
 from benchmarks.hidden.scoring import score
 from benchmarks.hidden.sealed import append_line, read_lines, sha256_of, write_json
+from torchweather.gap.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 LOSS = "lidar.window_loss"
@@ -169,3 +170,26 @@ def test_decoys_say_which_strengths_they_ask_for():
         if name != "decoy.no_target":  # it looks at the scene
             decoy(SimpleNamespace(views=()), at, np.random.default_rng(1))
     assert asked == {name: set(effects) for name, effects in cases.STRENGTHS_OF.items()}
+
+
+def test_spray_grows_with_the_speed_that_the_conditions_carry(tmp_path):
+    tiny = Size(rings=16, columns=64, clear_frames=2, rates=3, frames=4)
+    case = next(plan("dev", 1, ["moving"], tiny))
+    street = Streets("dev", 1, None).bare("rain", 0, tiny)
+    held = {"parameters": {"strength": 3.0, "azimuth_rad": 0.0, "width_rad": 6.0}, "reached": 30.0, "cosine": {}}
+
+    def place(weather, number, size):
+        return streets.Street(street.design, {"lidar.spray": {"30": held}})
+
+    study, truth = build(case, place)
+    study.write(tmp_path / "study")
+    speeds = [one.ego_speed_m_per_s for one in Study.read(tmp_path / "study").conditions]
+    assert len(set(speeds)) == len(speeds)
+    assert truth["effects"][0]["parameters"] == {"azimuth_rad": 0.0, "width_rad": 6.0}
+    near = [
+        np.mean(
+            [(frame["range_m"] > 0) & (frame["range_m"] < 8.0) & (frame["intensity"] < 0.02) for frame in one.frames]
+        )
+        for one in study.conditions
+    ]
+    assert np.corrcoef(np.square(speeds), near)[0, 1] > 0.9

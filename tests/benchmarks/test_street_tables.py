@@ -1,6 +1,6 @@
 """The strengths of the reduced bench are kept beside the tests; they follow from the seed.
 
-``python benchmarks/gap_bench.py make DIR --set ci --seed 1 --cases reduced --small --few`` makes them and leaves them in
+``python benchmarks/gap_bench.py make DIR --set ci --seed 1 --cases reduced --small --few`` makes them, in
 ``DIR/sealed``.
 """
 
