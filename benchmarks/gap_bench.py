@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from hidden.answering import answer, draw_calibration, draw_confusion
+from hidden.bars import against_bars
 from hidden.cases import GROUPS, Streets, build, needed_strengths, plan
 from hidden.design import Size
 from hidden.scoring import score
@@ -120,7 +121,8 @@ def report(arguments: argparse.Namespace) -> None:
         raise SystemExit(f"answers.jsonl: {', '.join(strange)} were answered under another seal; answer them again.")
     found = score(truths, answers, read_lines(folder / "known.jsonl"))
     out: Path = arguments.out or folder / "score"
-    write_json(out / "score.json", {**seal, **found})
+    bars = against_bars(found["table"])
+    write_json(out / "score.json", {**seal, **found, "bars": bars})
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
     for name, value in found["table"].items():
@@ -128,6 +130,10 @@ def report(arguments: argparse.Namespace) -> None:
             print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")
     for name in ("interval_width_over_known", "other_metrics_after_over_before", "seconds"):
         print(f"{name}: {found['table'][name]}")
+    for one in bars:
+        limit = next(f"{side.replace('_', ' ')} {one[side]:g}" for side in ("at_least", "at_most") if side in one)
+        said = {True: "holds", False: "does not hold", None: "nothing counted"}[one["holds"]]
+        print(f"bar: {one['figure']} {limit}: {said}")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -112,7 +112,10 @@ def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effec
     bench.known(_arguments(folder))
     assert asked == [("a", [LOSS]), ("c", [LOSS])]  # b was not answered right
     bench.report(_arguments(folder))
-    table = json.loads((folder / "score" / "score.json").read_text())["table"]
+    written = json.loads((folder / "score" / "score.json").read_text())
+    table, bars = written["table"], {one["figure"]: one for one in written["bars"]}
+    assert bars["singles_identifiable_exact"]["holds"] is False
+    assert (bars["interval_width_over_known"]["holds"], bars["pairs_both"]["holds"]) == (True, None)
     assert table["singles_exact"]["hits"] == 2
     assert table["interval_width_over_known"] == {"median": pytest.approx(2.0), "of": 2}
     write_json(folder / "sealed" / "truth.json", {case: _truth(case, "lidar.spray") for case in "abc"})
