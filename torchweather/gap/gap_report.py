@@ -235,19 +235,20 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
             half = CENTRAL_90 * WIDENED * math.sqrt(max(float(fit.covariance[place, place]), 0.0))
             value = values[parameter]
             interval[parameter] = [max(declared.low, value - half), min(declared.high, value + half)]
-    own = next(number for number, round_ in enumerate(result.rounds) if round_[0].id == name)
+    own = next(number for number, round_ in enumerate(result.rounds) if name in round_[0].fit.setting.values)
     confidence = weights[own][0]
     others = [
-        one.id
+        rival
         for one, weight in zip(result.rounds[own], weights[own], strict=True)
-        if one.id not in fit.setting.values and weight > LIKELY * confidence
+        for rival in one.fit.setting.values
+        if rival not in fit.setting.values and weight > LIKELY * confidence
     ]
     return {
         "name": name,
         "parameters": dict(values),
         "interval": interval,
         "confidence": confidence,
-        "confusable_with": others,
+        "confusable_with": list(dict.fromkeys(others)),
     }
 
 

@@ -18,7 +18,6 @@ from torchweather.gap.search import Search
 from torchweather.gap.statistics import Group
 from torchweather.gap.workflow import GapResult
 from torchweather.stages.empirical import Empirical
-from torchweather.threads import one_thread_an_operation
 
 __all__ = ["Unknown", "departures", "unknown"]
 
@@ -87,11 +86,8 @@ def unknown(result: GapResult) -> Unknown | None:
     is the departure from the model that is handed out: without effects where none was named.
     """
     search = result.search
-    fit = result.fit
-    setting, base = (search.origin, search.start) if fit is None else (fit.setting, fit.base)
-    # Sums must not depend on the number of threads.
-    with one_thread_an_operation():
-        z, used = _unexplained(search, base, search.nuisance(setting, base)(search.residual(base)))
+    base = search.start if result.fit is None else result.fit.base
+    z, used = _unexplained(search, base, result.left)
     group, part = _most_significant(search, base, z, used)
     if not used[:, part].any():
         return None

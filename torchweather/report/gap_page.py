@@ -35,6 +35,7 @@ from torchweather.report.gap_words import (
     effect_name,
     exact_twins,
     formula_words,
+    group_name,
     headline,
     parameter_rows,
     probability_text,
@@ -176,6 +177,7 @@ def _rest(one: Mapping[str, Any]) -> dict[str, Any]:
         }
     return {
         **_bin(one),
+        "name": group_name(one["statistic"], one["axis"]),
         "picture": None if whole else unknown_uri(one["axis"], curve, formula),
         "single": _single(curve) if whole else "",
         "unit": curve["unit"],

@@ -1,0 +1,356 @@
+"""The report of a result that was made by hand: what is unknown, the record, the map, the model's file."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from numpy.typing import NDArray
+
+from torchweather.errors import TorchweatherError
+from torchweather.gap.baseline import Baseline, Target, Whitening
+from torchweather.gap.gap_report import gap_report, read_model, write_model
+from torchweather.gap.search import Setting
+from torchweather.gap.statistics import Group, Layout
+from torchweather.gap.unknown import log_chance
+from torchweather.gap.workflow import HeldOut
+from torchweather.sensors import Lidar
+from torchweather.stages import with_effects
+from torchweather.stages.effects_lidar import LidarRangeNoise, LidarWindowLoss
+from torchweather.stages.empirical import Empirical
+from torchweather.transforms import LidarWeather
+from torchweather.weather import Fog, Rain, Weather
+
+Floats = NDArray[np.float64]
+
+SECTORS = tuple(float(v) for v in np.linspace(-math.pi, math.pi, 17))
+RATIO = Group("log_intensity_ratio", "azimuth_rad", "mean", SECTORS)
+LOST = Group("lost_share", "range_m", "share", (0.0, 10.0, 20.0, 30.0, 1000.0))
+LAYOUT = Layout((RATIO, LOST), ("log_intensity_ratio",), ())
+SIZE = LAYOUT.size  # 16, 4, between, slope
+SLOPE = SIZE - 1
+SD = 0.01
+CONDITIONS: dict[str, tuple[Weather, float]] = {
+    "c0": (Rain(10.0), 0.1),
+    "c1": (Rain(20.0), 0.2),
+    "c2": (Fog(100.0), 0.1),
+}
+WINDOW = LidarWindowLoss(loss_db=1.5)
+
+
+def condition(name: str) -> Any:
+    weather, rel_sd = CONDITIONS[name]
+    return SimpleNamespace(id=name, weather=weather, rel_sd=rel_sd, scene="s0")
+
+
+def base(mean: float = 0.5, **off: Floats) -> Baseline:
+    """The simulator: everything 0.5 with one scatter; correlations of 0.3 between neighbours."""
+    values = np.full(SIZE, mean)
+    correlation = np.eye(SIZE) + 0.3 * (np.eye(SIZE, k=1) + np.eye(SIZE, k=-1))
+    used = np.ones(SIZE, bool)
+    return Baseline(
+        {name: values + off.get(name, np.zeros(SIZE)) for name in CONDITIONS},
+        {name: np.full(SIZE, SD) for name in CONDITIONS},
+        dict.fromkeys(CONDITIONS, used),
+        Whitening(np.linalg.cholesky(correlation)),
+        {name: np.tile(values, (4, 1)) for name in CONDITIONS},
+    )
+
+
+def result(verdict: str, departure: Floats, left: Floats | None = None, **more: Any) -> Any:
+    """A result whose conditions all depart from the simulation by ``departure``, of which ``left`` is not explained."""
+    start = base()
+    measured = [Target(condition(name), start.mean[name] + departure, np.ones(SIZE, bool), 5) for name in CONDITIONS]
+    weight = np.full((5, LAYOUT.bins), 200.0)
+    model = SimpleNamespace(layout=LAYOUT, measured=lambda _: SimpleNamespace(weight=weight))
+    rest = departure if left is None else left
+    whitened = np.concatenate([start.whitened(name, rest) for name in CONDITIONS])
+    search = SimpleNamespace(
+        model=model, measured=measured, start=start, origin=Setting(), simulated_frames=100, seed=0
+    )
+    held = HeldOut(3.0, 1.0, 0.1)
+    given = {
+        "verdict": verdict,
+        "fit": None,
+        "rounds": (),
+        "screening": SimpleNamespace(p_value=1e-9, misfit_null=np.array([60.0])),
+        "before": held,
+        "after": held,
+        "left": whitened,
+        "search": search,
+        "seconds": 1.0,
+    }
+    return SimpleNamespace(**{**given, **more})
+
+
+def ripple(amplitude: float) -> Floats:
+    found = np.zeros(SIZE)
+    middle = 0.5 * (np.array(SECTORS[1:]) + np.array(SECTORS[:-1]))
+    found[:16] = amplitude * np.sin(2.0 * middle + 0.5)
+    return found
+
+
+def drift(size: float) -> Floats:
+    found = np.zeros(SIZE)
+    found[SLOPE] = size
+    return found
+
+
+def test_a_ripple_is_named_by_axis_curve_formula_and_stage() -> None:
+    report = gap_report(result("unknown", ripple(0.05)), "ab" * 32, 3)
+    one = report.to_dict()["unknown"]
+    assert (one["statistic"], one["axis"]) == ("log_intensity_ratio", "azimuth_rad")
+    loudest = int(np.argmin(np.abs(np.array(SECTORS) - one["from"])))
+    assert (one["from"], one["to"]) == pytest.approx((SECTORS[loudest], SECTORS[loudest + 1]), abs=1e-5)
+    assert abs(ripple(0.05)[loudest]) == pytest.approx(np.abs(ripple(0.05)).max())
+    # The same departure in three conditions adds up as the root of three.
+    assert one["z"] == pytest.approx(ripple(0.05)[loudest] / SD * math.sqrt(3.0), rel=1e-3)
+    assert one["curve"]["unit"] == "ln(intensity ratio)"
+    np.testing.assert_allclose(one["curve"]["value"], ripple(0.05)[:16], atol=1e-6)
+    np.testing.assert_allclose(
+        np.subtract(one["curve"]["high"], one["curve"]["value"]), 1.6449 * SD / math.sqrt(3), rtol=1e-3
+    )
+    assert one["formula"]["name"] == "sine"
+    assert one["formula"]["parameters"]["times"] == 2.0
+    assert one["why_not"] is None
+    assert isinstance(report.empirical, Empirical)
+    assert one["empirical"]["kind"] == "intensity"
+    middles = torch.tensor([0.5 * (a + b) for a, b in itertools.pairwise(SECTORS)])
+    np.testing.assert_allclose(report.empirical.curve(middles).numpy(), ripple(0.05)[:16], atol=1e-5)
+
+
+def test_what_the_nuisance_explains_is_not_what_is_unknown() -> None:
+    """A shift of all intensities is louder, but explained; the drift over time is not, and no stage copies it."""
+    departure = drift(0.2) + np.where(np.arange(SIZE) < 16, -0.9, 0.0)
+    report = gap_report(result("unknown", departure, left=drift(0.2)), "ab" * 32, 3)
+    one = report.to_dict()["unknown"]
+    assert (one["statistic"], one["axis"]) == ("log_intensity_ratio", "time")
+    assert one["empirical"] is None
+    assert one["formula"] is None
+    assert "changes from the first frame to the last" in one["why_not"]
+    assert report.empirical is None
+    assert one["curve"]["value"] == pytest.approx([0.2])
+
+
+def test_of_two_departures_the_more_significant_counts_not_the_loudest_bin() -> None:
+    """One bin of 7 standard deviations is less than sixteen of 4."""
+    many = np.zeros(SIZE)
+    many[:16] = np.where(np.arange(16) % 2, 0.04, -0.04)
+    many[17] = 0.07
+    assert gap_report(result("unknown", many), "ab" * 32, 3).to_dict()["unknown"]["statistic"] == "log_intensity_ratio"
+    many[:16] /= 8.0
+    assert gap_report(result("unknown", many), "ab" * 32, 3).to_dict()["unknown"]["statistic"] == "lost_share"
+
+
+def test_bins_that_hold_too_little_are_null() -> None:
+    given = result("unknown", ripple(0.05))
+    for used in given.search.start.used.values():
+        used[3] = False
+    text = json.dumps(gap_report(given, "ab" * 32, 3).to_dict(), allow_nan=False)
+    one = json.loads(text)["unknown"]
+    assert [place for place, value in enumerate(one["curve"]["value"]) if value is None] == [3]
+
+
+@pytest.mark.parametrize("verdict", ["none", "named"])
+def test_nothing_is_unknown_where_nothing_is_left(verdict: str) -> None:
+    named = fitted() if verdict == "named" else None
+    report = gap_report(result(verdict, ripple(0.01), **(named or {})), "ab" * 32, 3)
+    assert report.to_dict()["unknown"] is None
+    assert report.empirical is None
+
+
+def fitted(**values: Any) -> dict[str, Any]:
+    """A fit of window loss, which takes away what is uniform; a rival that is a pair with range noise."""
+    uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
+    setting = Setting({"lidar.window_loss": {"loss_db": 1.5}}, {"c0": 0.05, "c1": -0.1, "c2": 0.1})
+    fit = SimpleNamespace(
+        setting=setting,
+        base=base(**dict.fromkeys(CONDITIONS, uniform)),
+        misfit=60.0,
+        covariance=np.eye(1) * 0.01,
+        names=(("lidar.window_loss", "loss_db"),),
+    )
+    rival = Setting({"lidar.range_noise": {"std_m": 0.1}, "lidar.threshold_shift": {"shift_db": 1.0}})
+    other = SimpleNamespace(setting=rival, base=base(), misfit=61.0)
+    best = SimpleNamespace(id="lidar.window_loss", fit=fit, gain=100.0)
+    second = SimpleNamespace(id="lidar.threshold_shift", fit=other, gain=99.0)
+    return {"fit": fit, "rounds": ((best, second),), **values}
+
+
+def test_the_rest_is_what_is_left_with_what_was_named() -> None:
+    uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
+    given = result("named_and_rest", uniform + ripple(0.05), left=ripple(0.05), **fitted())
+    report = gap_report(given, "ab" * 32, 3)
+    np.testing.assert_allclose(report.to_dict()["unknown"]["curve"]["value"], ripple(0.05)[:16], atol=1e-6)
+    assert [effect.id for effect in report.effects] == ["lidar.window_loss"]
+    unnamed = gap_report(result("unknown", uniform + ripple(0.05), left=ripple(0.05), **fitted()), "ab" * 32, 3)
+    # No effect is handed out then: the curve is from the model as it is.
+    np.testing.assert_allclose(unnamed.to_dict()["unknown"]["curve"]["value"], ripple(0.05)[:16] - 0.3, atol=1e-6)
+    assert unnamed.effects == ()
+
+
+def test_both_effects_of_a_rival_pair_can_be_mistaken_for_it() -> None:
+    report = gap_report(result("named", ripple(0.01), **fitted()), "ab" * 32, 3)
+    (one,) = report.to_dict()["effects"]
+    assert sorted(one["confusable_with"]) == ["lidar.range_noise", "lidar.threshold_shift"]
+
+
+def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round() -> None:
+    """The first round was led by another effect, which the pair replaced."""
+    first = fitted()["rounds"]
+    pair = Setting({"lidar.range_noise": {"std_m": 0.1}, "lidar.blind_zone": {"range_m": 2.0}})
+    names = (("lidar.range_noise", "std_m"), ("lidar.blind_zone", "range_m"))
+    fit = SimpleNamespace(setting=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
+    best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
+    report = gap_report(result("named", ripple(0.01), fit=fit, rounds=(*first, (best,))), "ab" * 32, 3)
+    assert [one["name"] for one in report.to_dict()["effects"]] == ["lidar.range_noise", "lidar.blind_zone"]
+    assert [one["confidence"] for one in report.to_dict()["effects"]] == [1.0, 1.0]
+
+
+def test_the_record_moves_by_one_factor_and_by_each_condition() -> None:
+    found = gap_report(result("named", ripple(0.01), **fitted()), "ab" * 32, 3).to_dict()["nuisance"]
+    # Weights 100, 25, 100; more fog is less visibility.
+    assert found["rate_factor"] == pytest.approx(math.exp((100 * 0.05 - 25 * 0.1 - 100 * 0.1) / 225), rel=1e-5)
+    assert found["by_condition"] == pytest.approx(
+        {"c0": math.exp(0.05), "c1": math.exp(-0.1), "c2": math.exp(0.1)}, rel=1e-5
+    )
+    assert gap_report(result("none", ripple(0.01)), "ab" * 32, 3).to_dict()["nuisance"]["rate_factor"] == 1.0
+
+
+def test_the_map_holds_every_statistic_before_and_after() -> None:
+    uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
+    found = gap_report(result("named", uniform + drift(0.05), **fitted()), "ab" * 32, 3).residuals
+    assert found is not None
+    assert found.groups == tuple((group.statistic, group.axis) for group in LAYOUT.groups)
+    assert found.after is not None
+    np.testing.assert_allclose(found.before, np.tile([[30.0], [0.0], [0.0], [5.0]], (1, 3)), atol=1e-9)
+    np.testing.assert_allclose(found.after, np.tile([[0.0], [0.0], [0.0], [5.0]], (1, 3)), atol=1e-9)
+
+
+def test_responses_are_what_each_effect_changes_beside_the_measurement() -> None:
+    uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
+    found = gap_report(result("named", uniform, **fitted()), "ab" * 32, 3).responses
+    measured, window, rival = (one for one in found if one.statistic == "log_intensity_ratio")
+    assert (measured.effect, window.effect, rival.effect) == (None, "lidar.window_loss", "lidar.threshold_shift")
+    np.testing.assert_allclose(measured.values, -30.0 * math.sqrt(3.0))
+    np.testing.assert_allclose(window.values, measured.values)
+    np.testing.assert_allclose(rival.values, 0.0)
+
+
+def test_the_answer_says_where_it_comes_from() -> None:
+    answer = gap_report(result("none", ripple(0.01)), "ab" * 32, 3).to_dict()
+    assert answer["study_sha256"] == "ab" * 32
+    assert answer["seed"] == 3
+    assert answer["version"]
+
+
+@pytest.mark.parametrize("total", [10.0, 1100.0, 1300.0, 1e5])
+@pytest.mark.parametrize("degrees", [2, 16, 40])
+def test_small_chances_are_told_apart_beyond_what_a_float_holds(total: float, degrees: int) -> None:
+    """For an even number of degrees it is exp(-x) times the first terms of exp(x), x half the sum of squares."""
+    half = total / 2.0
+    terms = sum(half ** (k - degrees / 2 + 1) / math.factorial(k) for k in range(degrees // 2))
+    wanted = math.log(terms) + (degrees / 2 - 1) * math.log(half) - half
+    # Of the asymptote's terms two are kept; the third is (19 18 / 550^2) at most.
+    assert log_chance(total, degrees) == pytest.approx(wanted, abs=2e-3)
+
+
+# ---- the model and its file ----------------------------------------------------------------------------------------
+
+
+EMPIRICAL = Empirical("intensity", "range_m", [5.0, 50.0], [0.2, -0.4], 2.0, 80.0)
+
+
+def sensor() -> Lidar:
+    return Lidar(wavelength_nm=905.0, range_at_10_percent_m=60.0)
+
+
+def model() -> LidarWeather:
+    return LidarWeather(Rain(10.0), sensor(), q_eff=1.5, effects=[LidarRangeNoise(std_m=0.05)])
+
+
+def points() -> torch.Tensor:
+    generator = torch.Generator().manual_seed(1)
+    place = 60.0 * torch.rand(2, 200, 3, generator=generator) - 30.0
+    return torch.cat([place, torch.rand(2, 200, 1, generator=generator)], -1)
+
+
+def test_applied_saved_and_loaded_it_simulates_the_same_bits(tmp_path: Path) -> None:
+    write_model(tmp_path / "model.yaml", [WINDOW], EMPIRICAL)
+    loaded = read_model(tmp_path / "model.yaml")
+    assert [effect.to_dict() for effect in loaded] == [WINDOW.to_dict()]
+    assert loaded.empirical is not None
+    assert loaded.empirical.config() == EMPIRICAL.config()
+    plain = model()
+    repaired = loaded.apply(plain, empirical=True)
+    by_hand = with_effects(plain.chain, [WINDOW]).insert(EMPIRICAL, before="to_points")
+    assert repaired.chain.to_dict() == by_hand.to_dict()
+    assert list(plain.chain.stages) == [name for name in by_hand.stages if name not in ("window_loss", "empirical")]
+    noise = repaired.draw(points(), seed=4)
+    state = plain.state_of(points())
+    assert torch.equal(repaired(points(), noise), by_hand(state, noise).points)
+    without = loaded.apply(plain)
+    assert "empirical" not in without.chain.stages
+    assert not torch.equal(without(points(), noise), repaired(points(), noise))
+
+
+def test_effects_of_a_file_go_into_a_transform_as_they_are(tmp_path: Path) -> None:
+    write_model(tmp_path / "model.yaml", [WINDOW])
+    found = read_model(tmp_path / "model.yaml")
+    assert found.empirical is None
+    assert "window_loss" in LidarWeather(Rain(1.0), sensor(), effects=found).chain.stages
+    with pytest.raises(ValueError, match="there is no empirical stage"):
+        found.apply(model(), empirical=True)
+
+
+VALID: dict[str, Any] = {
+    "format": "torchweather-model/1",
+    "effects": [WINDOW.to_dict()],
+    "empirical": EMPIRICAL.config(),
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "wanted effects of format"),
+        ("- 1", "wanted effects of format"),
+        ("a: [", "wanted a model written by GapReport.write"),
+        ("!!python/object/apply:os.system [ls]", "wanted a model written by GapReport.write"),
+        (
+            yaml.safe_dump({**VALID, "format": "torchweather-model/9"}),
+            "wanted effects of format 'torchweather-model/1'",
+        ),
+        (yaml.safe_dump({**VALID, "effects": 3}), "effects must be a list of effects; got 3"),
+        (yaml.safe_dump({**VALID, "effects": [3]}), r"effects\[0\]: .*wanted a dictionary"),
+        (yaml.safe_dump({**VALID, "effects": [{"effect": "lidar.no"}]}), r"effects\[0\]: .*effect must be one of"),
+        (
+            yaml.safe_dump({**VALID, "effects": [{"effect": "lidar.window_loss", "loss": 1}]}),
+            r"effects\[0\]: .*loss_db",
+        ),
+        (yaml.safe_dump({**VALID, "empirical": [1]}), "empirical must be the arguments of an Empirical stage"),
+        (yaml.safe_dump({**VALID, "empirical": {"kind": "intensity"}}), "empirical: .*missing"),
+        (
+            yaml.safe_dump({**VALID, "empirical": {**EMPIRICAL.config(), "kind": "x"}}),
+            "empirical: .*kind must be one of",
+        ),
+        (yaml.safe_dump({**VALID, "empirical": {**EMPIRICAL.config(), "at": None}}), "empirical: "),
+    ],
+)
+def test_a_broken_file_is_named(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(TorchweatherError, match=f"model.yaml: {said}"):
+        read_model(tmp_path / "model.yaml")
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(TorchweatherError, match=r"nowhere.yaml: wanted a model written by GapReport.write"):
+        read_model(tmp_path / "nowhere.yaml")
