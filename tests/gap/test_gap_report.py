@@ -153,10 +153,12 @@ def test_of_two_departures_the_more_significant_counts_not_the_loudest_bin() -> 
 def test_bins_that_hold_too_little_are_null() -> None:
     given = result("unknown", ripple(0.05))
     for used in given.search.start.used.values():
-        used[3] = False
+        used[[0, 1, 3]] = False
     text = json.dumps(gap_report(given, "ab" * 32, 3).to_dict(), allow_nan=False)
     one = json.loads(text)["unknown"]
-    assert [place for place, value in enumerate(one["curve"]["value"]) if value is None] == [3]
+    assert [place for place, value in enumerate(one["curve"]["value"]) if value is None] == [0, 1, 3]
+    assert [place for place, value in enumerate(one["formula"]["values"]) if value is None] == [0, 1]
+    assert one["empirical"]["measured_from"] == pytest.approx(SECTORS[2], abs=1e-5)
 
 
 @pytest.mark.parametrize("verdict", ["none", "named"])

@@ -49,16 +49,18 @@ class Unknown:
     why_not: str | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as ``gap.json`` holds them; ``None`` in the curve where nothing counts."""
+        """Plain values, as ``gap.json`` holds them; ``None`` where nothing counts, in the formula's outside of that."""
         group, curve, formula = self.group, self.curve, self.formula
         described = None
         if formula is not None:
+            known = np.flatnonzero(np.isfinite(curve.value))
+            inside = (np.arange(group.bins) >= known[0]) & (np.arange(group.bins) <= known[-1])
             described = {
                 "name": formula.name,
                 "text": formula.text,
                 "parameters": dict(formula.parameters),
                 "chi2_per_dof": formula.chi2_per_dof,
-                "values": _listed(formula.values),
+                "values": _listed(np.where(inside, formula.values, np.nan)),
             }
         return {
             "statistic": group.statistic,

@@ -30,6 +30,7 @@ MOST_LABELS = 12
 ROOM = 1.25
 # Of the effects of a response figure, the best first; told apart without colour by their dashes.
 LINES = (("#1c7ed6", "-"), ("#e8590c", (0, (5, 2))), ("#2b8a3e", (0, (2, 1.5))), ("#862e9c", (0, (5, 1.5, 1, 1.5))))
+LETTER = 0.073  # inch, of a label of a map
 # Root mean square departures of a map: where its colours begin (chance) and end.
 MAP_FROM, MAP_TO = 1.0, 30.0
 LEAST_SPAN = 4.0  # in scatters, either side of zero, so that a curve inside the band looks small
@@ -109,7 +110,7 @@ def residual_uri(residuals: ResidualMap) -> str:
     shown = [bool(np.isfinite(row).any()) for row in residuals.before]
     labels = [group_name(*group) for group, keep in zip(residuals.groups, shown, strict=True) if keep]
     columns = len(residuals.conditions)
-    left, cell, row = 4.6, 0.62, 0.235
+    left, cell, row = 0.2 + LETTER * max(map(len, labels), default=0), 0.62, 0.235
     width = left + len(panels) * (columns * cell + 0.3)
     height = 0.75 + row * len(labels)
     with mpl.rc_context({**STYLE, "font.size": 9.0}):
