@@ -44,7 +44,7 @@ def answer(folder: Path, seed: int, effects: Sequence[str] | None = None) -> dic
     except TorchweatherError as error:
         return {"seconds": round(time.perf_counter() - start, 2), "error": str(error)}
     found = {"seconds": round(time.perf_counter() - start, 2), "report": report.to_dict()}
-    if report.effects and effects is None:
+    if found["report"]["effects"] and effects is None:
         with one_thread_an_operation():
             found["other_metrics"] = other_metrics(study, report, seed)
     return found
