@@ -147,7 +147,7 @@ def test_a_folder_of_detections(run: Any, tmp_path: Path) -> None:
     [
         (("--sensor", "sonar", *RAIN), "--sensor must be camera, lidar or radar"),
         (("--sensor", "camera", "--weather", "rain:rate=5"), "two or more values"),
-        (("--sensor", "camera", *RAIN, *RAIN), "each weather once"),
+        (("--sensor", "camera", "--size", "64x48", *RAIN, *RAIN), "each weather once"),
         (("--sensor", "camera", *RAIN, "--seeds", 0), "--seeds must be 1 or more"),
         (("--sensor", "camera", *RAIN, "--region", "x=0:5"), "--region is for a lidar"),
         (("--sensor", "lidar", *RAIN, "--size", "64x48"), "--size is for a camera"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from tests.reference.every_particle import (
     Kind,
     Particles,
     Population,
+    Rendered,
     draw_particles,
     geometric_extinction,
     mark_patches,
@@ -38,6 +40,14 @@ SMALL: dict[str, Any] = {
     "depth_m": 8.0,
     "exposure_s": 0.005,
 }
+
+
+@lru_cache
+def small_frame(kind: Kind, rate_mm_per_h: float, seed: int, slant_rad: float) -> Rendered:
+    """One of the frames that several tests look at."""
+    return render_counted(rate_mm_per_h, kind=kind, seed=seed, slant_rad=slant_rad, **SMALL)
+
+
 COMMITTED = json.loads(Path(__file__).with_name("particle_statistics.json").read_text())
 
 # Block `camera_streak` of the project's physics oracles (independent implementation, tolerance 1e-9): width and
@@ -221,7 +231,7 @@ def test_mean_and_correlation_are_those_of_poisson_shot_noise(kind: Kind, rate: 
     # About the known mean, not the frame's own, so that the estimate has no bias from the frame's finite size.
     frames = []
     for seed in range(30):
-        away = render(rate, kind=kind, seed=seed, **SMALL) - expected_mean
+        away = small_frame(kind, rate, seed, 0.0).mask - expected_mean
         frames.append([np.mean(away), *(np.mean(away[lag:] * away[: 96 - lag]) for lag in lags)])
     means, errors = np.mean(frames, 0), np.std(frames, 0, ddof=1) / math.sqrt(len(frames))
     assert abs(means[0]) < 4.0 * errors[0]
@@ -234,7 +244,7 @@ def test_mean_coverage_follows_beer_lambert(slant_rad: float) -> None:
     rain = population("rain", 50.0)
     alpha = geometric_extinction(rain)
     n_frames = 10 if slant_rad == 0.0 else 4
-    masks = [render(50.0, seed=100 + s, slant_rad=slant_rad, **SMALL) for s in range(n_frames)]
+    masks = [small_frame("rain", 50.0, seed, slant_rad).mask for seed in range(n_frames)]
     # A drop adds pi d^2/4 px to the frame's sum, so the frame mean of the optical depth has the variance
     # int (pi f^2 D^2 / 4 Z^2)^2 N Z^2/f^2 dZ dD / pixels = (pi f)^2 / 16 <D^4> (1/near - 1/far) / pixels.
     variance = (math.pi * F_PX) ** 2 / 16.0 * rain.moment(4) * 1e-12 * (1.0 / 1.5 - 1.0 / 8.0) / 96**2
@@ -245,7 +255,7 @@ def test_mean_coverage_follows_beer_lambert(slant_rad: float) -> None:
 def test_number_and_sizes_of_drops_are_those_of_the_volume() -> None:
     rain = population("rain", 50.0)
     expected = rain.per_m3 * 96**2 / F_PX**2 * (8.0**3 - 1.5**3) / 3.0
-    counts = [render_counted(50.0, seed=s, **SMALL).n_in_frame for s in range(10)]
+    counts = [small_frame("rain", 50.0, seed, 0.0).n_in_frame for seed in range(10)]
     assert np.sum(counts) == pytest.approx(10 * expected, abs=4.0 * math.sqrt(10 * expected))
     arguments = {k: v for k, v in SMALL.items() if k != "depth_m"}
     slabs = draw_particles(rain, far_m=8.0, slant_rad=0.0, rng=np.random.default_rng(5), **arguments)

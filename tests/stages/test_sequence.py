@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -191,32 +192,39 @@ def test_a_drop_in_still_air_falls_at_its_own_speed() -> None:
     assert np.allclose(fallen[:, 2], 0.0, atol=1e-4)
 
 
+@lru_cache
+def films(case: str) -> tuple[list[list[int]], Tensor]:
+    """Of six films of 16 frames: the number of drops in each frame, and the variates of those in the last."""
+    transform = rain(**CASES[case])
+    key = busiest(transform)
+    counts: list[list[int]] = []
+    last = []
+    for seed in range(6):
+        counts.append([])
+        for noise in transform.draw_sequence(frame(), 16, INTERVAL_S, seed=seed):
+            there = listed(noise, key)
+            counts[-1].append(int(there.sum()))
+            end = noise[key][there]
+        last.append(end)
+    return counts, torch.cat(last).double()
+
+
 @every_motion
 def test_the_number_of_drops_stays_that_of_a_single_frame(case: str) -> None:
     transform = rain(**CASES[case])
-    frames, seeds = 20, 4
     key = busiest(transform)
     (variate,) = (v for v in population(transform).variates() if key.endswith(v.name))
     mean = variate.mean_points({"H": H, "W": W})
-    counts = []
-    for seed in range(seeds):
-        film = transform.draw_sequence(frame(), frames, INTERVAL_S, seed=seed)
-        counts.append([int(listed(noise, key).sum()) for noise in film])
+    counts, _ = films(case)
     # Newcomers take the slots of those that left: the number of each film is its first frame's Poisson count.
     assert all(len(set(row)) == 1 for row in counts)
-    assert abs(np.mean(counts) - mean) < 4.5 * math.sqrt(mean / seeds)
+    assert abs(np.mean(counts) - mean) < 4.5 * math.sqrt(mean / len(counts))
 
 
 @every_motion
 def test_drops_stay_uniform_in_their_slots_over_a_film(case: str) -> None:
     """A film whose newcomers came from the wrong places would thin out on one side."""
-    transform = rain(**CASES[case])
-    key = busiest(transform)
-    last: list[Tensor] = []
-    for seed in range(6):
-        *_, end = transform.draw_sequence(frame(), 16, INTERVAL_S, seed=seed)
-        last.append(end[key][listed(end, key)])
-    points = torch.cat(last).double()
+    _, points = films(case)
     n = len(points)
     assert n > 400
     for column in range(points.shape[1]):
