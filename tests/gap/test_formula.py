@@ -126,6 +126,15 @@ def test_a_curve_that_no_formula_follows_has_none() -> None:
     assert simplest_formula(RANGE_M, zigzag, np.full(11, 0.02), "range_m") is None
 
 
+def test_a_formula_with_most_of_the_curve_is_one_though_not_within_its_errors() -> None:
+    curve = means(RANGE_M, CURVES["logarithm"][2])
+    rough = curve * np.where(np.arange(11) % 2, 1.1, 0.9)
+    found = simplest_formula(RANGE_M, rough, np.full(11, 1e-3), "range_m")
+    assert found is not None
+    assert found.name == "logarithm"
+    assert found.chi2_per_dof > 100
+
+
 def test_an_axis_that_is_no_full_circle_follows_no_sine() -> None:
     curve = means(AZIMUTH_RAD, CURVES["sine"][2])
     found = simplest_formula(AZIMUTH_RAD, curve, np.full(16, 1e-3), "elevation_rad")

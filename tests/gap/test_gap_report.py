@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.baseline import Baseline, Target, Whitening
+from torchweather.gap.empirical_fit import Departures
 from torchweather.gap.gap_report import gap_report, read_model, write_model
 from torchweather.gap.search import Setting
 from torchweather.gap.statistics import Group, Layout
-from torchweather.gap.unknown import log_chance
+from torchweather.gap.unknown import log_chance, without_means
 from torchweather.gap.workflow import HeldOut
 from torchweather.sensors import Lidar
 from torchweather.stages import with_effects
@@ -148,6 +149,28 @@ def test_of_two_departures_the_more_significant_counts_not_the_loudest_bin() -> 
     assert gap_report(result("unknown", many), "ab" * 32, 3).to_dict()["unknown"]["statistic"] == "log_intensity_ratio"
     many[:16] /= 8.0
     assert gap_report(result("unknown", many), "ab" * 32, 3).to_dict()["unknown"]["statistic"] == "lost_share"
+
+
+def test_a_spread_that_a_ripple_makes_is_not_what_is_unknown() -> None:
+    """By the law of total variance; a spread of its own stays."""
+    spread = Group("log_intensity_spread", "range_m", "spread", (0.0, 10.0, 20.0))
+    layout = Layout((RATIO, spread), (), ())
+    mean = ripple(0.05)[:16]
+    variance = 0.03**2
+    for own in (0.0, 0.04**2):
+        wider = 0.5 * math.log((variance + mean.var() + own) / variance)
+        sd = np.array([[0.002] * 16 + [0.01, 0.01]])
+        measured = np.concatenate([mean, [0.5 * math.log(variance) + wider] * 2])[None]
+        simulated = np.array([[0.0] * 16 + [0.5 * math.log(variance)] * 2])
+        z = (measured - simulated) / sd
+        used = np.ones_like(z, dtype=bool)
+        found = Departures(layout, measured, simulated, sd, used, np.array([5]), np.full((1, 18), 100.0))
+        less = without_means(found, z)
+        np.testing.assert_array_equal(less[:, :16], z[:, :16])
+        left = 0.5 * math.log((variance + own) / variance) / 0.01
+        assert z[0, -1] > 40
+        # The variance that the errors of the means add, 0.002^2, is taken off: 0.3 of a standard deviation.
+        np.testing.assert_allclose(less[0, 16:], left, atol=0.4)
 
 
 def test_bins_that_hold_too_little_are_null() -> None:

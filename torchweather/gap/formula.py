@@ -30,7 +30,9 @@ Floats = NDArray[np.float64]
 
 POINTS = 16  # at which a formula is looked at within a bin
 TOLD_APART = 1e-6  # singular values of the terms, over the largest, from which bins tell the terms apart
-FITS = 1e-3  # probability of a chi2 as large, from which a formula describes the curve
+# A formula describes a curve where a chi2 as large has this probability at least, or where it leaves no more than this
+# of the square of the curve: beams do not fill bins evenly, and no law of nature is asked for.
+FITS, LEAVES = 1e-3, 0.1
 NEARLY = 2.0  # difference of the criterion that says next to nothing
 FREQUENCIES = 8  # of a sine, most
 OPEN = 3.0  # an end bin so many times as wide as its neighbour has no end
@@ -50,7 +52,7 @@ class Formula:
             ``sine``.
         text: with its numbers, such as ``-0.021 + 0.0043 range_m``.
         parameters: by name.
-        chi2_per_dof: about 1 where the formula describes the curve.
+        chi2_per_dof: about 1 where the formula describes the curve within its errors.
         criterion: by which it was chosen.
         values: ``(bins,)`` its mean over each bin.
     """
@@ -128,7 +130,7 @@ def simplest_formula(edges: ArrayLike, value: ArrayLike, sd: ArrayLike, axis: st
         fitted = _fitted(form, points, y, error, known)
         if fitted is not None:
             found.append(fitted)
-    good = [one for one, probability in found if probability >= FITS]
+    good = [one for one, probability, left in found if probability >= FITS or left <= LEAVES]
     least = min((one.criterion for one in good), default=0.0)
     near = [one for one in good if one.criterion <= least + NEARLY]
     return min(near, key=lambda one: (SIMPLICITY.index(one.name), one.criterion), default=None)
@@ -136,8 +138,8 @@ def simplest_formula(edges: ArrayLike, value: ArrayLike, sd: ArrayLike, axis: st
 
 def _fitted(
     form: _Form, points: Floats, y: Floats, error: Floats, known: NDArray[np.bool_]
-) -> tuple[Formula, float] | None:
-    """A form with its best coefficients, and the probability of a chi2 as large as it leaves."""
+) -> tuple[Formula, float, float] | None:
+    """A form with its best coefficients, the probability of a chi2 as large, and the share of the square it leaves."""
     design = form.terms(points).mean(1)
     fitted, free = design[known], len(form.names) + form.further
     n = int(known.sum())
@@ -165,6 +167,7 @@ def _fitted(
             design @ coefficients,
         ),
         probability,
+        chi2 / max(float(((y[known] / error[known]) ** 2).sum()), 1e-300),
     )
 
 

@@ -23,6 +23,12 @@ __all__ = ["Unknown", "departures", "unknown"]
 
 Floats = NDArray[np.float64]
 
+MEAN_OF = {
+    "log_intensity_spread": "log_intensity_ratio",
+    "range_residual_spread": "range_residual_m",
+    "log_particle_intensity_spread": "log_particle_intensity",
+}
+"""Spread inside the bins to the mean of the same quantity."""
 DEEP = -600.0  # logarithms of a probability, from which the asymptote of the law is taken
 
 
@@ -84,12 +90,14 @@ class Unknown:
 def unknown(result: GapResult) -> Unknown | None:
     """What is left of a result; ``None`` where no statistic counts.
 
-    The statistic is chosen by what the best effects and the errors of the record and of the clear mean leave. The curve
-    is the departure from the model that is handed out: without effects where none was named.
+    The statistic is chosen by what the best effects and the errors of the record and of the clear mean leave. A spread
+    counts for what means along other axes do not explain: a ripple over the azimuth widens the spread at every range.
+    The curve is the departure from the model that is handed out: without effects where none was named.
     """
     search = result.search
     base = search.start if result.fit is None else result.fit.base
     z, used = _unexplained(search, base, result.left)
+    z = without_means(departures(search, base), z)
     group, part = _most_significant(search, base, z, used)
     if not used[:, part].any():
         return None
@@ -132,6 +140,37 @@ def _unexplained(search: Search, base: Baseline, left: Floats) -> tuple[Floats, 
     used = np.stack([base.used[target.condition.id] for target in search.measured])
     whitened = left.reshape(used.shape)
     return np.where(used, whitened @ base.whitening.factor.T, 0.0), used
+
+
+def without_means(found: Departures, z: Floats) -> Floats:
+    """Departures of spreads less what the means of the same quantity along other axes make of them.
+
+    Law of total variance: a mean that varies by V along one axis adds V to the variance inside the bins of another.
+    """
+    groups = list(zip(found.layout.groups, found.layout.slices, strict=True))
+    fewer = z.copy()
+    for group, part in groups:
+        along = [
+            _variation(found, z, of)
+            for mean, of in groups
+            if mean.statistic == MEAN_OF.get(group.statistic) and mean.axis != group.axis and mean.kind == "mean"
+        ]
+        if along:
+            variance = np.exp(2.0 * found.measured[:, part])
+            share = np.clip(np.max(along, 0)[:, None] / variance, 0.0, 1.0 - 1e-9)
+            less = z[:, part] + 0.5 * np.log1p(-share) / found.sd[:, part]
+            fewer[:, part] = np.where(z[:, part] > 0, np.maximum(less, 0.0), z[:, part])
+    return fewer
+
+
+def _variation(found: Departures, z: Floats, part: slice) -> Floats:
+    """Variance over the bins of a departure of means in each condition, ``(C,)``, without that of its own errors."""
+    apart, error = z[:, part] * found.sd[:, part], found.sd[:, part]
+    weight = np.where(found.used[:, part], found.weight[:, part], 0.0)
+    weight = weight / np.maximum(weight.sum(1, keepdims=True), 1e-300)
+    middle = (weight * apart).sum(1, keepdims=True)
+    varied: Floats = np.maximum((weight * ((apart - middle) ** 2 - error**2)).sum(1), 0.0)
+    return varied
 
 
 def _most_significant(search: Search, base: Baseline, z: Floats, used: NDArray[np.bool_]) -> tuple[Group, slice]:
