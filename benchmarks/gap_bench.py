@@ -128,7 +128,10 @@ def report(arguments: argparse.Namespace) -> None:
     for name, value in found["table"].items():
         if isinstance(value, dict) and "share" in value and value["of"]:
             print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")
-    for name in ("interval_width_over_known", "other_metrics_after_over_before", "seconds"):
+    for name in (
+        *("parameter_off_over_departure", "interval_width_over_known", "other_metrics_after_over_before"),
+        "seconds",
+    ):
         print(f"{name}: {found['table'][name]}")
     for one in bars:
         limit = next(f"{side.replace('_', ' ')} {one[side]:g}" for side in ("at_least", "at_most") if side in one)

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from torchweather.stages.effects_lidar import EFFECTS
+
 __all__ = ["score", "wilson"]
 
 Row = dict[str, Any]
@@ -83,6 +85,7 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
         "decoys": {row["case"]: [row["decoy"], row["verdict"], row["names"], row["right"]] for row in decoys},
         "coverage_90": _coverage(row for row in rows if row["exact"]),
         "coverage_90_same_form": _coverage(row for row in rows if row["exact"] and row["same_form"]),
+        "parameter_off_over_departure": _offs(row for row in rows if row["exact"] and row["same_form"]),
         "interval_width_over_known": _widths(row for row in rows if row["exact"]),
         "other_metrics_after_over_before": _other(row for row in rows if row["exact"]),
         "gap_after_within_1.15_floor": share(named, lambda row: row["gap_after_over_floor"] <= 1.15),
@@ -172,6 +175,7 @@ def _intervals(truth: Row, effects: list[Row], known: list[Row]) -> list[Row]:
                     continue
                 low, high = (_number(end) for end in interval)
                 row = {"parameter": f"{one['name']}.{name}", "true": _number(value), "low": low, "high": high}
+                row["off"] = _off(one["name"], name, row["true"], (answer.get("parameters") or {}).get(name))
                 found.append({**row, "over_known": _ratio(interval, told.get(one["name"], {}).get(name))})
     for one in found:
         one["covers"] = one["low"] <= one["true"] <= one["high"]
@@ -180,12 +184,27 @@ def _intervals(truth: Row, effects: list[Row], known: list[Row]) -> list[Row]:
     return found
 
 
+def _off(effect: str, parameter: str, true: float, estimate: Any) -> float | None:
+    """Error of a parameter over its departure from the identity; ``None`` where the identity is no number."""
+    declared = next((one for one in EFFECTS[effect].arguments if one.name == parameter), None)
+    if estimate is None or declared is None or declared.identity is None or not np.isfinite(declared.identity):
+        return None
+    size = abs(true - declared.identity)
+    return abs(_number(estimate) - true) / size if size > 0.0 else None
+
+
 def _ratio(interval: list[Any], other: list[Any] | None) -> float | None:
     """Width of an interval over that of another one; ``None`` where there is none, or one that is no length."""
     if other is None:
         return None
     width, known = (_number(one[1]) - _number(one[0]) for one in (interval, other))
     return width / known if np.isfinite(width) and np.isfinite(known) and known > 0.0 else None
+
+
+def _offs(rows: Iterable[Row]) -> Row:
+    """Errors of the parameters of exact answers, of effects of the catalogue's own form."""
+    values = [one["off"] for row in rows for one in row["intervals"] if one["off"] is not None]
+    return {"median": _median(values), "most": max(values, default=None), "of": len(values)}
 
 
 def _widths(rows: Iterable[Row]) -> Row:

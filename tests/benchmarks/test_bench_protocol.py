@@ -130,6 +130,18 @@ def test_of_several_answers_to_a_study_the_first_counts():
     assert (table["answered"], table["singles_exact"]["hits"], table["singles_wrong_asserted"]["hits"]) == (1, 1, 0)
 
 
+def test_a_right_name_with_a_wrong_parameter_shows():
+    truth = {"a": _truth("a", "lidar.extinction_scale")}
+    truth["a"]["effects"][0]["parameters"] = {"factor": 1.06}
+    answer = _answer("lidar.extinction_scale")
+    answer["report"]["effects"][0] |= {"parameters": {"factor": 0.94}, "interval": {"factor": [0.93, 0.95]}}
+    found = score(truth, [{"case": "a", **answer}])["table"]
+    assert found["singles_exact"]["hits"] == 1
+    assert found["parameter_off_over_departure"] == {"median": pytest.approx(2.0), "most": pytest.approx(2.0), "of": 1}
+    answer["report"]["effects"][0]["parameters"] = {"factor": 1.06}
+    assert score(truth, [{"case": "a", **answer}])["table"]["parameter_off_over_departure"]["most"] == 0.0
+
+
 def test_what_is_left_of_the_other_metrics_is_of_those_that_stood_out():
     gaps = {
         "before": {"returns": 5.0, "lost": 9.0, "particles": 1.9},
