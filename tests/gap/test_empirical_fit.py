@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,8 @@ from numpy.typing import NDArray
 from tests.gap.tiny_study import SENSOR, tiny_study
 from torchweather.gap.baseline import targets
 from torchweather.gap.empirical_fit import WHY_NOT, Departures, empirical_stage, natural_curve
+from torchweather.gap.find import find_gap
+from torchweather.gap.gap_report import read_model
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.statistics import Group, Layout, Pool
 from torchweather.gap.study import Study
@@ -250,3 +254,25 @@ def test_lost_returns_come_back_as_a_probability(plain: Study) -> None:
     value = stage.curve(torch.tensor([10.0, 20.0, 26.0, 35.0])).numpy()
     # 60 beams a bin, 24 frames, two conditions: 0.008 by chance; snow stands in front of a few.
     np.testing.assert_allclose(value, [0.0, 0.0, 0.2, 0.2], atol=0.035)
+
+
+def test_the_workflow_answers_unknown_with_axis_curve_and_stage(tmp_path: Path) -> None:
+    """A ripple of the intensity, searched for among effects that do not touch intensities."""
+
+    def change(frame: Frame, clear: Frame, rng: np.random.Generator) -> Frame:
+        return {**frame, "intensity": (frame["intensity"] * np.exp(0.1 * np.sin(2.0 * angle))).astype(np.float32)}
+
+    study = tiny_study(seed=3)
+    angle = azimuth(study)
+    report = find_gap(changed(study, change), effects=["lidar.blind_zone", "lidar.range_noise"])
+    assert report.verdict == "unknown"
+    one = report.to_dict()["unknown"]
+    assert (one["statistic"], one["axis"]) == ("log_intensity_ratio", "azimuth_rad")
+    assert one["empirical"]["kind"] == "intensity"
+    report.write(tmp_path)
+    assert json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))["unknown"] == one
+    found = read_model(tmp_path / "model.yaml")
+    assert len(found) == 0
+    assert found.empirical is not None
+    assert report.empirical is not None
+    assert found.empirical.config() == report.empirical.config()

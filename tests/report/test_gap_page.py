@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.gap import studies
-from tests.report.made_up_gaps import WINDOW_LOSS, report
+from tests.report.made_up_gaps import EMPIRICAL, UNKNOWN, WINDOW_LOSS, report
 from tests.report.parsed_page import Page
-from torchweather.gap.gap_report import Curve, GapReport, read_model
+from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response, read_model
 from torchweather.gap.study import Study
-from torchweather.report.gap_figures import curve_uri
+from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
 from torchweather.report.gap_page import write_gap
-from torchweather.report.gap_words import verdict_sentence
+from torchweather.report.gap_words import exact_twins, verdict_sentence
 from torchweather.stages.effects_lidar import EFFECTS
 
 VERDICTS = ("none", "named", "named_and_rest", "unknown")
@@ -216,3 +217,66 @@ def test_names_of_conditions_are_escaped(study: Study, tmp_path: Path) -> None:
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<b>c" not in text
     assert "&lt;b&gt;c" in text
+
+
+def test_what_no_effect_explains_has_its_curve_formula_and_stage_on_the_page(pages: dict[str, Path]) -> None:
+    words = words_of(pages["unknown"])
+    assert "Intensity over clear air's, by azimuth: no other statistic departs as significantly" in words
+    assert "It is loudest from −112 to −90 (azimuth, degrees): +7.4 standard deviations." in words
+    assert "a sine: 0.0513 sin(3 azimuth_rad + 0.4) , ln(intensity ratio); χ² per degree of freedom 1.13" in words
+    assert "intensity, valid between −158 and 180 (azimuth, degrees); in model.yaml" in words
+    assert 'read_model("model.yaml").apply(LidarWeather(weather, sensor), empirical=True)' in words
+    found = read_model(pages["unknown"] / "model.yaml")
+    assert found.empirical is not None
+    assert found.empirical.config() == EMPIRICAL.config()
+
+
+def test_what_no_stage_copies_says_why(pages: dict[str, Path]) -> None:
+    words = words_of(pages["named_and_rest"])
+    assert "−0.210 (−0.240 to −0.180), change from the first frame to the last" in words
+    assert (
+        "none: it changes from the first frame to the last, and a stage does not know when a frame was taken" in words
+    )
+    assert "empirical=True" not in words
+
+
+def test_a_curve_without_a_formula_says_so(study: Study, tmp_path: Path) -> None:
+    write_gap(tmp_path / "out", study, report("unknown", study, unknown={**UNKNOWN, "formula": None}))
+    assert "Simplest formula none: no constant, line, logarithm," in words_of(tmp_path / "out")
+
+
+def test_what_acts_exactly_like_an_effect_is_said_with_what_would_tell(pages: dict[str, Path]) -> None:
+    words = words_of(pages["named"])
+    assert "Cannot be told apart with these data: a laser that is weaker than in the clear frames acts exactly" in words
+    assert "It would be with clear frames recorded after those in weather" in words
+    assert "a higher detection threshold" not in words  # the study has intensities
+    assert "Cannot be told apart" not in words_of(pages["none"])
+
+
+def test_a_sensor_without_intensities_cannot_tell_the_window_from_the_threshold() -> None:
+    (_, (twin, data)) = exact_twins("lidar.window_loss", with_intensity=False)
+    assert twin == "a higher detection threshold (lidar.threshold_shift)"
+    assert "intensities" in data
+
+
+def test_the_map_shows_numbers_and_leaves_out_what_never_counts(study: Study) -> None:
+    groups = (("lost_share", "range_m"), ("particles", "place"))
+    picture = svg(residual_uri(ResidualMap(groups, ("c0", "c1"), np.array([[12.3, np.nan], [np.nan, np.nan]]), None)))
+    shown = re.findall(r"<!-- (.*?) -->", picture)
+    assert "Beams that lost their return, by range" in shown
+    assert "Map of the particle returns, in one place of every frame" not in shown
+    assert {"12", "–"} <= set(shown)
+
+
+def test_a_response_is_drawn_for_the_measurement_and_every_effect() -> None:
+    edges = (0.0, 10.0, 20.0, 30.0)
+    values = np.array([1.0, np.nan, -8.0])
+    three = [
+        Response("lost_share", "range_m", edges, name, values) for name in (None, "lidar.window_loss", "lidar.spray")
+    ]
+    shown = re.findall(r"<!-- (.*?) -->", svg(response_uri(three)))
+    assert {"measured", "window loss", "spray"} <= set(shown)
+
+
+def test_versions_stand_on_the_page(pages: dict[str, Path]) -> None:
+    assert f"torch {torch.__version__}, numpy {np.__version__}, Python" in words_of(pages["none"])

@@ -30,6 +30,7 @@ MOST_LABELS = 12
 ROOM = 1.25
 # Of the effects of a response figure, the best first; told apart without colour by their dashes.
 LINES = (("#1c7ed6", "-"), ("#e8590c", (0, (5, 2))), ("#2b8a3e", (0, (2, 1.5))), ("#862e9c", (0, (5, 1.5, 1, 1.5))))
+SHORT = 9.95  # from which a number of a map has no decimals
 LETTER = 0.073  # inch, of a label of a map
 # Root mean square departures of a map: where its colours begin (chance) and end.
 MAP_FROM, MAP_TO = 1.0, 30.0
@@ -110,7 +111,9 @@ def residual_uri(residuals: ResidualMap) -> str:
     shown = [bool(np.isfinite(row).any()) for row in residuals.before]
     labels = [group_name(*group) for group, keep in zip(residuals.groups, shown, strict=True) if keep]
     columns = len(residuals.conditions)
-    left, cell, row = 0.2 + LETTER * max(map(len, labels), default=0), 0.62, 0.235
+    # Wide enough for the title of a panel.
+    cell, row = max(0.55, 1.7 / columns), 0.235
+    left = 0.2 + LETTER * max(map(len, labels), default=0)
     width = left + len(panels) * (columns * cell + 0.3)
     height = 0.75 + row * len(labels)
     with mpl.rc_context({**STYLE, "font.size": 9.0}):
@@ -124,7 +127,7 @@ def residual_uri(residuals: ResidualMap) -> str:
             axes.imshow(np.where(np.isfinite(part), share, np.nan), cmap="OrRd", vmin=0.0, vmax=1.15, aspect="auto")
             for (y, x), value in np.ndenumerate(part):
                 dark = np.isfinite(value) and share[y, x] > 0.65
-                text = number_text(float(value)) if np.isfinite(value) else "–"
+                text = f"{value:.{0 if value >= SHORT else 1}f}" if np.isfinite(value) else "–"
                 axes.text(x, y, text, ha="center", va="center", fontsize=8.0, color="white" if dark else INK)
             axes.set_xticks(range(columns), labels=residuals.conditions)
             axes.xaxis.tick_top()

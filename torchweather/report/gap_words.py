@@ -117,6 +117,8 @@ def group_name(statistic: str, axis: str) -> str:
         >>> group_name("lost_share", "range_m"), group_name("particles", "place")
         ('Beams that lost their return, by range', 'Map of the particle returns, in one place of every frame')
     """
+    if axis == "isolated":  # the statistic's name says so
+        return statistic_name(statistic)
     along = axis_name(axis).partition(",")[0].removesuffix(" in clear air")
     word = "" if axis in ("frame", "time", "place") else "by "
     return f"{statistic_name(statistic)}, {word}{along}"
