@@ -313,7 +313,10 @@ def _detect(shot: Shot, echoes: Echoes) -> Report:
     range_m = np.where(found, echoes.target_m, 0.0)
     kind = np.where(found, TARGET, NO_ECHO)
 
-    noisy = echoes.signal + np.sqrt(echoes.signal * photon) * shot.echo_rng.standard_normal(len(echoes.signal))
+    # The waveform of fog was read with the noise of its photons already.
+    counted = (echoes.kind != PARTICLE) | (shot.air.sizes is not None)
+    noise = np.where(counted, np.sqrt(echoes.signal * photon), 0.0)
+    noisy = echoes.signal + noise * shot.echo_rng.standard_normal(len(echoes.signal))
     index = echoes.frame * shot.shape[1] + echoes.beam
     above = noisy >= threshold.reshape(-1)[index]
     index, noisy, at, kinds = index[above], noisy[above], echoes.range_m[above], echoes.kind[above]

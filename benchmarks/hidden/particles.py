@@ -215,6 +215,7 @@ def _vertex(seen: FloatArray, best: np.ndarray) -> tuple[FloatArray, FloatArray]
         for step in (-1, 0, 1)
     )
     inside = (best > 0) & (best < last) & np.isfinite(left) & np.isfinite(right)
+    middle = np.where(np.isfinite(middle), middle, 0.0)
     left, right = np.where(inside, left, middle), np.where(inside, right, middle)
     bend = left - 2.0 * middle + right
     place = np.clip(0.5 * (left - right) / np.where(bend < 0.0, bend, -1e300), -0.5, 0.5)

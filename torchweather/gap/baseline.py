@@ -60,8 +60,12 @@ class FrameModel(Protocol):
         """The clear frames of a scene, each compared with the others."""
         ...
 
-    def nuisances(self, condition: Condition) -> Mapping[str, Effect]:
-        """What nobody knows of a condition's model, each as a stage of one standard deviation, by name."""
+    def open(self, condition: Condition) -> Sequence[str]:
+        """Names of what the model of a condition leaves open."""
+        ...
+
+    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+        """Stages of what is left open, at strengths in standard deviations; none at 0."""
         ...
 
     def simulated(

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.gap.lidar_nuisance import FogEchoRange, WeakSignalNoise
+from torchweather.gap.lidar_nuisance import EchoGain, FogEchoRange, ParticleReading, WeakSignalNoise
 from torchweather.gap.lidar_scene import LidarScene, lidar_scene
 from torchweather.gap.lidar_sums import LidarSums, lidar_layout
 from torchweather.gap.statistics import Reduced
@@ -31,10 +31,14 @@ from torchweather.transforms import LidarWeather
 
 __all__ = ["LidarFrames"]
 
+# Of points whose intensity says less than the threshold; beams that are compared stand above it by their own signal.
+LEAST_MARGIN_DB = 1e-3
 TOGETHER = 8  # frames: more do not fit into the processor's cache
 KEPT = 48  # states, so that those of a setting are kept for every condition
+GAIN_SD = 0.02  # relative, of the brightness of drops and flakes; what two implementations of one physics differ by
+FOG_GAIN_SD = 0.5  # standard deviations of a reading at the threshold, by which their largest is uncertain
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
-DRAWN = 256  # random numbers of a stage, so that those of the base chain are kept for every condition
+DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 
 
 class LidarFrames:
@@ -52,7 +56,7 @@ class LidarFrames:
         direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))
         self.grid = (direction.shape[0], direction.shape[1])
         self.direction = direction.reshape(-1, 3)
-        self.sensor = replace(study.sensor, directions=None)
+        self.sensor = replace(study.sensor, directions=None, margin_db=LEAST_MARGIN_DB)
         self.energy = ToEnergy(self.sensor)
         with_intensity = self.sensor.intensity_unit != "none"
         self.scenes: dict[str, LidarScene] = {
@@ -92,17 +96,35 @@ class LidarFrames:
             self.transforms[condition.id] = LidarWeather(condition.weather, self.sensor, **self.options)
         return self.transforms[condition.id]
 
-    def nuisances(self, condition: Condition) -> dict[str, Effect]:
-        """What nobody knows of a condition's model, each as a stage of one standard deviation, by name."""
-        scene = self.scenes[condition.scene]
-        found: dict[str, Effect] = {}
-        if scene.variance_at_threshold > 0:
-            found["noise"] = WeakSignalNoise(variance_at_threshold=min(scene.variance_at_threshold, 1.0))
+    def open(self, condition: Condition) -> list[str]:
+        """Names of what the model of a condition leaves open."""
         assert condition.weather is not None
+        found = ["noise"] if self.scenes[condition.scene].variance_at_threshold > 0 else []
         if "fog" in {part.kind for part in condition.weather.parts}:
+            found += ["fog shift", "fog spread"]
+        found.append("particle gain")
+        return found
+
+    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+        """Stages of what is left open, at strengths in standard deviations; none at 0.
+
+        Args:
+            condition: of the study.
+            strengths: by name; what cannot be negative is not below 0.
+        """
+        given = {name: strengths.get(name, 0.0) for name in self.open(condition)}
+        found: list[Effect] = []
+        if given.get("noise", 0.0) > 0:
+            variance = given["noise"] * self.scenes[condition.scene].variance_at_threshold
+            found.append(WeakSignalNoise(variance_at_threshold=min(variance, 1.0)))
+        if given["particle gain"] != 0:
+            fog = "fog shift" in given
+            one_sd = FOG_GAIN_SD / math.sqrt(self.sensor.photons_at_threshold) if fog else GAIN_SD
+            found.append(EchoGain(share=min(max(given["particle gain"] * one_sd, -0.9), 9.0)))
+        shift, spread = given.get("fog shift", 0.0), max(given.get("fog spread", 0.0), 0.0)
+        if shift != 0 or spread > 0:
             share = FOG_RANGE_SHARE * self.sensor.pulse_length_m
-            found["fog shift"] = FogEchoRange(shift_m=share)
-            found["fog spread"] = FogEchoRange(spread_m=share)
+            found.append(FogEchoRange(shift_m=shift * share, spread_m=spread * share))
         return found
 
     def simulated(
@@ -144,27 +166,29 @@ class LidarFrames:
         """Range and intensity ``(F, N)`` that come out of the chain."""
         transform = self.transform(condition)
         chain = with_effects(transform.chain, [*self.effects, *(one for one in effects if one.id in EFFECTS)])
-        for one in effects:
-            if one.id not in EFFECTS:  # of lidar_nuisance.py
-                chain = chain.insert(one, before={"particle_returns": "detection"}.get(one.after, "to_points"))
-        # What comes before the last effect is the same for all its settings: kept.
+        others = [one for one in effects if one.id not in EFFECTS]
+        if scene.reading_std > 0:
+            others.append(ParticleReading(std=min(scene.reading_std, 1.0)))
+        for one in others:  # of lidar_nuisance.py
+            chain = chain.insert(one, before={"particle_returns": "detection"}.get(one.after, "to_points"))
+        # What comes before the first effect of the catalogue is the same for all settings of it: kept.
         names = [name for name in chain.stages if name != ToPoints.default_name]
-        last = max((names.index(effect.default_name) for effect in effects), default=len(names))
+        own = [names.index(one.default_name) for one in effects if one.id in EFFECTS]
+        first = min(own, default=len(names))
         before = tuple(
-            (name, str(stage.config()))
-            for name, stage in list(chain.stages.items())[:last]
-            if isinstance(stage, Effect)
+            (name, str(chain.stages[name].config())) for name in names[:first] if name not in transform.chain.stages
         )
-        key = (condition.id, log_knob, tuple(seeds), names[last - 1], before)
+        key = (condition.id, log_knob, tuple(seeds), first, before)
         kept = self._kept.get(key)
         if kept is None:
             range_m, intensity = scene.range_m[row], scene.intensity[row]
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
             state = replace(state, grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
-            kept = self._part(chain, condition, log_knob, state, seeds, 0, last)
-            self._keep(key, kept)
-        state = self._part(chain, condition, log_knob, kept, seeds, last, len(names))
+            kept = self._part(chain, condition, log_knob, state, seeds, 0, first)
+            if own:
+                self._keep(key, kept)
+        state = self._part(chain, condition, log_knob, kept, seeds, first, len(names))
         points = chain.stages[ToPoints.default_name]
         assert isinstance(points, ToPoints)
         noise = self._noise(chain, points.default_name, condition, state, seeds)
@@ -190,16 +214,15 @@ class LidarFrames:
     def _noise(
         self, chain: Chain, name: str, condition: Condition, state: LidarState, seeds: list[int]
     ) -> dict[str, Tensor]:
-        """Random numbers of a stage for the frames of some seeds; those of the base chain are kept."""
+        """Random numbers of a stage for the frames of some seeds, kept: they depend on its name alone."""
         key = (condition.id, name, tuple(seeds))
         drawn = self._drawn.get(key)
         if drawn is None:
             drawn = chain.stages[name].draw(state, seed=torch.tensor(seeds), name=name)
-            if not isinstance(chain.stages[name], Effect):
-                with self._lock:
-                    while len(self._drawn) >= DRAWN:
-                        self._drawn.pop(next(iter(self._drawn)))
-                    self._drawn[key] = drawn
+            with self._lock:
+                while len(self._drawn) >= DRAWN:
+                    self._drawn.pop(next(iter(self._drawn)))
+                self._drawn[key] = drawn
         return drawn
 
     def _keep(self, key: object, state: LidarState) -> None:

@@ -16,7 +16,7 @@ from torchweather.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.states import LidarState, PointKind
 
-__all__ = ["FogEchoRange", "WeakSignalNoise"]
+__all__ = ["EchoGain", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
 
 
 class WeakSignalNoise(Effect):
@@ -45,10 +45,61 @@ class WeakSignalNoise(Effect):
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The object's signal, with the noise it lacks."""
         threshold, signal = state.threshold, state.signal[..., 0]
-        lacking = (threshold / signal.clamp_min(1e-30) - threshold / state.clear_signal.clamp_min(1e-30)).clamp(0.0, 10.0)
+        lacking = (threshold / signal.clamp_min(1e-30) - threshold / state.clear_signal.clamp_min(1e-30)).clamp(
+            0.0, 10.0
+        )
         spread = (self.value("variance_at_threshold", signal) * lacking).sqrt()
         noisy = signal * (1.0 + spread * noise["noise"].to(signal)).clamp_min(0.0)
         return {"signal": torch.cat([noisy[..., None], state.signal[..., 1:]], -1)}
+
+
+class ParticleReading(Effect):
+    """Noise of the reading of a particle's intensity: objects have their clear frame's, particles have none.
+
+    No nuisance but a part of every simulated frame.
+
+    Args:
+        std: relative, as clear frames show it.
+    """
+
+    id: ClassVar[str] = "gap.particle_reading"
+    title: ClassVar[str] = "readings of particles are as noisy as those of objects"
+    term: ClassVar[str] = "reading noise"
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("std", "1", 0.0, 1.0, scale=0.02, identity=0.0),)
+    after: ClassVar[str] = "detection"
+    axes: ClassVar[tuple[str, ...]] = ("intensity",)
+
+    def variates(self) -> tuple[Variate, ...]:
+        """A number a beam."""
+        return (Variate("reading", "normal", ("N",)),)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The signal of what was detected."""
+        signal = state.signal
+        noisy = signal * (1.0 + self.value("std", signal) * noise["reading"].to(signal)[..., None]).clamp_min(0.0)
+        return {"signal": torch.where(state.kind == int(PointKind.PARTICLE), noisy, signal)}
+
+
+class EchoGain(Effect):
+    """How bright particles are, as far as it is not known: their albedo and shape; in fog, how far the largest of a few
+    noisy readings stands above their mean, which is a matter of the receiver's bandwidth.
+
+    Args:
+        share: of the signal of particles, more.
+    """
+
+    id: ClassVar[str] = "gap.echo_gain"
+    title: ClassVar[str] = "particles are read brighter or fainter"
+    term: ClassVar[str] = "backscatter calibration, detection statistics of a soft target"
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("share", "1", -0.9, 9.0, scale=0.05, identity=0.0),)
+    after: ClassVar[str] = "particle_returns"
+    axes: ClassVar[tuple[str, ...]] = ("kind",)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The signal of the particles."""
+        signal = state.signal
+        brighter = signal * (1.0 + self.value("share", signal))
+        return {"signal": torch.where(state.kind == int(PointKind.PARTICLE), brighter, signal)}
 
 
 class FogEchoRange(Effect):

@@ -54,6 +54,7 @@ class LidarScene:
         noise_m: standard deviation of the range of the clear frames.
         gain: ``(K,)`` intensities of each clear frame over those of the others: what a sensor's scale does from frame
             to frame.
+        reading_std: relative standard deviation of the intensity that does not depend on the signal.
         variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.
         bins: axis to the bin of each beam ``(K + 1, N)``, -1 for none, after the clear frames other than k: a frame
             must not choose the bin that it is put into.
@@ -70,6 +71,7 @@ class LidarScene:
     tolerance_m: float
     noise_m: float
     gain: Tensor
+    reading_std: float
     variance_at_threshold: float
     bins: dict[str, Tensor]
     edges: dict[str, tuple[float, ...]]
@@ -117,7 +119,7 @@ def lidar_scene(
     with torch.no_grad():
         signal = energy.signal_of_intensity(mean_intensity.float(), mean_range.float())
     margin_db = 10.0 * torch.log10((signal / energy.beam.threshold).clamp_min(1e-6))
-    gain, variance_at_threshold = torch.ones(number), 0.0
+    gain, variance_at_threshold, reading_std = torch.ones(number), 0.0, 0.0
     if with_intensity:
         apart = intensity.double().clamp_min(FAINTEST).log() - mean_intensity[-1].clamp_min(FAINTEST).log()
         noise_db = DB_PER_NEPER * _spread(apart, stable)
@@ -125,11 +127,10 @@ def lidar_scene(
         if bool(stable.any()) and number > 1:
             common = apart[:, stable].mean(1)
             gain = common.exp().float()
-            variance_at_threshold = _growing_variance(apart[:, stable] - common[:, None], margin_db[-1, stable])
+            constant, variance_at_threshold = _variances(apart[:, stable] - common[:, None], margin_db[-1, stable])
+            reading_std = math.sqrt(constant)
     isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M)[0]
-    bins, edges = _bins(
-        direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry
-    )
+    bins, edges = _bins(direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry)
     return LidarScene(
         range_m=range_m,
         intensity=intensity,
@@ -140,6 +141,7 @@ def lidar_scene(
         tolerance_m=max(SAME_SURFACE_M, SPREAD_TIMES * min(usual, 0.2)),
         noise_m=max(usual, LEAST_NOISE_M),
         gain=gain,
+        reading_std=reading_std,
         variance_at_threshold=variance_at_threshold,
         bins=bins,
         edges=edges,
@@ -158,13 +160,13 @@ def _spread(departure: Tensor, where: Tensor) -> float:
     return float((torch.where(counted, departure, 0.0).square().sum() / (number * share)).sqrt())
 
 
-def _growing_variance(apart: Tensor, margin_db: Tensor) -> float:
-    """v of a variance ``c + v / M`` of departures ``(K, S)`` of beams M times over the threshold, by least squares."""
-    frames = len(apart)
-    variance = apart.square().sum(0) / (frames - 1)
+def _variances(apart: Tensor, margin_db: Tensor) -> tuple[float, float]:
+    """c and v, 0 or more, of a variance ``c + v / M`` of departures ``(K, S)`` of beams M times over the threshold."""
+    variance = apart.square().sum(0) / (len(apart) - 1)
     weak = 10.0 ** (-0.1 * margin_db)
     centred = weak - weak.mean()
-    return max(0.0, float((centred * variance).sum() / centred.square().sum().clamp_min(1e-12)))
+    growing = max(0.0, float((centred * variance).sum() / centred.square().sum().clamp_min(1e-12)))
+    return max(0.0, float(variance.mean() - growing * weak.mean())), growing
 
 
 def _bins(

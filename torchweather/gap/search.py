@@ -1,12 +1,11 @@
-"""The search for missing effects: response curves, screening of singles and pairs, refits in the simulator.
+"""The search for missing effects: response curves, screening of singles and pairs, fits in the simulator.
 
-All in whitened space (``baseline.py``), where a departure of length one is one standard deviation. The weather record's
-error is a nuisance: for every condition the response to its knob is projected out, as far as its stated uncertainty
-allows, and so is the error of the mean of the clear frames, which all conditions of a scene share:
+All in whitened space (``baseline.py``), where a departure of length one is one standard deviation. What must not be
+taken for an effect is a nuisance, G in units of its standard deviations: the error of the weather record of every
+condition, the error of the mean of the clear frames that all conditions of a scene share, and what the model leaves
+open. With x the nuisances at a setting, a residual r there leaves
 
-    M = 1 - G (G'G + 1)^-1 G'   (G in units of its standard deviations),
-
-so that ``x' M y`` is the inner product that is left.
+    min over d of |r - G d|^2 + |x + d|^2,   d = (G'G + 1)^-1 (G'r - x).
 
 References:
     GAP.md 3 (4, 5, 6). A matched filter for each distorted simulator: Anau Montel, Alvey & Weniger 2025.
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -36,7 +35,7 @@ from torchweather.gap.statistics import Pool
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
 
-__all__ = ["Fit", "Node", "Nuisance", "Search", "Setting"]
+__all__ = ["Fit", "Node", "Nuisance", "Search", "Setting", "amplitudes", "gains", "pair_gains"]
 
 Floats = NDArray[np.float64]
 
@@ -48,19 +47,24 @@ AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 LEAST_KNOB_STEP = 0.03
 STEP = 0.2  # of a derivative, over the parameter's typical size
 ITERATIONS = 4
+ROUNDS = 3  # of fitting the nuisances alone
+SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
+FARTHEST = 4.0  # standard deviations that a nuisance may move
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Effects with their parameters.
+    """Effects with their parameters, and the nuisances.
 
     Args:
         values: id of each effect to its parameters.
         log_knob: condition to the logarithm of the weather's knob over its record.
+        open: name of what the model leaves open to its strength, in standard deviations.
     """
 
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     log_knob: Mapping[str, float] = field(default_factory=dict)
+    open: Mapping[str, float] = field(default_factory=dict)
 
     def effects(self) -> list[Effect]:
         """The stages."""
@@ -90,27 +94,44 @@ class Node:
 
 
 class Nuisance:
-    """The projection that forgets what is not the model's fault: errors of the weather record and of the clear mean.
+    """What is not the model's fault, and how much of a residual it explains.
 
     Args:
-        response: ``(C P, K)`` whitened change per standard deviation of each.
-        knobs: ``(C,)`` standard deviation of the logarithm of each condition's knob; the first C columns are theirs.
+        response: ``(C P, K)`` G: whitened change per standard deviation of each.
+        offset: ``(K,)`` x: where they stand, in standard deviations from the record.
     """
 
-    def __init__(self, response: Floats, knobs: Floats) -> None:
-        self.response, self.knobs = response, knobs
+    def __init__(self, response: Floats, offset: Floats) -> None:
+        self.response, self.offset = response, offset
         normal = response.T @ response + np.eye(response.shape[1])
-        self._solved = np.linalg.solve(normal, response.T)  # (K, C P)
+        self._inverse = np.linalg.inv(normal)
+
+    def moved(self, offset: Floats) -> Nuisance:
+        """The same nuisances, standing elsewhere."""
+        found = Nuisance.__new__(Nuisance)
+        found.response, found.offset, found._inverse = self.response, offset, self._inverse
+        return found
 
     def __call__(self, vectors: Floats) -> Floats:
-        """``M x`` of vectors ``(..., C P)``."""
-        found: Floats = vectors - (vectors @ self._solved.T) @ self.response.T
+        """``(1 - G (G'G + 1)^-1 G') y`` of vectors ``(..., C P)``."""
+        found: Floats = vectors - (vectors @ self.response) @ self._inverse @ self.response.T
         return found
 
-    def log_knobs(self, vector: Floats) -> Floats:
-        """``(C,)`` logarithms of the knobs over their records that explain a residual best, their prior counted."""
-        found: Floats = (self._solved @ vector)[: len(self.knobs)] * self.knobs
+    def step(self, residual: Floats) -> Floats:
+        """``(K,)`` by how far they move to explain a residual best, in standard deviations."""
+        found: Floats = self._inverse @ (self.response.T @ residual - self.offset)
         return found
+
+    def left(self, residual: Floats) -> Floats:
+        """A residual ``(C P,)`` without what the nuisances explain."""
+        found: Floats = residual - self.response @ self.step(residual)
+        return found
+
+    def misfit(self, residual: Floats) -> float:
+        """What is left, squared, with what the moved nuisances cost."""
+        step = self.step(residual)
+        rest = residual - self.response @ step
+        return float(rest @ rest + ((self.offset + step) ** 2).sum())
 
 
 @dataclass(frozen=True)
@@ -118,15 +139,20 @@ class Fit:
     """A setting, fitted in the simulator.
 
     Args:
-        setting: effects, parameters, knobs.
+        setting: effects, parameters, nuisances.
         base: the simulator there.
-        misfit: of the measured conditions, squared and summed, with the prior of the knobs.
+        residual: ``(C P,)`` of the measured conditions there.
+        nuisance: there.
+        misfit: of the measured conditions with the prior of the nuisances, and the logarithm of the scatter over that
+            of the start: minus twice the logarithm of the likelihood, but for a constant.
         covariance: ``(K, K)`` of the parameters, least squares, in the order of ``names``.
         names: (effect, parameter) of each.
     """
 
     setting: Setting
     base: Baseline
+    residual: Floats
+    nuisance: Nuisance
     misfit: float
     covariance: Floats
     names: tuple[tuple[str, str], ...]
@@ -147,15 +173,17 @@ class Search:
     ) -> None:
         self.model, self.measured, self.seed, self.pool_frames = model, list(measured), seed, pool_frames
         self.simulated_frames = 0
+        self.open = list(dict.fromkeys(name for target in self.measured for name in model.open(target.condition)))
         self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
+        self.clear_errors: list[Floats] = []
         self.start = self.at(Setting())
         self.origin = Setting()
 
-    def settle(self) -> float:
-        """Fit the knobs of the model as it is; the search then starts from there. The misfit that is left."""
-        settled = self.knob_fit(Setting())
+    def begin(self) -> Fit:
+        """Fit the nuisances of the model as it is; the search then starts from there."""
+        settled = self.settle(Setting())
         self.start, self.origin = settled.base, settled.setting
-        return settled.misfit
+        return settled
 
     # ---- the simulator ---------------------------------------------------------------------------------------------
 
@@ -164,19 +192,17 @@ class Search:
         generator = np.random.default_rng([self.seed, 7919, condition])
         return [int(value) for value in generator.integers(0, 2**62, self.pool_frames)[:number]]
 
-    def pools(
-        self, setting: Setting, number: int, portions: int = 1, more: Mapping[str, Effect] | None = None
-    ) -> dict[str, Pool]:
-        """Simulated frames of all conditions, in portions of their elements; with one more stage in some conditions."""
-        effects, more = setting.effects(), more or {}
+    def pools(self, setting: Setting, number: int, portions: int = 1) -> dict[str, Pool]:
+        """Simulated frames of all conditions, in portions of their elements."""
+        effects = setting.effects()
         found: dict[str, Pool] = {}
 
         def simulate(place: int, target: Target) -> None:
             name = target.condition.id
             seeds = self.seeds(place, number)
             log_knob = setting.log_knob.get(name, 0.0)
-            own = [*effects, more[name]] if name in more else effects
-            reduced = self.model.simulated(target.condition, own, log_knob, seeds, portions)
+            stages = [*effects, *self.model.open_stages(target.condition, setting.open)]
+            reduced = self.model.simulated(target.condition, stages, log_knob, seeds, portions)
             found[name] = Pool(self.model.layout, reduced)
 
         side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
@@ -189,11 +215,9 @@ class Search:
         whitening = self.start.whitening if hasattr(self, "start") else None
         return baseline(pools, self.measured, self.noise, whitening, self.seed)
 
-    def mean(
-        self, setting: Setting, frames: int = PROBE_FRAMES, more: Mapping[str, Effect] | None = None
-    ) -> list[Floats]:
-        """Mean vectors at a setting, from so many frames of each condition; ``more`` as in ``pools``."""
-        pools = self.pools(setting, frames, more=more)
+    def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
+        """Mean vectors at a setting, from so many frames of each condition."""
+        pools = self.pools(setting, frames)
         found = []
         for number, target in enumerate(self.measured):
             generator = np.random.default_rng([self.seed, 104729, number])
@@ -212,13 +236,17 @@ class Search:
         ]
         return np.concatenate(parts)
 
+    def departure(self, base: Baseline, mean: Sequence[Floats]) -> Floats:
+        """The measured conditions' whitened departure ``(C P,)`` from mean vectors."""
+        return self.whitened(base, [target.vector - one for target, one in zip(self.measured, mean, strict=True)])
+
     def residual(self, base: Baseline) -> Floats:
-        """The measured conditions' departure ``(C P,)``."""
+        """The measured conditions' departure ``(C P,)`` from the simulator."""
         return np.concatenate([base.residual(target) for target in self.measured])
 
     def null_residuals(self, nuisance: Nuisance, number: int, seed: int) -> Floats:
-        """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the record and
-        the clear mean off by random draws."""
+        """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
+        off by random draws."""
         generator = np.random.default_rng([seed, 15485863])
         counted = np.concatenate([self.start.used[target.condition.id] for target in self.measured])
         noise = generator.normal(size=(number, len(counted))) * counted
@@ -226,14 +254,30 @@ class Search:
         found: Floats = noise + off @ nuisance.response.T
         return found
 
-    # ---- responses -------------------------------------------------------------------------------------------------
+    # ---- nuisances -------------------------------------------------------------------------------------------------
 
     def knob_sd(self) -> Floats:
-        """Stated uncertainty of the weather of each condition."""
+        """Stated uncertainty of the weather of each condition: standard deviation of its logarithm."""
         return np.array([target.knob_sd for target in self.measured])
 
+    def offset(self, setting: Setting) -> Floats:
+        """Where the nuisances stand at a setting, in standard deviations: knobs, what is open, clear means."""
+        sd = self.knob_sd()
+        off = np.array([setting.log_knob.get(target.condition.id, 0.0) for target in self.measured])
+        knobs = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
+        opened = np.array([setting.open.get(name, 0.0) for name in self.open])
+        return np.concatenate([knobs, opened, np.zeros(len(self.clear_errors))])
+
+    def shifted(self, setting: Setting, step: Floats) -> Setting:
+        """A setting with its nuisances moved by a step ``(K,)``."""
+        sd, number = self.knob_sd(), len(self.measured)
+        place = np.clip(self.offset(setting) + step, -FARTHEST, FARTHEST)
+        knobs = {t.condition.id: float(place[k] * sd[k]) for k, t in enumerate(self.measured)}
+        opened = {name: float(place[number + k]) for k, name in enumerate(self.open)}
+        return replace(setting, log_knob=knobs, open=opened)
+
     def nuisance(self, setting: Setting, base: Baseline) -> Nuisance:
-        """Response to the knobs at a setting, by a difference of either side."""
+        """Responses to the nuisances at a setting: differences in the simulator."""
         sd = self.knob_sd()
         steps = np.maximum(sd, LEAST_KNOB_STEP)
         ends = []
@@ -242,7 +286,7 @@ class Search:
                 target.condition.id: setting.log_knob.get(target.condition.id, 0.0) + sign * step
                 for target, step in zip(self.measured, steps, strict=True)
             }
-            ends.append(self.mean(Setting(setting.values, log_knob)))
+            ends.append(self.mean(replace(setting, log_knob=log_knob), SCREEN_FRAMES))
         size = self.model.layout.size
         columns = []
         for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True)):
@@ -250,21 +294,14 @@ class Search:
             column = np.zeros((len(self.measured), size))
             column[number] = base.whitened(name, (high - low) * (sd[number] / (2.0 * step)))
             columns.append(column.ravel())
-        columns += self._clear_errors(base)
-        columns += self._open_questions(setting, base)
-        return Nuisance(np.stack(columns, 1), sd)
-
-    def _open_questions(self, setting: Setting, base: Baseline) -> list[Floats]:
-        """Columns of what the model leaves open, the same in all conditions."""
-        each = {target.condition.id: self.model.nuisances(target.condition) for target in self.measured}
-        names = dict.fromkeys(name for stages in each.values() for name in stages)
-        before = self.mean(setting) if names else []
-        columns = []
-        for name in names:
-            more = {condition: stages[name] for condition, stages in each.items() if name in stages}
-            after = self.mean(setting, more=more)
+        before = self.mean(setting, SCREEN_FRAMES) if self.open else []
+        for name in self.open:
+            stronger = {**setting.open, name: setting.open.get(name, 0.0) + 1.0}
+            after = self.mean(replace(setting, open=stronger), SCREEN_FRAMES)
             columns.append(self.whitened(base, [new - old for new, old in zip(after, before, strict=True)]))
-        return columns
+        self.clear_errors = self._clear_errors(base)
+        response = np.stack([*columns, *self.clear_errors], 1)
+        return Nuisance(response, self.offset(setting))
 
     def _clear_errors(self, base: Baseline) -> list[Floats]:
         """Columns of the error of each scene's clear mean: it moves means and spreads of all its conditions alike."""
@@ -289,25 +326,46 @@ class Search:
                 columns.append(np.concatenate(column))
         return columns
 
+    def settle(self, setting: Setting, rounds: int = ROUNDS) -> Fit:
+        """The nuisances alone, fitted at a setting of effects."""
+        base = self.at(setting)
+        nuisance = self.nuisance(setting, base)
+        best = (nuisance.misfit(self.residual(base)), setting, base, nuisance)
+        for _ in range(rounds):
+            moved = self.shifted(best[1], nuisance.step(self.residual(best[2])))
+            base = self.at(moved)
+            nuisance = self.nuisance(moved, base)
+            misfit = nuisance.misfit(self.residual(base))
+            gained = best[0] - misfit
+            if gained > 0:
+                best = (misfit, moved, base, nuisance)
+            if gained < SETTLED:
+                break
+        misfit, setting, base, nuisance = best
+        return Fit(setting, base, self.residual(base), nuisance, misfit, np.zeros((0, 0)), ())
+
+    # ---- responses and fits ----------------------------------------------------------------------------------------
+
     def nodes(self, lines: Sequence[Line], setting: Setting, base: Baseline) -> list[Node]:
         """Responses along lines of settings, on top of a setting."""
         before = self.mean(setting, SCREEN_FRAMES)
         found = []
         for line in lines:
             for number, values in enumerate(line.settings):
-                tried = Setting({**setting.values, line.effect.id: values}, setting.log_knob)
+                tried = replace(setting, values={**setting.values, line.effect.id: values})
                 after = self.mean(tried, SCREEN_FRAMES)
                 change = [new - old for new, old in zip(after, before, strict=True)]
                 found.append(Node(line, number, values, self.whitened(base, change)))
         return found
 
-    # ---- fits ------------------------------------------------------------------------------------------------------
+    def fit(self, start: Setting, nuisance: Nuisance, base: Baseline, iterations: int = ITERATIONS) -> Fit:
+        """Parameters and nuisances that explain the measured conditions best, by Gauss-Newton in the simulator.
 
-    def fit(self, start: Setting, iterations: int = ITERATIONS) -> Fit:
-        """Parameters and knobs that explain the measured conditions best, by Gauss-Newton in the simulator.
-
-        The steps are weighed with the scatter of the start, the final misfit with that of the fitted setting. A step
-        that does not help is shortened.
+        Args:
+            start: setting to start from.
+            nuisance: responses to the nuisances, kept.
+            base: scatter that the steps are weighed with; the final misfit has that of the fitted setting.
+            iterations: at most; a step that does not help is shortened.
         """
         names = [
             (effect, parameter.name)
@@ -317,73 +375,46 @@ class Search:
             and not (parameter.identity is not None and values[parameter.name] == parameter.identity)
         ]
         setting = start
-        base = self.start
         mean = self.mean(setting)
-        nuisance = self.nuisance(setting, base)
-        misfit, left = self._misfit(mean, base, nuisance, setting)
+        here = nuisance.moved(self.offset(setting))
+        residual = self.departure(base, mean)
+        misfit = here.misfit(residual)
         covariance: Floats = np.zeros((len(names), len(names)))
         for _ in range(iterations):
             jacobian = np.stack([self._derivative(setting, name, mean, base) for name in names], 1)
-            projected = nuisance(jacobian.T).T
+            projected = here(jacobian.T).T
             normal = jacobian.T @ projected
             ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
-            step: Floats = np.asarray(np.linalg.solve(normal + ridge, projected.T @ left), dtype=np.float64)
+            step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
             covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
-            improved = False
+            gained = 0.0
             for share in (1.0, 0.4, 0.15):
                 trial = self._moved(setting, names, share * step)
-                knobs = nuisance.log_knobs(left - jacobian @ (share * step))
-                trial = Setting(trial.values, self._knobs(setting, knobs))
+                trial = self.shifted(trial, here.step(residual - jacobian @ (share * step)))
                 after = self.mean(trial)
-                found, rest = self._misfit(after, base, nuisance, trial)
+                there = nuisance.moved(self.offset(trial))
+                rest = self.departure(base, after)
+                found = there.misfit(rest)
                 if found < misfit - 1e-6:
                     gained = misfit - found
-                    setting, mean, misfit, left = trial, after, found, rest
-                    improved = True
+                    setting, mean, misfit, residual, here = trial, after, found, rest, there
                     break
-            if not improved or gained < 0.5:
+            if gained < 0.5:
                 break
         final = self.at(setting)
-        _, prior = self._off(setting)
-        whitened = self.residual(final)
-        misfit = float(whitened @ self.nuisance(setting, final)(whitened)) + prior
-        return Fit(setting, final, misfit, covariance, tuple(names))
+        residual = self.residual(final)
+        here = nuisance.moved(self.offset(setting))
+        misfit = here.misfit(residual) + self._wider(final)
+        return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
 
-    def knob_fit(self, setting: Setting, rounds: int = 2) -> Fit:
-        """The knobs alone, fitted at a setting of effects; the misfit is without what the nuisance still explains."""
-        for _ in range(rounds):
-            base = self.at(setting)
-            nuisance = self.nuisance(setting, base)
-            more = nuisance.log_knobs(self.residual(base))
-            setting = Setting(setting.values, self._knobs(setting, more))
-            if np.abs(more).max(initial=0.0) < 0.01:
-                break
-        base = self.at(setting)
-        residual = self.residual(base)
-        return Fit(setting, base, float(residual @ nuisance(residual)), np.zeros((0, 0)), ())
-
-    def _off(self, setting: Setting) -> tuple[Floats, float]:
-        """The knobs' departures from the record, and their share of the misfit."""
-        off = np.array([setting.log_knob.get(target.condition.id, 0.0) for target in self.measured])
-        sd = self.knob_sd()
-        return off, float(((off[sd > 0] / sd[sd > 0]) ** 2).sum())
-
-    def _misfit(
-        self, mean: Sequence[Floats], base: Baseline, nuisance: Nuisance, setting: Setting
-    ) -> tuple[float, Floats]:
-        """Squared residual with the knobs' prior, and the residual ``(C P,)``."""
-        left = self.whitened(base, [t.vector - m for t, m in zip(self.measured, mean, strict=True)])
-        _, prior = self._off(setting)
-        return float(left @ nuisance(left)) + prior, left
-
-    def _knobs(self, setting: Setting, more: Floats) -> dict[str, float]:
-        sd = self.knob_sd()
-        found = {}
-        for number, target in enumerate(self.measured):
+    def _wider(self, base: Baseline) -> float:
+        """Twice the logarithm of the scatter over that of the start, of all entries."""
+        total = 0.0
+        for target in self.measured:
             name = target.condition.id
-            limit = 4.0 * sd[number]
-            found[name] = float(np.clip(setting.log_knob.get(name, 0.0) + more[number], -limit, limit))
-        return found
+            used = self.start.used[name] & base.used[name]
+            total += 2.0 * float(np.log(base.sd[name][used] / self.start.sd[name][used]).sum())
+        return total
 
     def _derivative(self, setting: Setting, name: tuple[str, str], mean: Sequence[Floats], base: Baseline) -> Floats:
         """Whitened change per unit of a parameter, by a step away from the nearer bound."""
@@ -395,7 +426,7 @@ class Search:
         if value + step > declared.high:
             step = -step
         values = {**setting.values, effect: {**setting.values[effect], parameter: value + step}}
-        after = self.mean(Setting(values, setting.log_knob))
+        after = self.mean(replace(setting, values=values))
         return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
 
     def _moved(self, setting: Setting, names: Sequence[tuple[str, str]], step: Floats) -> Setting:
@@ -406,15 +437,50 @@ class Search:
             limited = float(np.clip(change, -2.0 * declared.scale, 2.0 * declared.scale))
             moved = values[effect][parameter] + limited
             values[effect][parameter] = float(np.clip(moved, declared.low, declared.high))
-        return Setting(values, setting.log_knob)
+        return replace(setting, values=values)
 
 
-def gains(nodes: Sequence[Node], residuals: Floats, nuisance: Nuisance) -> Floats:
-    """By how much each node, scaled, lowers the squared residuals ``(R, C P)``: ``(R, nodes)``."""
+def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple[Floats, Floats]:
+    """By what each node is best scaled to explain what nuisances have left ``(R, C P)``, and its squared length."""
     responses = np.stack([node.response for node in nodes])
-    projected = nuisance(responses)
-    norm = (responses * projected).sum(1)
-    along = residuals @ projected.T
-    amplitude = np.clip(along / np.maximum(norm, 1e-12), *AMPLITUDES)
+    norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
+    found: Floats = np.clip((left @ responses.T) / norm, *AMPLITUDES)
+    return found, norm
+
+
+def gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
+    """By how much each node, scaled, lowers the squares of what nuisances have left ``(R, C P)``: ``(R, nodes)``."""
+    amplitude, norm = amplitudes(nodes, left, nuisance)
+    along = left @ np.stack([node.response for node in nodes]).T
     found: Floats = 2.0 * amplitude * along - amplitude**2 * norm
     return found
+
+
+def pair_gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
+    """By how much each two nodes together lower what is left ``(C P,)``: ``(nodes, nodes)``, from one Gram matrix.
+
+    Amplitudes are those of the best point of the square in which both may lie, its edges included.
+    """
+    responses = np.stack([node.response for node in nodes])
+    gram = responses @ nuisance(responses).T
+    along = responses @ left
+    norm = np.maximum(np.diag(gram), 1e-12)
+    low, high = AMPLITUDES
+    first = np.broadcast_to(along[:, None], gram.shape)
+    second = first.T
+    determinant = np.maximum(norm[:, None] * norm[None] - gram**2, 1e-9 * norm[:, None] * norm[None])
+    inner_1 = (first * norm[None] - second * gram) / determinant
+    inner_2 = inner_1.T
+
+    def gain(amplitude_1: Floats, amplitude_2: Floats) -> Floats:
+        square = amplitude_1**2 * norm[:, None] + amplitude_2**2 * norm[None] + 2.0 * amplitude_1 * amplitude_2 * gram
+        found: Floats = 2.0 * (amplitude_1 * first + amplitude_2 * second) - square
+        return found
+
+    inside = (inner_1 >= low) & (inner_1 <= high) & (inner_2 >= low) & (inner_2 <= high)
+    best = np.where(inside, gain(inner_1, inner_2), -np.inf)
+    for edge in (low, high):
+        held = np.full(gram.shape, edge)
+        best = np.maximum(best, gain(held, np.clip((second - edge * gram) / norm[None], low, high)))
+        best = np.maximum(best, gain(np.clip((first - edge * gram) / norm[:, None], low, high), held))
+    return best

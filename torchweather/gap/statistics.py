@@ -33,8 +33,10 @@ FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
 """Least weight in a bin, over all frames of a condition, for which its entry counts."""
 ANSCOMBE = 3.0 / 8.0
 FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
+SPREAD_KNOWN_TO = 0.03  # of the logarithm of a standard deviation: no noise is modelled better than to 3 %
 INDEPENDENT = 0.5  # of the scatter that independent elements would give
 LEAST = {"between": 0.2, "slope": 1e-3, "persistence": 0.1}
+PERSISTENCE_SHARE = 0.01  # of itself: in dense weather the mean pattern persists, and no simulator knows it better
 TINY = 1e-12
 
 
@@ -187,7 +189,11 @@ class Pool:
         found = []
         start = 0
         for group in self.layout.groups:
-            if group.kind in LEAST:
+            if group.kind == "persistence":
+                pattern = self.frames.maps[:, self.layout.maps.index(group.statistic)].mean(0)
+                least = LEAST[group.kind] + PERSISTENCE_SHARE * float(np.sqrt((pattern**2).sum()))
+                found.append(np.full(group.bins, least))
+            elif group.kind in LEAST:
                 found.append(np.full(group.bins, LEAST[group.kind]))
             else:
                 part = slice(start, start + group.bins)
@@ -222,7 +228,7 @@ def _least_scatter(kind: str, weight: Floats, value: Floats, square: Floats) -> 
     else:
         variance = np.maximum(square / some - (value / some) ** 2, TINY)
         relative = INDEPENDENT / np.sqrt(np.maximum(weight, 1.0))
-        found = relative * (np.sqrt(variance) if kind == "mean" else math.sqrt(0.5))
+        found = relative * np.sqrt(variance) if kind == "mean" else np.hypot(math.sqrt(0.5) * relative, SPREAD_KNOWN_TO)
     return found
 
 

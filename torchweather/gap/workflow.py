@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
 from torchweather.gap.candidates import lines
-from torchweather.gap.search import Fit, Node, Nuisance, Search, Setting, gains
+from torchweather.gap.search import Fit, Node, Nuisance, Search, Setting, amplitudes, gains, pair_gains
 from torchweather.gap.study import Study
 from torchweather.stages.effects import EFFECTS, Effect
 
@@ -29,20 +29,40 @@ __all__ = ["Candidate", "GapResult", "HeldOut", "Screening", "find_gap_with"]
 
 Floats = NDArray[np.float64]
 
+Proposal = tuple[Setting, Node, float]
+"""A setting, what to put on top of it, and how much of its response is expected."""
+
 NULLS = 1000
 # The numbers below were set by judgement on a handful of studies, not calibrated on a bench.
 # Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
 # screening are those of noise so many times larger in square.
 OVERDISPERSION = 1.5
 ALARM_P = 2e-3
-REFITTED = 4  # candidates that are refitted in the simulator
+REFITTED, FURTHER_REFITTED, PAIRS_REFITTED = 4, 2, 3  # candidates that are fitted: alone, further ones, pairs
+HELD_ROUNDS = 2  # of fitting the nuisances of the held-out conditions
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
+LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
 FURTHER = 0.03  # of what is explained, that a further effect must add
 WORSE = 0.5  # spreads of the held-out floor, by which an effect may make the held-out gap worse
 FURTHER_HELD = 0.98  # of the held-out gap, to which it must come down
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.4  # of the excess misfit that is left
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The held-out conditions' departure, the weather's record refitted.
+
+    Args:
+        gap: its root mean square, in units of the simulator's own scatter.
+        floor: that of the simulator from itself.
+        spread: standard deviation of that floor from draw to draw.
+    """
+
+    gap: float
+    floor: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -53,11 +73,13 @@ class Candidate:
         id: of the effect.
         fit: with it and what was found before.
         gain: by which it lowers the misfit.
+        held: departure of the held-out conditions with it, where it was looked at.
     """
 
     id: str
     fit: Fit
     gain: float
+    held: HeldOut | None = None
 
 
 @dataclass(frozen=True)
@@ -83,21 +105,6 @@ class Screening:
     best_null: Floats
     misfit_null: Floats
     p_value: float
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """The held-out conditions' departure, the weather's record refitted.
-
-    Args:
-        gap: its root mean square, in units of the simulator's own scatter.
-        floor: that of the simulator from itself.
-        spread: standard deviation of that floor from draw to draw.
-    """
-
-    gap: float
-    floor: float
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -147,17 +154,17 @@ def azimuths(search: Search) -> list[float]:
     return found
 
 
-def screen(search: Search, effects: Sequence[type[Effect]], nuisance: Nuisance, seed: int) -> Screening:
+def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int) -> Screening:
     """Response curves of all effects, and whether any of them, or anything at all, stands out."""
-    residual = search.residual(search.start)
+    residual, nuisance = base.residual, base.nuisance
     places = azimuths(search)
     found = [line for effect in effects for line in lines(effect, places)]
     nodes = search.nodes(found, search.origin, search.start)
     nulls = search.null_residuals(nuisance, NULLS, seed)
-    best_null = gains(nodes, nulls, nuisance).max(1) * OVERDISPERSION
+    best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * OVERDISPERSION
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
-    gain = gains(nodes, residual[None], nuisance)[0]
-    misfit = float(residual @ nuisance(residual))
+    gain = gains(nodes, nuisance.left(residual)[None], nuisance)[0]
+    misfit = nuisance.misfit(residual)
     counted = screening_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (OVERDISPERSION - 1.0) * 0.5), misfit)
@@ -194,8 +201,9 @@ def find_gap_with(
     held_conditions = [one for one in study.holdout if one.weather is not None]
     if not fit_conditions or not held_conditions:
         raise TorchweatherError(
-            f"find_gap: wanted conditions in weather to fit to and others held out; got {len(fit_conditions)} and "
-            f"{len(held_conditions)}. A second rate or a second scene can be held out."
+            "find_gap: not enough data to decide: study.yaml: conditions[].split: wanted conditions in weather to fit to "
+            f"and others held out; got {len(fit_conditions)} and {len(held_conditions)}. A second rate or a second scene "
+            "can be held out."
         )
     kind = f"{study.kind}."
     known = [name for name in EFFECTS if name.startswith(kind)]
@@ -205,86 +213,121 @@ def find_gap_with(
     chosen = [EFFECTS[name] for name in (effects or known) if name not in present]
     say("simulating the conditions as they are")
     search = Search(model, targets(model, fit_conditions), seed)
-    search.settle()
-    nuisance = search.nuisance(search.origin, search.start)
+    base = search.begin()
     if screening_entries(search) < FEWEST_ENTRIES:
         raise TorchweatherError(
             f"find_gap: not enough data to decide: {screening_entries(search)} statistics hold enough beams to count; "
             f"wanted {FEWEST_ENTRIES} or more. More frames a condition, or more beams that see a surface, would tell."
         )
     say("response curves")
-    screening = screen(search, chosen, nuisance, seed)
+    screening = screen(search, chosen, base, seed)
     held = Search(model, targets(model, held_conditions), seed + 1)
-    before = _gap(held, Setting())
+    before = _gap(held, held.begin())
     if screening.p_value > ALARM_P:
-        left = nuisance(screening.residual)
+        left = base.nuisance.left(base.residual)
         return GapResult("none", None, (), screening, before, before, left, search, time.perf_counter() - started)
-    rounds = [_refitted(search, search.origin, screening.nodes, screening.gains, screening.misfit, say)]
-    found = rounds[0][0]
+    rounds = _rounds(search, held, base, screening, before, say)
+    best, after = rounds[-1][0].fit, rounds[-1][0].held or before
+    verdict = _verdict(screening, best.misfit, before, after)
+    left = best.nuisance.left(best.residual)
+    candidates = tuple(tuple(one) for one in rounds)
+    return GapResult(verdict, best, candidates, screening, before, after, left, search, time.perf_counter() - started)
+
+
+def _rounds(
+    search: Search, held: Search, base: Fit, screening: Screening, before: HeldOut, say: Callable[[str], None]
+) -> list[list[Candidate]]:
+    """Effects fitted, one more in each round while it earns its place; the best of each round first."""
+    nodes, nuisance = screening.nodes, base.nuisance
     threshold = float(np.quantile(screening.best_null, 1.0 - ALARM_P))
-    after = _gap(held, Setting(found.fit.setting.values))
-    best, left, misfit = found.fit, *_left(search, found.fit)
-    while len(best.setting.values) < MOST_EFFECTS:
-        rest = [node for node in screening.nodes if node.id not in best.setting.values]
-        nuisance_here = search.nuisance(best.setting, best.base)
-        further = gains(rest, left[None], nuisance_here)[0]
-        explained = screening.misfit - misfit
-        if further.max() < max(threshold, FURTHER * explained):
-            break
-        fitted = _refitted(search, best.setting, rest, further, misfit, say)
-        more = fitted[0]
-        held_after = _gap(held, Setting(more.fit.setting.values))
-        if more.gain < max(threshold, FURTHER * explained) or held_after.gap > FURTHER_HELD * after.gap:
-            break
-        rounds.append(fitted)
-        best, after = more.fit, held_after
-        left, misfit = _left(search, best)
-    verdict = _verdict(screening, misfit, before, after)
-    return GapResult(
-        verdict, best, tuple(map(tuple, rounds)), screening, before, after, left, search, time.perf_counter() - started
-    )
+    left = nuisance.left(base.residual)
+    tried = [(search.origin, node, amplitude) for node, amplitude in _best_nodes(nodes, left, nuisance)[:REFITTED]]
+    rounds = [_fitted(search, base, tried, screening.misfit, say)]
+    held_gap = before
+    pairs = pair_gains(nodes, left, nuisance)
+    while True:
+        best = rounds[-1][0]
+        after = _gap(held, held.settle(replace(held.origin, values=best.fit.setting.values), HELD_ROUNDS))
+        rounds[-1][0] = best = replace(best, held=after)
+        explained = screening.misfit - best.fit.misfit
+        needed = max(threshold, FURTHER * explained)
+        if len(rounds) > 1 and after.gap > FURTHER_HELD * held_gap.gap:
+            return rounds[:-1]
+        held_gap = after
+        if len(best.fit.setting.values) == MOST_EFFECTS:
+            return rounds
+        # On top of the best, and, while the responses around the base still say something, pairs of any two.
+        rest = [node for node in nodes if node.id not in best.fit.setting.values]
+        if not rest:
+            return rounds
+        here = best.fit.nuisance
+        rest_left = here.left(best.fit.residual)
+        worth = bool(gains(rest, rest_left[None], here).max() >= needed)
+        further = _best_nodes(rest, rest_left, here)[:FURTHER_REFITTED]
+        proposed = [(best.fit.setting, node, amplitude) for node, amplitude in further]
+        if len(rounds) == 1:
+            found = _best_pairs(nodes, pairs, search.origin, best.gain + needed)
+            proposed += found
+            worth = worth or bool(found)
+        if not worth:
+            return rounds
+        more = _fitted(search, base, proposed, best.fit.misfit, say)
+        if more[0].gain < needed:
+            return rounds
+        rounds.append(more)
 
 
-def _refitted(
-    search: Search,
-    start: Setting,
-    nodes: Sequence[Node],
-    gain: Floats,
-    misfit: float,
-    say: Callable[[str], None],
+def _best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[tuple[Node, float]]:
+    """The best node of each effect that is worth a fit, with its amplitude, best first."""
+    gain = gains(nodes, left[None], nuisance)[0]
+    amplitude = amplitudes(nodes, left[None], nuisance)[0][0]
+    best: dict[str, int] = {}
+    for place in np.argsort(-gain):
+        best.setdefault(nodes[place].id, int(place))
+    worth = [place for place in best.values() if gain[place] >= WORTH * gain.max()]
+    return [(nodes[place], float(amplitude[place])) for place in worth]
+
+
+def _best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: float) -> list[Proposal]:
+    """Pairs of different effects whose responses explain more than ``least`` together, best first."""
+    first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
+    found: dict[frozenset[str], Proposal] = {}
+    for one, other in zip(first, second, strict=True):
+        if gain[one, other] < least or len(found) == PAIRS_REFITTED:
+            break
+        names = frozenset((nodes[one].id, nodes[other].id))
+        if len(names) == 2 and names not in found:
+            found[names] = (replace(origin, values={nodes[one].id: _start(nodes[one], 1.0)}), nodes[other], 1.0)
+    return list(found.values())
+
+
+def _fitted(
+    search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
 ) -> list[Candidate]:
-    """The most promising effects, each fitted in the simulator on top of a setting; best first."""
-    best: dict[str, tuple[float, Node]] = {}
-    for node, value in zip(nodes, gain, strict=True):
-        if node.id not in best or value > best[node.id][0]:
-            best[node.id] = (float(value), node)
-    order = sorted(best.values(), key=lambda pair: -pair[0])
-    worth = [pair for pair in order if pair[0] >= WORTH * order[0][0]][:REFITTED]
+    """Effects fitted in the simulator, each on top of its setting; best first."""
     found = []
-    for _, node in worth:
-        say(f"fitting {node.id}")
-        values = {**start.values, node.id: dict(node.values)}
-        full = {name: _complete(name, given) for name, given in values.items()}
-        fit = search.fit(Setting(full, start.log_knob))
+    for setting, node, amplitude in proposed:
+        say("fitting " + " and ".join([*setting.values, node.id]))
+        values = {**setting.values, node.id: _start(node, amplitude)}
+        start = replace(setting, values=values)
+        fit = search.fit(start, base.nuisance, base.base)
         found.append(Candidate(node.id, fit, misfit - fit.misfit))
     return sorted(found, key=lambda candidate: candidate.fit.misfit)
 
 
-def _complete(name: str, values: Mapping[str, float]) -> dict[str, float]:
-    """All parameters of an effect, those not given at their defaults."""
-    return {parameter.name: values.get(parameter.name, parameter.value) for parameter in EFFECTS[name].arguments}
+def _start(node: Node, amplitude: float) -> dict[str, float]:
+    """All parameters where an effect of so many times a node's response is expected."""
+    found = {}
+    for one in EFFECTS[node.id].arguments:
+        value = node.values.get(one.name, one.value)
+        if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
+            value = one.identity + max(amplitude, LEAST_AMPLITUDE) * (value - one.identity)
+        found[one.name] = min(max(value, one.low), one.high) if math.isfinite(value) else value
+    return found
 
 
-def _left(search: Search, fit: Fit) -> tuple[Floats, float]:
-    """What a fit leaves: the departure ``(C P,)`` and its square without the nuisance."""
-    residual = search.residual(fit.base)
-    nuisance = search.nuisance(fit.setting, fit.base)
-    return residual, float(residual @ nuisance(residual))
-
-
-def _gap(held: Search, setting: Setting) -> HeldOut:
+def _gap(held: Search, fitted: Fit) -> HeldOut:
     """The held-out departure at a setting of effects."""
-    fitted = held.knob_fit(setting)
     names = [target.condition.id for target in held.measured]
     counted = max(sum(int(fitted.base.used[name].sum()) for name in names), 1)
     own: Floats = np.zeros(1)

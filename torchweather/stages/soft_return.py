@@ -11,8 +11,8 @@ reading of a beam is the largest count, at its range. With F(e; S) the distribut
     P(largest <= e) = prod F = exp(-Lambda(e, R)),   Lambda(e, R) = int_0^R -ln F(e; S(r)) dr / l,
 
 so the strongest return of fog is drawn from a table of Lambda just as the strongest particle is, and the pulse length in
-which it lies follows from the derivative in e in the same way. Counts closer together are not independent: the receiver
-is as slow as the pulse, and reports the place of the maximum of S within half a pulse length of the one drawn.
+which it lies follows from the derivative in e in the same way. Within a pulse length S(r) above is its largest value
+there, and that is the place which is reported: a receiver as slow as the pulse has one reading of a narrow peak.
 
 References:
     PHYSICS.md 5.3 (photons), 5.8 (waveform).
@@ -142,7 +142,7 @@ class SoftReturn(nn.Module):
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
         """
-        signal = self.signal(beam, extinction_per_m, self.grid.quadrature_m)  # (B, cells, G)
+        signal = self._largest(self.signal(beam, extinction_per_m, self.grid.quadrature_m))  # (B, cells, G)
         if density_scale is not None:
             signal = signal * density_scale.to(signal)[:, None, None]
         photons = signal * (self.photons_at_threshold / beam.threshold)
@@ -167,12 +167,29 @@ class SoftReturn(nn.Module):
 
     def located_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
         """Where a reading at a range ``(B, N)`` is reported: at the maximum of S, no farther off than half a pulse."""
-        nodes = self.grid.quadrature_m
         with torch.no_grad():
-            waveform = self.signal(beam, extinction_per_m, nodes).flatten(1)
-            peak_m = nodes.flatten()[waveform.argmax(1)][:, None]
+            peak_m = self._peak_m(self.signal(beam, extinction_per_m, self.grid.quadrature_m))
+        return self._towards(peak_m, range_m)
+
+    def _peak_m(self, signal: Tensor) -> Tensor:
+        """Range ``(B, 1)`` at which a waveform ``(B, cells, G)`` is largest."""
+        return self.grid.quadrature_m.flatten()[signal.flatten(1).argmax(1)][:, None]
+
+    def _towards(self, peak_m: Tensor, range_m: Tensor) -> Tensor:
         half_m = 0.5 * self.pulse_length_m
         return torch.minimum(torch.maximum(peak_m, range_m - half_m), range_m + half_m)
+
+    def _largest(self, signal: Tensor) -> Tensor:
+        """Largest value of a waveform ``(B, cells, G)`` within half a pulse length; it rises once and falls once."""
+        nodes = self.grid.quadrature_m
+        cells, each = nodes.shape
+        place = self.grid.position(self._towards(self._peak_m(signal.detach()), nodes.flatten()))  # (B, cells G)
+        cell = place.floor().clamp(0, cells - 1)
+        inside = self.grid.position(nodes[0])
+        between = 0.5 * (inside[1:] + inside[:-1])
+        index = (cell * each + ((place - cell)[..., None] > between).sum(-1)).to(torch.int64)
+        flat = signal.flatten(1)
+        return torch.maximum(flat, flat.gather(1, index)).reshape(signal.shape)
 
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid where the fog begins; ``None`` is its first node."""

@@ -33,7 +33,7 @@ NOTHING = 1e-9  # the same, where its logarithm must keep a gradient
 FAINTER = 4.0  # nodes below the faintest signal to which a solution is continued
 
 # Grid of the solutions. Arrivals: ln E from ARRIVAL_LOW to ARRIVAL_HIGH; a smaller E comes once in 1e6 beams.
-ARRIVAL_LOW, ARRIVAL_HIGH, ARRIVAL_NODES = 1e-6, 1e2, 257
+ARRIVAL_LOW, ARRIVAL_HIGH, ARRIVAL_NODES = 1e-6, 1e2, 385
 # Places: over v with W(r) / W(end) = 1 - (1 - v^2)^2, which spreads both ends: W starts as a power of the range and
 # ends in a long tail.
 PLACE_NODES = 513
