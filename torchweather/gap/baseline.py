@@ -51,6 +51,7 @@ class FrameModel(Protocol):
     study: Study
     layout: Layout
     effects: list[Effect]
+    map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""
@@ -62,6 +63,10 @@ class FrameModel(Protocol):
 
     def open(self, condition: Condition) -> Sequence[str]:
         """Names of what the model of a condition leaves open."""
+        ...
+
+    def misplaced(self, condition: Condition) -> float:
+        """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
         ...
 
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
@@ -89,12 +94,14 @@ class Target:
         vector: ``(P,)`` of its frames.
         enough: ``(P,)`` entries that hold enough to count.
         frames: their number.
+        misplaced: as in ``FrameModel``.
     """
 
     condition: Condition
     vector: Floats
     enough: NDArray[np.bool_]
     frames: int
+    misplaced: float = 0.0
 
     @property
     def knob_sd(self) -> float:
@@ -109,7 +116,7 @@ def targets(model: FrameModel, conditions: Sequence[Condition]) -> list[Target]:
         pool = Pool(model.layout, model.measured(condition))
         number = len(pool)
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
-        found.append(Target(condition, vector, pool.enough(number), number))
+        found.append(Target(condition, vector, pool.enough(number), number, model.misplaced(condition)))
     return found
 
 
@@ -215,7 +222,7 @@ def baseline(
         mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
         # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
         share = min(n / count, 0.5)
-        least = np.maximum(pool.least_scatter(n), noise.scatter[name])
+        least = np.maximum(pool.least_scatter(n, target.misplaced), noise.scatter[name])
         sd = np.sqrt(np.maximum(spread**2 / (1.0 - share), least**2) * (1.0 + share))
         means[name], sds[name], draws[name] = mean, sd, vectors
         used[name] = target.enough & pool.enough(n)

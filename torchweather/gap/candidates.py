@@ -18,6 +18,7 @@ __all__ = ["Line", "lines"]
 
 # Strengths over the parameter's typical size.
 STEPS = (0.25, 1.0, 3.0)
+FAR_STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinitely far
 PLACES = ("azimuth_rad",)  # parameters that say where
 
 
@@ -41,7 +42,7 @@ def _strengths(parameter: Parameter) -> list[list[float]]:
     found = []
     for sign in (1.0, -1.0):
         if math.isinf(identity):
-            values = [parameter.scale * step for step in (4.0, 2.0, 1.0, 0.5)] if sign > 0 else []
+            values = [parameter.scale * step for step in FAR_STEPS] if sign > 0 else []
         elif identity > 0 and parameter.low >= 0:  # a factor
             values = [identity * math.exp(sign * parameter.scale * step) for step in STEPS]
         else:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchweather.gap.lidar_nuisance import EchoGain, FogEchoRange, ParticleReading, WeakSignalNoise
 from torchweather.gap.lidar_scene import LidarScene, lidar_scene
-from torchweather.gap.lidar_sums import LidarSums, lidar_layout
+from torchweather.gap.lidar_sums import LidarSums, lidar_layout, map_cells
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
 from torchweather.sensors import Lidar
@@ -37,6 +37,7 @@ TOGETHER = 8  # frames: more do not fit into the processor's cache
 KEPT = 48  # states, so that those of a setting are kept for every condition
 GAIN_SD = 0.02  # relative, of the brightness of drops and flakes; what two implementations of one physics differ by
 FOG_GAIN_SD = 0.5  # standard deviations of a reading at the threshold, by which their largest is uncertain
+FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 
@@ -66,6 +67,7 @@ class LidarFrames:
         self.layout = lidar_layout(next(iter(self.scenes.values())).edges, with_intensity)
         azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
         self._sums = {name: LidarSums(scene, self.layout, self.grid, azimuth) for name, scene in self.scenes.items()}
+        self.map_cells = map_cells()
         self.transforms: dict[str, LidarWeather] = {}
         self._kept: dict[object, LidarState] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
@@ -104,6 +106,11 @@ class LidarFrames:
             found += ["fog shift", "fog spread"]
         found.append("particle gain")
         return found
+
+    def misplaced(self, condition: Condition) -> float:
+        """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
+        assert condition.weather is not None
+        return FOG_MISPLACED if "fog" in {part.kind for part in condition.weather.parts} else 0.0
 
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0.
@@ -189,10 +196,9 @@ class LidarFrames:
             if own:
                 self._keep(key, kept)
         state = self._part(chain, condition, log_knob, kept, seeds, first, len(names))
-        points = chain.stages[ToPoints.default_name]
-        assert isinstance(points, ToPoints)
-        noise = self._noise(chain, points.default_name, condition, state, seeds)
-        range_m, intensity = points.measurement(state, noise)
+        last = chain.stages[ToPoints.default_name]
+        assert isinstance(last, ToPoints)
+        range_m, intensity = last.measurement(state, self._noise(chain, last.default_name, condition, state, seeds))
         # Objects have their clear frame's scale already, particles have not.
         ours = (state.kind[..., 0] == int(PointKind.PARTICLE)) & ~state.integral
         return range_m, torch.where(ours, intensity * scene.gain[row, None], intensity)

@@ -10,6 +10,7 @@ References:
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -19,7 +20,7 @@ from torch import Tensor
 from torchweather.gap.lidar_scene import CLUSTER_M, FAINTEST, LidarScene, has_neighbour
 from torchweather.gap.statistics import Group, Layout, Reduced
 
-__all__ = ["LidarSums", "lidar_layout"]
+__all__ = ["LidarSums", "lidar_layout", "map_cells"]
 
 PARTICLE_RANGE_M = (0.0, 1.5, 2.5, 3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 1000.0)
 TICKS_PER_M = 2  # of which the edges are multiples
@@ -45,6 +46,7 @@ OF_SURFACES = ("stable", "lost", "before", "beyond", "same", "ratio", "ratio2", 
 OF_NOTHING = ("empty", "of_empty")
 OF_PARTICLES = ("frame", "before", "of_empty", "particle", "clustered", "level", "level2")
 SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
+STEADY = (1e-3, 0.35, 1e-3, 0.35)  # of SCALARS; a stabilised count scatters by 0.5
 MAPS = ("particles",)
 
 
@@ -72,7 +74,15 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool) -
         groups.append(Group("log_particle_intensity", "particle_range_m", "mean", PARTICLE_RANGE_M))
         groups.append(Group("log_particle_intensity_spread", "particle_range_m", "spread", PARTICLE_RANGE_M))
     add("lost_share_of_thin_targets", "share", ("isolated",))
-    return Layout(tuple(groups), SCALARS, MAPS)
+    return Layout(tuple(groups), SCALARS, STEADY, MAPS)
+
+
+def map_cells() -> list[tuple[float, float]]:
+    """Azimuth, rad, and range, m, of the middle of each cell of the map; the last ring counts as twice its start."""
+    rings = [0.5 * (near + min(far, 3.0 * near)) for near, far in itertools.pairwise(MAP_RANGES_M)]
+    rings[0] = 0.5 * MAP_RANGES_M[1]
+    sectors = [(place + 0.5) / MAP_SECTORS * 2.0 * math.pi - math.pi for place in range(MAP_SECTORS)]
+    return [(azimuth, ring) for azimuth in sectors for ring in rings]
 
 
 class _Beams:
@@ -97,7 +107,7 @@ class _Beams:
     def whole(self, values: Tensor, row: Tensor) -> Tensor:
         """Sums ``(F, R, bins)`` of values ``(F, R, S)``; frames of one row of the scene in one product."""
         found = torch.empty(*values.shape[:2], self._hot.shape[2], dtype=torch.float64)
-        for number in row.unique().tolist():
+        for number in sorted(set(row.tolist())):
             of_row = row == number
             found[of_row] = (
                 (values[of_row].flatten(0, 1) @ self._hot[number]).double().unflatten(0, (-1, values.shape[1]))
@@ -113,7 +123,7 @@ class _Beams:
             index = torch.where(bins[row] >= 0, own * count + bins[row], portions * count)[:, None].expand(values.shape)
             sums = torch.zeros(*values.shape[:2], portions * count + 1, dtype=torch.float64)
             sums.scatter_add_(2, index, values.double())
-            parts.append(sums[..., :-1].unflatten(2, (portions, count)))
+            parts.append(sums[..., :-1].reshape(*sums.shape[:2], portions, count))
         return torch.cat(parts, 3).transpose(1, 2).flatten(0, 1)
 
 
@@ -235,14 +245,14 @@ class LidarSums:
         def summed(values: Tensor | None, which: slice = slice(None)) -> Tensor:
             """Sums ``(slots, bins)`` over some particles, or their number."""
             weights = None if values is None else values[which].double()
-            return torch.bincount(cell[which], weights, slots * bins).double().unflatten(0, (slots, bins))
+            return torch.bincount(cell[which], weights, slots * bins).double().reshape(slots, bins)
 
         numbers = [summed(None, slice(0, len(frame_1))), summed(None, slice(len(frame_1), None))]
         everywhere = torch.ones(slots, bins, dtype=torch.float64)
         particles = [*numbers, numbers[0] + numbers[1], summed(clustered), summed(level), summed(level * level)]
         sector = slot * MAP_SECTORS + self._sector[beam]
         maps = torch.bincount(sector * rings + self._ring[tick], None, slots * MAP_SECTORS * rings).double()
-        maps = maps.unflatten(0, (slots, MAP_SECTORS, rings))
+        maps = maps.reshape(slots, MAP_SECTORS, rings)
         return torch.stack([everywhere, *particles], 1), maps.flatten(1), maps[..., 0].sum(1)
 
     def _portions(self, beams: int, portions: int) -> Tensor:

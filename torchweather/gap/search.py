@@ -44,10 +44,13 @@ SCREEN_FRAMES = 8  # of each condition, for a response in the screening; the fir
 PROBE_FRAMES = 16  # of each condition, for a derivative
 PROBE_DRAWS = 32
 AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
-LEAST_KNOB_STEP = 0.03
+KNOB_STEP, LEAST_KNOB_STEP = 0.2, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
+OPEN_STEP = 0.5  # of a derivative by what the model leaves open, standard deviations
+LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
 STEP = 0.2  # of a derivative, over the parameter's typical size
-ITERATIONS = 4
-ROUNDS = 3  # of fitting the nuisances alone
+ITERATIONS = 8
+SHARES = (1.0, 0.4, 0.15)  # of a step, until one helps
+ROUNDS = 4  # of fitting the nuisances alone
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
 FARTHEST = 4.0  # standard deviations that a nuisance may move
 
@@ -99,17 +102,20 @@ class Nuisance:
     Args:
         response: ``(C P, K)`` G: whitened change per standard deviation of each.
         offset: ``(K,)`` x: where they stand, in standard deviations from the record.
+        moving: number of those that the simulator can be moved along, the first ones.
     """
 
-    def __init__(self, response: Floats, offset: Floats) -> None:
-        self.response, self.offset = response, offset
+    def __init__(self, response: Floats, offset: Floats, moving: int) -> None:
+        self.response, self.offset, self.moving = response, offset, moving
         normal = response.T @ response + np.eye(response.shape[1])
         self._inverse = np.linalg.inv(normal)
+        self._fixed = np.linalg.inv(normal[moving:, moving:])
 
     def moved(self, offset: Floats) -> Nuisance:
         """The same nuisances, standing elsewhere."""
         found = Nuisance.__new__(Nuisance)
-        found.response, found.offset, found._inverse = self.response, offset, self._inverse
+        found.response, found.offset, found.moving = self.response, offset, self.moving
+        found._inverse, found._fixed = self._inverse, self._fixed
         return found
 
     def __call__(self, vectors: Floats) -> Floats:
@@ -126,6 +132,11 @@ class Nuisance:
         """A residual ``(C P,)`` without what the nuisances explain."""
         found: Floats = residual - self.response @ self.step(residual)
         return found
+
+    def cost(self, residual: Floats) -> float:
+        """A residual squared where the moving ones stand, and what it costs that they do."""
+        along = self.response[:, self.moving :].T @ residual
+        return float(residual @ residual - along @ self._fixed @ along + (self.offset**2).sum())
 
     def misfit(self, residual: Floats) -> float:
         """What is left, squared, with what the moved nuisances cost."""
@@ -183,7 +194,7 @@ class Search:
         """Fit the nuisances of the model as it is; the search then starts from there."""
         settled = self.settle(Setting())
         self.start, self.origin = settled.base, settled.setting
-        return settled
+        return replace(settled, misfit=settled.nuisance.misfit(settled.residual))
 
     # ---- the simulator ---------------------------------------------------------------------------------------------
 
@@ -279,7 +290,7 @@ class Search:
     def nuisance(self, setting: Setting, base: Baseline) -> Nuisance:
         """Responses to the nuisances at a setting: differences in the simulator."""
         sd = self.knob_sd()
-        steps = np.maximum(sd, LEAST_KNOB_STEP)
+        steps = np.maximum(KNOB_STEP * sd, LEAST_KNOB_STEP)
         ends = []
         for sign in (1.0, -1.0):
             log_knob = {
@@ -296,12 +307,13 @@ class Search:
             columns.append(column.ravel())
         before = self.mean(setting, SCREEN_FRAMES) if self.open else []
         for name in self.open:
-            stronger = {**setting.open, name: setting.open.get(name, 0.0) + 1.0}
+            stronger = {**setting.open, name: setting.open.get(name, 0.0) + OPEN_STEP}
             after = self.mean(replace(setting, open=stronger), SCREEN_FRAMES)
-            columns.append(self.whitened(base, [new - old for new, old in zip(after, before, strict=True)]))
+            change = [(new - old) / OPEN_STEP for new, old in zip(after, before, strict=True)]
+            columns.append(self.whitened(base, change))
         self.clear_errors = self._clear_errors(base)
         response = np.stack([*columns, *self.clear_errors], 1)
-        return Nuisance(response, self.offset(setting))
+        return Nuisance(response, self.offset(setting), len(columns))
 
     def _clear_errors(self, base: Baseline) -> list[Floats]:
         """Columns of the error of each scene's clear mean: it moves means and spreads of all its conditions alike."""
@@ -330,19 +342,24 @@ class Search:
         """The nuisances alone, fitted at a setting of effects."""
         base = self.at(setting)
         nuisance = self.nuisance(setting, base)
-        best = (nuisance.misfit(self.residual(base)), setting, base, nuisance)
+        residual = self.departure(base, self.mean(setting))
+        cost = nuisance.cost(residual)
         for _ in range(rounds):
-            moved = self.shifted(best[1], nuisance.step(self.residual(best[2])))
-            base = self.at(moved)
-            nuisance = self.nuisance(moved, base)
-            misfit = nuisance.misfit(self.residual(base))
-            gained = best[0] - misfit
-            if gained > 0:
-                best = (misfit, moved, base, nuisance)
+            step, gained = nuisance.step(residual), 0.0
+            for share in SHARES:
+                tried = self.shifted(setting, share * step)
+                rest = self.departure(base, self.mean(tried))
+                found = nuisance.moved(self.offset(tried)).cost(rest)
+                if found < cost:
+                    gained, cost, setting, residual = cost - found, found, tried, rest
+                    break
             if gained < SETTLED:
                 break
-        misfit, setting, base, nuisance = best
-        return Fit(setting, base, self.residual(base), nuisance, misfit, np.zeros((0, 0)), ())
+            nuisance = self.nuisance(setting, base)
+        final = self.at(setting)
+        residual, nuisance = self.residual(final), nuisance.moved(self.offset(setting))
+        misfit = nuisance.misfit(residual) + self._wider(final)
+        return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
 
     # ---- responses and fits ----------------------------------------------------------------------------------------
 
@@ -378,7 +395,7 @@ class Search:
         mean = self.mean(setting)
         here = nuisance.moved(self.offset(setting))
         residual = self.departure(base, mean)
-        misfit = here.misfit(residual)
+        cost = here.cost(residual)
         covariance: Floats = np.zeros((len(names), len(names)))
         for _ in range(iterations):
             jacobian = np.stack([self._derivative(setting, name, mean, base) for name in names], 1)
@@ -388,16 +405,16 @@ class Search:
             step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
             covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
             gained = 0.0
-            for share in (1.0, 0.4, 0.15):
+            for share in SHARES:
                 trial = self._moved(setting, names, share * step)
                 trial = self.shifted(trial, here.step(residual - jacobian @ (share * step)))
                 after = self.mean(trial)
                 there = nuisance.moved(self.offset(trial))
                 rest = self.departure(base, after)
-                found = there.misfit(rest)
-                if found < misfit - 1e-6:
-                    gained = misfit - found
-                    setting, mean, misfit, residual, here = trial, after, found, rest, there
+                found = there.cost(rest)
+                if found < cost - 1e-6:
+                    gained = cost - found
+                    setting, mean, cost, residual, here = trial, after, found, rest, there
                     break
             if gained < 0.5:
                 break
@@ -421,7 +438,9 @@ class Search:
         effect, parameter = name
         declared = next(one for one in EFFECTS[effect].arguments if one.name == parameter)
         value = setting.values[effect][parameter]
-        step = STEP * declared.scale * (max(abs(value), 1.0) if math.isinf(declared.identity or 0.0) else 1.0)
+        step = STEP * (max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale)
+        if parameter in ("azimuth_rad", "width_rad"):  # finer than the sector itself
+            step = max(0.25 * setting.values[effect].get("width_rad", 0.0), LEAST_ANGLE_RAD)
         step = min(step, 0.25 * (declared.high - declared.low))
         if value + step > declared.high:
             step = -step

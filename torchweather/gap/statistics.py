@@ -35,8 +35,9 @@ ANSCOMBE = 3.0 / 8.0
 FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
 SPREAD_KNOWN_TO = 0.03  # of the logarithm of a standard deviation: no noise is modelled better than to 3 %
 INDEPENDENT = 0.5  # of the scatter that independent elements would give
-LEAST = {"between": 0.2, "slope": 1e-3, "persistence": 0.1}
+LEAST = {"between": 0.2, "persistence": 0.1}
 PERSISTENCE_SHARE = 0.01  # of itself: in dense weather the mean pattern persists, and no simulator knows it better
+PARTICLE_AXIS = "particle_range_m"
 TINY = 1e-12
 
 
@@ -69,11 +70,13 @@ class Layout:
     Args:
         binned: groups made from sums over bins.
         scalars: names of the scalars of a frame; each gives a ``between`` and a ``slope`` entry.
+        steady: of each scalar, scatter from frame to frame below which frames are called alike.
         maps: names of the maps of a frame; each gives a ``persistence`` entry.
     """
 
     binned: tuple[Group, ...]
     scalars: tuple[str, ...]
+    steady: tuple[float, ...]
     maps: tuple[str, ...]
 
     @property
@@ -157,7 +160,7 @@ class Pool:
             start += group.bins
             parts.append(_entry(group.kind, weight[:, part], value[:, part], square[:, part]))
         scalar = frames.scalar[index]  # (R, n, S)
-        parts += [_between(scalar), _slope(scalar, time_s)]
+        parts += [_between(scalar, np.asarray(layout.steady)), _slope(scalar, time_s)]
         maps = frames.maps[index]  # (R, n, M, cells)
         parts.append(_persistence(maps))
         return np.concatenate(parts, 1)
@@ -183,21 +186,33 @@ class Pool:
             found[..., part] = _entry(group.kind, *(sums[..., part] for sums in parts))
         return found
 
-    def least_scatter(self, number: int) -> Floats:
-        """Scatter ``(size,)`` that each entry has at least over ``number`` frames, however alike simulated ones are."""
+    def least_scatter(self, number: int, misplaced: float = 0.0) -> Floats:
+        """Scatter ``(size,)`` that each entry has at least over ``number`` frames, however alike simulated ones are.
+
+        Args:
+            number: of frames.
+            misplaced: share of the particles that the model may put into a neighbouring bin of range.
+        """
         weight, value, square = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value", "square"))
         found = []
         start = 0
         for group in self.layout.groups:
             if group.kind == "persistence":
                 pattern = self.frames.maps[:, self.layout.maps.index(group.statistic)].mean(0)
-                least = LEAST[group.kind] + PERSISTENCE_SHARE * float(np.sqrt((pattern**2).sum()))
-                found.append(np.full(group.bins, least))
-            elif group.kind in LEAST:
+                known = PERSISTENCE_SHARE * float(np.sqrt((pattern**2).sum()))
+                found.append(np.full(group.bins, LEAST[group.kind] + known))
+            elif group.kind == "slope":
+                # Of n even steps from first to last the squares about their mean sum up to n / 12.
+                steady = self.layout.steady[self.layout.scalars.index(group.statistic)]
+                found.append(np.full(group.bins, steady / math.sqrt(max(number, 3) / 12.0)))
+            elif group.kind == "between":
                 found.append(np.full(group.bins, LEAST[group.kind]))
             else:
                 part = slice(start, start + group.bins)
-                found.append(_least_scatter(group.kind, weight[part], value[part], square[part]))
+                least = _least_scatter(group.kind, weight[part], value[part], square[part])
+                if group.axis == PARTICLE_AXIS and misplaced > 0:
+                    least = np.hypot(least, _known_to(group.kind, weight[part], value[part], misplaced))
+                found.append(least)
                 start += group.bins
         return np.concatenate(found)
 
@@ -216,6 +231,21 @@ class Pool:
                 found.append(part >= FEWEST[group.kind] if group.kind in FEWEST else np.ones(group.bins, bool))
                 start += group.bins
         return np.concatenate(found)
+
+
+def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Floats:
+    """What misplaced particles do to the entries of a group along the range of particles."""
+    number = value if kind == "count" else weight
+    beside = np.convolve(number, [1.0, 0.0, 1.0], "same")
+    share = np.minimum(misplaced * (1.0 + beside / np.maximum(number, 1.0)), 1.0)  # of a bin's own particles
+    if kind == "count":
+        found: Floats = 0.5 * share * np.sqrt(number + ANSCOMBE)
+    elif kind == "share":
+        inside = (value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)
+        found = np.abs(np.arcsin(np.sqrt(np.clip(inside - share, 0.0, 1.0))) - np.arcsin(np.sqrt(inside)))
+    else:
+        found = share
+    return found
 
 
 def _least_scatter(kind: str, weight: Floats, value: Floats, square: Floats) -> Floats:
@@ -246,11 +276,11 @@ def _entry(kind: str, weight: Floats, value: Floats, square: Floats) -> Floats:
     return found
 
 
-def _between(scalar: Floats) -> Floats:
+def _between(scalar: Floats, steady: Floats) -> Floats:
     """Logarithm of the standard deviation over the frames, ``(R, S)``."""
     if scalar.shape[1] < 2:
         return np.zeros((len(scalar), scalar.shape[2]))
-    found: Floats = 0.5 * np.log(np.maximum(scalar.var(1, ddof=1), TINY))
+    found: Floats = 0.5 * np.log(scalar.var(1, ddof=1) + steady**2)
     return found
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
 from torchweather.gap.candidates import lines
+from torchweather.gap.placing import placed, standing_lines
 from torchweather.gap.search import Fit, Node, Nuisance, Search, Setting, amplitudes, gains, pair_gains
 from torchweather.gap.study import Study
 from torchweather.stages.effects import EFFECTS, Effect
@@ -45,9 +46,10 @@ MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
 FURTHER = 0.03  # of what is explained, that a further effect must add
-WORSE = 0.5  # spreads of the held-out floor, by which an effect may make the held-out gap worse
-FURTHER_HELD = 0.98  # of the held-out gap, to which it must come down
+HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions
+SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.4  # of the excess misfit that is left
+REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 
 
 @dataclass(frozen=True)
@@ -56,13 +58,15 @@ class HeldOut:
 
     Args:
         gap: its root mean square, in units of the simulator's own scatter.
-        floor: that of the simulator from itself.
+        floor: what a perfect model has: noise alone, the nuisances refitted.
         spread: standard deviation of that floor from draw to draw.
+        misfit: its square, summed.
     """
 
     gap: float
     floor: float
     spread: float
+    misfit: float
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,7 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     residual, nuisance = base.residual, base.nuisance
     places = azimuths(search)
     found = [line for effect in effects for line in lines(effect, places)]
+    found += standing_lines(search, effects)
     nodes = search.nodes(found, search.origin, search.start)
     nulls = search.null_residuals(nuisance, NULLS, seed)
     best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * OVERDISPERSION
@@ -201,9 +206,9 @@ def find_gap_with(
     held_conditions = [one for one in study.holdout if one.weather is not None]
     if not fit_conditions or not held_conditions:
         raise TorchweatherError(
-            "find_gap: not enough data to decide: study.yaml: conditions[].split: wanted conditions in weather to fit to "
-            f"and others held out; got {len(fit_conditions)} and {len(held_conditions)}. A second rate or a second scene "
-            "can be held out."
+            "find_gap: not enough data to decide: study.yaml: conditions[].split: wanted conditions in weather to fit "
+            f"to and others held out; got {len(fit_conditions)} and {len(held_conditions)}. A second rate or a second "
+            "scene can be held out."
         )
     kind = f"{study.kind}."
     known = [name for name in EFFECTS if name.startswith(kind)]
@@ -222,7 +227,7 @@ def find_gap_with(
     say("response curves")
     screening = screen(search, chosen, base, seed)
     held = Search(model, targets(model, held_conditions), seed + 1)
-    before = _gap(held, held.begin())
+    before = _gap(held, held.begin(), seed)
     if screening.p_value > ALARM_P:
         left = base.nuisance.left(base.residual)
         return GapResult("none", None, (), screening, before, before, left, search, time.perf_counter() - started)
@@ -247,11 +252,11 @@ def _rounds(
     pairs = pair_gains(nodes, left, nuisance)
     while True:
         best = rounds[-1][0]
-        after = _gap(held, held.settle(replace(held.origin, values=best.fit.setting.values), HELD_ROUNDS))
+        after = _gap(held, held.settle(replace(held.origin, values=best.fit.setting.values), HELD_ROUNDS), search.seed)
         rounds[-1][0] = best = replace(best, held=after)
         explained = screening.misfit - best.fit.misfit
         needed = max(threshold, FURTHER * explained)
-        if len(rounds) > 1 and after.gap > FURTHER_HELD * held_gap.gap:
+        if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         held_gap = after
         if len(best.fit.setting.values) == MOST_EFFECTS:
@@ -310,7 +315,7 @@ def _fitted(
         say("fitting " + " and ".join([*setting.values, node.id]))
         values = {**setting.values, node.id: _start(node, amplitude)}
         start = replace(setting, values=values)
-        fit = search.fit(start, base.nuisance, base.base)
+        fit = search.fit(placed(search, start, node.id, base), base.nuisance, base.base)
         found.append(Candidate(node.id, fit, misfit - fit.misfit))
     return sorted(found, key=lambda candidate: candidate.fit.misfit)
 
@@ -326,25 +331,28 @@ def _start(node: Node, amplitude: float) -> dict[str, float]:
     return found
 
 
-def _gap(held: Search, fitted: Fit) -> HeldOut:
+def _gap(held: Search, fitted: Fit, seed: int) -> HeldOut:
     """The held-out departure at a setting of effects."""
-    names = [target.condition.id for target in held.measured]
-    counted = max(sum(int(fitted.base.used[name].sum()) for name in names), 1)
-    own: Floats = np.zeros(1)
-    for name in names:
-        apart = fitted.base.whitened(name, fitted.base.draws[name] - fitted.base.mean[name])
-        own = own + (apart**2).sum(1)
-    floor = np.sqrt(own / counted)
+    counted = max(screening_entries(held), 1)
+    nulls = held.null_residuals(fitted.nuisance, NULLS // 5, seed)
+    floor = np.sqrt(np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls)) / counted)
     gap = math.sqrt(max(fitted.misfit, 0.0) / counted)
-    return HeldOut(gap, float(floor.mean()), float(floor.std()))
+    return HeldOut(gap, float(floor.mean()), float(floor.std()), fitted.misfit)
 
 
 def _verdict(screening: Screening, misfit: float, before: HeldOut, after: HeldOut) -> str:
+    """What is said of effects that were fitted: also on conditions that they were not fitted to.
+
+    Gates of a name: the alarm itself, held-out conditions that it explains, too, and a share of the excess.
+    """
     expected = float(screening.misfit_null.mean())
     # The scatter is stated with a margin: a good fit may leave less than a null is said to have.
     left = max(misfit - expected, 0.0)
     share = left / max(screening.misfit - min(expected, misfit), 1e-9)
-    if after.gap > before.gap + WORSE * after.spread or share > UNKNOWN_SHARE:
+    if before.misfit - after.misfit < HELD_GAIN:
+        return "unknown" if screening.p_value < SURE_P else "none"
+    if share > UNKNOWN_SHARE:
         return "unknown"
     significant = left > 4.0 * float(screening.misfit_null.std()) * OVERDISPERSION
-    return "named_and_rest" if significant and share > REST_SHARE else "named"
+    rest = (significant and share > REST_SHARE) or after.gap > REST_GAP * after.floor
+    return "named_and_rest" if rest else "named"
