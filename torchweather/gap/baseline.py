@@ -61,8 +61,8 @@ class FrameModel(Protocol):
         """The clear frames of a scene, each compared with the others."""
         ...
 
-    def open(self, condition: Condition) -> Sequence[str]:
-        """Names of what the model of a condition leaves open."""
+    def open(self, condition: Condition) -> Mapping[str, float]:
+        """Names of what the model of a condition leaves open, with the least strength each can have."""
         ...
 
     def misplaced(self, condition: Condition) -> float:

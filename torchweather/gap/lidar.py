@@ -98,14 +98,13 @@ class LidarFrames:
             self.transforms[condition.id] = LidarWeather(condition.weather, self.sensor, **self.options)
         return self.transforms[condition.id]
 
-    def open(self, condition: Condition) -> list[str]:
-        """Names of what the model of a condition leaves open."""
+    def open(self, condition: Condition) -> dict[str, float]:
+        """Names of what the model of a condition leaves open, with the least strength each can have."""
         assert condition.weather is not None
-        found = ["noise"] if self.scenes[condition.scene].variance_at_threshold > 0 else []
+        found = {"noise": 0.0} if self.scenes[condition.scene].variance_at_threshold > 0 else {}
         if "fog" in {part.kind for part in condition.weather.parts}:
-            found += ["fog shift", "fog spread"]
-        found.append("particle gain")
-        return found
+            found |= {"fog shift": -math.inf, "fog spread": 0.0}
+        return {**found, "particle gain": -math.inf}
 
     def misplaced(self, condition: Condition) -> float:
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""

@@ -109,9 +109,8 @@ class _Beams:
         found = torch.empty(*values.shape[:2], self._hot.shape[2], dtype=torch.float64)
         for number in sorted(set(row.tolist())):
             of_row = row == number
-            found[of_row] = (
-                (values[of_row].flatten(0, 1) @ self._hot[number]).double().unflatten(0, (-1, values.shape[1]))
-            )
+            some = values[of_row]
+            found[of_row] = (some.flatten(0, 1) @ self._hot[number]).double().reshape(*some.shape[:2], -1)
         return found
 
     def portioned(self, values: Tensor, row: Tensor, portion: Tensor, portions: int) -> Tensor:

@@ -47,10 +47,11 @@ AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 KNOB_STEP, LEAST_KNOB_STEP = 0.2, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
 OPEN_STEP = 0.5  # of a derivative by what the model leaves open, standard deviations
 LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
-STEP = 0.2  # of a derivative, over the parameter's typical size
-ITERATIONS = 8
-SHARES = (1.0, 0.4, 0.15)  # of a step, until one helps
+STEP = 0.05  # of a derivative, over the parameter's typical size
+ITERATIONS = 10
+SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
 ROUNDS = 4  # of fitting the nuisances alone
+STALLED = 0.5  # of the cost, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
 FARTHEST = 4.0  # standard deviations that a nuisance may move
 
@@ -184,7 +185,7 @@ class Search:
     ) -> None:
         self.model, self.measured, self.seed, self.pool_frames = model, list(measured), seed, pool_frames
         self.simulated_frames = 0
-        self.open = list(dict.fromkeys(name for target in self.measured for name in model.open(target.condition)))
+        self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
         self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
         self.clear_errors: list[Floats] = []
         self.start = self.at(Setting())
@@ -283,6 +284,9 @@ class Search:
         """A setting with its nuisances moved by a step ``(K,)``."""
         sd, number = self.knob_sd(), len(self.measured)
         place = np.clip(self.offset(setting) + step, -FARTHEST, FARTHEST)
+        place[number : number + len(self.open)] = np.maximum(
+            place[number : number + len(self.open)], list(self.open.values())
+        )
         knobs = {t.condition.id: float(place[k] * sd[k]) for k, t in enumerate(self.measured)}
         opened = {name: float(place[number + k]) for k, name in enumerate(self.open)}
         return replace(setting, log_knob=knobs, open=opened)
@@ -345,14 +349,12 @@ class Search:
         residual = self.departure(base, self.mean(setting))
         cost = nuisance.cost(residual)
         for _ in range(rounds):
-            step, gained = nuisance.step(residual), 0.0
-            for share in SHARES:
-                tried = self.shifted(setting, share * step)
-                rest = self.departure(base, self.mean(tried))
-                found = nuisance.moved(self.offset(tried)).cost(rest)
-                if found < cost:
-                    gained, cost, setting, residual = cost - found, found, tried, rest
-                    break
+            found = self._along(setting, (), np.zeros(0), nuisance.step(residual), cost, base, nuisance)
+            if found is None:
+                break
+            gained = cost - found[0]
+            cost, setting, mean = found
+            residual = self.departure(base, mean)
             if gained < SETTLED:
                 break
             nuisance = self.nuisance(setting, base)
@@ -380,7 +382,7 @@ class Search:
 
         Args:
             start: setting to start from.
-            nuisance: responses to the nuisances, kept.
+            nuisance: responses to the nuisances; renewed where no step helps any more.
             base: scatter that the steps are weighed with; the final misfit has that of the fitted setting.
             iterations: at most; a step that does not help is shortened.
         """
@@ -397,6 +399,7 @@ class Search:
         residual = self.departure(base, mean)
         cost = here.cost(residual)
         covariance: Floats = np.zeros((len(names), len(names)))
+        renewed = False
         for _ in range(iterations):
             jacobian = np.stack([self._derivative(setting, name, mean, base) for name in names], 1)
             projected = here(jacobian.T).T
@@ -404,25 +407,61 @@ class Search:
             ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
             step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
             covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
+            aside = here.step(residual - jacobian @ step)
+            found = self._along(setting, names, step, aside, cost, base, here)
             gained = 0.0
-            for share in SHARES:
-                trial = self._moved(setting, names, share * step)
-                trial = self.shifted(trial, here.step(residual - jacobian @ (share * step)))
-                after = self.mean(trial)
-                there = nuisance.moved(self.offset(trial))
-                rest = self.departure(base, after)
-                found = there.cost(rest)
-                if found < cost - 1e-6:
-                    gained = cost - found
-                    setting, mean, cost, residual, here = trial, after, found, rest, there
+            if found is not None:
+                gained = cost - found[0]
+                cost, setting, mean = found
+                residual, here = self.departure(base, mean), here.moved(self.offset(setting))
+            if gained < STALLED:
+                if renewed:
                     break
-            if gained < 0.5:
-                break
+                # The nuisances may do something else here than where the search began.
+                here, renewed = self.nuisance(setting, base), True
+                cost = here.cost(residual)
+            elif gained > 10.0 * STALLED:
+                renewed = False
         final = self.at(setting)
         residual = self.residual(final)
-        here = nuisance.moved(self.offset(setting))
+        here = here.moved(self.offset(setting))
         misfit = here.misfit(residual) + self._wider(final)
         return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
+
+    def _along(
+        self,
+        setting: Setting,
+        names: Sequence[tuple[str, str]],
+        step: Floats,
+        aside: Floats,
+        cost: float,
+        base: Baseline,
+        nuisance: Nuisance,
+    ) -> tuple[float, Setting, list[Floats]] | None:
+        """The best of a few shares of a step that cost less than before: cost, setting and mean vectors there.
+
+        Where the whole step helps it is doubled while that helps: along a valley in which an effect and the record say
+        nearly the same, a step from finite differences is short.
+        """
+
+        def tried(share: float) -> tuple[float, Setting, list[Floats]]:
+            there = self.shifted(self._moved(setting, names, share * step), share * aside)
+            mean = self.mean(there)
+            return nuisance.moved(self.offset(there)).cost(self.departure(base, mean)), there, mean
+
+        best = None
+        for share in SHARES:
+            found = tried(share)
+            if found[0] < cost - 1e-6:
+                best = found
+                break
+        longer = 2.0
+        while best is not None and longer <= LONGEST and share == SHARES[0]:
+            found = tried(longer)
+            if found[0] >= best[0]:
+                break
+            best, longer = found, 2.0 * longer
+        return best
 
     def _wider(self, base: Baseline) -> float:
         """Twice the logarithm of the scatter over that of the start, of all entries."""
