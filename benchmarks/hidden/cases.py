@@ -292,11 +292,15 @@ def _effect_truth(place: Street, name: str, level: float, parameters: dict[str, 
 
 
 def _where_it_shows(case: Case, streets: Streets, number: int) -> tuple[Street, tuple[float, ...]]:
-    """A street in which the effects reach their levels: this weather's, else another one's, else a weaker level."""
+    """A street in which the effects reach their levels: this weather's, else another's, else a weaker or stronger level.
+
+    Some effects come in steps, or their d' rises so steeply that a level cannot be met.
+    """
     if not needed_strengths(case):
         return streets.bare(case.weather, number, case.size), ()
-    for weaker in (0, 1, 2):
-        levels = tuple(LEVELS[max(0, LEVELS.index(level) - weaker)] for level in case.levels)
+    last = len(LEVELS) - 1
+    for weaker in (0, 1, 2, -1, -2):
+        levels = tuple(LEVELS[min(max(0, LEVELS.index(level) - weaker), last)] for level in case.levels)
         for turn in range(3):
             weather = WEATHERS[(WEATHERS.index(case.weather) + turn) % 3]
             for other in range(STREETS):

@@ -320,7 +320,11 @@ class Search:
         return Nuisance(response, self.offset(setting), len(columns))
 
     def _clear_errors(self, base: Baseline) -> list[Floats]:
-        """Columns of the error of each scene's clear mean: it moves means and spreads of all its conditions alike."""
+        """Columns of what whole frames do, of means and spreads, from how clear frames differ.
+
+        The error of each scene's clear mean moves all its conditions alike; the mean of a condition's own frames has
+        one of its own. The scatter of each entry holds it, but not that all entries go together.
+        """
         layout = self.model.layout
         moved = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
         columns = []
@@ -330,17 +334,20 @@ class Search:
             if number < 2:
                 continue
             each = pool.vectors(np.arange(number)[:, None])
-            # From departures from the mean of the others to the scatter of the mean of all.
-            apart = (each - each.mean(0)) * math.sqrt((number - 1) / number**3)
-            for departure in apart:
-                column = [
-                    base.whitened(target.condition.id, np.where(moved, departure, 0.0))
-                    if target.condition.scene == scene
-                    else np.zeros(layout.size)
-                    for target in self.measured
-                ]
-                columns.append(np.concatenate(column))
+            # Departures from the mean of the others are larger than those of a frame by number / (number - 1).
+            apart = np.where(moved, each - each.mean(0), 0.0) / math.sqrt(number)
+            own = [place for place, target in enumerate(self.measured) if target.condition.scene == scene]
+            for departure in apart * math.sqrt((number - 1) / number**2):
+                columns.append(self._column(base, dict.fromkeys(own, departure)))
+            for place in own:
+                for departure in apart / math.sqrt(self.measured[place].frames):
+                    columns.append(self._column(base, {place: departure}))
         return columns
+
+    def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
+        """Whitened departures of some conditions, 0 in the others, ``(C P,)``."""
+        nothing = np.zeros(self.model.layout.size)
+        return self.whitened(base, [departures.get(place, nothing) for place in range(len(self.measured))])
 
     def settle(self, setting: Setting, rounds: int = ROUNDS) -> Fit:
         """The nuisances alone, fitted at a setting of effects."""
