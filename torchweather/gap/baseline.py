@@ -95,6 +95,7 @@ class Target:
         enough: ``(P,)`` entries that hold enough to count.
         frames: their number.
         misplaced: as in ``FrameModel``.
+        clear_frames: of its scene.
     """
 
     condition: Condition
@@ -102,6 +103,7 @@ class Target:
     enough: NDArray[np.bool_]
     frames: int
     misplaced: float = 0.0
+    clear_frames: int = 1
 
     @property
     def knob_sd(self) -> float:
@@ -114,9 +116,9 @@ def targets(model: FrameModel, conditions: Sequence[Condition]) -> list[Target]:
     found = []
     for condition in conditions:
         pool = Pool(model.layout, model.measured(condition))
-        number = len(pool)
+        number, clear = len(pool), len(model.study.scenes[condition.scene].clear)
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
-        found.append(Target(condition, vector, pool.enough(number), number, model.misplaced(condition)))
+        found.append(Target(condition, vector, pool.enough(number), number, model.misplaced(condition), clear))
     return found
 
 
@@ -213,6 +215,8 @@ def baseline(
         seed: of the draws.
     """
     means, sds, used, draws = {}, {}, {}, {}
+    layout = next(iter(pools.values())).layout
+    shares = np.concatenate([np.full(group.bins, group.kind == "share") for group in layout.groups])
     for number, target in enumerate(measured):
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
@@ -221,9 +225,11 @@ def baseline(
         vectors = pool.vectors(index, target.condition.time_s)
         mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
         # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
-        share = min(n / count, 0.5)
-        least = np.maximum(pool.least_scatter(n, target.misplaced), noise.scatter[name])
-        sd = np.sqrt(np.maximum(spread**2 / (1.0 - share), least**2) * (1.0 + share))
+        share = np.full(len(mean), min(n / count, 0.5))
+        # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
+        least = np.maximum(pool.least_scatter(n, target.misplaced), np.where(shares, 0.0, noise.scatter[name]))
+        share = share + np.where(shares, n / target.clear_frames, 0.0)
+        sd = np.sqrt(np.maximum(spread**2 / (1.0 - min(n / count, 0.5)), least**2) * (1.0 + share))
         means[name], sds[name], draws[name] = mean, sd, vectors
         used[name] = target.enough & pool.enough(n)
     if whitening is None:

@@ -18,9 +18,9 @@ from torchweather.stages.effects import EFFECTS, Effect
 
 __all__ = ["placed", "standing_lines"]
 
-FRAMES = 8  # of each condition, for one trial
+FRAMES = 6  # of each condition, for one trial
 WIDTHS_RAD = (0.03, 0.1, 0.3)
-HALVINGS, PASSES = 5, 4
+HALVINGS, PASSES = 5, 2
 ANSCOMBE = 3.0 / 8.0
 
 

@@ -50,7 +50,7 @@ LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
 STEP = 0.05  # of a derivative, over the parameter's typical size
 ITERATIONS = 10
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
-ROUNDS = 4  # of fitting the nuisances alone
+ROUNDS = 10  # of fitting the nuisances alone
 STALLED = 0.5  # of the cost, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
 FARTHEST = 4.0  # standard deviations that a nuisance may move
@@ -183,7 +183,9 @@ class Search:
     def __init__(
         self, model: FrameModel, measured: Sequence[Target], seed: int, pool_frames: int = POOL_FRAMES
     ) -> None:
-        self.model, self.measured, self.seed, self.pool_frames = model, list(measured), seed, pool_frames
+        self.model, self.measured, self.seed = model, list(measured), seed
+        self.least_frames = max((target.frames for target in measured), default=1)
+        self.pool_frames = max(pool_frames, 2 * self.least_frames)
         self.simulated_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
         self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
@@ -228,7 +230,8 @@ class Search:
         return baseline(pools, self.measured, self.noise, whitening, self.seed)
 
     def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
-        """Mean vectors at a setting, from so many frames of each condition."""
+        """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""
+        frames = max(frames, self.least_frames)
         pools = self.pools(setting, frames)
         found = []
         for number, target in enumerate(self.measured):

@@ -209,7 +209,7 @@ class Pool:
                 found.append(np.full(group.bins, LEAST[group.kind]))
             else:
                 part = slice(start, start + group.bins)
-                least = _least_scatter(group.kind, weight[part], value[part], square[part])
+                least = _least_scatter(group.kind, number, weight[part], value[part], square[part])
                 if group.axis == PARTICLE_AXIS and misplaced > 0:
                     least = np.hypot(least, _known_to(group.kind, weight[part], value[part], misplaced))
                 found.append(least)
@@ -248,11 +248,17 @@ def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Flo
     return found
 
 
-def _least_scatter(kind: str, weight: Floats, value: Floats, square: Floats) -> Floats:
-    """Scatter that an entry has at least, from the weight in its bin: of a few counts, of elements that go together."""
+def _least_scatter(kind: str, number: int, weight: Floats, value: Floats, square: Floats) -> Floats:
+    """Scatter that an entry of so many frames has at least, from the sums over its bin.
+
+    A share: that of counting, but no more than one element that is found on the other side in half of the frames. A
+    mean or a spread: of elements half as independent as they look.
+    """
     some = np.maximum(weight, TINY)
     if kind == "share":
-        found: Floats = FEW_COUNTS / np.sqrt(np.maximum(weight, 1.0))
+        inside = (value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)
+        one = 0.5 / (np.maximum(weight, 1.0) * np.sqrt(inside * (1.0 - inside)))
+        found: Floats = np.minimum(FEW_COUNTS / np.sqrt(np.maximum(weight, 1.0)), 0.5 * number * one)
     elif kind == "count":
         found = np.full(weight.shape, FEW_COUNTS)
     else:

@@ -40,7 +40,7 @@ NULLS = 1000
 OVERDISPERSION = 1.5
 ALARM_P = 2e-3
 REFITTED, FURTHER_REFITTED, PAIRS_REFITTED = 4, 2, 3  # candidates that are fitted: alone, further ones, pairs
-HELD_ROUNDS = 2  # of fitting the nuisances of the held-out conditions
+QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
@@ -252,7 +252,11 @@ def _rounds(
     pairs = pair_gains(nodes, left, nuisance)
     while True:
         best = rounds[-1][0]
-        after = _gap(held, held.settle(replace(held.origin, values=best.fit.setting.values), HELD_ROUNDS), search.seed)
+        values = best.fit.setting.values
+        # What is left open may be told better by either.
+        starts = (replace(held.origin, values=values), Setting(values, open=best.fit.setting.open))
+        settled = min((held.settle(start) for start in starts), key=lambda fit: fit.misfit)
+        after = _gap(held, settled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
         explained = screening.misfit - best.fit.misfit
         needed = max(threshold, FURTHER * explained)
@@ -313,10 +317,16 @@ def _fitted(
     found = []
     for setting, node, amplitude in proposed:
         say("fitting " + " and ".join([*setting.values, node.id]))
-        values = {**setting.values, node.id: _start(node, amplitude)}
-        start = replace(setting, values=values)
-        fit = search.fit(placed(search, start, node.id, base), base.nuisance, base.base)
+        start = replace(setting, values={**setting.values, node.id: _start(node, amplitude)})
+        fit = search.fit(placed(search, start, node.id, base), base.nuisance, base.base, QUICK)
         found.append(Candidate(node.id, fit, misfit - fit.misfit))
+    least = min(candidate.fit.misfit for candidate in found)
+    for place, one in enumerate(found):
+        if one.fit.misfit < least + CLOSE:
+            say("refining " + " and ".join(one.fit.setting.values))
+            fit = search.fit(one.fit.setting, one.fit.nuisance, base.base)
+            if fit.misfit < one.fit.misfit:
+                found[place] = Candidate(one.id, fit, misfit - fit.misfit)
     return sorted(found, key=lambda candidate: candidate.fit.misfit)
 
 
