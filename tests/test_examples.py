@@ -50,7 +50,11 @@ MEASURED: dict[str, list[str]] = {
     "lidar_fog_against_radiate.py": ["radiate.json", "radiate.png"],
 }
 # Tested in a file of their own.
-ELSEWHERE = {"links_against_p838.py": "test_links_example.py"}
+ELSEWHERE = {
+    "draw_lidar_effects.py": "test_docs_effects.py",
+    "gap_d34_suspicions.py": "gap/test_hidden_study.py",
+    "links_against_p838.py": "test_links_example.py",
+}
 
 
 def run(name: str, arguments: list[str], folder: Path) -> str:
