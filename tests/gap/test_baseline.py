@@ -29,7 +29,7 @@ from torchweather.weather import Snow
 
 RNG = np.random.default_rng
 BINS = 6
-LAYOUT = Layout((Group("a", "x", "mean", tuple(range(BINS + 1))),), (), ())
+LAYOUT = Layout((Group("a", "x", "mean", tuple(range(BINS + 1))),), (), (), ())
 
 
 def pool(frames: int, seed: int, *, common: float = 0.0, elements: int = 400) -> Pool:

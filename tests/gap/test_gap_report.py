@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.baseline import Baseline, Target, Whitening
+from torchweather.gap.clear_air import ClearAir
 from torchweather.gap.empirical_fit import Departures
 from torchweather.gap.gap_report import gap_report, read_model, write_model
 from torchweather.gap.search import Setting
@@ -35,7 +36,7 @@ Floats = NDArray[np.float64]
 SECTORS = tuple(float(v) for v in np.linspace(-math.pi, math.pi, 17))
 RATIO = Group("log_intensity_ratio", "azimuth_rad", "mean", SECTORS)
 LOST = Group("lost_share", "range_m", "share", (0.0, 10.0, 20.0, 30.0, 1000.0))
-LAYOUT = Layout((RATIO, LOST), ("log_intensity_ratio",), ())
+LAYOUT = Layout((RATIO, LOST), ("log_intensity_ratio",), (1e-3,), ())
 SIZE = LAYOUT.size  # 16, 4, between, slope
 SLOPE = SIZE - 1
 SD = 0.01
@@ -77,7 +78,7 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, **more: 
     search = SimpleNamespace(
         model=model, measured=measured, start=start, origin=Setting(), simulated_frames=100, seed=0
     )
-    held = HeldOut(3.0, 1.0, 0.1)
+    held = HeldOut(3.0, 1.0, 0.1, 9.0 * SIZE)
     given = {
         "verdict": verdict,
         "fit": None,
@@ -88,6 +89,7 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, **more: 
         "left": whitened,
         "search": search,
         "seconds": 1.0,
+        "clear": (ClearAir("s0", 0.4, "lost_share", "range_m", -1.2),),
     }
     return SimpleNamespace(**{**given, **more})
 
@@ -154,7 +156,7 @@ def test_of_two_departures_the_more_significant_counts_not_the_loudest_bin() -> 
 def test_a_spread_that_a_ripple_makes_is_not_what_is_unknown() -> None:
     """By the law of total variance; a spread of its own stays."""
     spread = Group("log_intensity_spread", "range_m", "spread", (0.0, 10.0, 20.0))
-    layout = Layout((RATIO, spread), (), ())
+    layout = Layout((RATIO, spread), (), (), ())
     mean = ripple(0.05)[:16]
     variance = 0.03**2
     for own in (0.0, 0.04**2):
@@ -274,6 +276,9 @@ def test_the_answer_says_where_it_comes_from() -> None:
     answer = gap_report(result("none", ripple(0.01)), "ab" * 32, 3).to_dict()
     assert answer["study_sha256"] == "ab" * 32
     assert answer["seed"] == 3
+    assert answer["clear_air"] == [
+        {"scene": "s0", "p_value": 0.4, "statistic": "lost_share", "axis": "range_m", "z": -1.2}
+    ]
     assert answer["version"]
 
 

@@ -60,11 +60,11 @@ def group(model: LidarFrames, frames: Reduced, statistic: str, axis: str, what: 
 def test_references_leave_one_clear_frame_out(study: Study, model: LidarFrames) -> None:
     scene = model.scenes["s0"]
     range_m, intensity = (stacked(study.scenes["s0"].clear, name) for name in ("range_m", "intensity"))
+    np.testing.assert_array_equal(scene.empty.numpy(), (range_m == 0).all(0))
+    assert not (scene.stable.numpy() & ~(range_m > 0).all(0)).any()
     for row in range(CLEAR + 1):
         others = [k for k in range(CLEAR) if k != row]
-        seen = (range_m[others] > 0).all(0)
-        np.testing.assert_array_equal(scene.stable[row].numpy(), seen)
-        np.testing.assert_array_equal(scene.empty[row].numpy(), (range_m[others] == 0).all(0))
+        seen = (range_m > 0).all(0)
         for reference, values in (
             (scene.reference_range_m, range_m),
             (scene.reference_intensity, intensity),
@@ -92,19 +92,17 @@ def test_a_beam_that_sees_two_surfaces_or_flickers_is_neither_stable_nor_empty()
     )
     scene = LidarFrames(made).scenes["s0"]
     stable, empty = scene.stable.numpy(), scene.empty.numpy()
-    assert not (stable | empty)[:, 0].any()  # two surfaces
-    assert not stable[-1, 1]  # flickers
-    assert not empty[:, 1].any()
-    np.testing.assert_array_equal(empty[:, 2], ~stable[:, 2])
-    assert empty[:, 2].all()
-    assert stable[:, 3:].all()
+    assert not (stable | empty)[0]  # two surfaces
+    assert not (stable | empty)[1]  # flickers
+    assert empty[2]
+    np.testing.assert_array_equal(stable, np.arange(16) > 2)
 
 
 def test_measured_and_clear_frames_depart_from_their_references_by_the_same_noise(study: Study) -> None:
     """A frame against the mean of the others: sd sqrt(1 + 1 / (K - 1)) of one frame's, measured or clear."""
     made = tiny_study(seed=5, rows=32, columns=64, clear=CLEAR, frames=CLEAR, weathers=(Rain(0.1), Rain(0.1)))
     model = LidarFrames(made)
-    beams = model.scenes["s0"].stable[-1].sum().item() * CLEAR
+    beams = model.scenes["s0"].stable.sum().item() * CLEAR
     for frames in (model.measured(made.conditions[0]), model.clear("s0")):
         for statistic, noise in (("range_residual_m", RANGE_NOISE_M), ("log_intensity_ratio", INTENSITY_NOISE)):
             number, square = (group(model, frames, statistic, "range_m", what).sum() for what in ("weight", "square"))
@@ -139,7 +137,7 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[s
     """Weight, value and square of some groups, beam by beam."""
     scene = model.scenes["s0"]
     edges = scene.edges["range_m"]
-    names = ("lost_share", "new_share", "beyond_share", "log_intensity_ratio", "range_residual_m")
+    names = ("lost_share", "new_share", "beyond_share", "log_intensity_ratio", "range_residual_m", "range_residual_spread")
     sums = {name: [[0.0] * (len(edges) - 1) for _ in range(3)] for name in names}
     sums["new_share_of_empty_beams"] = [[0.0], [0.0], [0.0]]
 
@@ -149,9 +147,9 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[s
 
     for beam in range(ROWS * COLUMNS):
         found, reference = float(range_m[beam]), float(scene.reference_range_m[row, beam])
-        if scene.empty[row, beam]:
+        if scene.empty[beam]:
             add("new_share_of_empty_beams", 0, float(found > 0))
-        if not scene.stable[row, beam]:
+        if not scene.stable[beam]:
             continue
         place = next(k for k in range(len(edges) - 1) if edges[k] <= reference < edges[k + 1])
         apart, seen = found - reference, found > 0
@@ -162,6 +160,7 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[s
             old = float(scene.reference_intensity[row, beam])
             add("log_intensity_ratio", place, math.log(float(intensity[beam]) / old))
             add("range_residual_m", place, apart)
+            add("range_residual_spread", place, math.log1p((apart / scene.noise_m) ** 2))
     return sums
 
 
@@ -191,9 +190,9 @@ def test_particles_are_counted_by_range_and_by_whether_a_neighbour_shares_theirs
         particles = clustered = 0
         for beam in range(ROWS * COLUMNS):
             reach = float(range_m[frame, beam])
-            before = bool(scene.stable[frame, beam]) and reach > 0
+            before = bool(scene.stable[beam]) and reach > 0
             before = before and reach - float(scene.reference_range_m[frame, beam]) < -SAME_SURFACE_M
-            if not (before or (bool(scene.empty[frame, beam]) and reach > 0)):
+            if not (before or (bool(scene.empty[beam]) and reach > 0)):
                 continue
             particles += 1
             down, aside = divmod(beam, COLUMNS)

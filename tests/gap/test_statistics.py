@@ -11,6 +11,7 @@ import pytest
 from torchweather.gap.statistics import FEWEST, Group, Layout, Pool, Reduced
 
 RNG = np.random.default_rng
+STEADY = 0.1
 
 
 def reduced(weight: Any, value: Any = None, square: Any = None, scalar: Any = None, maps: Any = None) -> Reduced:
@@ -24,7 +25,7 @@ def reduced(weight: Any, value: Any = None, square: Any = None, scalar: Any = No
 
 
 def one_bin(kind: str) -> Layout:
-    return Layout((Group("it", "axis", kind, (0.0, 1.0)),), (), ())
+    return Layout((Group("it", "axis", kind, (0.0, 1.0)),), (), (), ())
 
 
 def each_alone(layout: Layout, frames: Reduced) -> Any:
@@ -74,29 +75,29 @@ def test_a_share_and_a_count_of_nothing_are_finite() -> None:
 
 def test_between_is_the_logarithm_of_the_standard_deviation_of_the_frames() -> None:
     scalar = np.array([1.0, 4.0, 2.0, 9.0])
-    pool = Pool(Layout((), ("it",), ()), reduced(np.zeros((4, 0)), scalar=scalar[:, None]))
+    pool = Pool(Layout((), ("it",), (STEADY,), ()), reduced(np.zeros((4, 0)), scalar=scalar[:, None]))
     between, _ = pool.vectors(np.array([[0, 1, 2, 3]]))[0]
-    assert between == pytest.approx(math.log(scalar.std(ddof=1)), rel=1e-12)
+    assert between == pytest.approx(math.log(math.hypot(scalar.std(ddof=1), STEADY)), rel=1e-12)
 
 
 @pytest.mark.parametrize("time_s", [None, np.array([0.0, 1.0, 5.0, 6.0, 20.0])])
 def test_slope_is_the_change_from_the_first_frame_to_the_last(time_s: Any) -> None:
     along = np.arange(5.0) / 4.0 if time_s is None else time_s / 20.0
-    pool = Pool(Layout((), ("it",), ()), reduced(np.zeros((5, 0)), scalar=(7.0 - 3.0 * along)[:, None]))
+    pool = Pool(Layout((), ("it",), (STEADY,), ()), reduced(np.zeros((5, 0)), scalar=(7.0 - 3.0 * along)[:, None]))
     assert pool.vectors(np.arange(5)[None], time_s)[0, 1] == pytest.approx(-3.0, rel=1e-12)
     backwards = pool.vectors(np.arange(5)[None, ::-1], None if time_s is None else time_s[::-1])[0, 1]
     assert backwards == pytest.approx(3.0 if time_s is None else -3.0, rel=1e-12)
 
 
 def test_frames_of_one_time_have_no_slope() -> None:
-    pool = Pool(Layout((), ("it",), ()), reduced(np.zeros((3, 0)), scalar=np.array([[1.0], [2.0], [3.0]])))
+    pool = Pool(Layout((), ("it",), (STEADY,), ()), reduced(np.zeros((3, 0)), scalar=np.array([[1.0], [2.0], [3.0]])))
     assert pool.vectors(np.arange(3)[None], np.zeros(3))[0, 1] == 0.0
 
 
 def test_persistence_is_what_stays_in_its_place() -> None:
     same, apart = np.tile([3.0, 0.0, 4.0, 0.0], (3, 1)), 5.0 * np.eye(3, 4)
     for maps, expected in ((same, 5.0), (apart, 0.0)):
-        pool = Pool(Layout((), (), ("it",)), reduced(np.zeros((3, 0)), maps=maps[:, None]))
+        pool = Pool(Layout((), (), (), ("it",)), reduced(np.zeros((3, 0)), maps=maps[:, None]))
         assert pool.vectors(np.arange(3)[None])[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
@@ -110,6 +111,7 @@ WHOLE = Layout(
         Group("c", "z", "count", (0.0, 5.0)),
     ),
     ("s", "t"),
+    (STEADY, 0.2),
     ("m",),
 )
 
@@ -139,7 +141,9 @@ def looped(frames: Reduced, draw: Any, time_s: Any) -> list[float]:
             )
             place += 1
     columns = [[float(frames.scalar[k, place]) for k in draw] for place in range(2)]
-    found += [math.log(np.std(column, ddof=1)) for column in columns]
+    found += [
+        math.log(math.hypot(np.std(column, ddof=1), steady)) for column, steady in zip(columns, WHOLE.steady, strict=True)
+    ]
     found += [float(np.polyfit(time_s, column, 1)[0]) * (max(time_s) - min(time_s)) for column in columns]
     pairs = [
         float(frames.maps[j, 0] @ frames.maps[k, 0])
@@ -227,7 +231,7 @@ def test_a_bin_counts_from_its_least_weight(kind: str) -> None:
 
 
 def test_what_is_between_frames_needs_three_of_them_and_persistence_two() -> None:
-    layout = Layout((), ("it",), ("m",))
+    layout = Layout((), ("it",), (STEADY,), ("m",))
     pool = Pool(layout, reduced(np.zeros((5, 0)), scalar=np.zeros((5, 1)), maps=np.zeros((5, 1, 2))))
     assert [pool.enough(number).tolist() for number in (1, 2, 3)] == [
         [False, False, False],

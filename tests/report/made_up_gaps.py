@@ -147,6 +147,10 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
         "nuisance": {"rate_factor": 1.04, "by_condition": nuisance},
         "gap": {**gap, "interval_after": [0.94, 1.13]},
         "p_value": 0.314 if nothing else 3e-12,
+        "clear_air": [
+            {"scene": name, "p_value": 0.27, "statistic": "lost_share", "axis": "range_m", "z": 2.1}
+            for name in study.scenes
+        ],
         "unknown": {"named_and_rest": DRIFT, "unknown": UNKNOWN}.get(verdict),
         "candidates": [] if nothing else CANDIDATES,
         "simulated_frames": 4321,
