@@ -1,10 +1,9 @@
-"""The search: the nuisance it forgets, parameters it finds again, studies that lack nothing."""
+"""The search in the simulator: responses, fits that find a parameter again, studies that lack nothing."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ import torch
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.gap.baseline import targets
-from torchweather.gap.candidates import Line
 from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.search import AMPLITUDES, Node, Nuisance, Search, Setting, gains
+from torchweather.gap.placing import placed
+from torchweather.gap.search import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import ALARM_P, find_gap_with, screen
 from torchweather.stages.effects import Effect
@@ -46,84 +45,6 @@ def search_of(study: Study, seed: int = 0, effects: Sequence[Effect] = ()) -> Se
 @pytest.fixture(scope="module")
 def null() -> Search:
     return search_of(small())
-
-
-# ---- the nuisance ----------------------------------------------------------------------------------------------------
-
-
-def nuisance(knobs: int = 2, others: int = 3, size: int = 40) -> Nuisance:
-    response = RNG(1).normal(size=(size, knobs + others))
-    return Nuisance(response, np.array([0.1, 0.2][:knobs]))
-
-
-def matrix(one: Nuisance) -> Any:
-    return one(np.eye(len(one.response)))
-
-
-def test_the_projection_is_that_of_the_formula_and_symmetric() -> None:
-    one = nuisance()
-    g = one.response
-    expected = np.eye(len(g)) - g @ np.linalg.inv(g.T @ g + np.eye(g.shape[1])) @ g.T
-    np.testing.assert_allclose(matrix(one), expected, atol=1e-12)
-    np.testing.assert_allclose(matrix(one), matrix(one).T, atol=1e-12)
-    values = np.linalg.eigvalsh(matrix(one))
-    assert values.min() > 0.0
-    assert values.max() == pytest.approx(1.0, abs=1e-12)
-
-
-def test_the_square_of_what_is_left_is_that_of_the_best_errors_with_their_prior() -> None:
-    """x' M x = min over n of |x - G n|^2 + |n|^2: a linear fit with a prior of 1."""
-    one, x = nuisance(), RNG(2).normal(size=40)
-    padded = np.vstack([one.response, np.eye(5)])
-    best, squares, *_ = np.linalg.lstsq(padded, np.concatenate([x, np.zeros(5)]), rcond=None)
-    assert float(x @ one(x)) == pytest.approx(float(squares[0]), rel=1e-10)
-    np.testing.assert_allclose(one.log_knobs(x), best[:2] * np.array([0.1, 0.2]), rtol=1e-10)
-
-
-def test_a_knob_error_within_its_record_costs_its_prior_alone() -> None:
-    response = np.zeros((40, 1))
-    response[:, 0] = 5.0 * RNG(3).normal(size=40)
-    one = Nuisance(response, np.array([0.1]))
-    norm = float(response[:, 0] @ response[:, 0])
-    for sds in (-1.0, 0.5, 2.0):
-        x = sds * response[:, 0]
-        # |G n|^2 / (1 + |G|^2 ) = n^2 (1 - 1 / (1 + |G|^2)): the knob's own prior and no more.
-        assert float(x @ one(x)) == pytest.approx(sds**2 * norm / (1.0 + norm), rel=1e-10)
-        assert one.log_knobs(x)[0] == pytest.approx(sds * 0.1 * norm / (1.0 + norm), rel=1e-10)
-
-
-def test_the_projection_is_idempotent_where_the_response_is_large_and_none_where_it_is_small() -> None:
-    g = RNG(4).normal(size=(40, 3))
-    strong, weak = (matrix(Nuisance(scale * g, np.full(3, 0.1))) for scale in (1e4, 1e-4))
-    # 1 / (1 + |G|^2) of what it takes is left: |G|^2 = 40 x 1e8.
-    np.testing.assert_allclose(strong @ strong, strong, atol=1e-8)
-    np.testing.assert_allclose(strong @ g, 0.0, atol=1e-7)
-    np.testing.assert_allclose(weak, np.eye(40), atol=1e-6)
-
-
-def node(response: Any) -> Node:
-    return Node(Line(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},)), 0, {"loss_db": 1.0}, response)
-
-
-def test_a_gain_is_what_the_best_amplitude_takes_off_the_square() -> None:
-    one = nuisance()
-    x, responses = RNG(5).normal(size=(6, 40)), RNG(6).normal(size=(4, 40))
-    found = gains([node(response) for response in responses], x, one)
-    amplitudes = np.linspace(*AMPLITUDES, 20_001)
-    for place, (row, response) in enumerate((a, b) for a in x for b in responses):
-        left = row - amplitudes[:, None] * response
-        lost = float(row @ one(row)) - np.einsum("ak,ak->a", left, one(left))
-        assert found.ravel()[place] == pytest.approx(lost.max(), abs=1e-5)
-
-
-def test_a_gain_is_never_negative_and_the_whole_square_of_a_response_itself() -> None:
-    one, response = nuisance(), RNG(7).normal(size=40)
-    assert gains([node(response)], -response[None], one)[0, 0] == 0.0
-    square = float(response @ one(response))
-    assert gains([node(response)], response[None], one)[0, 0] == pytest.approx(square, rel=1e-12)
-    # No more than 1.35 times a response is believed: 2 a 3 - a^2 squares.
-    expected = (6.0 * AMPLITUDES[1] - AMPLITUDES[1] ** 2) * square
-    assert gains([node(response)], 3.0 * response[None], one)[0, 0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: Search) -> None:
@@ -169,14 +90,91 @@ def test_one_thread_and_two_agree() -> None:
 
 
 def test_a_response_to_a_knob_is_that_of_a_study_whose_record_is_off(null: Search) -> None:
-    """The column of a knob times n is the change that n standard deviations of the record make."""
+    """The column of a knob is the change that one standard deviation of the record makes, by a small step."""
     one = null.nuisance(null.origin, null.start)
     name = null.measured[0].condition.id
     sd = null.measured[0].knob_sd
-    moved = null.mean(Setting({}, {name: sd}))[0] - null.mean(Setting({}, {name: -sd}))[0]
-    np.testing.assert_allclose(one.response[:, 0], null.start.whitened(name, 0.5 * moved), atol=1e-9)
+    share = KNOB_STEP
+    ends = (null.mean(Setting({}, {name: sign * share * sd}), SCREEN_FRAMES)[0] for sign in (1.0, -1.0))
+    high, low = ends
+    np.testing.assert_allclose(one.response[:, 0], null.start.whitened(name, (high - low) / (2.0 * share)), atol=1e-9)
     assert np.abs(one.response[:, 0]).max() > 0.3
-    assert one.log_knobs(one.response[:, 0])[0] == pytest.approx(sd, rel=0.5)
+
+
+def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_knobs(null: Search) -> None:
+    one = null.nuisance(null.origin, null.start)
+    assert list(null.open) == ["noise", "particle gain"]
+    assert one.moving == 1 + 2
+    # Eight clear frames: each may be off in the mean of the scene, and in that of the condition.
+    assert one.response.shape[1] == one.moving + 2 * 8
+    stronger = null.mean(Setting({}, {}, {"particle gain": OPEN_STEP}), SCREEN_FRAMES)
+    here = null.mean(Setting(), SCREEN_FRAMES)
+    expected = null.whitened(null.start, [(new - old) / OPEN_STEP for new, old in zip(stronger, here, strict=True)])
+    np.testing.assert_allclose(one.response[:, 2], expected, atol=1e-9)
+    assert np.abs(expected).max() > 0.1
+
+
+def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
+    """Clear means that are off by one draw: entries of means and spreads move, all others stay."""
+    null.nuisance(null.origin, null.start)
+    layout = null.model.layout
+    whole = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
+    factor = null.start.whitening.factor
+    columns = np.stack(null.clear_errors) @ factor.T  # one condition; whitening undone
+    used = null.start.used[null.measured[0].condition.id]
+    assert np.abs(columns[:, ~(whole & used)]).max() < 1e-9
+    assert np.abs(columns[:, whole & used]).max() > 0.05
+
+
+def test_moved_nuisances_stay_within_their_bounds(null: Search) -> None:
+    null.nuisance(null.origin, null.start)
+    step = np.zeros(len(null.offset(Setting())))
+    step[:3] = (100.0, -100.0, -2.5)  # the knob, noise that cannot be negative, the gain of particles
+    found = null.shifted(Setting(), step)
+    assert found.log_knob == pytest.approx({"c0": FARTHEST * 0.05})
+    assert found.open == pytest.approx({"noise": 0.0, "particle gain": -2.5})
+    np.testing.assert_allclose(null.offset(found)[:3], (FARTHEST, 0.0, -2.5), rtol=1e-12)
+
+
+def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> None:
+    """The vector of ten frames is not that of eight: scatters from frame to frame and slopes differ."""
+    search = search_of(tiny_study(rows=8, columns=32, clear=4, frames=10, weathers=WEATHERS))
+    assert search.least_frames == 10 > SCREEN_FRAMES
+    assert search.pool_frames == 32
+    before = search.simulated_frames
+    (found,) = search.mean(Setting(), SCREEN_FRAMES)
+    assert search.simulated_frames - before == 10
+    pool = search.pools(Setting(), 10)["c0"]
+    order = np.argsort(RNG([0, 104729, 0]).random((1, 10)), 1)
+    np.testing.assert_array_equal(found, pool.vectors(order, search.measured[0].condition.time_s)[0])
+    assert search.begin().nuisance.response.shape[0] == search.model.layout.size
+
+
+def test_a_sector_is_found_whose_start_overlaps_half_of_it() -> None:
+    name, truth = "lidar.sector_loss", {"azimuth_rad": 0.6, "width_rad": 0.8, "loss_db": 3.0}
+    search = search_of(tiny_study([EFFECTS[name](**truth)], seed=4, rows=16, columns=64, clear=4, weathers=WEATHERS))
+    start = Setting({name: {**truth, "azimuth_rad": 0.2}})
+    base = Fit(
+        search.origin,
+        search.start,
+        search.residual(search.start),
+        search.nuisance(search.origin, search.start),
+        0.0,
+        np.zeros((0, 0)),
+        (),
+    )
+    found = placed(search, start, name, base).values[name]
+    # Columns are 0.1 rad apart, sectors of the statistics 0.39 rad; a quarter of a column tells nothing.
+    assert found["azimuth_rad"] == pytest.approx(truth["azimuth_rad"], abs=0.1)
+    assert found["width_rad"] == pytest.approx(truth["width_rad"], abs=0.2)
+    assert found["loss_db"] == pytest.approx(truth["loss_db"], rel=0.15)
+
+
+def test_an_effect_without_a_place_is_not_moved(null: Search) -> None:
+    start = Setting({"lidar.window_loss": {"loss_db": 1.0}})
+    before = null.simulated_frames
+    assert placed(null, start, "lidar.window_loss", None) is start  # type: ignore[arg-type]
+    assert null.simulated_frames == before
 
 
 def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: Search) -> None:
@@ -206,7 +204,8 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
 ) -> None:
     """One study each: the errors are those of least squares, without what bootstrap adds (GAP.md 3 (8))."""
     search = search_of(small([EFFECTS[name](**{parameter: truth})], seed=1))
-    fit = search.fit(Setting({name: {parameter: start}}))
+    base = search.begin()
+    fit = search.fit(Setting({name: {parameter: start}}), base.nuisance, base.base)
     error = math.sqrt(float(fit.covariance[0, 0]))
     found = fit.setting.values[name][parameter]
     assert fit.names == ((name, parameter),)
@@ -226,9 +225,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_study_that_lacks_nothing_raises_no_alarm(seed: int) -> None:
     search = search_of(small(seed=seed + 10))
-    search.settle()
-    one = search.nuisance(search.origin, search.start)
-    found = screen(search, [EFFECTS[name] for name in SCREENED], one, seed)
+    found = screen(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
     assert found.p_value > ALARM_P
 
 
@@ -237,9 +234,8 @@ def test_a_hidden_effect_raises_an_alarm_and_with_it_in_the_model_there_is_none(
     window = EFFECTS["lidar.window_loss"](loss_db=1.0)
     study = small([window], seed=2)
     search = search_of(study)
-    one = search.nuisance(search.origin, search.start)
     names = ["lidar.window_loss", "lidar.range_noise"]
-    found = screen(search, [EFFECTS[name] for name in names], one, 0)
+    found = screen(search, [EFFECTS[name] for name in names], search.begin(), 0)
     assert found.p_value < 1e-6
     assert found.nodes[int(found.gains.argmax())].id == "lidar.window_loss"
     others = [name for name in SCREENED if name != "lidar.window_loss"]

@@ -1,0 +1,168 @@
+"""The algebra of nuisances and of responses against dense least squares and against grids of amplitudes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from torchweather.gap.candidates import Line
+from torchweather.gap.search import AMPLITUDES, Node, Nuisance, amplitudes, gains, pair_gains
+from torchweather.stages.effects_lidar import EFFECTS
+
+RNG = np.random.default_rng
+SIZE, MOVING, FIXED = 40, 3, 4
+
+
+def nuisance(offset: Any = (0.0, 0.0, 0.0), scale: float = 1.0) -> Nuisance:
+    """Moving nuisances at an offset, and fixed ones, whose offset is always 0."""
+    response = scale * RNG(1).normal(size=(SIZE, MOVING + FIXED))
+    return Nuisance(response, np.concatenate([offset, np.zeros(FIXED)]), MOVING)
+
+
+OFFSETS = [(0.0, 0.0, 0.0), (0.7, -1.5, 3.0)]
+
+
+def least_squares(one: Nuisance, residual: Any, columns: slice = slice(None)) -> tuple[Any, float]:
+    """min over d of |r - G d|^2 + |x + d|^2, the d of some columns, by one dense solution."""
+    response, offset = one.response[:, columns], one.offset[columns]
+    matrix = np.vstack([response, np.eye(response.shape[1])])
+    wanted = np.concatenate([residual, -offset])
+    step = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return step, float(((wanted - matrix @ step) ** 2).sum())
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_step_left_and_misfit_are_those_of_least_squares_with_a_prior(offset: Any) -> None:
+    one, residual = nuisance(offset), RNG(2).normal(size=SIZE)
+    step, squares = least_squares(one, residual)
+    np.testing.assert_allclose(one.step(residual), step, rtol=1e-9)
+    np.testing.assert_allclose(one.left(residual), residual - one.response @ step, rtol=1e-9, atol=1e-12)
+    assert one.misfit(residual) == pytest.approx(squares, rel=1e-10)
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_the_cost_moves_what_the_simulator_cannot_and_leaves_the_rest_where_it_stands(offset: Any) -> None:
+    one, residual = nuisance(offset), RNG(3).normal(size=SIZE)
+    _, squares = least_squares(one, residual, slice(MOVING, None))
+    assert one.cost(residual) == pytest.approx(squares + float(np.square(offset).sum()), rel=1e-10)
+    # Where all has been moved to its best, the cost is the misfit.
+    step = one.step(residual)
+    there = one.moved(np.concatenate([one.offset[:MOVING] + step[:MOVING], np.zeros(FIXED)]))
+    after = residual - one.response[:, :MOVING] @ step[:MOVING]
+    assert there.cost(after) == pytest.approx(one.misfit(residual), rel=1e-10)
+    assert there.misfit(after) == pytest.approx(one.misfit(residual), rel=1e-10)
+    np.testing.assert_allclose(there.step(after)[:MOVING], 0.0, atol=1e-10)
+
+
+def test_moved_nuisances_are_new_ones_at_that_offset() -> None:
+    one, residual = nuisance().moved(nuisance(OFFSETS[1]).offset), RNG(4).normal(size=SIZE)
+    same = nuisance(OFFSETS[1])
+    assert one.misfit(residual) == same.misfit(residual)
+    assert one.cost(residual) == same.cost(residual)
+    np.testing.assert_array_equal(nuisance().offset, np.zeros(MOVING + FIXED))  # the first one stays
+
+
+def test_the_projection_is_that_of_the_formula() -> None:
+    one = nuisance(OFFSETS[1])  # where they stand counts for nothing
+    g = one.response
+    expected = np.eye(SIZE) - g @ np.linalg.inv(g.T @ g + np.eye(g.shape[1])) @ g.T
+    np.testing.assert_allclose(one(np.eye(SIZE)), expected, atol=1e-12)
+    values = np.linalg.eigvalsh(expected)
+    assert 0.0 < values.min() < values.max() == pytest.approx(1.0, abs=1e-12)
+    residual = RNG(5).normal(size=SIZE)
+    np.testing.assert_allclose(nuisance()(residual), nuisance().left(residual), atol=1e-12)
+
+
+def test_the_projection_takes_all_where_the_response_is_large_and_nothing_where_it_is_small() -> None:
+    strong, weak = (nuisance(scale=scale)(np.eye(SIZE)) for scale in (1e4, 1e-4))
+    # 1 / (1 + |G|^2) of what it takes is left: |G|^2 = 40 x 1e8, less where columns are alike.
+    np.testing.assert_allclose(strong @ strong, strong, atol=1e-8)
+    np.testing.assert_allclose(strong @ nuisance().response, 0.0, atol=1e-7)
+    np.testing.assert_allclose(weak, np.eye(SIZE), atol=1e-6)
+
+
+def test_a_knob_error_within_its_record_costs_its_prior_alone() -> None:
+    response = 5.0 * RNG(6).normal(size=(SIZE, 1))
+    one, norm = Nuisance(response, np.zeros(1), 1), float((response**2).sum())
+    for sds in (-1.0, 0.5, 2.0):
+        # |G n|^2 / (1 + |G|^2) = n^2 (1 - 1 / (1 + |G|^2)): the knob's own prior and no more.
+        assert one.misfit(sds * response[:, 0]) == pytest.approx(sds**2 * norm / (1.0 + norm), rel=1e-10)
+        assert one.step(sds * response[:, 0])[0] == pytest.approx(sds * norm / (1.0 + norm), rel=1e-10)
+
+
+# ---- responses -------------------------------------------------------------------------------------------------------
+
+
+def nodes(responses: Any) -> list[Node]:
+    line = Line(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},))
+    return [Node(line, 0, {"loss_db": 1.0}, response) for response in responses]
+
+
+GRID = np.linspace(*AMPLITUDES, 541)  # steps of 0.0025
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_an_amplitude_is_the_best_of_a_grid_and_a_gain_what_it_takes_off_the_misfit(offset: Any) -> None:
+    one = nuisance(offset)
+    # Along the first response, against it, and beyond the amplitudes that are believed.
+    responses = RNG(7).normal(size=(4, SIZE))
+    rows = np.stack([responses[0], -responses[1], 3.0 * responses[2], RNG(8).normal(size=SIZE)])
+    left = np.stack([one.left(row) for row in rows])
+    found, norm = amplitudes(nodes(responses), left, one)
+    gain = gains(nodes(responses), left, one)
+    np.testing.assert_allclose(norm, [float(response @ one(response)) for response in responses], rtol=1e-10)
+    for place, row in enumerate(rows):
+        for number, response in enumerate(responses):
+            misfit = np.array([one.misfit(row - amplitude * response) for amplitude in GRID])
+            # Half a step off the best amplitude, a grid misses its square times the norm.
+            missed = 0.25 * (GRID[1] ** 2) * norm[number]
+            assert 0.0 <= gain[place, number] - (misfit[0] - misfit.min()) + 1e-9 < missed + 2e-9
+            assert found[place, number] == pytest.approx(GRID[misfit.argmin()], abs=0.51 * GRID[1])
+    assert AMPLITUDES[0] in found
+    assert AMPLITUDES[1] in found
+
+
+def test_a_gain_is_the_whole_square_of_a_response_itself_and_none_of_its_opposite() -> None:
+    one, response = nuisance(), RNG(9).normal(size=SIZE)
+    square = float(response @ one(response))
+    left = one(np.stack([response, -response, 3.0 * response]))
+    # No more than 1.35 times a response is believed: 2 a 3 - a^2 squares.
+    expected = [square, 0.0, (6.0 * AMPLITUDES[1] - AMPLITUDES[1] ** 2) * square]
+    np.testing.assert_allclose(gains(nodes([response]), left, one)[:, 0], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_gain_of_a_pair_is_the_best_of_a_grid_of_both_amplitudes(seed: int) -> None:
+    one = nuisance(OFFSETS[seed % 2])
+    rng = RNG([10, seed])
+    responses = rng.normal(size=(5, SIZE))
+    responses[3] = 0.8 * responses[2] + 0.05 * rng.normal(size=SIZE)  # nearly the same
+    residual = 0.9 * responses[0] + 0.4 * responses[1] - 0.5 * responses[4] + rng.normal(size=SIZE)
+    left = one.left(residual)
+    found = pair_gains(nodes(responses), left, one)
+    np.testing.assert_allclose(found, found.T, rtol=1e-9)
+    first, second = np.meshgrid(GRID, GRID, indexing="ij")
+    for i in range(5):
+        for j in range(i):
+            a, b = responses[i], responses[j]
+            own, other, both = (float(x @ one(y)) for x, y in ((a, a), (b, b), (a, b)))
+            gain = 2.0 * (first * float(a @ left) + second * float(b @ left))
+            gain -= first**2 * own + second**2 * other + 2.0 * first * second * both
+            missed = 0.25 * GRID[1] ** 2 * (own + other + 2.0 * abs(both))
+            assert 0.0 <= found[i, j] - gain.max() + 1e-9 < missed + 2e-9
+    alone = gains(nodes(responses), left[None], one)[0]
+    assert (found >= np.maximum(alone[:, None], alone[None]) - 1e-9).all()
+
+
+def test_two_halves_of_a_residual_are_found_together() -> None:
+    """Each alone explains little of a difference of nearly opposite things; both explain all of it."""
+    one = Nuisance(np.zeros((SIZE, 1)), np.zeros(1), 1)
+    common, own = RNG(11).normal(size=(2, SIZE))
+    first, second = common + 0.1 * own, -common + 0.1 * own
+    residual = first + second
+    single = gains(nodes([first, second]), residual[None], one)[0]
+    pair = pair_gains(nodes([first, second]), residual, one)[0, 1]
+    assert pair == pytest.approx(float(residual @ residual), rel=1e-9)
+    assert single.max() < 0.1 * pair

@@ -1,0 +1,180 @@
+"""The workflow: its gates on numbers made by hand, its candidates, and a search for a single effect."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.gap.tiny_study import tiny_study
+from torchweather.gap.candidates import Line
+from torchweather.gap.find import find_gap
+from torchweather.gap.search import Node, Nuisance, Setting
+from torchweather.gap.study import Study
+from torchweather.gap.workflow import (
+    ALARM_P,
+    HELD_GAIN,
+    LEAST_AMPLITUDE,
+    SURE_P,
+    HeldOut,
+    _best_nodes,
+    _best_pairs,
+    _start,
+    _tail,
+    _verdict,
+)
+from torchweather.stages.effects_lidar import EFFECTS, LidarWindowLoss
+from torchweather.weather import Snow
+
+RNG = np.random.default_rng
+WEATHERS = (Snow(2.0), Snow(1.2))
+BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
+EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
+
+
+def screening(misfit: float = 1200.0, p_value: float = 1e-9) -> Any:
+    """Nulls of 200 +- 20."""
+    return SimpleNamespace(misfit_null=np.array([180.0, 220.0]), misfit=misfit, p_value=p_value)
+
+
+# ---- gates -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("misfit", "verdict"),
+    [
+        (150.0, "named"),  # less than a null leaves
+        (210.0, "named"),
+        (299.0, "named"),  # 9.9 % of the excess
+        (310.0, "named"),  # 11 %, but less than 4 x 20 x 1.5 above the nulls
+        (325.0, "named_and_rest"),  # 12.5 %, and more
+        (595.0, "named_and_rest"),
+        (605.0, "unknown"),  # 40.5 %
+        (1200.0, "unknown"),
+    ],
+)
+def test_what_is_left_of_the_excess_decides_between_a_name_a_rest_and_no_name(misfit: float, verdict: str) -> None:
+    assert _verdict(screening(), misfit, BEFORE, EXPLAINED) == verdict
+
+
+@pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
+def test_a_name_must_explain_held_out_conditions_too(p_value: float, verdict: str) -> None:
+    found = screening(p_value=p_value)
+    for gained, expected in ((HELD_GAIN - 0.1, verdict), (HELD_GAIN + 0.1, "named"), (-50.0, verdict)):
+        after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained)
+        assert _verdict(found, 210.0, BEFORE, after) == expected
+
+
+def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
+    for gap, verdict in ((1.45, "named"), (1.55, "named_and_rest")):
+        assert _verdict(screening(), 210.0, BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+
+
+def test_the_chance_of_an_excess_is_counted_and_beyond_the_nulls_that_of_a_gumbel_law() -> None:
+    null = RNG(1).gumbel(10.0, 2.0, 1000)
+    assert _tail(null, float(np.quantile(null, 0.9))) == pytest.approx(0.1, abs=0.002)  # counted
+    # Beyond: 1 - exp(-exp(-(x - 10) / 2)); scale and place of 1,000 draws are known to 4 %.
+    for value in (30.0, 40.0):
+        assert np.log(_tail(null, value)) == pytest.approx(-(value - 10.0) / 2.0, rel=0.1)
+    assert 0.0 < _tail(null, 100.0) < 1e-18
+
+
+# ---- candidates ------------------------------------------------------------------------------------------------------
+
+
+def node(name: str, values: dict[str, float], response: Any) -> Node:
+    return Node(Line(EFFECTS[name], (values,)), 0, values, np.asarray(response, dtype=np.float64))
+
+
+NOTHING = Nuisance(np.zeros((4, 1)), np.zeros(1), 1)
+NODES = [
+    node("lidar.window_loss", {"loss_db": 1.0}, [1.0, 0.0, 0.0, 0.0]),
+    node("lidar.window_loss", {"loss_db": 3.0}, [3.0, 0.5, 0.0, 0.0]),
+    node("lidar.range_noise", {"std_m": 0.1}, [0.0, 2.0, 0.0, 0.0]),
+    node("lidar.crosstalk", {"probability": 0.1}, [0.0, 0.0, 1.0, 0.0]),
+]
+
+
+def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
+    found = _best_nodes(NODES, np.array([1.5, 1.1, 0.3, 0.0]), NOTHING)
+    # Gains: 1 x 2 a 1.5 - a^2 of at most 1.35; 25.3 / 9.25; 1.21; 0.09, too little.
+    assert [(one.id, one.values) for one, _ in found] == [
+        ("lidar.window_loss", {"loss_db": 3.0}),
+        ("lidar.range_noise", {"std_m": 0.1}),
+    ]
+    assert [amplitude for _, amplitude in found] == pytest.approx([5.05 / 9.25, 0.55], rel=1e-12)
+
+
+def test_pairs_are_of_different_effects_each_once_best_first() -> None:
+    gain = np.array([[9.0, 9.0, 5.0, 7.0], [9.0, 9.0, 6.0, 3.0], [5.0, 6.0, 9.0, 1.0], [7.0, 3.0, 1.0, 9.0]])
+    found = _best_pairs(NODES, gain, Setting(), 2.0)
+    assert [{*setting.values, other.id} for setting, other, _ in found] == [
+        {"lidar.window_loss", "lidar.crosstalk"},
+        {"lidar.window_loss", "lidar.range_noise"},
+    ]
+    assert _best_pairs(NODES, gain, Setting(), 8.0) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "amplitude", "expected"),
+    [
+        ("lidar.window_loss", {"loss_db": 3.0}, 0.5, {"loss_db": 1.5}),
+        ("lidar.window_loss", {"loss_db": 3.0}, 0.0, {"loss_db": 3.0 * LEAST_AMPLITUDE}),
+        ("lidar.extinction_scale", {"factor": 2.0}, 0.25, {"factor": 1.25}),
+        ("lidar.extinction_scale", {"factor": 0.0}, 1.35, {"factor": 0.0}),  # no less than nothing
+        ("lidar.limited_extent", {"extent_m": 20.0}, 0.5, {"extent_m": 20.0}),  # its identity is infinitely far
+        # Where it is stays.
+        (
+            "lidar.sector_loss",
+            {"azimuth_rad": 0.3, "width_rad": 0.5, "loss_db": 2.0},
+            0.5,
+            {"azimuth_rad": 0.3, "width_rad": 0.5, "loss_db": 1.0},
+        ),
+    ],
+)
+def test_a_fit_starts_at_the_amplitude_of_the_response(
+    name: str, values: dict[str, float], amplitude: float, expected: dict[str, float]
+) -> None:
+    found = _start(node(name, values, np.zeros(4)), amplitude)
+    assert {key: found[key] for key in expected} == pytest.approx(expected)
+    assert list(found) == [parameter.name for parameter in EFFECTS[name].arguments]
+
+
+# ---- the whole -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    hidden = LidarWindowLoss(loss_db=1.0)
+    return tiny_study([hidden], seed=2, rows=16, columns=32, clear=4, frames=4, weathers=WEATHERS)
+
+
+def test_a_single_allowed_effect_is_found_with_its_parameter(study: Study) -> None:
+    said: list[str] = []
+    report = find_gap(study, effects=["lidar.window_loss"], say=said.append)
+    answer = report.to_dict()
+    assert answer["verdict"] == "named"
+    (effect,) = answer["effects"]
+    assert effect["parameters"]["loss_db"] == pytest.approx(1.0, rel=0.1)
+    low, high = effect["interval"]["loss_db"]
+    assert low < 1.0 < high
+    gap = answer["gap"]
+    assert gap["after"] < 1.3 * gap["floor"] < gap["before"]
+    assert answer["p_value"] < ALARM_P
+    assert "fitting lidar.window_loss" in said
+    assert [one["name"] for one in answer["candidates"]] == ["lidar.window_loss"]
+
+
+def test_an_effect_that_the_model_has_is_not_missing(study: Study) -> None:
+    report = find_gap(study, effects=["lidar.range_bias"], model_effects=[LidarWindowLoss(loss_db=1.0)])
+    assert report.to_dict()["verdict"] == "none"
+    assert report.effects == ()
+
+
+def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(study: Study) -> None:
+    said: list[str] = []
+    with pytest.raises(ValueError, match=r"effect must be one of .*Did you mean 'lidar.window_loss'"):
+        find_gap(study, effects=["lidar.window_los"], say=said.append)
+    assert said == []
