@@ -292,7 +292,7 @@ def _effect_truth(place: Street, name: str, level: float, parameters: dict[str, 
 
 
 def _where_it_shows(case: Case, streets: Streets, number: int) -> tuple[Street, tuple[float, ...]]:
-    """A street in which the effects reach their levels: this weather's, else another's, else a weaker or stronger level.
+    """A street in which the effects reach their levels: this weather's, another's, or at weaker or stronger levels.
 
     Some effects come in steps, or their d' rises so steeply that a level cannot be met.
     """

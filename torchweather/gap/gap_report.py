@@ -168,6 +168,7 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
             "split": "holdout",
         },
         "p_value": result.screening.p_value,
+        "clear_air": [vars(one) for one in result.clear],
         "unknown": None if rest is None else rest.to_dict(),
         "candidates": [
             {

@@ -40,11 +40,12 @@ __all__ = ["Fit", "Node", "Nuisance", "Search", "Setting", "amplitudes", "gains"
 Floats = NDArray[np.float64]
 
 POOL_FRAMES = 48  # of each condition, for the scatter
-SCREEN_FRAMES = 8  # of each condition, for a response in the screening; the first of the pool
-PROBE_FRAMES = 16  # of each condition, for a derivative
+SCREEN_FRAMES = 6  # of each condition, for a response in the screening; the first of the pool
+PROBE_FRAMES = 12  # of each condition, for a derivative
 PROBE_DRAWS = 32
 AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 KNOB_STEP, LEAST_KNOB_STEP = 0.2, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
+KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which knobs are first looked for
 OPEN_STEP = 0.5  # of a derivative by what the model leaves open, standard deviations
 LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
 STEP = 0.05  # of a derivative, over the parameter's typical size
@@ -338,7 +339,7 @@ class Search:
                 continue
             each = pool.vectors(np.arange(number)[:, None])
             # Departures from the mean of the others are larger than those of a frame by number / (number - 1).
-            apart = np.where(moved, each - each.mean(0), 0.0) / math.sqrt(number)
+            apart = np.where(moved, each - each.mean(0), 0.0) * math.sqrt(_few(number) / number)
             own = [place for place, target in enumerate(self.measured) if target.condition.scene == scene]
             for departure in apart * math.sqrt((number - 1) / number**2):
                 columns.append(self._column(base, dict.fromkeys(own, departure)))
@@ -353,7 +354,8 @@ class Search:
         return self.whitened(base, [departures.get(place, nothing) for place in range(len(self.measured))])
 
     def settle(self, setting: Setting, rounds: int = ROUNDS) -> Fit:
-        """The nuisances alone, fitted at a setting of effects."""
+        """The nuisances alone, fitted at a setting of effects; the knobs first looked for on a grid."""
+        setting = self._scanned(setting)
         base = self.at(setting)
         nuisance = self.nuisance(setting, base)
         residual = self.departure(base, self.mean(setting))
@@ -372,6 +374,23 @@ class Search:
         residual, nuisance = self.residual(final), nuisance.moved(self.offset(setting))
         misfit = nuisance.misfit(residual) + self._wider(final)
         return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
+
+    def _scanned(self, setting: Setting) -> Setting:
+        """A setting with each condition's knob where its own vector is met best, of a few over the record.
+
+        Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other.
+        """
+        sd = self.knob_sd()
+        places = [self.offset(setting)[: len(sd)], *(np.full(len(sd), place) for place in KNOB_GRID)]
+        costs = []
+        for place in places:
+            knobs = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
+            mean = self.mean(replace(setting, log_knob=knobs), SCREEN_FRAMES)
+            rest = self.departure(self.start, mean).reshape(len(self.measured), -1)
+            costs.append((rest**2).sum(1) + place**2)
+        best = np.argmin(costs, 0)
+        knobs = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
+        return replace(setting, log_knob=knobs)
 
     # ---- responses and fits ----------------------------------------------------------------------------------------
 
@@ -401,7 +420,6 @@ class Search:
             for effect, values in start.values.items()
             for parameter in EFFECTS[effect].arguments
             if math.isfinite(values[parameter.name])
-            and not (parameter.identity is not None and values[parameter.name] == parameter.identity)
         ]
         setting = start
         mean = self.mean(setting)
@@ -506,6 +524,11 @@ class Search:
             moved = values[effect][parameter] + limited
             values[effect][parameter] = float(np.clip(moved, declared.low, declared.high))
         return replace(setting, values=values)
+
+
+def _few(number: int) -> float:
+    """Variance of Student's law of a scatter from so many frames over that of the normal law; 3 where infinite."""
+    return (number - 1) / (number - 3) if number > 3 else 3.0
 
 
 def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple[Floats, Floats]:

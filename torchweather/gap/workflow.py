@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
 from torchweather.gap.candidates import lines
+from torchweather.gap.clear_air import ClearAir, clear_air
 from torchweather.gap.placing import placed, standing_lines
 from torchweather.gap.search import Fit, Node, Nuisance, Search, Setting, amplitudes, gains, pair_gains
 from torchweather.gap.study import Study
@@ -38,8 +39,8 @@ NULLS = 1000
 # Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
 # screening are those of noise so many times larger in square.
 OVERDISPERSION = 1.5
-ALARM_P = 2e-3
-REFITTED, FURTHER_REFITTED, PAIRS_REFITTED = 4, 2, 3  # candidates that are fitted: alone, further ones, pairs
+ALARM_P = 2e-4
+REFITTED, FURTHER_REFITTED, PAIRS_REFITTED = 4, 2, 2  # candidates that are fitted: alone, further ones, pairs
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 MOST_EFFECTS = 3
@@ -124,6 +125,7 @@ class GapResult:
         left: ``(C P,)`` whitened departure of the fitted conditions at the end.
         search: with the model as it was.
         seconds: that it took.
+        clear: how well the clear frames of each scene agree with each other.
     """
 
     verdict: str
@@ -135,6 +137,7 @@ class GapResult:
     left: Floats
     search: Search
     seconds: float
+    clear: tuple[ClearAir, ...] = ()
 
 
 def azimuths(search: Search) -> list[float]:
@@ -216,6 +219,8 @@ def find_gap_with(
         check_one_of("effect", name, known, owner="find_gap")
     present = {effect.id for effect in model.effects}
     chosen = [EFFECTS[name] for name in (effects or known) if name not in present]
+    say("clear frames against clear frames")
+    clear = tuple(clear_air(model, seed))
     say("simulating the conditions as they are")
     search = Search(model, targets(model, fit_conditions), seed)
     base = search.begin()
@@ -230,13 +235,18 @@ def find_gap_with(
     before = _gap(held, held.begin(), seed)
     if screening.p_value > ALARM_P:
         left = base.nuisance.left(base.residual)
-        return GapResult("none", None, (), screening, before, before, left, search, time.perf_counter() - started)
+        return GapResult(
+            "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
+        )
     rounds = _rounds(search, held, base, screening, before, say)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
     verdict = _verdict(screening, best.misfit, before, after)
+    after = before if verdict == "none" else after  # nothing is added
     left = best.nuisance.left(best.residual)
     candidates = tuple(tuple(one) for one in rounds)
-    return GapResult(verdict, best, candidates, screening, before, after, left, search, time.perf_counter() - started)
+    return GapResult(
+        verdict, best, candidates, screening, before, after, left, search, time.perf_counter() - started, clear
+    )
 
 
 def _rounds(
