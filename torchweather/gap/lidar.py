@@ -64,7 +64,8 @@ class LidarFrames:
             name: lidar_scene(scene, self.direction, self.grid, self.energy, with_intensity)
             for name, scene in study.scenes.items()
         }
-        self.layout = lidar_layout(next(iter(self.scenes.values())).edges, with_intensity)
+        some = next(iter(self.scenes.values()))
+        self.layout = lidar_layout(some.edges, with_intensity, int(some.stable.sum()))
         azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
         self._sums = {name: LidarSums(scene, self.layout, self.grid, azimuth) for name, scene in self.scenes.items()}
         self.map_cells = map_cells()

@@ -46,12 +46,19 @@ OF_SURFACES = ("stable", "lost", "before", "beyond", "same", "ratio", "ratio2", 
 OF_NOTHING = ("empty", "of_empty")
 OF_PARTICLES = ("frame", "before", "of_empty", "particle", "clustered", "level", "level2")
 SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
-STEADY = (1e-3, 0.35, 1e-3, 0.35)  # of SCALARS; a stabilised count scatters by 0.5
+FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
+STEADY_RATIO = 1e-3  # of a mean logarithm over thousands of beams
 MAPS = ("particles",)
 
 
-def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool) -> Layout:
-    """Which statistics along which of the axes that a scene has."""
+def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, beams: int) -> Layout:
+    """Which statistics along which of the axes that a scene has.
+
+    Args:
+        edges: of the bins of each axis.
+        with_intensity: whether intensities mean anything.
+        beams: that see a surface in a frame.
+    """
     groups: list[Group] = []
 
     def add(statistic: str, kind: str, axes: Sequence[str]) -> None:
@@ -74,7 +81,8 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool) -
         groups.append(Group("log_particle_intensity", "particle_range_m", "mean", PARTICLE_RANGE_M))
         groups.append(Group("log_particle_intensity_spread", "particle_range_m", "spread", PARTICLE_RANGE_M))
     add("lost_share_of_thin_targets", "share", ("isolated",))
-    return Layout(tuple(groups), SCALARS, STEADY, MAPS)
+    steady = (FEW_COUNTS / math.sqrt(max(beams, 1)), FEW_COUNTS, STEADY_RATIO, FEW_COUNTS)
+    return Layout(tuple(groups), SCALARS, steady, MAPS)
 
 
 def map_cells() -> list[tuple[float, float]]:
@@ -186,7 +194,7 @@ class LidarSums:
         total = dict(zip(OF_SURFACES, surfaces[..., self.surfaces.place["azimuth_rad"]].sum(2).unbind(1), strict=True))
         scalar = torch.stack(
             [
-                torch.asin((total["lost"] / total["stable"].clamp_min(1.0)).sqrt()),
+                torch.asin(((total["lost"] + 0.375) / (total["stable"] + 0.75)).sqrt()),
                 (particles[:, OF_PARTICLES.index("particle")].sum(1) + 0.375).sqrt(),
                 total["ratio"] / total["same"].clamp_min(1.0),
                 (near + 0.375).sqrt(),

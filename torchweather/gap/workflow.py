@@ -48,6 +48,7 @@ FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
 FURTHER = 0.03  # of what is explained, that a further effect must add
 HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions
+SURE_GAIN, HELD_LOSS = 100.0, 0.1  # misfit explained that is beyond doubt; share of it that held-out ones may lose
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.4  # of the excess misfit that is left
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
@@ -369,7 +370,10 @@ def _verdict(screening: Screening, misfit: float, before: HeldOut, after: HeldOu
     # The scatter is stated with a margin: a good fit may leave less than a null is said to have.
     left = max(misfit - expected, 0.0)
     share = left / max(screening.misfit - min(expected, misfit), 1e-9)
-    if before.misfit - after.misfit < HELD_GAIN:
+    explained = screening.misfit - misfit
+    # Held-out conditions that hardly show a strong effect must not speak against it by much.
+    least = HELD_GAIN if explained < SURE_GAIN else -HELD_LOSS * explained
+    if before.misfit - after.misfit < least:
         return "unknown" if screening.p_value < SURE_P else "none"
     if share > UNKNOWN_SHARE:
         return "unknown"
