@@ -87,6 +87,21 @@ def test_the_scatter_is_at_least_that_of_the_elements(study: Study) -> None:
     assert found.sd[name][-1] == pytest.approx(5.0 * np.sqrt(1.1), rel=1e-6)  # 4 of 40 frames: their mean's error
 
 
+def test_shares_carry_the_noise_of_the_clear_frames_and_not_that_of_other_beams(study: Study) -> None:
+    """Frames that are all alike: a share has its least scatter, a mean that of its elements where it is larger."""
+    layout = Layout((Group("a", "x", "share", (0.0, 1.0)), Group("a", "x", "mean", (0.0, 1.0))), (), (), ())
+    count, frames, clear = 40, 5, 8
+    sums = np.tile([[100.0, 100.0]], (count, 1))
+    alike = Pool(layout, Reduced(sums, 0.3 * sums, 0.3 * sums, np.zeros((count, 0)), np.zeros((count, 0, 1))))
+    aim = replace(target(study, np.zeros(2), frames), clear_frames=clear)
+    name = aim.condition.id
+    noise = ElementNoise({name: np.array([5.0, 5.0])}, np.eye(2))
+    found = baseline({name: alike}, [aim], noise, None, 0).sd[name]
+    least = alike.least_scatter(frames)
+    assert found[0] == pytest.approx(least[0] * np.sqrt(1.0 + frames / count + frames / clear), rel=1e-9)
+    assert found[1] == pytest.approx(5.0 * np.sqrt(1.0 + frames / count), rel=1e-9)
+
+
 def test_entries_that_do_not_count_are_zero(study: Study) -> None:
     aim = target(study, np.full(BINS, 100.0), 4)
     aim.enough[2] = False

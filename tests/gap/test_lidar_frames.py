@@ -137,7 +137,14 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[s
     """Weight, value and square of some groups, beam by beam."""
     scene = model.scenes["s0"]
     edges = scene.edges["range_m"]
-    names = ("lost_share", "new_share", "beyond_share", "log_intensity_ratio", "range_residual_m", "range_residual_spread")
+    names = (
+        "lost_share",
+        "new_share",
+        "beyond_share",
+        "log_intensity_ratio",
+        "range_residual_m",
+        "range_residual_spread",
+    )
     sums = {name: [[0.0] * (len(edges) - 1) for _ in range(3)] for name in names}
     sums["new_share_of_empty_beams"] = [[0.0], [0.0], [0.0]]
 

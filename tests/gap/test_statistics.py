@@ -141,9 +141,8 @@ def looped(frames: Reduced, draw: Any, time_s: Any) -> list[float]:
             )
             place += 1
     columns = [[float(frames.scalar[k, place]) for k in draw] for place in range(2)]
-    found += [
-        math.log(math.hypot(np.std(column, ddof=1), steady)) for column, steady in zip(columns, WHOLE.steady, strict=True)
-    ]
+    for column, steady in zip(columns, WHOLE.steady, strict=True):
+        found.append(math.log(math.hypot(np.std(column, ddof=1), steady)))
     found += [float(np.polyfit(time_s, column, 1)[0]) * (max(time_s) - min(time_s)) for column in columns]
     pairs = [
         float(frames.maps[j, 0] @ frames.maps[k, 0])
@@ -253,3 +252,58 @@ def test_the_least_scatter_lies_below_that_of_independent_elements() -> None:
     ):
         found = float(Pool(one_bin(kind), frames).least_scatter(number)[0])
         assert 0.4 * closed < found < closed
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.5, "one"), (0.2, "one"), (0.0, "counting")])
+def test_a_share_scatters_no_more_than_one_element_that_changes_in_half_of_the_frames(
+    share: float, expected: str
+) -> None:
+    number, weight = 4, 400.0
+    frames = reduced(np.full(3, weight), np.full(3, share * weight), np.full(3, share * weight))
+    found = float(Pool(one_bin("share"), frames).least_scatter(number)[0])
+    if expected == "one":
+        value, total = share * number * weight, number * weight
+        entries = [math.asin(math.sqrt((value + by + 0.375) / (total + 0.75))) for by in (-0.5 * number, 0.5 * number)]
+        # By how much half an element a frame changes the entry; the weight is that with 3/4 of an element more.
+        assert found == pytest.approx(0.5 * (entries[1] - entries[0]), rel=2e-3)
+    else:
+        assert found == pytest.approx(0.35 / math.sqrt(number * weight), rel=1e-12)
+
+
+def particles(kind: str, values: Any, weight: Any) -> Pool:
+    edges = tuple(float(place) for place in range(len(values) + 1))
+    layout = Layout((Group("it", "particle_range_m", kind, edges),), (), (), ())
+    one = (np.asarray(part, dtype=np.float64)[None] for part in (weight, values, values))
+    return Pool(layout, reduced(*one))
+
+
+def test_misplaced_particles_make_counts_uncertain_by_what_crosses_the_edges() -> None:
+    """Of 100 particles in each bin 3 may belong to either side, and as many may come from each side."""
+    pool = particles("count", [100.0] * 4, [1.0] * 4)
+    plain, wider = pool.least_scatter(1), pool.least_scatter(1, 0.03)
+    crossing = np.array([6.0, 9.0, 9.0, 6.0])  # own ones, and those of the bins beside
+    expected = np.sqrt(100.375 + 0.5 * crossing) - np.sqrt(100.375 - 0.5 * crossing)
+    np.testing.assert_allclose(np.sqrt(wider**2 - plain**2), expected, rtol=0.01)
+
+
+def test_a_bin_beside_a_full_one_knows_nothing() -> None:
+    pool = particles("count", [1000.0, 0.0, 0.0], [1.0] * 3)
+    added = np.sqrt(pool.least_scatter(1, 0.03) ** 2 - pool.least_scatter(1) ** 2)
+    assert added[1] == pytest.approx(0.5 * math.sqrt(0.375), rel=1e-9)  # all of it
+    assert added[2] == pytest.approx(0.5 * 0.03 * math.sqrt(0.375), rel=1e-9)
+
+
+def test_misplaced_particles_move_shares_and_means_of_their_bins() -> None:
+    shares = particles("share", [40.0] * 3, [100.0] * 3)
+    added = np.sqrt(shares.least_scatter(1, 0.03) ** 2 - shares.least_scatter(1) ** 2)
+    inside = 40.375 / 100.75
+    expected = [abs(math.asin(math.sqrt(inside - part)) - math.asin(math.sqrt(inside))) for part in (0.06, 0.09, 0.06)]
+    np.testing.assert_allclose(added, expected, rtol=1e-6)
+    means = particles("mean", [40.0] * 3, [100.0] * 3)
+    added = np.sqrt(means.least_scatter(1, 0.03) ** 2 - means.least_scatter(1) ** 2)
+    np.testing.assert_allclose(added, [0.06, 0.09, 0.06], rtol=1e-6)
+
+
+def test_only_what_lies_along_the_range_of_particles_is_misplaced() -> None:
+    pool = Pool(one_bin("count"), reduced(np.ones(3), np.full(3, 100.0), np.full(3, 100.0)))
+    np.testing.assert_array_equal(pool.least_scatter(2, 0.5), pool.least_scatter(2))

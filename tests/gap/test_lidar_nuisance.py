@@ -1,0 +1,238 @@
+"""What a LiDAR study leaves open: stages that do what they say, on what they say, and nothing at their identity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.gap.tiny_study import SENSOR, tiny_study
+from torchweather.gap.lidar import FOG_GAIN_SD, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
+from torchweather.gap.lidar_nuisance import EchoGain, FogEchoRange, ParticleReading, WeakSignalNoise
+from torchweather.gap.study import Study
+from torchweather.stages import LidarState
+from torchweather.stages.effects import Effect, with_effects
+from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.stages.states import PointKind
+from torchweather.weather import Fog, Rain, Snow
+
+N = 100_000
+THRESHOLD = 1e-5
+OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
+# A standard deviation from 100,000 draws is known to sqrt(0.5 / 100,000) = 0.22 %: five times that.
+TOLERANCE = 0.012
+
+
+def state(clear: float = 10.0, here: float = 2.0, echoes: int = 1) -> LidarState:
+    """Beams whose object stood so many times over the threshold, and does now; particles of 3 thresholds at 5 m."""
+    range_m, signal, kind = (torch.full((1, N, 1), value) for value in (20.0, here * THRESHOLD, float(OBJECT)))
+    more = echoes - 1
+    return LidarState(
+        points_in=torch.tensor([20.0, 0.0, 0.0, 0.3]).expand(1, N, 4),
+        empty_direction=None,
+        clear_range_m=range_m[..., 0],
+        clear_signal=torch.full((1, N), clear * THRESHOLD),
+        range_m=torch.cat([range_m, torch.full((1, N, more), 5.0)], -1),
+        signal=torch.cat([signal, torch.full((1, N, more), 3.0 * THRESHOLD)], -1),
+        kind=torch.cat([kind, torch.full((1, N, more), float(PARTICLE))], -1).to(torch.int8),
+        reach_m=range_m[..., 0],
+        threshold=torch.tensor(THRESHOLD),
+        integral=torch.zeros(1, N, dtype=torch.bool),
+    )
+
+
+def reported() -> LidarState:
+    """What was detected: an object, a particle and nothing in turn."""
+    plain = state()
+    kind = (torch.arange(N) % 3)[None, :, None].to(torch.int8)
+    return replace(plain, kind=kind, range_m=torch.where(kind == LOST, 0.0, plain.range_m))
+
+
+def after(stage: Effect, before: LidarState) -> LidarState:
+    found: LidarState = stage(before, stage.draw(before, seed=torch.tensor([3])))
+    return found
+
+
+def relative(found: Tensor, before: Tensor) -> Any:
+    return (found / before - 1.0).double()
+
+
+# ---- each by itself --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("clear", "here"), [(10.0, 2.0), (100.0, 1.0), (3.0, 2.9)])
+def test_a_weaker_signal_gains_the_variance_that_it_lacks(clear: float, here: float) -> None:
+    v = 0.01
+    before = state(clear, here, echoes=2)
+    found = after(WeakSignalNoise(variance_at_threshold=v), before)
+    change = relative(found.signal[..., 0], before.signal[..., 0])
+    assert float(change.std()) == pytest.approx(math.sqrt(v * (1.0 / here - 1.0 / clear)), rel=TOLERANCE)
+    assert abs(float(change.mean())) < 5.0 * float(change.std()) / math.sqrt(N)
+    assert torch.equal(found.signal[..., 1], before.signal[..., 1])  # particles lack nothing
+
+
+def test_a_signal_that_did_not_grow_weaker_keeps_its_bits() -> None:
+    for here in (10.0, 30.0):
+        before = state(10.0, here)
+        assert torch.equal(after(WeakSignalNoise(variance_at_threshold=0.5), before).signal, before.signal)
+
+
+def test_particles_are_read_with_noise_and_objects_as_they_were() -> None:
+    before = reported()
+    found = after(ParticleReading(std=0.05), before)
+    particle = before.kind == PARTICLE
+    change = relative(found.signal, before.signal)[particle]
+    # A third of the beams.
+    assert float(change.std()) == pytest.approx(0.05, rel=2.0 * TOLERANCE)
+    assert abs(float(change.mean())) < 5.0 * 0.05 / math.sqrt(N / 3)
+    assert torch.equal(found.signal[~particle], before.signal[~particle])
+    assert torch.equal(found.range_m, before.range_m)
+
+
+@pytest.mark.parametrize("share", [0.3, -0.4])
+def test_particles_are_brighter_by_a_share(share: float) -> None:
+    before = state(echoes=3)
+    found = after(EchoGain(share=share), before)
+    # Single precision.
+    torch.testing.assert_close(found.signal[..., 1:], before.signal[..., 1:] * (1.0 + share), rtol=1e-6, atol=0.0)
+    assert torch.equal(found.signal[..., :1], before.signal[..., :1])
+
+
+def test_fog_is_reported_nearer_and_scattered() -> None:
+    before = replace(reported(), range_m=torch.where(reported().kind == PARTICLE, 5.0, 20.0))
+    found = after(FogEchoRange(shift_m=-0.3, spread_m=0.2), before)
+    particle = before.kind == PARTICLE
+    change = (found.range_m - before.range_m)[particle].double()
+    assert float(change.mean()) == pytest.approx(-0.3, abs=5.0 * 0.2 / math.sqrt(N / 3))
+    assert float(change.std()) == pytest.approx(0.2, rel=2.0 * TOLERANCE)
+    assert torch.equal(found.range_m[~particle], before.range_m[~particle])
+    assert torch.equal(found.signal, before.signal)
+    near = after(FogEchoRange(shift_m=-5.0), replace(before, range_m=before.range_m * 0.1))
+    assert bool((near.range_m[particle] == 0.1).all())  # not behind the sensor
+
+
+IDENTITIES = [WeakSignalNoise(), ParticleReading(), EchoGain(), FogEchoRange()]
+
+
+@pytest.mark.parametrize("stage", IDENTITIES, ids=lambda stage: stage.id)
+def test_at_its_identity_a_stage_changes_no_bit(stage: Effect) -> None:
+    assert bool(stage.at_identity)
+    for before in (state(echoes=2), reported()):
+        found = after(stage, before)
+        for field in fields(LidarState):
+            one, other = getattr(before, field.name), getattr(found, field.name)
+            assert torch.equal(one, other) if isinstance(one, Tensor) else one == other, field.name
+    assert stage.id not in EFFECTS  # never an answer
+
+
+# ---- in the frames of a study ----------------------------------------------------------------------------------------
+
+WEATHERS = (Snow(2.0), Fog(40.0), Rain(30.0))
+SEEDS = [11, 2**40 + 5, 17]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return tiny_study(seed=3, rows=16, columns=32, clear=4, frames=3, weathers=WEATHERS)
+
+
+@pytest.fixture(scope="module")
+def model(study: Study) -> LidarFrames:
+    found = LidarFrames(study)
+    found.scenes["s0"] = replace(found.scenes["s0"], variance_at_threshold=2e-3)
+    return found
+
+
+def test_what_is_open_depends_on_the_weather(study: Study, model: LidarFrames) -> None:
+    snow, fog, rain = study.conditions
+    assert model.open(snow) == model.open(rain) == {"noise": 0.0, "particle gain": -math.inf}
+    assert model.open(fog) == {"noise": 0.0, "fog shift": -math.inf, "fog spread": 0.0, "particle gain": -math.inf}
+    assert model.misplaced(snow) == 0.0 < model.misplaced(fog) < 0.1
+
+
+def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> None:
+    snow, fog, _ = study.conditions
+    strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0}
+    of_snow = {one.id: one.to_dict() for one in model.open_stages(snow, strengths)}
+    assert of_snow == {
+        "gap.weak_signal_noise": {"effect": "gap.weak_signal_noise", "variance_at_threshold": pytest.approx(3e-3)},
+        "gap.echo_gain": {"effect": "gap.echo_gain", "share": pytest.approx(3.0 * GAIN_SD)},
+    }
+    of_fog = {one.id: one.to_dict() for one in model.open_stages(fog, strengths)}
+    metres = FOG_RANGE_SHARE * SENSOR.pulse_length_m
+    assert of_fog["gap.echo_gain"]["share"] == pytest.approx(3.0 * FOG_GAIN_SD / math.sqrt(SENSOR.photons_at_threshold))
+    assert of_fog["gap.fog_echo_range"] == {
+        "effect": "gap.fog_echo_range",
+        "shift_m": pytest.approx(-2.0 * metres),
+        "spread_m": pytest.approx(0.5 * metres),
+    }
+    for condition in (snow, fog):
+        assert model.open_stages(condition, {}) == []
+        assert model.open_stages(condition, {"noise": -1.0, "fog spread": -1.0}) == []  # no less than none
+
+
+def through(model: LidarFrames, condition: Any, effects: list[Effect]) -> Any:
+    scene = model.scenes["s0"]
+    row = torch.tensor([0, 1, 2])
+    with torch.no_grad():
+        return model._through(condition, scene, row, effects, 0.0, SEEDS)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, model: LidarFrames, place: int) -> None:
+    """Kept states and random numbers against a chain that runs from end to end."""
+    condition, scene = study.conditions[place], model.scenes["s0"]
+    strengths = {"noise": 2.0, "fog shift": 1.0, "fog spread": 1.0, "particle gain": 5.0}
+    opened = model.open_stages(condition, strengths)
+    transform = model.transform(condition)
+    points = torch.cat([model.direction * scene.range_m[:3, :, None], scene.intensity[:3, :, None]], -1)
+    begin = transform.state_of(points, model.direction)
+    begin = replace(begin, grid=model.grid, cos_incidence=scene.cos_incidence[None], up=scene.up[None])  # type: ignore[index]
+    for loss_db in (0.5, 3.0, 0.5):  # the second and third start from what the first kept
+        effects = [EFFECTS["lidar.wet_target"](share=0.2), EFFECTS["lidar.window_loss"](loss_db=loss_db), *opened]
+        chain = with_effects(transform.chain, effects[:2])
+        for one in [*opened, ParticleReading(std=scene.reading_std)]:
+            chain = chain.insert(one, before="detection" if one.after == "particle_returns" else "to_points")
+        with torch.no_grad():
+            out = chain(begin, chain.draw(begin, seed=torch.tensor(SEEDS)))
+        found_range_m, found_intensity = through(model, condition, effects)
+        range_m = out.points[..., :3].norm(dim=-1)
+        torch.testing.assert_close(found_range_m, range_m, rtol=3e-6, atol=1e-6)
+        ours = (out.kind[..., 0] == PARTICLE) & (range_m > 0)
+        intensity = torch.where(ours, out.points[..., 3] * scene.gain[:3, None], out.points[..., 3])
+        assert torch.equal(found_intensity, torch.where(range_m > 0, intensity, 0.0))
+        assert bool(ours.any())
+
+
+@pytest.mark.parametrize("name", ["noise", "particle gain", "fog shift", "fog spread"])
+def test_each_open_stage_changes_the_frames_of_fog_and_can_be_taken_back(
+    study: Study, model: LidarFrames, name: str
+) -> None:
+    condition = study.conditions[1]
+    plain, moved, again = (
+        through(model, condition, model.open_stages(condition, {name: strength})) for strength in (0.0, 3.0, 0.0)
+    )
+    assert any(not torch.equal(one, other) for one, other in zip(plain, moved, strict=True))
+    assert all(torch.equal(one, other) for one, other in zip(plain, again, strict=True))
+
+
+def test_particles_have_the_scale_of_their_clear_frame(study: Study) -> None:
+    """A laser 10 % stronger in the second clear frame: so are its particles, which no clear frame shows."""
+    condition = study.conditions[1]
+    one, other = LidarFrames(study), LidarFrames(study)
+    scene = one.scenes["s0"]
+    gain = torch.tensor([1.0, 1.1, 1.0, 1.0])
+    one.scenes["s0"] = replace(scene, gain=torch.ones(4))
+    other.scenes["s0"] = replace(scene, gain=gain)
+    (_, plain), (range_m, scaled) = (through(each, condition, []) for each in (one, other))
+    ratio = np.where(plain > 0, scaled / plain.clamp_min(1e-30), 1.0)
+    particle = (range_m > 0) & scene.empty
+    assert particle[1].sum() > 5
+    np.testing.assert_allclose(ratio[particle], gain[:3, None].expand(range_m.shape)[particle], rtol=1e-6)
+    same = ((range_m - scene.range_m[:3]).abs() < 0.1) & scene.stable
+    assert (ratio[same] == 1.0).all()
