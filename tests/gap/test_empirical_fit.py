@@ -40,7 +40,7 @@ def departures(group: Group, measured: Any, simulated: Any, sd: Any, used: Any =
     rows = np.atleast_2d(np.asarray(measured, dtype=np.float64))
     shape = rows.shape
     return Departures(
-        layout=Layout((group,), (), ()),
+        layout=Layout((group,), (), (), ()),
         measured=rows,
         simulated=np.broadcast_to(np.asarray(simulated, dtype=np.float64), shape),
         sd=np.broadcast_to(np.asarray(sd, dtype=np.float64), shape),

@@ -12,6 +12,7 @@ import torch
 
 from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
 from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.lidar_nuisance import WeakSignalNoise
 from torchweather.gap.lidar_scene import CLUSTER_M, SAME_SURFACE_M
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Study
@@ -224,6 +225,27 @@ def test_particles_are_counted_by_range_and_by_whether_a_neighbour_shares_theirs
         assert found.maps[frame].sum() == particles
 
 
+def test_scalars_of_a_frame_are_those_of_its_beams(study: Study, model: LidarFrames) -> None:
+    range_m, intensity = altered(study)
+    found = model.reduce("s0", torch.from_numpy(range_m), torch.from_numpy(intensity), torch.tensor([0, 1])).scalar
+    scene = model.scenes["s0"]
+    stable, empty = scene.stable.numpy(), scene.empty.numpy()
+    for frame in range(2):
+        seen, apart = range_m[frame] > 0, range_m[frame] - scene.reference_range_m[frame].numpy()
+        lost, same = (stable & ~seen).sum(), stable & seen & (np.abs(apart) < SAME_SURFACE_M)
+        particle = seen & (empty | (stable & (apart < -SAME_SURFACE_M)))
+        near = particle & (range_m[frame] < 3.0)
+        ratio = np.log(intensity[frame, same] / scene.reference_intensity[frame].numpy()[same])
+        expected = [
+            math.asin(math.sqrt((lost + 0.375) / (stable.sum() + 0.75))),
+            math.sqrt(particle.sum() + 0.375),
+            ratio.mean(),
+            math.sqrt(near.sum() + 0.375),
+        ]
+        np.testing.assert_allclose(found[frame], expected, rtol=1e-4, atol=1e-6)
+        assert min(lost, particle.sum(), near.sum()) > 0
+
+
 def test_portions_add_up_to_the_whole(model: LidarFrames, study: Study) -> None:
     condition, portions = study.conditions[0], 8
     whole = model.simulated(condition, (), 0.0, SEEDS)
@@ -279,6 +301,18 @@ def test_what_is_kept_of_the_chain_gives_the_bits_of_the_whole_chain(study: Stud
     effects = [EFFECTS["lidar.wet_target"](share=0.6), EFFECTS[name](**settings[1])]
     found = keeping.simulated(condition, effects, 0.05, SEEDS)
     assert_same(found, LidarFrames(study).simulated(condition, effects, 0.05, SEEDS))
+
+
+def test_what_is_kept_depends_on_what_is_open_before_the_effect(study: Study) -> None:
+    """Noise of weak signals comes before detection, a bias of the range after: the first is in what is kept."""
+    condition, keeping = study.conditions[0], LidarFrames(study)
+    values = []
+    for variance in (0.001, 0.2, 0.001):
+        effects = [DRIFT(offset_m=0.05), WeakSignalNoise(variance_at_threshold=variance)]
+        found = keeping.simulated(condition, effects, 0.0, SEEDS)
+        assert_same(found, LidarFrames(study).simulated(condition, effects, 0.0, SEEDS))
+        values.append(found.value)
+    assert not np.array_equal(values[0], values[1])
 
 
 def test_what_is_kept_depends_on_the_knob_and_on_the_condition(study: Study) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,6 +135,18 @@ def test_moved_nuisances_stay_within_their_bounds(null: Search) -> None:
     assert found.log_knob == pytest.approx({"c0": FARTHEST * 0.05})
     assert found.open == pytest.approx({"noise": 0.0, "particle gain": -2.5})
     np.testing.assert_allclose(null.offset(found)[:3], (FARTHEST, 0.0, -2.5), rtol=1e-12)
+
+
+def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
+    """Frames of weather that is two standard deviations weaker, whose record is not told of it."""
+    search = search_of(tiny_study(rows=16, columns=32, clear=4, weathers=WEATHERS, rel_sd=0.3))
+    (aim,) = search.measured
+    weaker = search.mean(Setting({}, {"c0": -0.6}), SCREEN_FRAMES)[0]
+    search.measured = [replace(aim, vector=weaker)]
+    assert search._scanned(Setting()).log_knob == pytest.approx({"c0": -0.6})
+    # Where it stands is kept if no place of the grid is nearer.
+    assert search._scanned(Setting({}, {"c0": -0.58})).log_knob == pytest.approx({"c0": -0.58}, abs=0.03)
+    assert search._scanned(Setting({}, {"c0": 0.1})).log_knob == pytest.approx({"c0": -0.6})
 
 
 def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> None:

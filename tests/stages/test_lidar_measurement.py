@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -51,6 +51,17 @@ def test_a_measurement_is_the_norm_and_the_intensity_of_the_points(unit: str, mo
         assert torch.equal(intensity[there], each[..., 3][there])
         assert bool((range_m[~there] == 0).all())
         assert bool((intensity[~there] == 0).all())
+
+
+def test_a_lost_echo_has_no_range_and_no_intensity_whatever_it_had() -> None:
+    transform = rain()
+    state = begin(transform)
+    before = states(transform.chain, state, transform.chain.draw(state, seed=1))["detection"]
+    gone = replace(before, kind=torch.full_like(before.kind, 2))
+    last = transform.chain.stages["to_points"]
+    assert isinstance(last, ToPoints)
+    for values in last.measurement(gone, {}):
+        assert bool((values == 0).all())
 
 
 def test_what_no_stage_touched_has_the_bits_that_came_in() -> None:
