@@ -147,6 +147,8 @@ def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     # Where it stands is kept if no place of the grid is nearer.
     assert search._scanned(Setting({}, {"c0": -0.58})).log_knob == pytest.approx({"c0": -0.58}, abs=0.03)
     assert search._scanned(Setting({}, {"c0": 0.1})).log_knob == pytest.approx({"c0": -0.6})
+    # Fitted, it pays its prior: a little nearer to the record.
+    assert search.begin().setting.log_knob == pytest.approx({"c0": -0.6}, abs=0.06)
 
 
 def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> None:
