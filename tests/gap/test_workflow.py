@@ -64,7 +64,7 @@ def test_what_is_left_of_the_excess_decides_between_a_name_a_rest_and_no_name(mi
 @pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
 @pytest.mark.parametrize(
     ("explained", "least"),
-    [(0.9 * SURE_GAIN, HELD_GAIN), (9.9 * SURE_GAIN, -9.9 * SURE_GAIN * HELD_LOSS)],
+    [(0.9 * SURE_GAIN, HELD_GAIN), (10.0 * SURE_GAIN, HELD_GAIN - 9.0 * SURE_GAIN * HELD_LOSS)],
     ids=["weak", "strong"],
 )
 def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, explained: float, least: float) -> None:

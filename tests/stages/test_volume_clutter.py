@@ -35,7 +35,7 @@ RADAR = Radar(
 )
 RAIN = Rain(25.0)
 BATCH = 64
-# Every one of the 300 is listed: at most 0.8 of the rows are (`VolumeClutter`), and `rows_of` looks whether one is left.
+# Every one of the 300 is listed: at most 0.8 of the rows are (`VolumeClutter`); `rows_of` looks whether one is left.
 CAPACITY = 512
 # One seed in a thousand would miss it; the seeds are fixed.
 P_VALUE = 1e-3
@@ -310,7 +310,8 @@ def test_a_share_of_the_reflectivity_acts_as_less_reflectivity() -> None:
 
 def test_dry_snow_is_seen_far_less_than_rain() -> None:
     """1e-2.5 of the reflectivity at 77 GHz and 1 mm/h (PHYSICS.md 6.5, 6.7)."""
-    counts = [int(after(VolumeClutter(weather, RADAR, capacity=CAPACITY))[1].sum()) for weather in (Snow(1.0), Rain(1.0))]
+    clutter = [VolumeClutter(weather, RADAR, capacity=CAPACITY) for weather in (Snow(1.0), Rain(1.0))]
+    counts = [int(after(one)[1].sum()) for one in clutter]
     assert 0 < 20 * counts[0] < counts[1]
 
 

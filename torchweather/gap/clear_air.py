@@ -29,8 +29,7 @@ class ClearAir:
 
     Args:
         scene: id.
-        p_value: probability that halves drawn at random differ more than the first from the second; of K frames it
-            cannot be less than two over the number of ways to halve them.
+        p_value: probability that halves drawn at random differ as much as the first from the second.
         statistic, axis: of the entry that differs most.
         z: that difference in units of the random halves'.
     """
@@ -62,6 +61,6 @@ def clear_air(model: FrameModel, seed: int) -> list[ClearAir]:
         z = np.where(counts & (scatter > LEAST_SCATTER), apart / np.maximum(scatter, LEAST_SCATTER), 0.0)
         misfit = (z**2).sum(1)
         place = int(np.abs(z[0]).argmax())
-        p_value = float((misfit[1:] >= misfit[0] * (1.0 - 1e-12)).mean())
+        p_value = (1 + int((misfit[1:] >= misfit[0] * (1.0 - 1e-12)).sum())) / (SPLITS + 1)
         found.append(ClearAir(name, p_value, groups[place].statistic, groups[place].axis, float(z[0, place])))
     return found

@@ -52,7 +52,7 @@ class LidarScene:
         stable, empty: ``(N,)`` which beams count as what.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
-        gain: ``(K,)`` intensities of each clear frame over those of the others: what a sensor's scale does from frame
+        gain: ``(K,)`` intensities of each clear frame over the mean of all: what a sensor's scale does from frame
             to frame.
         reading_std: relative standard deviation of the intensity that does not depend on the signal.
         variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.

@@ -48,7 +48,7 @@ FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
 FURTHER = 0.03  # of what is explained, that a further effect must add
 HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions
-SURE_GAIN, HELD_LOSS = 100.0, 0.1  # misfit explained that is beyond doubt; share of it that held-out ones may lose
+SURE_GAIN, HELD_LOSS = 50.0, 0.1  # misfit explained from which less is asked of held-out ones, by so much of the rest
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.4  # of the excess misfit that is left
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
@@ -220,6 +220,11 @@ def find_gap_with(
         check_one_of("effect", name, known, owner="find_gap")
     present = {effect.id for effect in model.effects}
     chosen = [EFFECTS[name] for name in (effects or known) if name not in present]
+    if not chosen:
+        raise TorchweatherError(
+            f"find_gap: effects: the model under test has {', '.join(sorted(present))} already; none is left that may "
+            "be named. Allow others, or take them out of the model."
+        )
     say("clear frames against clear frames")
     clear = tuple(clear_air(model, seed))
     say("simulating the conditions as they are")
@@ -372,7 +377,7 @@ def _verdict(screening: Screening, misfit: float, before: HeldOut, after: HeldOu
     share = left / max(screening.misfit - min(expected, misfit), 1e-9)
     explained = screening.misfit - misfit
     # Held-out conditions that hardly show a strong effect must not speak against it by much.
-    least = HELD_GAIN if explained < SURE_GAIN else -HELD_LOSS * explained
+    least = HELD_GAIN - HELD_LOSS * max(explained - SURE_GAIN, 0.0)
     if before.misfit - after.misfit < least:
         return "unknown" if screening.p_value < SURE_P else "none"
     if share > UNKNOWN_SHARE:

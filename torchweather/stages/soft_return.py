@@ -10,8 +10,8 @@ reading of a beam is the largest count, at its range. With F(e; S) the distribut
 
     P(largest <= e) = prod F = exp(-Lambda(e, R)),   Lambda(e, R) = int_0^R -ln F(e; S(r)) dr / l,
 
-so the strongest return of fog is drawn from a table of Lambda just as the strongest particle is, and the pulse length in
-which it lies follows from the derivative in e in the same way. Within a pulse length S(r) above is its largest value
+so the strongest return of fog is drawn from a table of Lambda just as the strongest particle is, and the pulse length
+in which it lies follows from the derivative in e in the same way. Within a pulse length S(r) above is its largest value
 there, and that is the place which is reported: a receiver as slow as the pulse has one reading of a narrow peak.
 
 References:
