@@ -150,6 +150,10 @@ class BeamParticles(nn.Module):
         """Where a particle at a range ``(B, N)`` is reported: there."""
         return range_m
 
+    def drawn_before_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
+        """Range ``(B, N)`` before which a particle must be to be reported before ``range_m``: that range."""
+        return range_m
+
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid from which particles count; ``None`` is its first node."""
         return self.grid.position(PUBLISHED_START * reach_m) if self.published else None

@@ -104,6 +104,9 @@ class _Rivals:
             return torch.exp(-stronger)
         first = self.detection.return_mode == "first"
         apart_m = (self.range_m - self.detection.sensor.echo_separation).clamp_min(0.0)
+        own = self.returns.beam.threshold.dtype
+        drawn_m = part.drawn_before_m(apart_m.to(own), self.returns.beam, self.alpha.to(own)).to(apart_m)
+        apart_m = torch.minimum(drawn_m, self.range_m)
         stronger_apart = self._number(part, signal, apart_m)
         faint = self.returns.beam.threshold.expand_as(signal).to(signal)
         seen_apart = self._number(part, faint, apart_m)

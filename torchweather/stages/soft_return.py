@@ -171,6 +171,13 @@ class SoftReturn(nn.Module):
             peak_m = self._peak_m(self.signal(beam, extinction_per_m, self.grid.quadrature_m))
         return self._towards(peak_m, range_m)
 
+    def drawn_before_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
+        """Range ``(B, N)`` before which a reading must be drawn to be reported before ``range_m``."""
+        with torch.no_grad():
+            peak_m = self._peak_m(self.signal(beam, extinction_per_m, self.grid.quadrature_m))
+        half_m = 0.5 * self.pulse_length_m
+        return torch.where(range_m >= peak_m, range_m + half_m, (range_m - half_m).clamp_min(0.0))
+
     def _peak_m(self, signal: Tensor) -> Tensor:
         """Range ``(B, 1)`` at which a waveform ``(B, cells, G)`` is largest."""
         return self.grid.quadrature_m.flatten()[signal.flatten(1).argmax(1)][:, None]
