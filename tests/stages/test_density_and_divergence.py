@@ -126,7 +126,10 @@ def test_twice_the_density_is_twice_the_snow_and_its_extinction() -> None:
 
 @pytest.mark.parametrize("density", [0.5, 1.0, 2.0])
 def test_readings_of_fog_are_those_of_an_own_integral(density: float) -> None:
-    """-ln P(no reading above n) = sum of -ln Q(n + 1/2, density mu(r)) over the pulse lengths of the way."""
+    """-ln P(no reading above n) = sum of -ln Q(n + 1/2, density mu(r)) over the pulse lengths of the way.
+
+    mu is the largest in the pulse length.
+    """
     transform = LidarFog(Fog(mor_m=100.0), SENSOR)
     part = transform.chain.stages["particle_returns"].kinds["fog"]
     beam, clear = Beam(SENSOR), torch.zeros(1)
@@ -135,6 +138,9 @@ def test_readings_of_fog_are_those_of_an_own_integral(density: float) -> None:
     middle = (0.5 * (edge[1:] + edge[:-1])).float()
     mean = density * part.signal(beam, clear, middle)[0].double() * SENSOR.photons_at_threshold
     mean = mean / SENSOR.threshold_per_m2_sr
+    # A reading is of the largest value within half a pulse length.
+    pulse = 2 * round(0.5 * SENSOR.pulse_length_m / float(edge[1] - edge[0])) + 1
+    mean = torch.nn.functional.max_pool1d(mean[None], pulse, stride=1, padding=pulse // 2)[0]
     compared = 0
     for row in range(1, 60):
         reading = (part.root_low + part.root_step * row) ** 2
@@ -142,8 +148,9 @@ def test_readings_of_fog_are_those_of_an_own_integral(density: float) -> None:
         wanted = float(-(never.log() * edge.diff()).sum()) / SENSOR.pulse_length_m
         if 1e-3 < wanted < 1e2:
             compared += 1
-            # 257 nodes of range, Gauss's rule of three points between them; 2048 nodes of the mean.
-            assert float(above[row]) == pytest.approx(wanted, rel=5e-3)
+            # 257 nodes of range, Gauss's rule of three points between them; 2048 nodes of the mean. High readings come
+            # from one pulse length around the peak, whose two ends lie inside cells: 1.3 % at most here.
+            assert float(above[row]) == pytest.approx(wanted, rel=2e-2)
     assert compared >= 5
 
 

@@ -190,13 +190,17 @@ class SoftReturn(nn.Module):
         """Largest value of a waveform ``(B, cells, G)`` within half a pulse length; it rises once and falls once."""
         nodes = self.grid.quadrature_m
         cells, each = nodes.shape
-        place = self.grid.position(self._towards(self._peak_m(signal.detach()), nodes.flatten()))  # (B, cells G)
+        wanted_m = self._towards(self._peak_m(signal.detach()), nodes.flatten())  # (B, cells G)
+        place = self.grid.position(wanted_m)
         cell = place.floor().clamp(0, cells - 1)
         inside = self.grid.position(nodes[0])
-        between = 0.5 * (inside[1:] + inside[:-1])
-        index = (cell * each + ((place - cell)[..., None] > between).sum(-1)).to(torch.int64)
+        index = cell * each + ((place - cell)[..., None] >= inside).sum(-1) - 1
+        index = index.clamp(0, cells * each - 2).to(torch.int64)
+        below_m, above_m = nodes.flatten()[index], nodes.flatten()[index + 1]
+        share = ((wanted_m - below_m) / (above_m - below_m)).clamp(0.0, 1.0)
         flat = signal.flatten(1)
-        return torch.maximum(flat, flat.gather(1, index)).reshape(signal.shape)
+        found = torch.lerp(flat.gather(1, index), flat.gather(1, index + 1), share)
+        return torch.maximum(flat, found).reshape(signal.shape)
 
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid where the fog begins; ``None`` is its first node."""
