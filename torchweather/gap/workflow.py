@@ -35,7 +35,7 @@ Proposal = tuple[Setting, Node, float]
 """A setting, what to put on top of it, and how much of its response is expected."""
 
 NULLS = 1000
-# The numbers below were set by judgement on a handful of studies, not calibrated on a bench.
+# The numbers below were set on some tens of development studies of the bench; no blind set has tried them.
 # Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
 # screening are those of noise so many times larger in square.
 OVERDISPERSION = 1.5
@@ -47,7 +47,7 @@ MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
 FURTHER = 0.03  # of what is explained, that a further effect must add
-HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions
+HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions: two standard deviations
 SURE_GAIN, HELD_LOSS = 50.0, 0.1  # misfit explained from which less is asked of held-out ones, by so much of the rest
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.4  # of the excess misfit that is left
