@@ -34,6 +34,12 @@ class Line:
     effect: type[Effect]
     settings: tuple[Mapping[str, float], ...]
 
+    @property
+    def first(self) -> tuple[int, ...]:
+        """Places of the settings that are tried at first: one of a typical size; two of a line with many."""
+        number = len(self.settings)
+        return (number // 2,) if number < 5 else (1, number - 2)
+
 
 def _strengths(parameter: Parameter) -> list[list[float]]:
     """Values on either side of the identity, from weak to strong, inside the bounds."""

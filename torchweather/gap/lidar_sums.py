@@ -32,7 +32,7 @@ SUMS = {
     "new_share_of_empty_beams": ("empty", "of_empty", "of_empty"),
     "beyond_share": ("stable", "beyond", "beyond"),
     "log_intensity_ratio": ("same", "ratio", "ratio2"),
-    "log_intensity_spread": ("same", "ratio", "ratio2"),
+    "log_intensity_spread": ("same", "even", "even2"),
     "range_residual_m": ("same", "apart", "apart2"),
     "range_residual_spread": ("same", "wide", "wide2"),
     "particles_before_objects": ("frame", "before", "before"),
@@ -42,8 +42,8 @@ SUMS = {
     "log_particle_intensity_spread": ("particle", "level", "level2"),
     "lost_share_of_thin_targets": ("stable", "lost", "lost"),
 }
-OF_SURFACES = ("stable", "lost", "before", "beyond", "same", "ratio", "ratio2", "apart", "apart2", "wide", "wide2")
-OF_NOTHING = ("empty", "of_empty")
+OF_SURFACES = ("lost", "before", "beyond", "ratio", "ratio2")
+OF_THE_SAME = ("apart", "apart2", "wide", "wide2", "even", "even2")
 OF_PARTICLES = ("frame", "before", "of_empty", "particle", "clustered", "level", "level2")
 SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
 FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
@@ -94,30 +94,38 @@ def map_cells() -> list[tuple[float, float]]:
 
 
 class _Beams:
-    """Some beams of a scene, summed over along its axes."""
+    """Some beams of a scene, summed over along some of its axes."""
 
     def __init__(self, scene: LidarScene, which: Tensor, axes: Sequence[str]) -> None:
         self.beam = which.nonzero()[:, 0]
         self.place: dict[str, slice] = {}
         self._bins = {axis: scene.bins[axis][:, self.beam] for axis in axes}  # (K + 1, S)
         self._count = {axis: len(scene.edges[axis]) - 1 for axis in axes}
+        # One row where the bins are the same whatever a frame is compared with.
+        shared = all(bool((bins == bins[:1]).all()) for bins in self._bins.values())
         start = 0
         hot = []
         for axis in axes:
-            bins, count = self._bins[axis], self._count[axis]
+            bins, count = self._bins[axis][: 1 if shared else None], self._count[axis]
             one = torch.zeros(*bins.shape, count + 1)
             one.scatter_(2, bins.where(bins >= 0, count)[..., None], 1.0)
             hot.append(one[..., :count])
             self.place[axis] = slice(start, start + count)
             start += count
         self._hot = torch.cat(hot, 2)
+        self._number = self._hot.sum(1, dtype=torch.float64)
+
+    def number(self, row: Tensor) -> Tensor:
+        """Number of beams in each bin ``(F, bins)``."""
+        return self._number[row.clamp_max(len(self._number) - 1)]
 
     def whole(self, values: Tensor, row: Tensor) -> Tensor:
-        """Sums ``(F, R, bins)`` of values ``(F, R, S)``; frames of one row of the scene in one product."""
+        """Sums ``(F, R, bins)`` of values ``(F, R, S)``; frames with the same bins in one product."""
+        row = row.clamp_max(len(self._hot) - 1)
         found = torch.empty(*values.shape[:2], self._hot.shape[2], dtype=torch.float64)
         for number in sorted(set(row.tolist())):
             of_row = row == number
-            some = values[of_row]
+            some = values if bool(of_row.all()) else values[of_row]
             found[of_row] = (some.flatten(0, 1) @ self._hot[number]).double().reshape(*some.shape[:2], -1)
         return found
 
@@ -147,7 +155,9 @@ class LidarSums:
     def __init__(self, scene: LidarScene, layout: Layout, grid: tuple[int, int], azimuth: Tensor) -> None:
         self.scene, self.layout = scene, layout
         axes = {group.axis for group in layout.binned} - {"particle_range_m"}
-        self.surfaces = _Beams(scene, scene.stable, sorted(axes))
+        # Bins along these come from the clear frames that a frame is compared with; the others do not move.
+        seen = axes & {"range_m", "margin_db", "log_intensity"}
+        self.surfaces, self.standing = (_Beams(scene, scene.stable, sorted(some)) for some in (seen, axes - seen))
         self.nothing = _Beams(scene, scene.empty, ("azimuth_rad", "elevation_rad"))
         self._reference, self._reference_intensity = (
             values[:, self.surfaces.beam]
@@ -174,24 +184,34 @@ class LidarSums:
         """
         compared, before = self._compared(range_m, intensity, row)
         of_empty = range_m[:, self.nothing.beam] > 0
-        empties = torch.stack([torch.ones(of_empty.shape), of_empty.float()], 1)
         portion = self._portions(range_m.shape[1], portions)
-        if portions == 1:
-            surfaces, nothing = self.surfaces.whole(compared, row), self.nothing.whole(empties, row)
-        else:
-            surfaces = self.surfaces.portioned(compared, row, portion, portions)
-            nothing = self.nothing.portioned(empties, row, portion, portions)
         particles, maps, near = self._particles(range_m, intensity, before, of_empty, portion, portions)
-        found: list[list[Tensor]] = [[], [], []]
-        for group in self.layout.binned:
-            for target, name in zip(found, SUMS[group.statistic], strict=True):
-                if group.axis == "particle_range_m":
-                    target.append(particles[:, OF_PARTICLES.index(name)])
-                elif name in OF_NOTHING:
-                    target.append(nothing[:, OF_NOTHING.index(name), self.nothing.place[group.axis]])
-                else:
-                    target.append(surfaces[:, OF_SURFACES.index(name), self.surfaces.place[group.axis]])
-        total = dict(zip(OF_SURFACES, surfaces[..., self.surfaces.place["azimuth_rad"]].sum(2).unbind(1), strict=True))
+        sums: dict[tuple[str, str], Tensor] = {}  # of a value along an axis, ``(F, bins)``
+        everywhere = compared[:, : len(OF_SURFACES)]
+        for beams, names, values in (
+            (self.surfaces, (*OF_SURFACES, *OF_THE_SAME), compared),
+            (self.standing, OF_SURFACES, everywhere),
+            (self.nothing, ("of_empty",), of_empty[:, None].float()),
+        ):
+            if portions == 1:
+                number, summed = beams.number(row), beams.whole(values, row)
+            else:
+                one = torch.ones(len(row), 1, len(beams.beam))
+                number = beams.portioned(one, row, portion, portions)[:, 0]
+                summed = beams.portioned(values, row, portion, portions)
+            for axis, place in beams.place.items():
+                sums |= {(name, axis): summed[:, line, place] for line, name in enumerate(names)}
+                sums["empty" if beams is self.nothing else "stable", axis] = number[:, place]
+        for name, values in zip(OF_PARTICLES, particles.unbind(1), strict=True):
+            sums[name, "particle_range_m"] = values
+        for axis in (*self.surfaces.place, *self.standing.place):
+            elsewhere = sums["lost", axis] + sums["before", axis] + sums["beyond", axis]
+            sums["same", axis] = sums["stable", axis] - elsewhere
+        weight, value, square = (
+            torch.cat([sums[SUMS[group.statistic][which], group.axis] for group in self.layout.binned], 1).numpy()
+            for which in range(3)
+        )
+        total = {name: sums[name, "azimuth_rad"].sum(1) for name in ("stable", "lost", "same", "ratio")}
         scalar = torch.stack(
             [
                 torch.asin(((total["lost"] + 0.375) / (total["stable"] + 0.75)).sqrt()),
@@ -201,7 +221,6 @@ class LidarSums:
             ],
             1,
         )
-        weight, value, square = (torch.cat(parts, 1).numpy() for parts in found)
         return Reduced(weight, value, square, scalar.numpy(), maps[:, None].numpy())
 
     def _compared(self, range_m: Tensor, intensity: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
@@ -213,17 +232,20 @@ class LidarSums:
         before, beyond = seen & (apart <= -tolerance_m), seen & (apart >= tolerance_m)
         same = seen & ~before & ~beyond
         ratio = torch.log(intensity[:, beam].clamp_min(FAINTEST) / self._reference_intensity[row])
-        found = torch.empty(len(row), len(OF_SURFACES), len(beam))
-        found[:, 0], found[:, 1], found[:, 2], found[:, 3], found[:, 4] = 1.0, ~seen, before, beyond, same
-        weight = found[:, 4]
-        torch.mul(ratio, weight, out=found[:, 5])
-        torch.mul(ratio, found[:, 5], out=found[:, 6])
-        torch.mul(apart, weight, out=found[:, 7])
-        torch.mul(apart, found[:, 7], out=found[:, 8])
+        found = torch.empty(len(row), len(OF_SURFACES) + len(OF_THE_SAME), len(beam))
+        found[:, 0], found[:, 1], found[:, 2], weight = ~seen, before, beyond, same
+        torch.mul(ratio, weight, out=found[:, 3])
+        torch.mul(ratio, found[:, 3], out=found[:, 4])
+        torch.mul(apart, weight, out=found[:, 5])
+        torch.mul(apart, found[:, 5], out=found[:, 6])
+        # Spreads are about the frame's own mean: a clock and a scale move whole frames.
+        number = weight.sum(1, keepdim=True).clamp_min(1)
+        common_ratio, common_m = (found[:, which].sum(1, keepdim=True) / number for which in (3, 5))
         # Grows with the spread, and hardly with what lies far out: flakes right before the surface.
-        wide = torch.log1p((found[:, 7] / self.scene.noise_m).square())
-        found[:, 9] = wide
-        torch.mul(wide, wide, out=found[:, 10])
+        torch.log1p(((apart - common_m) * weight / self.scene.noise_m).square(), out=found[:, 7])
+        torch.mul(found[:, 7], found[:, 7], out=found[:, 8])
+        torch.mul(ratio - common_ratio, weight, out=found[:, 9])
+        torch.mul(found[:, 9], found[:, 9], out=found[:, 10])
         return found, before
 
     def _particles(

@@ -20,6 +20,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from torchweather.gap.baseline import (
     PORTIONED_FRAMES,
@@ -54,6 +55,7 @@ SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how 
 ROUNDS = 10  # of fitting the nuisances alone
 STALLED = 0.5  # of the cost, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
+SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 FARTHEST = 4.0  # standard deviations that a nuisance may move
 
 
@@ -324,28 +326,31 @@ class Search:
         return Nuisance(response, self.offset(setting), len(columns))
 
     def _clear_errors(self, base: Baseline) -> list[Floats]:
-        """Columns of what whole frames do, of means and spreads, from how clear frames differ.
+        """Columns of what whole frames do, of means and spreads, from how clear frames of all scenes differ.
 
         The error of each scene's clear mean moves all its conditions alike; the mean of a condition's own frames has
         one of its own. The scatter of each entry holds it, but not that all entries go together.
         """
         layout = self.model.layout
         moved = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
+        scenes = {target.condition.scene: target.clear_frames for target in self.measured}
+        degrees = sum(scenes.values()) - len(scenes)
+        if degrees < 1:
+            return []
+        one_frame = []  # summed up in square: the variance of a frame
+        for scene, number in scenes.items():
+            each = Pool(layout, self.model.clear(scene)).vectors(np.arange(number)[:, None])
+            # Departures from the mean of the others are larger than those from the mean of all.
+            apart = np.where(moved, each - each.mean(0), 0.0) * ((number - 1) / number)
+            one_frame += list(apart * math.sqrt(_widened(degrees) / degrees))
         columns = []
-        for scene in dict.fromkeys(target.condition.scene for target in self.measured):
-            pool = Pool(layout, self.model.clear(scene))
-            number = len(pool)
-            if number < 2:
-                continue
-            each = pool.vectors(np.arange(number)[:, None])
-            # Departures from the mean of the others are larger than those of a frame by number / (number - 1).
-            apart = np.where(moved, each - each.mean(0), 0.0) * math.sqrt(_few(number) / number)
+        for scene, number in scenes.items():
             own = [place for place, target in enumerate(self.measured) if target.condition.scene == scene]
-            for departure in apart * math.sqrt((number - 1) / number**2):
-                columns.append(self._column(base, dict.fromkeys(own, departure)))
-            for place in own:
-                for departure in apart / math.sqrt(self.measured[place].frames):
-                    columns.append(self._column(base, {place: departure}))
+            for departure in one_frame:
+                columns.append(self._column(base, dict.fromkeys(own, departure / math.sqrt(number))))
+                for place in own:
+                    apart_mean = departure / math.sqrt(self.measured[place].frames)
+                    columns.append(self._column(base, {place: apart_mean}))
         return columns
 
     def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
@@ -394,16 +399,16 @@ class Search:
 
     # ---- responses and fits ----------------------------------------------------------------------------------------
 
-    def nodes(self, lines: Sequence[Line], setting: Setting, base: Baseline) -> list[Node]:
-        """Responses along lines of settings, on top of a setting."""
+    def nodes(self, points: Sequence[tuple[Line, int]], setting: Setting, base: Baseline) -> list[Node]:
+        """Responses to settings, each given by its line and its place there, on top of a setting."""
         before = self.mean(setting, SCREEN_FRAMES)
         found = []
-        for line in lines:
-            for number, values in enumerate(line.settings):
-                tried = replace(setting, values={**setting.values, line.effect.id: values})
-                after = self.mean(tried, SCREEN_FRAMES)
-                change = [new - old for new, old in zip(after, before, strict=True)]
-                found.append(Node(line, number, values, self.whitened(base, change)))
+        for line, number in points:
+            values = line.settings[number]
+            tried = replace(setting, values={**setting.values, line.effect.id: values})
+            after = self.mean(tried, SCREEN_FRAMES)
+            change = [new - old for new, old in zip(after, before, strict=True)]
+            found.append(Node(line, number, values, self.whitened(base, change)))
         return found
 
     def fit(self, start: Setting, nuisance: Nuisance, base: Baseline, iterations: int = ITERATIONS) -> Fit:
@@ -526,9 +531,10 @@ class Search:
         return replace(setting, values=values)
 
 
-def _few(number: int) -> float:
-    """Variance of Student's law of a scatter from so many frames over that of the normal law; 3 where infinite."""
-    return (number - 1) / (number - 3) if number > 3 else 3.0
+def _widened(degrees: int) -> float:
+    """Variance at which the normal law reaches as far, one time in 1,000, as Student's of a scatter known from so
+    many degrees of freedom."""
+    return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)
 
 
 def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple[Floats, Floats]:

@@ -42,6 +42,7 @@ OVERDISPERSION = 1.5
 ALARM_P = 2e-4
 REFITTED, FURTHER_REFITTED, PAIRS_REFITTED = 4, 2, 2  # candidates that are fitted: alone, further ones, pairs
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
+REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
@@ -168,11 +169,22 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     places = azimuths(search)
     found = [line for effect in effects for line in lines(effect, places)]
     found += standing_lines(search, effects)
-    nodes = search.nodes(found, search.origin, search.start)
+    left = nuisance.left(residual)
+    nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
+    gain = gains(nodes, left[None], nuisance)[0]
+    near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= REFINED * gain.max()}
+    rest = [
+        (line, place)
+        for line in found
+        if id(line) in near
+        for place in range(len(line.settings))
+        if place not in line.first
+    ]
+    nodes += search.nodes(rest, search.origin, search.start)
     nulls = search.null_residuals(nuisance, NULLS, seed)
     best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * OVERDISPERSION
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
-    gain = gains(nodes, nuisance.left(residual)[None], nuisance)[0]
+    gain = gains(nodes, left[None], nuisance)[0]
     misfit = nuisance.misfit(residual)
     counted = screening_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
