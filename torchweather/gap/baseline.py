@@ -168,7 +168,8 @@ class Baseline:
 
     Args:
         mean, sd: condition to ``(P,)`` mean of the vector and its scatter at the measured number of frames, with the
-            error of that mean.
+            error of that mean; of means without what whole frames do, which is a nuisance (``search.py``).
+        total: the scatter with what whole frames do.
         used: condition to ``(P,)`` entries that count.
         whitening: common to all conditions.
         draws: condition to ``(DRAWS, P)`` vectors of the simulator itself.
@@ -176,6 +177,7 @@ class Baseline:
 
     mean: Mapping[str, Floats]
     sd: Mapping[str, Floats]
+    total: Mapping[str, Floats]
     used: Mapping[str, NDArray[np.bool_]]
     whitening: Whitening
     draws: Mapping[str, Floats]
@@ -192,9 +194,9 @@ class Baseline:
         return self.whitening(scaled)
 
     def z(self, target: Target) -> Floats:
-        """Departure of each entry in units of its own scatter, 0 where it does not count."""
+        """Departure of each entry in units of its total scatter, 0 where it does not count."""
         name = target.condition.id
-        found: Floats = np.where(self.used[name], (target.vector - self.mean[name]) / self.sd[name], 0.0)
+        found: Floats = np.where(self.used[name], (target.vector - self.mean[name]) / self.total[name], 0.0)
         return found
 
 
@@ -214,9 +216,10 @@ def baseline(
         whitening: of another setting, to be kept; ``None`` makes it from these pools.
         seed: of the draws.
     """
-    means, sds, used, draws = {}, {}, {}, {}
+    means, sds, owns, totals, used, draws = {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
     shares = np.concatenate([np.full(group.bins, group.kind == "share") for group in layout.groups])
+    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in layout.groups])
     for number, target in enumerate(measured):
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
@@ -228,13 +231,19 @@ def baseline(
         share = np.full(len(mean), min(n / count, 0.5))
         # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
         least = np.maximum(pool.least_scatter(n, target.misplaced), np.where(shares, 0.0, noise.scatter[name]))
-        share = share + np.where(shares, n / target.clear_frames, 0.0)
-        sd = np.sqrt(np.maximum(spread**2 / (1.0 - min(n / count, 0.5)), least**2) * (1.0 + share))
-        means[name], sds[name], draws[name] = mean, sd, vectors
+        share = share + np.where(shares | averages, n / target.clear_frames, 0.0)
+        drawn = spread**2 / (1.0 - min(n / count, 0.5))
+        own = np.sqrt(np.maximum(drawn, least**2))
+        totals[name] = own * np.sqrt(1.0 + share)
+        # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
+        owns[name] = np.where(averages, least, own)
+        sds[name] = np.where(averages, least * np.sqrt(1.0 + share), totals[name])
+        means[name], draws[name] = mean, vectors
         used[name] = target.enough & pool.enough(n)
     if whitening is None:
-        whitening = Whitening.of(noise, sds)
-    return Baseline(means, sds, used, whitening, draws)
+        # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
+        whitening = Whitening.of(noise, owns)
+    return Baseline(means, sds, totals, used, whitening, draws)
 
 
 def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:

@@ -142,7 +142,7 @@ class LidarFrames:
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
-        """Frames of a condition, one for each seed, each from a clear frame that its seed chooses.
+        """Frames of a condition, one for each seed, each from the clear frame that its seed is, modulo their number.
 
         Args:
             condition: its scene and weather.
@@ -155,7 +155,7 @@ class LidarFrames:
         parts = []
         for first in range(0, len(seeds), TOGETHER):
             some = list(seeds[first : first + TOGETHER])
-            row = torch.tensor([_hash(seed) % len(scene.range_m) for seed in some])
+            row = torch.tensor([seed % len(scene.range_m) for seed in some])
             with torch.no_grad():
                 out = self._through(condition, scene, row, effects, log_knob, some)
             parts.append(self.reduce(condition.scene, *out, row, portions))
@@ -265,10 +265,3 @@ def _knob(chain: Chain, condition: Condition, log_knob: float) -> Iterator[None]
 def _row(values: Tensor | None) -> Tensor | None:
     return None if values is None else values[None]
 
-
-def _hash(seed: int) -> int:
-    """A number from a seed that has nothing to do with its lowest bits (splitmix64, Steele et al. 2014)."""
-    mixed = (seed + 0x9E3779B97F4A7C15) & (2**64 - 1)
-    mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & (2**64 - 1)
-    mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & (2**64 - 1)
-    return mixed ^ (mixed >> 31)

@@ -41,8 +41,8 @@ __all__ = ["Fit", "Node", "Nuisance", "Search", "Setting", "amplitudes", "gains"
 Floats = NDArray[np.float64]
 
 POOL_FRAMES = 48  # of each condition, for the scatter
-SCREEN_FRAMES = 6  # of each condition, for a response in the screening; the first of the pool
-PROBE_FRAMES = 12  # of each condition, for a derivative
+SCREEN_FRAMES = 6  # of each condition, for a response or a derivative; the first of the pool
+PROBE_FRAMES = 16  # of each condition, for a cost
 PROBE_DRAWS = 32
 AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 KNOB_STEP, LEAST_KNOB_STEP = 0.2, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
@@ -55,6 +55,7 @@ SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how 
 ROUNDS = 10  # of fitting the nuisances alone
 STALLED = 0.5  # of the cost, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
+KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one physics differ by as much
 SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 FARTHEST = 4.0  # standard deviations that a nuisance may move
 
@@ -192,7 +193,7 @@ class Search:
         self.simulated_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
         self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
-        self.clear_errors: list[Floats] = []
+        self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
         self.start = self.at(Setting())
         self.origin = Setting()
 
@@ -205,9 +206,16 @@ class Search:
     # ---- the simulator ---------------------------------------------------------------------------------------------
 
     def seeds(self, condition: int, number: int) -> list[int]:
-        """Seeds of the frames of a condition: the same ones whatever the setting."""
+        """Seeds of the frames of a condition: the same ones whatever the setting.
+
+        Modulo the number of clear frames they go round all of those: what the clear frames' own noise makes of a mean
+        is then the same for every mean, and that of the measurement's reference.
+        """
         generator = np.random.default_rng([self.seed, 7919, condition])
-        return [int(value) for value in generator.integers(0, 2**62, self.pool_frames)[:number]]
+        clear = self.measured[condition].clear_frames
+        order = generator.permutation(clear)
+        drawn = generator.integers(0, 2**62 // clear, self.pool_frames)
+        return [int(value) * clear + int(order[place % clear]) for place, value in enumerate(drawn[:number])]
 
     def pools(self, setting: Setting, number: int, portions: int = 1) -> dict[str, Pool]:
         """Simulated frames of all conditions, in portions of their elements."""
@@ -284,7 +292,7 @@ class Search:
         off = np.array([setting.log_knob.get(target.condition.id, 0.0) for target in self.measured])
         knobs = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
         opened = np.array([setting.open.get(name, 0.0) for name in self.open])
-        return np.concatenate([knobs, opened, np.zeros(len(self.clear_errors))])
+        return np.concatenate([knobs, opened, np.zeros(len(self.fixed))])
 
     def shifted(self, setting: Setting, step: Floats) -> Setting:
         """A setting with its nuisances moved by a step ``(K,)``."""
@@ -321,8 +329,8 @@ class Search:
             after = self.mean(replace(setting, open=stronger), SCREEN_FRAMES)
             change = [(new - old) / OPEN_STEP for new, old in zip(after, before, strict=True)]
             columns.append(self.whitened(base, change))
-        self.clear_errors = self._clear_errors(base)
-        response = np.stack([*columns, *self.clear_errors], 1)
+        self.fixed = [*self._clear_errors(base), *self._model_errors(base)]
+        response = np.stack([*columns, *self.fixed], 1)
         return Nuisance(response, self.offset(setting), len(columns))
 
     def _clear_errors(self, base: Baseline) -> list[Floats]:
@@ -337,12 +345,21 @@ class Search:
         degrees = sum(scenes.values()) - len(scenes)
         if degrees < 1:
             return []
-        one_frame = []  # summed up in square: the variance of a frame
+        one_frame: list[Floats] = []  # summed up in square: the variance of a frame
+        evenly: dict[str, float] = {}  # variance of a mean over all elements
         for scene, number in scenes.items():
-            each = Pool(layout, self.model.clear(scene)).vectors(np.arange(number)[:, None])
+            pool = Pool(layout, self.model.clear(scene))
+            each = pool.vectors(np.arange(number)[:, None])
             # Departures from the mean of the others are larger than those from the mean of all.
-            apart = np.where(moved, each - each.mean(0), 0.0) * ((number - 1) / number)
-            one_frame += list(apart * math.sqrt(_widened(degrees) / degrees))
+            less = (number - 1) / number / math.sqrt(degrees)
+            one_frame += list(np.where(moved, each - each.mean(0), 0.0) * less)
+            for name, values in pool.averages().items():
+                evenly[name] = evenly.get(name, 0.0) + float(((values - values.mean()) ** 2).sum()) * less**2
+        # A few frames do not tell how an even shift of all entries looks: it is known.
+        for name, variance in evenly.items():
+            own_entries = [np.full(group.bins, group.is_average_of(name)) for group in layout.groups]
+            one_frame.append(math.sqrt(variance) * np.concatenate(own_entries))
+        one_frame = [departure * math.sqrt(_widened(degrees)) for departure in one_frame]
         columns = []
         for scene, number in scenes.items():
             own = [place for place, target in enumerate(self.measured) if target.condition.scene == scene]
@@ -352,6 +369,16 @@ class Search:
                     apart_mean = departure / math.sqrt(self.measured[place].frames)
                     columns.append(self._column(base, {place: apart_mean}))
         return columns
+
+    def _model_errors(self, base: Baseline) -> list[Floats]:
+        """Columns of how well a model knows what weather does to means: in every condition, and in all alike."""
+        layout = self.model.layout
+        averages = np.concatenate([np.full(g.bins, g.is_average_of(g.statistic)) for g in layout.groups])
+        each = {
+            place: np.where(averages, KNOWN_TO * base.mean[target.condition.id], 0.0)
+            for place, target in enumerate(self.measured)
+        }
+        return [self._column(base, each), *(self._column(base, {place: own}) for place, own in each.items())]
 
     def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
         """Whitened departures of some conditions, 0 in the others, ``(C P,)``."""
@@ -434,7 +461,8 @@ class Search:
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
-            jacobian = np.stack([self._derivative(setting, name, mean, base) for name in names], 1)
+            near = self.mean(setting, SCREEN_FRAMES)
+            jacobian = np.stack([self._derivative(setting, name, near, base) for name in names], 1)
             projected = here(jacobian.T).T
             normal = jacobian.T @ projected
             ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
@@ -517,7 +545,7 @@ class Search:
         if value + step > declared.high:
             step = -step
         values = {**setting.values, effect: {**setting.values[effect], parameter: value + step}}
-        after = self.mean(replace(setting, values=values))
+        after = self.mean(replace(setting, values=values), SCREEN_FRAMES)
         return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
 
     def _moved(self, setting: Setting, names: Sequence[tuple[str, str]], step: Floats) -> Setting:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,14 +98,14 @@ def unknown(result: GapResult) -> Unknown | None:
     search = result.search
     base = search.start if result.fit is None else result.fit.base
     z, used = _unexplained(search, base, result.left)
-    z = without_means(departures(search, base), z)
+    z = without_means(departures(search, base, base.sd), z)
     group, part = _most_significant(search, base, z, used)
     if not used[:, part].any():
         return None
     common = z[:, part].sum(0) / np.sqrt(np.maximum(used[:, part].sum(0), 1))
     place = int(np.abs(common).argmax())
     handed_out = base if result.verdict == "named_and_rest" else search.start
-    found = departures(search, handed_out)
+    found = departures(search, handed_out, handed_out.total)
     curve = natural_curve(found, group)
     formula = simplest_formula(group.edges, curve.value, curve.sd, group.axis) if group.bins > 1 else None
     stage = empirical_stage(found, group)
@@ -120,15 +121,15 @@ def unknown(result: GapResult) -> Unknown | None:
     )
 
 
-def departures(search: Search, base: Baseline) -> Departures:
-    """The measured conditions beside a simulation of them."""
+def departures(search: Search, base: Baseline, sd: Mapping[str, Floats]) -> Departures:
+    """The measured conditions beside a simulation of them, with the scatter that counts."""
     measured = search.measured
     names = [target.condition.id for target in measured]
     return Departures(
         layout=search.model.layout,
         measured=np.stack([target.vector for target in measured]),
         simulated=np.stack([base.mean[name] for name in names]),
-        sd=np.stack([base.sd[name] for name in names]),
+        sd=np.stack([sd[name] for name in names]),
         used=np.stack([base.used[name] for name in names]),
         frames=np.array([target.frames for target in measured]),
         weight=np.stack([search.model.measured(target.condition).weight.mean(0) for target in measured]),

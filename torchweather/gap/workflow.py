@@ -147,7 +147,9 @@ def azimuths(search: Search) -> list[float]:
     layout = search.model.layout
     total: dict[tuple[float, ...], Floats] = {}
     for target in search.measured:
-        z = search.start.z(target)
+        name = target.condition.id
+        apart = (target.vector - search.start.mean[name]) / search.start.sd[name]
+        z = np.where(search.start.used[name], apart, 0.0)
         for group, part in zip(layout.groups, layout.slices, strict=True):
             if group.axis == "azimuth_rad":
                 common = float(np.median(z[part]))
