@@ -17,7 +17,7 @@ from torchweather.stages.effects import Effect, Parameter
 __all__ = ["Line", "lines"]
 
 # Strengths over the parameter's typical size.
-STEPS = (0.25, 1.0, 3.0)
+STEPS = (0.03, 0.25, 1.0, 3.0)
 FAR_STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinitely far
 PLACES = ("azimuth_rad",)  # parameters that say where
 
@@ -36,9 +36,12 @@ class Line:
 
     @property
     def first(self) -> tuple[int, ...]:
-        """Places of the settings that are tried at first: one of a typical size; two of a line with many."""
+        """Places of the settings that are tried at first: one of a typical size, and a weak one, as few counts go as
+        the root and strong effects change other statistics as well; all where the identity is infinitely far."""
         number = len(self.settings)
-        return (number // 2,) if number < 5 else (1, number - 2)
+        if number > len(STEPS):
+            return tuple(range(number))
+        return (0, number // 2) if number > 2 else (number // 2,)
 
 
 def _strengths(parameter: Parameter) -> list[list[float]]:

@@ -20,7 +20,7 @@ from torchweather.gap.statistics import Group
 from torchweather.gap.unknown import unknown
 from torchweather.gap.workflow import Candidate, GapResult
 from torchweather.io import atomic_write
-from torchweather.stages.effects import EFFECTS, Effect
+from torchweather.stages.effects import EFFECTS, Effect, Parameter
 from torchweather.stages.empirical import Empirical
 from torchweather.transforms import LidarWeather
 from torchweather.weather import Fog
@@ -33,6 +33,9 @@ FORMAT = "torchweather-gap/1"
 CENTRAL_90 = 1.6449  # standard deviations of a normal law
 # Least squares knows the noise of the entries, not that of the scatter they are counted in, nor of the clear mean.
 WIDENED = 1.5
+# Standard deviations of what the form of an effect leaves open: of its strength, and of its parameter's typical size
+# where that is a strength and where it says which or where. Set on development studies.
+FORM, FORM_OF_SCALE = 0.08, (0.01, 0.03)
 STANDS_OUT = 4.0  # standard deviations, from which a bin is named
 CURVES = 4
 RESPONSES = 2  # statistics, of which responses are shown
@@ -233,8 +236,8 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
     for place, (effect, parameter) in enumerate(fit.names):
         if effect == name:
             declared = next(one for one in EFFECTS[name].arguments if one.name == parameter)
-            half = CENTRAL_90 * WIDENED * math.sqrt(max(float(fit.covariance[place, place]), 0.0))
             value = values[parameter]
+            half = CENTRAL_90 * _standard_error(declared, value, float(fit.covariance[place, place]))
             interval[parameter] = [max(declared.low, value - half), min(declared.high, value + half)]
     own = next(number for number, round_ in enumerate(result.rounds) if name in round_[0].fit.setting.values)
     confidence = weights[own][0]
@@ -251,6 +254,15 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
         "confidence": confidence,
         "confusable_with": list(dict.fromkeys(others)),
     }
+
+
+def _standard_error(declared: Parameter, value: float, variance: float) -> float:
+    """Of a parameter: least squares, widened, and what two implementations of one effect differ by."""
+    identity = declared.identity
+    strength = abs(value - identity) if identity is not None and math.isfinite(identity) else 0.0
+    far = abs(value) if identity is not None and math.isinf(identity) else 0.0
+    other = math.hypot(FORM * (strength + far), FORM_OF_SCALE[identity is None] * declared.scale)
+    return math.hypot(WIDENED * math.sqrt(max(variance, 0.0)), other)
 
 
 def _departures(search: Search, base: Baseline) -> dict[str, Floats]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -56,6 +57,7 @@ ROUNDS = 10  # of fitting the nuisances alone
 STALLED = 0.5  # of the cost, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
 KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one physics differ by as much
+UNSAID = 0.5  # of what an effect does to a statistic of which its parameters say nothing
 SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 FARTHEST = 4.0  # standard deviations that a nuisance may move
 
@@ -238,7 +240,22 @@ class Search:
         """The distribution of the vectors at a setting; whitened as the model without effects is."""
         pools = self.pools(setting, self.pool_frames)
         whitening = self.start.whitening if hasattr(self, "start") else None
-        return baseline(pools, self.measured, self.noise, whitening, self.seed)
+        found = baseline(pools, self.measured, self.noise, whitening, self.seed)
+        unsaid = {name for effect in setting.values for name in EFFECTS[effect].unsaid}
+        return self._loosened(found, unsaid) if unsaid else found
+
+    def _loosened(self, base: Baseline, unsaid: AbstractSet[str]) -> Baseline:
+        """A distribution that knows to half what effects do to statistics of which their parameters say nothing."""
+        groups = self.model.layout.groups
+        open_entries = np.concatenate([np.full(group.bins, group.statistic in unsaid) for group in groups])
+
+        def wider(scatter: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {
+                name: np.hypot(own, UNSAID * np.where(open_entries, base.mean[name] - self.start.mean[name], 0.0))
+                for name, own in scatter.items()
+            }
+
+        return replace(base, sd=wider(base.sd), total=wider(base.total))
 
     def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
         """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""

@@ -47,7 +47,9 @@ WORTH = 0.35  # of the best gain, from which a candidate is refitted
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
-FURTHER = 0.03  # of what is explained, that a further effect must add
+# Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
+# another form of the first effect leaves is patched a little by many.
+FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions: two standard deviations
 SURE_GAIN, HELD_LOSS = 50.0, 0.1  # misfit explained from which less is asked of held-out ones, by so much of the rest
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
@@ -149,7 +151,7 @@ def azimuths(search: Search) -> list[float]:
     for target in search.measured:
         name = target.condition.id
         apart = (target.vector - search.start.mean[name]) / search.start.sd[name]
-        z = np.where(search.start.used[name], apart, 0.0)
+        z: Floats = np.where(search.start.used[name], apart, 0.0)
         for group, part in zip(layout.groups, layout.slices, strict=True):
             if group.axis == "azimuth_rad":
                 common = float(np.median(z[part]))
@@ -184,16 +186,23 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     ]
     nodes += search.nodes(rest, search.origin, search.start)
     nulls = search.null_residuals(nuisance, NULLS, seed)
-    best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * OVERDISPERSION
+    best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
     gain = gains(nodes, left[None], nuisance)[0]
     misfit = nuisance.misfit(residual)
     counted = screening_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
-    p_misfit = _tail(misfit_null * (1.0 + (OVERDISPERSION - 1.0) * 0.5), misfit)
+    p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
     return Screening(
         residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, min(1.0, 2.0 * min(p_gain, p_misfit))
     )
+
+
+def overdispersion(search: Search) -> float:
+    """How much larger in square the noise is taken than stated: the fewer clear frames tell it, the more."""
+    clear = {target.condition.scene: target.clear_frames for target in search.measured}
+    degrees = max(sum(clear.values()) - len(clear), 1)
+    return OVERDISPERSION * (1.0 + 2.0 / degrees)
 
 
 def screening_entries(search: Search) -> int:
@@ -289,7 +298,7 @@ def _rounds(
         after = _gap(held, settled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
         explained = screening.misfit - best.fit.misfit
-        needed = max(threshold, FURTHER * explained)
+        needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, OF_THE_REST * _excess(screening, best)))
         if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         held_gap = after
@@ -314,6 +323,11 @@ def _rounds(
         if more[0].gain < needed:
             return rounds
         rounds.append(more)
+
+
+def _excess(screening: Screening, best: Candidate) -> float:
+    """Misfit that is left, over what noise is expected to leave."""
+    return max(best.fit.misfit - float(screening.misfit_null.mean()), 0.0)
 
 
 def _best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[tuple[Node, float]]:

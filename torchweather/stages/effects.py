@@ -84,6 +84,8 @@ class Effect(Stage):
         confusable_with: id of another effect to what data would tell the two apart.
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
         needs: fields of the state without which it cannot work.
+        unsaid: quantities that it changes although no parameter says by how much, such as the brightness of a
+            structure; names are those of the statistics of the gap workflow.
 
     Example:
         >>> class LidarGainDrift(Effect):
@@ -110,6 +112,7 @@ class Effect(Stage):
     confusable_with: ClassVar[Mapping[str, str]] = {}
     percollect: ClassVar[str | None] = None
     needs: ClassVar[tuple[str, ...]] = ()
+    unsaid: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
