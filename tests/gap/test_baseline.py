@@ -41,9 +41,12 @@ def pool(frames: int, seed: int, *, common: float = 0.0, elements: int = 400) ->
     return Pool(LAYOUT, Reduced(weight, weight * mean, square, np.zeros((frames, 0)), np.zeros((frames, 0, 1))))
 
 
-def target(study: Study, vector: Any, frames: int) -> Target:
+MANY = 10**15  # clear frames, whose mean has no error
+
+
+def target(study: Study, vector: Any, frames: int, clear: int = MANY) -> Target:
     condition = replace(study.conditions[0], time_s=None)
-    return Target(condition, vector, np.ones(len(vector), bool), frames)
+    return Target(condition, vector, np.ones(len(vector), bool), frames, clear_frames=clear)
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +66,20 @@ def no_noise(name: str) -> ElementNoise:
 # ---- the scatter of a condition --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("frames", [1, 4, 10])
-def test_the_scatter_is_that_of_a_fresh_measurement_against_the_mean_of_the_pool(study: Study, frames: int) -> None:
+@pytest.mark.parametrize(("frames", "clear"), [(1, MANY), (4, MANY), (10, MANY), (10, 4)])
+def test_the_scatter_is_that_of_a_fresh_measurement_against_the_mean_of_the_pool(
+    study: Study, frames: int, clear: int
+) -> None:
+    """All of it, with what whole frames do, and where the clear frames are few, with the error of their mean."""
     count, common = 40, 0.2
-    aim = target(study, np.zeros(BINS), frames)
+    aim = target(study, np.zeros(BINS), frames, clear)
     name = aim.condition.id
     z = []
     for seed in range(60):
         found = baseline({name: pool(count, seed, common=common)}, [aim], no_noise(name), None, seed)
         fresh = pool(frames, 10_000 + seed, common=common).vectors(np.arange(frames)[None])[0]
+        if clear < MANY:
+            fresh = fresh - pool(clear, 20_000 + seed, common=common).vectors(np.arange(clear)[None])[0]
         z.append(found.z(target(study, fresh, frames)))
     # 60 departures whose entries go together: mean square known to 18 %; the scatter of 40 frames in addition to 22 %
     # each, over 60 pools 3 %.
@@ -87,19 +95,66 @@ def test_the_scatter_is_at_least_that_of_the_elements(study: Study) -> None:
     assert found.sd[name][-1] == pytest.approx(5.0 * np.sqrt(1.1), rel=1e-6)  # 4 of 40 frames: their mean's error
 
 
-def test_shares_carry_the_noise_of_the_clear_frames_and_not_that_of_other_beams(study: Study) -> None:
-    """Frames that are all alike: a share has its least scatter, a mean that of its elements where it is larger."""
-    layout = Layout((Group("a", "x", "share", (0.0, 1.0)), Group("a", "x", "mean", (0.0, 1.0))), (), (), ())
-    count, frames, clear = 40, 5, 8
-    sums = np.tile([[100.0, 100.0]], (count, 1))
-    alike = Pool(layout, Reduced(sums, 0.3 * sums, 0.3 * sums, np.zeros((count, 0)), np.zeros((count, 0, 1))))
-    aim = replace(target(study, np.zeros(2), frames), clear_frames=clear)
+def test_what_whole_frames_do_to_means_of_elements_is_in_their_total_scatter_alone(study: Study) -> None:
+    """Of means of the elements; the scatter of other entries is one."""
+    count, frames, common = 40, 4, 0.3
+    edges = tuple(range(BINS + 1))
+    aim = target(study, np.zeros(BINS), frames)
     name = aim.condition.id
-    noise = ElementNoise({name: np.array([5.0, 5.0])}, np.eye(2))
-    found = baseline({name: alike}, [aim], noise, None, 0).sd[name]
+    for axis, whole in (("x", True), ("particle_range_m", False)):
+        layout = Layout((Group("a", axis, "mean", edges),), (), (), ())
+        moved = Pool(layout, pool(count, 3, common=common).frames)
+        found = baseline({name: moved}, [aim], no_noise(name), None, 0)
+        # One frame's common part and that of its 400 elements, over four; 40 draws of the first: 11 %, three of those.
+        expected = np.sqrt((common**2 + 1.0 / 400) / frames * (1.0 + frames / count))
+        np.testing.assert_allclose(found.total[name], expected, rtol=0.35)
+        if whole:
+            least = moved.least_scatter(frames) * np.sqrt(1.0 + frames / count)
+            np.testing.assert_allclose(found.sd[name], least, rtol=1e-9)
+            assert (found.sd[name] < 0.2 * found.total[name]).all()
+        else:
+            np.testing.assert_array_equal(found.sd[name], found.total[name])
+        # Departures are in units of all of it; whitened ones in units of the rest.
+        off = replace(aim, vector=found.mean[name] + found.total[name])
+        np.testing.assert_allclose(found.z(off), 1.0, rtol=1e-9)
+        np.testing.assert_allclose(
+            found.whitening.factor @ found.residual(off), found.total[name] / found.sd[name], rtol=1e-9
+        )
+
+
+def test_shares_and_means_of_elements_carry_the_noise_of_the_clear_frames(study: Study) -> None:
+    """Frames that are all alike: a share has its least scatter, a mean that of its elements where it is larger."""
+    groups = (
+        Group("a", "x", "share", (0.0, 1.0)),
+        Group("a", "x", "mean", (0.0, 1.0)),
+        Group("a", "particle_range_m", "mean", (0.0, 1.0)),
+        Group("a", "x", "spread", (0.0, 1.0)),
+    )
+    count, frames, clear = 40, 5, 8
+    sums = np.full((count, 4), 100.0)
+    frames_of = Reduced(sums, 0.3 * sums, 0.3 * sums, np.zeros((count, 0)), np.zeros((count, 0, 1)))
+    alike = Pool(Layout(groups, (), (), ()), frames_of)
+    aim = target(study, np.zeros(4), frames, clear)
+    name = aim.condition.id
+    noise = ElementNoise({name: np.full(4, 5.0)}, np.eye(4))
+    found = baseline({name: alike}, [aim], noise, None, 0)
     least = alike.least_scatter(frames)
-    assert found[0] == pytest.approx(least[0] * np.sqrt(1.0 + frames / count + frames / clear), rel=1e-9)
-    assert found[1] == pytest.approx(5.0 * np.sqrt(1.0 + frames / count), rel=1e-9)
+    with_clear = np.sqrt(1.0 + frames / count + frames / clear)
+    # Other beams' noise is not that of a share; particles and spreads are no departures from a clear mean.
+    expected = [least[0] * with_clear, 5.0 * with_clear, *[5.0 * np.sqrt(1.0 + frames / count)] * 2]
+    np.testing.assert_allclose(found.sd[name], expected, rtol=1e-9)
+    np.testing.assert_allclose(found.total[name], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("clear", [2, MANY])
+def test_what_the_clear_frames_share_goes_together_as_the_elements_noise_does(study: Study, clear: int) -> None:
+    """Correlations are those of the elements, however large a part of the scatter is the clear frames'."""
+    aim = target(study, np.zeros(BINS), 4, clear)
+    name = aim.condition.id
+    noise = ElementNoise({name: np.full(BINS, 5.0)}, correlation(0.6))
+    found = baseline({name: pool(40, 0, common=0.3)}, [aim], noise, None, 0).whitening.factor
+    expected = (1.0 - SHRINKAGE) * correlation(0.6) + SHRINKAGE * np.eye(BINS)
+    np.testing.assert_allclose(found @ found.T, expected, atol=1e-12)
 
 
 def test_entries_that_do_not_count_are_zero(study: Study) -> None:
