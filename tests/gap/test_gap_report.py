@@ -19,13 +19,14 @@ from torchweather.errors import TorchweatherError
 from torchweather.gap.baseline import Baseline, Target, Whitening
 from torchweather.gap.clear_air import ClearAir
 from torchweather.gap.empirical_fit import Departures
-from torchweather.gap.gap_report import gap_report, read_model, write_model
+from torchweather.gap.gap_report import _standard_error, gap_report, read_model, write_model
 from torchweather.gap.search import Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.unknown import log_chance, without_means
 from torchweather.gap.workflow import HeldOut
 from torchweather.sensors import Lidar
 from torchweather.stages import with_effects
+from torchweather.stages.effects import Parameter
 from torchweather.stages.effects_lidar import LidarRangeNoise, LidarWindowLoss
 from torchweather.stages.empirical import Empirical
 from torchweather.transforms import LidarWeather
@@ -53,23 +54,25 @@ def condition(name: str) -> Any:
     return SimpleNamespace(id=name, weather=weather, rel_sd=rel_sd, scene="s0")
 
 
-def base(mean: float = 0.5, **off: Floats) -> Baseline:
-    """The simulator: everything 0.5 with one scatter; correlations of 0.3 between neighbours."""
+def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> Baseline:
+    """The simulator: everything 0.5 with one scatter, with whole frames so many times that; correlations of 0.3 between
+    neighbours."""
     values = np.full(SIZE, mean)
     correlation = np.eye(SIZE) + 0.3 * (np.eye(SIZE, k=1) + np.eye(SIZE, k=-1))
     used = np.ones(SIZE, bool)
     return Baseline(
         {name: values + off.get(name, np.zeros(SIZE)) for name in CONDITIONS},
         {name: np.full(SIZE, SD) for name in CONDITIONS},
+        {name: np.full(SIZE, whole * SD) for name in CONDITIONS},
         dict.fromkeys(CONDITIONS, used),
         Whitening(np.linalg.cholesky(correlation)),
         {name: np.tile(values, (4, 1)) for name in CONDITIONS},
     )
 
 
-def result(verdict: str, departure: Floats, left: Floats | None = None, **more: Any) -> Any:
+def result(verdict: str, departure: Floats, left: Floats | None = None, whole: float = 1.0, **more: Any) -> Any:
     """A result whose conditions all depart from the simulation by ``departure``, of which ``left`` is not explained."""
-    start = base()
+    start = base(whole=whole)
     measured = [Target(condition(name), start.mean[name] + departure, np.ones(SIZE, bool), 5) for name in CONDITIONS]
     weight = np.full((5, LAYOUT.bins), 200.0)
     model = SimpleNamespace(layout=LAYOUT, measured=lambda _: SimpleNamespace(weight=weight))
@@ -128,6 +131,18 @@ def test_a_ripple_is_named_by_axis_curve_formula_and_stage() -> None:
     assert one["empirical"]["kind"] == "intensity"
     middles = torch.tensor([0.5 * (a + b) for a, b in itertools.pairwise(SECTORS)])
     np.testing.assert_allclose(report.empirical.curve(middles).numpy(), ripple(0.05)[:16], atol=1e-5)
+
+
+def test_what_whole_frames_do_widens_a_curve_and_not_what_is_left_of_it() -> None:
+    """What they do is a nuisance that was fitted: the rest stands out by the scatter without it."""
+    given = result("unknown", ripple(0.05), whole=2.0)
+    plain, found = (gap_report(one, "ab" * 32, 3).to_dict() for one in (result("unknown", ripple(0.05)), given))
+    assert found["unknown"]["z"] == pytest.approx(plain["unknown"]["z"], rel=1e-6)
+    curve = found["unknown"]["curve"]
+    np.testing.assert_allclose(np.subtract(curve["high"], curve["value"]), 1.6449 * 2.0 * SD / math.sqrt(3), rtol=1e-3)
+    # Departures that are shown are in units of all of it.
+    (loudest,), (quieter,) = plain["where"], found["where"]
+    assert quieter["z"] == pytest.approx(loudest["z"] / 2.0, rel=1e-5)
 
 
 def test_what_the_nuisance_explains_is_not_what_is_unknown() -> None:
@@ -240,6 +255,32 @@ def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round() -
     report = gap_report(result("named", ripple(0.01), fit=fit, rounds=(*first, (best,))), "ab" * 32, 3)
     assert [one["name"] for one in report.to_dict()["effects"]] == ["lidar.range_noise", "lidar.blind_zone"]
     assert [one["confidence"] for one in report.to_dict()["effects"]] == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("identity", "value", "variance", "expected"),
+    [
+        (0.0, 3.0, 0.04, (1.5 * 0.2, 0.08 * 3.0, 0.01 * 2.0)),
+        (0.0, -3.0, 0.0, (0.08 * 3.0, 0.01 * 2.0)),
+        (1.0, 0.5, 0.01, (1.5 * 0.1, 0.08 * 0.5, 0.01 * 2.0)),  # a factor: half of it is gone
+        (math.inf, 40.0, 1.0, (1.5, 0.08 * 40.0, 0.01 * 2.0)),  # an extent
+        (None, 3.0, 0.04, (1.5 * 0.2, 0.03 * 2.0)),  # a place has no strength
+        (0.0, 0.0, -1e-9, (0.01 * 2.0,)),  # no worse than rounding
+    ],
+)
+def test_the_form_of_an_effect_leaves_a_share_of_its_strength_open(
+    identity: float | None, value: float, variance: float, expected: tuple[float, ...]
+) -> None:
+    declared = Parameter("it", "1", -10.0, 100.0, scale=2.0, identity=identity)
+    assert _standard_error(declared, value, variance) == pytest.approx(math.hypot(*expected), rel=1e-12)
+
+
+def test_an_interval_is_ninety_percent_of_that_error_inside_the_bounds() -> None:
+    (one,) = gap_report(result("named", ripple(0.01), **fitted()), "ab" * 32, 3).to_dict()["effects"]
+    (declared,) = LidarWindowLoss.arguments
+    half = 1.6449 * _standard_error(declared, 1.5, 0.01)
+    assert one["interval"]["loss_db"] == pytest.approx([1.5 - half, 1.5 + half], rel=1e-5)
+    assert one["interval"]["loss_db"][0] > declared.low
 
 
 def test_the_record_moves_by_one_factor_and_by_each_condition() -> None:

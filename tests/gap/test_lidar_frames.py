@@ -134,57 +134,91 @@ def altered(study: Study) -> tuple[Any, Any]:
     return range_m.astype(np.float32), intensity.astype(np.float32)
 
 
-def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[str, list[list[float]]]:
-    """Weight, value and square of some groups, beam by beam."""
+OF_EMPTY = ("azimuth_rad", "elevation_rad")
+
+
+def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[tuple[str, str], Any]:
+    """Weight, value and square ``(3, bins)`` of every statistic of beams along each of its axes, beam by beam."""
     scene = model.scenes["s0"]
     edges = scene.edges["range_m"]
-    names = (
-        "lost_share",
-        "new_share",
-        "beyond_share",
-        "log_intensity_ratio",
-        "range_residual_m",
-        "range_residual_spread",
-    )
-    sums = {name: [[0.0] * (len(edges) - 1) for _ in range(3)] for name in names}
-    sums["new_share_of_empty_beams"] = [[0.0], [0.0], [0.0]]
+    groups = [one for one in model.layout.binned if one.axis != "particle_range_m"]
+    sums = {(one.statistic, one.axis): np.zeros((3, one.bins)) for one in groups}
+    reference, level = ([float(v) for v in of[row]] for of in (scene.reference_range_m, scene.reference_intensity))
+    seen = [float(value) > 0 for value in range_m]
+    apart = [float(range_m[beam]) - reference[beam] for beam in range(ROWS * COLUMNS)]
+    stable = [beam for beam in range(ROWS * COLUMNS) if scene.stable[beam]]
+    same = [beam for beam in stable if seen[beam] and abs(apart[beam]) < SAME_SURFACE_M]
+    ratio = {beam: math.log(float(intensity[beam]) / level[beam]) for beam in same}
+    common_m, common_ratio = (sum(of[beam] for beam in same) / len(same) for of in (apart, ratio))
 
-    def add(name: str, place: int, value: float) -> None:
-        for total, more in zip(sums[name], (1.0, value, value**2), strict=True):
-            total[place] += more
+    def add(statistic: str, beam: int, value: float) -> None:
+        for one in groups:
+            place = int(scene.bins[one.axis][row, beam])
+            if one.statistic == statistic and place >= 0:
+                sums[statistic, one.axis][:, place] += (1.0, value, value**2)
 
     for beam in range(ROWS * COLUMNS):
-        found, reference = float(range_m[beam]), float(scene.reference_range_m[row, beam])
         if scene.empty[beam]:
-            add("new_share_of_empty_beams", 0, float(found > 0))
-        if not scene.stable[beam]:
-            continue
-        place = next(k for k in range(len(edges) - 1) if edges[k] <= reference < edges[k + 1])
-        apart, seen = found - reference, found > 0
-        add("lost_share", place, float(not seen))
-        add("new_share", place, float(seen and apart < -SAME_SURFACE_M))
-        add("beyond_share", place, float(seen and apart > SAME_SURFACE_M))
-        if seen and abs(apart) < SAME_SURFACE_M:
-            old = float(scene.reference_intensity[row, beam])
-            add("log_intensity_ratio", place, math.log(float(intensity[beam]) / old))
-            add("range_residual_m", place, apart)
-            add("range_residual_spread", place, math.log1p((apart / scene.noise_m) ** 2))
+            add("new_share_of_empty_beams", beam, float(seen[beam]))
+    for beam in stable:
+        assert edges[int(scene.bins["range_m"][row, beam])] <= reference[beam]
+        assert reference[beam] < edges[int(scene.bins["range_m"][row, beam]) + 1]
+        for statistic in ("lost_share", "lost_share_of_thin_targets"):
+            add(statistic, beam, float(not seen[beam]))
+        add("new_share", beam, float(seen[beam] and apart[beam] < -SAME_SURFACE_M))
+        add("beyond_share", beam, float(seen[beam] and apart[beam] > SAME_SURFACE_M))
+    for beam in same:
+        add("log_intensity_ratio", beam, ratio[beam])
+        add("log_intensity_spread", beam, ratio[beam] - common_ratio)
+        add("range_residual_m", beam, apart[beam])
+        add("range_residual_spread", beam, math.log1p(((apart[beam] - common_m) / scene.noise_m) ** 2))
     return sums
 
 
 def test_sums_agree_with_a_loop_over_the_beams(study: Study, model: LidarFrames) -> None:
+    """Along every axis, against one clear frame left out and against all: other beams stand in other bins."""
     range_m, intensity = altered(study)
-    rows = [0, 1]
+    rows = [1, CLEAR]
     found = model.reduce("s0", torch.from_numpy(range_m), torch.from_numpy(intensity), torch.tensor(rows))
+    bins = model.scenes["s0"].bins
+    assert not torch.equal(bins["margin_db"][1], bins["margin_db"][CLEAR])
     for frame, row in enumerate(rows):
-        for name, expected in looped(model, range_m[frame], intensity[frame], row).items():
-            axis = "elevation_rad" if name == "new_share_of_empty_beams" else "range_m"
-            for what, sums in zip(("weight", "value", "square"), expected, strict=True):
-                given = group(model, found, name, axis, what)[frame]
-                given = given.sum(keepdims=True) if axis == "elevation_rad" else given
+        expected = looped(model, range_m[frame], intensity[frame], row)
+        assert len(expected) == len(model.layout.binned) - 5  # those of particles
+        for (statistic, axis), sums in expected.items():
+            for what, wanted in zip(("weight", "value", "square"), sums, strict=True):
                 # Single precision of a residual of centimetres at 45 m: 4e-6 m each.
-                np.testing.assert_allclose(given, sums, rtol=1e-4, atol=2e-4)
-            assert sum(expected[1]) != 0.0  # each of them happens
+                np.testing.assert_allclose(
+                    group(model, found, statistic, axis, what)[frame], wanted, rtol=1e-4, atol=2e-4
+                )
+            assert sums[2].sum() > 0.0  # each of them happens
+
+
+def test_a_clock_and_a_scale_of_a_whole_frame_move_means_and_widen_no_spread(study: Study, model: LidarFrames) -> None:
+    """Each frame off by its own: a range read later, a laser that is stronger."""
+    range_m, intensity = (stacked(study.scenes["s0"].clear, name)[[0, 0, 1]] for name in ("range_m", "intensity"))
+    shift_m, factor = np.array([[0.0], [0.06], [-0.04]]), np.array([[1.0], [1.3], [0.8]])
+    moved = (np.where(range_m > 0, range_m + shift_m, 0.0), intensity * factor)
+    row = torch.tensor([0, 0, 1])
+    before, after = (
+        model.reduce("s0", *(torch.from_numpy(one.astype(np.float32)) for one in pair), row)
+        for pair in ((range_m, intensity), moved)
+    )
+    # Rounding of 45 m in single precision is 2e-6 m: 2e-4 of the noise of the range, and that of its logarithm.
+    for statistic, axes in (
+        ("log_intensity_spread", ["range_m"]),
+        ("range_residual_spread", ["range_m", "margin_db"]),
+    ):
+        for axis in axes:
+            for what in ("weight", "value", "square"):
+                found, wanted = (group(model, one, statistic, axis, what) for one in (after, before))
+                np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=2e-3)
+            assert (group(model, before, statistic, axis, "square").sum(1) > 0.1).all()
+    for statistic, by in (("range_residual_m", shift_m), ("log_intensity_ratio", np.log(factor))):
+        weight = group(model, before, statistic, "margin_db", "weight")
+        assert weight.sum() > 0.9 * len(row) * int(model.scenes["s0"].stable.sum())
+        found, wanted = (group(model, one, statistic, "margin_db") for one in (after, before))
+        np.testing.assert_allclose(found - wanted, weight * by, atol=2e-4)
 
 
 def test_particles_are_counted_by_range_and_by_whether_a_neighbour_shares_theirs(
@@ -266,6 +300,25 @@ def test_portions_add_up_to_the_whole(model: LidarFrames, study: Study) -> None:
 
 
 # ---- simulated frames ------------------------------------------------------------------------------------------------
+
+
+def test_a_frame_starts_from_the_clear_frame_that_its_seed_is_modulo_their_number(
+    study: Study, model: LidarFrames, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ranges tell the clear frames apart: their noise is 1 cm, that of rounding far less."""
+    given: list[Any] = []
+    monkeypatch.setattr(model, "reduce", lambda *parts: given.append(parts) or plain(*parts))
+    plain = LidarFrames(study).reduce
+    seeds = [3, 8 * CLEAR, 2**40 + 1, 17, 6, *range(5 * CLEAR, 6 * CLEAR)]  # more than are simulated together
+    model.simulated(study.conditions[2], (), 0.0, seeds)
+    rows = np.concatenate([parts[3].numpy() for parts in given])
+    np.testing.assert_array_equal(rows, [seed % CLEAR for seed in seeds])
+    clear = stacked(study.scenes["s0"].clear, "range_m")
+    for range_m, row in zip(torch.cat([parts[1] for parts in given]).numpy(), rows, strict=True):
+        seen = (clear > 0).all(0) & (range_m > 0)
+        alike = (np.abs(clear - range_m)[:, seen] < 1e-4).mean(1)
+        assert alike[row] > 0.8
+        assert np.delete(alike, row).max() < 0.1
 
 
 def test_same_seeds_give_the_same_bits_and_others_do_not(study: Study) -> None:
