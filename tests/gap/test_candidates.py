@@ -88,3 +88,28 @@ def test_weak_and_strong_settings_span_a_decade_where_the_bounds_allow() -> None
     (line,) = lines(EFFECTS["lidar.window_loss"], PLACES)
     strengths = [values["loss_db"] for values in line.settings]
     assert strengths[-1] / strengths[0] >= 10.0
+    assert strengths[0] <= 0.05 * EFFECTS["lidar.window_loss"].arguments[0].scale  # few counts go as the root
+
+
+@pytest.mark.parametrize(("number", "first"), [(1, (0,)), (2, (1,)), (3, (0, 1)), (4, (0, 2)), (6, (0, 1, 2, 3, 4, 5))])
+def test_a_weak_setting_and_a_typical_one_are_tried_first(number: int, first: tuple[int, ...]) -> None:
+    settings = tuple({"loss_db": float(place)} for place in range(number))
+    assert Line(EFFECTS["lidar.window_loss"], settings).first == first
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_of_four_steps_the_third_is_of_the_typical_size_and_far_extents_are_all_tried(name: str) -> None:
+    effect = EFFECTS[name]
+    scales = {one.name: (one.identity, one.scale) for one in effect.arguments if one.identity is not None}
+    for line in lines(effect, PLACES):
+        ((key, steps),) = departures(effect, line).items()
+        identity, scale = scales[key]
+        if math.isinf(identity):
+            assert line.first == tuple(range(len(line.settings)))
+        elif len(line.settings) == 4:
+            factor = identity > 0 and effect.arguments[[one.name for one in effect.arguments].index(key)].low >= 0
+            typical = (
+                identity * math.expm1(math.copysign(scale, steps[0])) if factor else math.copysign(scale, steps[0])
+            )
+            assert steps[line.first[-1]] == pytest.approx(typical, rel=1e-9)
+            assert abs(steps[line.first[0]]) < 0.1 * abs(typical)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.statistics import FEWEST, Group, Layout, Pool, Reduced
+from torchweather.gap.statistics import FEWEST, READ_SPREAD_KNOWN_TO, Group, Layout, Pool, Reduced
 
 RNG = np.random.default_rng
 STEADY = 0.1
@@ -179,6 +179,33 @@ def test_joined_frames_give_what_one_pool_gives() -> None:
     np.testing.assert_array_equal(Pool(WHOLE, Reduced.joined(parts)).vectors(index), Pool(WHOLE, frames).vectors(index))
 
 
+AVERAGED = (
+    Group("a", "x", "mean", (0.0, 1.0, 2.0)),
+    Group("s", "x", "share", (0.0, 1.0)),
+    Group("a", "y", "mean", (0.0, 1.0)),
+    Group("a", "z", "spread", (0.0, 1.0)),
+    Group("p", "particle_range_m", "mean", (0.0, 1.0)),
+    Group("b", "y", "mean", (0.0, 1.0, 2.0)),
+)
+
+
+def test_averages_are_the_means_of_elements_that_a_whole_frame_moves() -> None:
+    """Neither particles, which have no clear frame, nor a share or a spread, which no clock moves."""
+    assert [one.is_average_of("a") for one in AVERAGED] == [True, False, True, False, False, False]
+    assert [one.is_average_of("b") for one in AVERAGED] == [False] * 5 + [True]
+    assert not AVERAGED[4].is_average_of("p")
+
+
+def test_the_average_of_a_frame_is_that_of_all_its_elements_whatever_their_bins() -> None:
+    #                  a    a    s    a    a    p    b    b
+    weight = np.array([[1.0, 3.0, 9.0, 4.0, 4.0, 7.0, 2.0, 0.0], [2.0, 2.0, 9.0, 4.0, 4.0, 7.0, 0.0, 0.0]])
+    value = np.array([[5.0, 3.0, 1.0, 8.0, 1.0, 7.0, 3.0, 0.0], [0.0, 6.0, 1.0, 6.0, 1.0, 7.0, 0.0, 0.0]])
+    found = Pool(Layout(AVERAGED, (), (), ()), reduced(weight, value, value)).averages()
+    assert sorted(found) == ["a", "b"]
+    np.testing.assert_allclose(found["a"], [(5.0 + 3.0) / 4.0, 6.0 / 4.0], rtol=1e-12)
+    np.testing.assert_allclose(found["b"], [1.5, 0.0], rtol=1e-12)  # 0 where there is none
+
+
 # ---- leaving out portions --------------------------------------------------------------------------------------------
 
 
@@ -302,6 +329,16 @@ def test_misplaced_particles_move_shares_and_means_of_their_bins() -> None:
     means = particles("mean", [40.0] * 3, [100.0] * 3)
     added = np.sqrt(means.least_scatter(1, 0.03) ** 2 - means.least_scatter(1) ** 2)
     np.testing.assert_allclose(added, [0.06, 0.09, 0.06], rtol=1e-6)
+
+
+def test_the_spread_of_misplaced_particles_is_known_to_a_fifth() -> None:
+    """As their readings are the largest of several; where none is misplaced it is known as others are."""
+    pool = particles("spread", [0.0] * 3, [100.0] * 3)
+    added = np.sqrt(pool.least_scatter(1, 0.03) ** 2 - pool.least_scatter(1) ** 2)
+    np.testing.assert_allclose(added, np.hypot([0.06, 0.09, 0.06], READ_SPREAD_KNOWN_TO), rtol=1e-6)
+    assert READ_SPREAD_KNOWN_TO == 0.2
+    # Half as independent as they look, and no spread better than to 3 %.
+    np.testing.assert_allclose(pool.least_scatter(1), math.hypot(0.5 * math.sqrt(0.5 / 100.0), 0.03), rtol=1e-9)
 
 
 def test_only_what_lies_along_the_range_of_particles_is_misplaced() -> None:
