@@ -1,0 +1,222 @@
+"""What whole frames do, what a model knows of means, what effects leave unsaid: fabricated numbers, plain loops."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from torchweather.gap.baseline import Baseline, Target, Whitening
+from torchweather.gap.lidar_sums import lidar_layout
+from torchweather.gap.search import KNOWN_TO, PROBE_FRAMES, SCREEN_FRAMES, SELDOM, UNSAID, Search, Setting, _widened
+from torchweather.gap.statistics import Group, Layout, Reduced
+from torchweather.stages.effects import EFFECTS
+from torchweather.stages.effects_lidar import EFFECTS as LIDAR_EFFECTS
+
+RNG = np.random.default_rng
+LAYOUT = Layout(
+    (
+        Group("ratio", "x", "mean", (0.0, 1.0, 2.0, 3.0)),
+        Group("ratio", "y", "mean", (0.0, 1.0, 2.0)),
+        Group("apart", "x", "mean", (0.0, 1.0, 2.0)),
+        Group("lost", "x", "share", (0.0, 1.0, 2.0)),
+        Group("log_particle_intensity", "particle_range_m", "mean", (0.0, 1.0, 2.0)),
+        Group("many", "particle_range_m", "count", (0.0, 1.0)),
+    ),
+    ("ratio",),
+    (1e-3,),
+    (),
+)
+SIZE, BINS = LAYOUT.size, LAYOUT.bins  # 12 and two of the scalar
+RATIO, APART, MEANS = slice(0, 5), slice(5, 7), [0, 1, 2, 3, 4, 5, 6, 9, 10]
+AVERAGES = np.isin(np.arange(SIZE), range(7))
+WEIGHT = np.array([3.0, 5.0, 1.0, 4.0, 5.0, 6.0, 2.0, 9.0, 9.0, 8.0, 8.0, 7.0])
+CLEAR = {"s0": 4, "s1": 3}
+SCENES, FRAMES = {"c0": "s0", "c1": "s0", "c2": "s1"}, {"c0": 5, "c1": 3, "c2": 2}
+
+
+def of_frames(scene: str) -> Any:
+    """What each clear frame of a scene says ``(K, bins)``, apart from the mean of the scene."""
+    values = 0.1 * RNG([1, len(scene), CLEAR[scene]]).normal(size=(CLEAR[scene], BINS))
+    values[:, RATIO] += 0.3 * np.arange(CLEAR[scene])[:, None]  # all entries of it together
+    return values - values.mean(0)
+
+
+def clear(scene: str) -> Reduced:
+    """Clear frames, each compared with the mean of the others: further apart by K / (K - 1)."""
+    each = of_frames(scene)
+    number = len(each)
+    value = WEIGHT * (0.5 + each - (each.sum(0) - each) / (number - 1))
+    weight = np.tile(WEIGHT, (number, 1))
+    return Reduced(weight, value, weight, np.zeros((number, 1)), np.zeros((number, 0, 1)))
+
+
+def bare(clear_frames: Mapping[str, int] = CLEAR) -> Search:
+    """A search that has simulated nothing."""
+    found = Search.__new__(Search)
+    found.seed, found.pool_frames, found.least_frames, found.simulated_frames = 5, 48, 5, 0
+    found.measured = [
+        Target(
+            SimpleNamespace(id=name, scene=scene, rel_sd=0.1, time_s=None),  # type: ignore[arg-type]
+            np.zeros(SIZE),
+            np.ones(SIZE, bool),
+            FRAMES[name],
+            clear_frames=clear_frames[scene],
+        )
+        for name, scene in SCENES.items()
+    ]
+    found.model = SimpleNamespace(layout=LAYOUT, clear=clear)  # type: ignore[assignment]
+    found.start = base()
+    return found
+
+
+def base(mean: float = 0.0) -> Baseline:
+    """A simulator that has scatters of 1 without correlations, whose means differ from entry to entry."""
+    each, ones = {name: mean * np.arange(1.0, SIZE + 1.0) * FRAMES[name] for name in SCENES}, np.ones(SIZE)
+    one = dict.fromkeys(SCENES, ones)
+    twice = dict.fromkeys(SCENES, 2.0 * ones)
+    return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {})
+
+
+def covariance(columns: Any) -> Any:
+    """Of the departures of all conditions ``(C, P, C, P)``, of nuisances of one standard deviation each."""
+    response = np.stack(columns, 1)
+    return (response @ response.T).reshape(len(SCENES), SIZE, len(SCENES), SIZE)
+
+
+# ---- clear frames ----------------------------------------------------------------------------------------------------
+
+
+def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
+    """In the mean of a scene's clear frames, in all its conditions alike, and in each condition's own frames."""
+    degrees = sum(number - 1 for number in CLEAR.values())
+    pooled = np.zeros((SIZE, SIZE))
+    for scene in CLEAR:
+        each = of_frames(scene)
+        entries = np.zeros((len(each), SIZE))
+        entries[:, MEANS] = each[:, MEANS]
+        even = {
+            name: (each[:, part] * WEIGHT[part]).sum(1) / WEIGHT[part].sum()
+            # All elements of one axis: each is in a bin of every axis.
+            for name, part in (("ratio", slice(0, 3)), ("apart", APART))
+        }
+        for one in entries:
+            pooled += np.outer(one, one) / degrees
+        for name, part in (("ratio", RATIO), ("apart", APART)):
+            pooled[part, part] += (even[name] ** 2).sum() / degrees
+    # Sample variances of the two scenes, pooled, and the even shift beside them.
+    sample = sum((CLEAR[scene] - 1) * of_frames(scene).var(0, ddof=1) for scene in CLEAR) / degrees
+    assert pooled[9, 9] == pytest.approx(sample[9], rel=1e-12)
+    assert pooled[0, 0] > 1.5 * sample[0]
+    pooled *= stats.t.isf(0.5e-3, degrees) ** 2 / stats.norm.isf(0.5e-3) ** 2
+    found = covariance(bare()._clear_errors(base()))
+    for one, (name, scene) in enumerate(SCENES.items()):
+        for other, (_, elsewhere) in enumerate(SCENES.items()):
+            share = (scene == elsewhere) / CLEAR[scene] + (one == other) / FRAMES[name]
+            np.testing.assert_allclose(found[one, :, other], share * pooled, rtol=1e-9, atol=1e-12)
+
+
+def test_a_single_clear_frame_of_each_scene_tells_nothing_of_whole_frames() -> None:
+    assert bare(dict.fromkeys(CLEAR, 1))._clear_errors(base()) == []
+
+
+def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
+    # Two-sided one in a thousand, from tables of Student's t; 3.2905 of the normal law.
+    for degrees, quantile in ((1, 636.62), (5, 6.869), (10, 4.587), (30, 3.646), (120, 3.373)):
+        assert _widened(degrees) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
+        # The normal law of that variance reaches as far as often.
+        reach = stats.t.ppf(1.0 - 0.5 * SELDOM, degrees)
+        assert 2.0 * stats.norm.sf(reach / math.sqrt(_widened(degrees))) == pytest.approx(1e-3, rel=1e-6)
+    each = [_widened(degrees) for degrees in range(1, 60)]
+    assert each == sorted(each, reverse=True)
+    assert _widened(10**7) == pytest.approx(1.0, abs=1e-5)
+
+
+# ---- the model -------------------------------------------------------------------------------------------------------
+
+
+def test_what_weather_does_to_means_is_known_to_half_a_percent_in_all_conditions_and_in_each() -> None:
+    at = base(3.0)
+    found = covariance(bare()._model_errors(at))
+    known = {name: np.where(AVERAGES, KNOWN_TO * at.mean[name], 0.0) for name in SCENES}
+    assert KNOWN_TO == 0.005
+    for one, name in enumerate(SCENES):
+        for other, elsewhere in enumerate(SCENES):
+            expected = (1.0 + (one == other)) * np.outer(known[name], known[elsewhere])
+            np.testing.assert_allclose(found[one, :, other], expected, rtol=1e-9, atol=1e-15)
+
+
+# ---- seeds -----------------------------------------------------------------------------------------------------------
+
+
+def test_seeds_go_round_the_clear_frames_evenly() -> None:
+    search = bare()
+    for place, target in enumerate(search.measured):
+        clear_frames = target.clear_frames
+        seeds = search.seeds(place, search.pool_frames)
+        assert len(set(seeds)) == search.pool_frames
+        assert all(0 <= seed < 2**62 for seed in seeds)
+        for rounds in (1, 2, search.pool_frames // clear_frames):
+            number = Counter(seed % clear_frames for seed in seeds[: rounds * clear_frames])
+            assert number == dict.fromkeys(range(clear_frames), rounds)
+        assert search.seeds(place, 7) == seeds[:7]
+
+
+def test_seeds_differ_between_conditions_and_searches() -> None:
+    search, other = bare(), bare()
+    other.seed = 6
+    each = [one.seeds(place, 48) for one in (search, other) for place in range(3)]
+    assert len({seed for seeds in each for seed in seeds}) == 6 * 48
+
+
+def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_response() -> None:
+    search, given = bare(), []
+
+    def simulated(condition: Any, effects: Any, log_knob: float, seeds: Any, portions: int = 1) -> Reduced:
+        given.append((condition.id, tuple(seeds)))
+        nothing = np.zeros((len(seeds), BINS))
+        return Reduced(nothing, nothing, nothing, np.zeros((len(seeds), 1)), np.zeros((len(seeds), 0, 1)))
+
+    search.model.simulated = simulated  # type: ignore[method-assign]
+    search.model.open_stages = lambda condition, strengths: []  # type: ignore[method-assign]
+    for setting in (Setting(), Setting({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
+        search.mean(setting)
+        search.mean(setting, SCREEN_FRAMES)
+    assert (PROBE_FRAMES, SCREEN_FRAMES) == (16, 6)
+    wanted = {(name, tuple(search.seeds(k, number))) for k, name in enumerate(SCENES) for number in (16, 6)}
+    assert set(given) == wanted
+    assert len(given) == 12
+    assert search.simulated_frames == 2 * 3 * (16 + 6)
+
+
+# ---- what effects leave unsaid ---------------------------------------------------------------------------------------
+
+
+def test_what_an_effect_leaves_unsaid_is_known_to_half_of_what_it_does() -> None:
+    search, there = bare(), base(-0.7)
+    found = search._loosened(there, {"log_particle_intensity", "no_such_statistic"})
+    assert UNSAID == 0.5
+    for name in SCENES:
+        open_entries = np.isin(np.arange(SIZE), (9, 10))
+        moved = 0.5 * 0.7 * np.arange(1.0, SIZE + 1.0) * FRAMES[name]
+        for scatter, before in ((found.sd[name], 1.0), (found.total[name], 2.0)):
+            np.testing.assert_allclose(scatter[open_entries], np.hypot(before, moved)[open_entries], rtol=1e-12)
+            np.testing.assert_array_equal(scatter[~open_entries], before)
+        np.testing.assert_array_equal(found.mean[name], there.mean[name])
+
+
+def test_effects_leave_unsaid_only_what_is_looked_at() -> None:
+    axes = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "cos_incidence", "up", "log_intensity", "isolated")
+    groups = lidar_layout(dict.fromkeys(axes, (0.0, 1.0)), True, 100).groups
+    names = {group.statistic for group in groups}
+    unsaid = {name: EFFECTS[name].unsaid for name in LIDAR_EFFECTS if EFFECTS[name].unsaid}
+    # Things that are there with a brightness of their own.
+    assert sorted(unsaid) == ["lidar.crosstalk", "lidar.spray", "lidar.static_structure"]
+    for found in unsaid.values():
+        assert set(found) == {"log_particle_intensity", "log_particle_intensity_spread"} <= names
