@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from tests.gap.tiny_study import tiny_study
-from torchweather.gap.baseline import targets
+from torchweather.gap.baseline import baseline, targets
+from torchweather.gap.candidates import Line, lines
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.placing import placed
 from torchweather.gap.search import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
@@ -106,8 +107,9 @@ def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_knobs(nul
     one = null.nuisance(null.origin, null.start)
     assert list(null.open) == ["noise", "particle gain"]
     assert one.moving == 1 + 2
-    # Eight clear frames: each may be off in the mean of the scene, and in that of the condition.
-    assert one.response.shape[1] == one.moving + 2 * 8
+    # Eight clear frames and an even shift of three statistics: each may be off in the mean of the scene, and in that of
+    # the condition; what weather does to means, in all conditions and in each.
+    assert one.response.shape[1] == one.moving + 2 * (8 + 3) + 2
     stronger = null.mean(Setting({}, {}, {"particle gain": OPEN_STEP}), SCREEN_FRAMES)
     here = null.mean(Setting(), SCREEN_FRAMES)
     expected = null.whitened(null.start, [(new - old) / OPEN_STEP for new, old in zip(stronger, here, strict=True)])
@@ -121,10 +123,15 @@ def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
     layout = null.model.layout
     whole = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
     factor = null.start.whitening.factor
-    columns = np.stack(null.clear_errors) @ factor.T  # one condition; whitening undone
+    columns = np.stack(null.fixed) @ factor.T  # one condition; whitening undone
     used = null.start.used[null.measured[0].condition.id]
     assert np.abs(columns[:, ~(whole & used)]).max() < 1e-9
     assert np.abs(columns[:, whole & used]).max() > 0.05
+    # What weather does to means comes last, and moves those of beams alone.
+    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in layout.groups])
+    assert np.abs(columns[-2:, ~(averages & used)]).max() < 1e-9
+    assert (np.abs(columns[-2:, averages & used]) > 0).mean() > 0.9
+    np.testing.assert_allclose(columns[-2], columns[-1], rtol=1e-9)  # one condition: all of them and each
 
 
 def test_moved_nuisances_stay_within_their_bounds(null: Search) -> None:
@@ -195,11 +202,49 @@ def test_an_effect_without_a_place_is_not_moved(null: Search) -> None:
 def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: Search) -> None:
     name = ("lidar.window_loss", "loss_db")
     settings = [Setting({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
-    here, low, high = (null.mean(setting) for setting in settings)
+    here, low, high = (null.mean(setting, SCREEN_FRAMES) for setting in settings)
+    before = null.simulated_frames
     found = null._derivative(settings[0], name, here, null.start)
+    assert null.simulated_frames - before == SCREEN_FRAMES
     expected = null.whitened(null.start, [(b - a) / 0.8 for a, b in zip(low, high, strict=True)])
     # A logarithm of intensities is linear in decibels; a few beams at the threshold are not.
     assert float(found @ expected) == pytest.approx(float(expected @ expected), rel=0.05)
+
+
+def test_responses_are_those_of_the_settings_that_are_asked_for(null: Search) -> None:
+    """On top of what is there, in the order of the question."""
+    (loss,) = lines(EFFECTS["lidar.window_loss"], ())
+    noise = Line(EFFECTS["lidar.range_noise"], ({"std_m": 0.03}, {"std_m": 0.1}))
+    setting = Setting({"lidar.range_bias": {"offset_m": 0.02}})
+    found = null.nodes([(loss, 2), (noise, 1), (loss, 0)], setting, null.start)
+    assert [(one.line, one.number) for one in found] == [(loss, 2), (noise, 1), (loss, 0)]
+    here = null.mean(setting, SCREEN_FRAMES)
+    for one in found:
+        assert one.values == one.line.settings[one.number]
+        there = null.mean(Setting({**setting.values, one.id: one.values}), SCREEN_FRAMES)
+        change = [new - old for new, old in zip(there, here, strict=True)]
+        np.testing.assert_allclose(one.response, null.whitened(null.start, change), atol=1e-12)
+        assert np.abs(one.response).max() > 0.01
+    assert null.nodes([], setting, null.start) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "values"), [("lidar.crosstalk", {"probability": 0.1}), ("lidar.window_loss", {"loss_db": 1.0})]
+)
+def test_only_an_effect_that_leaves_something_unsaid_widens_a_scatter(
+    null: Search, name: str, values: dict[str, float]
+) -> None:
+    setting = Setting({name: values})
+    found = null.at(setting)
+    pools = null.pools(setting, null.pool_frames)
+    plain = baseline(pools, null.measured, null.noise, null.start.whitening, null.seed)
+    groups = null.model.layout.groups
+    open_entries = np.concatenate([np.full(one.bins, one.statistic in EFFECTS[name].unsaid) for one in groups])
+    used = found.used["c0"]
+    for new, old in ((found.sd["c0"], plain.sd["c0"]), (found.total["c0"], plain.total["c0"])):
+        np.testing.assert_array_equal(new[~open_entries], old[~open_entries])
+        assert (new[open_entries & used] > 1.01 * old[open_entries & used]).any() == (name == "lidar.crosstalk")
+    np.testing.assert_array_equal(found.mean["c0"], plain.mean["c0"])
 
 
 # ---- parameters found again ------------------------------------------------------------------------------------------
