@@ -478,18 +478,31 @@ def test_the_filter_looks_at_both_returns_of_a_dual_sensor() -> None:
 
 
 @pytest.mark.parametrize("exponent", [0.5, 2.0])
-def test_a_curved_response_is_a_power_of_the_ratio_to_the_clear_frame(transform: LidarWeather, exponent: float) -> None:
+def test_a_curved_response_is_a_power_of_the_reflectivity(transform: LidarWeather, exponent: float) -> None:
     plain, curved = outcomes(transform, "lidar.intensity_compression", exponent=exponent)
     assert torch.equal(plain.kind, curved.kind)
-    before, after, clear = points_of(plain)[..., 3], points_of(curved)[..., 3], cloud()[..., 3]
-    objects, particles = plain.kind[..., 0] == OBJECT, plain.kind[..., 0] == PARTICLE
-    ratio = (before / clear)[objects]
-    torch.testing.assert_close(after[objects], clear[objects] * ratio**exponent, rtol=1e-4, atol=1e-6)
-    # A particle's against that of a signal at the threshold at its range.
-    least = math.pi * scan_sensor().threshold_per_m2_sr * plain.range_m[..., 0].square()
-    wanted = least * (before / least) ** exponent
-    torch.testing.assert_close(after[particles], wanted[particles], rtol=1e-4, atol=1e-6)
-    assert int(particles.sum()) > 50
+    before, after = points_of(plain)[..., 3], points_of(curved)[..., 3]
+    for kind in (OBJECT, PARTICLE):
+        of = plain.kind[..., 0] == kind
+        assert int(of.sum()) > 50
+        torch.testing.assert_close(after[of], before[of] ** exponent, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "white"), [("reflectivity_percent", 100.0), ("uint8_linear", 255.0), ("photons", None)]
+)
+def test_a_curved_response_leaves_white_or_the_threshold_where_it_is(unit: str, white: float | None) -> None:
+    sensor = scan_sensor(intensity_unit=unit)
+    white = float(sensor.photons_at_threshold) if white is None else white
+    points = cloud()
+    points[..., 3] = torch.where(points[..., 3] > 0.5, 1.0, 0.25) * white
+    effect = EFFECTS["lidar.intensity_compression"](exponent=0.5)
+    transform = LidarFog(Fog(mor_m=math.inf), sensor, effects=[effect])
+    found = transform(points, transform.draw(points, seed=2), directions=directions())
+    assert isinstance(found, Tensor)
+    wanted = torch.where(points[..., 3] == white, white, 0.5 * white)  # the root of a quarter
+    seen = points[..., :3].norm(dim=-1) > 0
+    torch.testing.assert_close(found[..., 3][seen], wanted[seen], rtol=1e-4, atol=1.0 if unit != "photons" else 1e-3)
 
 
 @pytest.mark.parametrize(

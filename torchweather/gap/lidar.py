@@ -264,4 +264,3 @@ def _knob(chain: Chain, condition: Condition, log_knob: float) -> Iterator[None]
 
 def _row(values: Tensor | None) -> Tensor | None:
     return None if values is None else values[None]
-

@@ -54,7 +54,7 @@ STEP = 0.05  # of a derivative, over the parameter's typical size
 ITERATIONS = 10
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
 ROUNDS = 10  # of fitting the nuisances alone
-STALLED = 0.5  # of the cost, below which a step does not count
+STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
 KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one physics differ by as much
 UNSAID = 0.5  # of what an effect does to a statistic of which its parameters say nothing
@@ -416,7 +416,7 @@ class Search:
             gained = cost - found[0]
             cost, setting, mean = found
             residual = self.departure(base, mean)
-            if gained < SETTLED:
+            if gained < SETTLED + STALLED_SHARE * cost:
                 break
             nuisance = self.nuisance(setting, base)
         final = self.at(setting)
@@ -492,13 +492,14 @@ class Search:
                 gained = cost - found[0]
                 cost, setting, mean = found
                 residual, here = self.departure(base, mean), here.moved(self.offset(setting))
-            if gained < STALLED:
+            stalled = STALLED + STALLED_SHARE * cost
+            if gained < stalled:
                 if renewed:
                     break
                 # The nuisances may do something else here than where the search began.
                 here, renewed = self.nuisance(setting, base), True
                 cost = here.cost(residual)
-            elif gained > 10.0 * STALLED:
+            elif gained > 10.0 * stalled:
                 renewed = False
         final = self.at(setting)
         residual = self.residual(final)

@@ -53,7 +53,7 @@ FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions: two standard deviations
 SURE_GAIN, HELD_LOSS = 50.0, 0.1  # misfit explained from which less is asked of held-out ones, by so much of the rest
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
-REST_SHARE, UNKNOWN_SHARE = 0.1, 0.4  # of the excess misfit that is left
+REST_SHARE, UNKNOWN_SHARE = 0.1, 0.2  # of the excess misfit that is left
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 
 
@@ -162,8 +162,8 @@ def azimuths(search: Search) -> list[float]:
         middles = 0.5 * (np.asarray(edges[1:]) + np.asarray(edges[:-1]))
         best = np.argsort(-values)
         found += [float(middles[best[0]])]
-        apart = [place for place in best[1:] if abs(middles[place] - middles[best[0]]) > 0.6]
-        found += [float(middles[apart[0]])] if apart else []
+        elsewhere = [place for place in best[1:] if abs(middles[place] - middles[best[0]]) > 0.6]
+        found += [float(middles[elsewhere[0]])] if elsewhere else []
     return found
 
 
@@ -298,7 +298,9 @@ def _rounds(
         after = _gap(held, settled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
         explained = screening.misfit - best.fit.misfit
-        needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, OF_THE_REST * _excess(screening, best)))
+        needed = max(
+            threshold, FURTHER * explained, min(FURTHER_SURE * explained, OF_THE_REST * _excess(screening, best))
+        )
         if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         held_gap = after

@@ -273,11 +273,12 @@ class LidarLastReturn(Effect):
 class LidarIntensityCompression(Effect):
     """The receiver's response is curved, or ends: intensities change, detections do not.
 
-    ``S^exponent`` against the clear frame, which was taken with the same response: objects become
-    ``X_clear (X / X_clear)^exponent``, particles ``X_thr (X / X_thr)^exponent``. No intensity exceeds the saturation.
+    ``rho^exponent`` of the reported reflectivity, which is 1 for a white surface: against the clear frame, which was
+    taken with the straight response, the ratio depends on the intensity itself. A particle counts with its equivalent
+    reflectivity ``pi X R^2``, an intensity in photons in units of the threshold's. No intensity exceeds the saturation.
 
     Args:
-        exponent: 0.1 to 5; below 1 the weather's loss looks smaller.
+        exponent: 0.1 to 5; below 1 faint returns look brighter.
         saturation: largest intensity in the input's unit, 0 to infinity.
     """
 
@@ -300,12 +301,22 @@ class LidarIntensityCompression(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals of the reported returns."""
-        clear = state.clear_signal[..., None]
-        reference = torch.where((state.kind == OBJECT) & (clear > 0), clear, _over_echoes(state.detected_from))
-        ratio = (state.signal / reference).clamp_min(FAINTEST_RATIO)
-        signal = reference * ratio ** self.value("exponent", ratio)
+        level = self._level(state).clamp_min(FAINTEST_RATIO)
+        signal = state.signal * level ** (self.value("exponent", level) - 1.0)
         capped = torch.minimum(signal, self._largest(state))
         return {"signal": torch.where(state.kind == LOST, state.signal, capped)}
+
+    def _level(self, state: LidarState) -> Tensor:
+        """Reflectivity that each return is reported with, or its photons over those at the threshold, ``(B, N, E)``."""
+        assert state.sensor is not None
+        sensor, intensity, clear = state.sensor, state.points_in[..., 3:4], state.clear_signal[..., None]
+        if sensor.intensity_unit == "photons":
+            own, particle = intensity / sensor.photons_at_threshold, state.signal / state.threshold
+        else:
+            own = reflectivity_from_intensity(intensity, sensor.intensity_unit, sensor.assumed_reflectivity)
+            particle = math.pi * state.signal * state.range_m.square()
+        seen = clear > 0
+        return torch.where((state.kind == OBJECT) & seen, own * state.signal / torch.where(seen, clear, 1.0), particle)
 
     def _largest(self, state: LidarState) -> Tensor:
         """Signal at which each return's intensity is the saturation, ``(B, N, E)``."""
