@@ -200,11 +200,12 @@ def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_
 
 def test_what_an_effect_leaves_unsaid_is_known_to_half_of_what_it_does() -> None:
     search, there = bare(), base(-0.7)
+    search.start = base(0.2)
     found = search._loosened(there, {"log_particle_intensity", "no_such_statistic"})
     assert UNSAID == 0.5
     for name in SCENES:
         open_entries = np.isin(np.arange(SIZE), (9, 10))
-        moved = 0.5 * 0.7 * np.arange(1.0, SIZE + 1.0) * FRAMES[name]
+        moved = 0.5 * 0.9 * np.arange(1.0, SIZE + 1.0) * FRAMES[name]
         for scatter, before in ((found.sd[name], 1.0), (found.total[name], 2.0)):
             np.testing.assert_allclose(scatter[open_entries], np.hypot(before, moved)[open_entries], rtol=1e-12)
             np.testing.assert_array_equal(scatter[~open_entries], before)
