@@ -245,16 +245,17 @@ def test_both_effects_of_a_rival_pair_can_be_mistaken_for_it() -> None:
     assert sorted(one["confusable_with"]) == ["lidar.range_noise", "lidar.threshold_shift"]
 
 
-def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round() -> None:
-    """The first round was led by another effect, which the pair replaced."""
+@pytest.mark.parametrize(("verdict", "right"), [("named", 0.95), ("named_and_rest", 0.8)])
+def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round(verdict: str, right: float) -> None:
+    """The first round was led by another effect, which the pair replaced; no name is surer than names were right."""
     first = fitted()["rounds"]
     pair = Setting({"lidar.range_noise": {"std_m": 0.1}, "lidar.blind_zone": {"range_m": 2.0}})
     names = (("lidar.range_noise", "std_m"), ("lidar.blind_zone", "range_m"))
     fit = SimpleNamespace(setting=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
     best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
-    report = gap_report(result("named", ripple(0.01), fit=fit, rounds=(*first, (best,))), "ab" * 32, 3)
+    report = gap_report(result(verdict, ripple(0.01), fit=fit, rounds=(*first, (best,))), "ab" * 32, 3)
     assert [one["name"] for one in report.to_dict()["effects"]] == ["lidar.range_noise", "lidar.blind_zone"]
-    assert [one["confidence"] for one in report.to_dict()["effects"]] == [1.0, 1.0]
+    assert [one["confidence"] for one in report.to_dict()["effects"]] == [right, right]
 
 
 @pytest.mark.parametrize(
