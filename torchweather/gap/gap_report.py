@@ -346,7 +346,7 @@ def _responses(result: GapResult) -> list[Response]:
         seen: list[tuple[str | None, Floats]] = [(None, common(_departures(search, start), part))]
         for candidate in result.rounds[0]:
             base = candidate.fit.base
-            moved = {name: (base.mean[name] - start.mean[name]) / start.sd[name] for name in names}
+            moved = {name: (base.mean[name] - start.mean[name]) / start.total[name] for name in names}
             seen.append((candidate.id, common(moved, part)))
         found += [Response(group.statistic, group.axis, group.edges, effect, values) for effect, values in seen]
     return found

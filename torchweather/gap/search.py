@@ -33,7 +33,7 @@ from torchweather.gap.baseline import (
     element_noise,
 )
 from torchweather.gap.candidates import Line
-from torchweather.gap.statistics import Pool
+from torchweather.gap.statistics import PARTICLE_AXIS, Pool
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
 
@@ -46,9 +46,9 @@ SCREEN_FRAMES = 6  # of each condition, for a response or a derivative; the firs
 PROBE_FRAMES = 16  # of each condition, for a cost
 PROBE_DRAWS = 32
 AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
-KNOB_STEP, LEAST_KNOB_STEP = 0.2, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
+KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
 KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which knobs are first looked for
-OPEN_STEP = 0.5  # of a derivative by what the model leaves open, standard deviations
+OPEN_STEP = 2.0  # of a derivative by what the model leaves open, standard deviations: few particles change by less
 LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
 STEP = 0.05  # of a derivative, over the parameter's typical size
 ITERATIONS = 10
@@ -342,9 +342,10 @@ class Search:
             columns.append(column.ravel())
         before = self.mean(setting, SCREEN_FRAMES) if self.open else []
         for name in self.open:
-            stronger = {**setting.open, name: setting.open.get(name, 0.0) + OPEN_STEP}
-            after = self.mean(replace(setting, open=stronger), SCREEN_FRAMES)
-            change = [(new - old) / OPEN_STEP for new, old in zip(after, before, strict=True)]
+            strength = setting.open.get(name, 0.0)
+            step = OPEN_STEP if strength <= 0.0 else -min(OPEN_STEP, strength - max(self.open[name], -FARTHEST))
+            after = self.mean(replace(setting, open={**setting.open, name: strength + step}), SCREEN_FRAMES)
+            change = [(new - old) / step for new, old in zip(after, before, strict=True)]
             columns.append(self.whitened(base, change))
         self.fixed = [*self._clear_errors(base), *self._model_errors(base)]
         response = np.stack([*columns, *self.fixed], 1)
@@ -357,7 +358,10 @@ class Search:
         one of its own. The scatter of each entry holds it, but not that all entries go together.
         """
         layout = self.model.layout
-        moved = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
+        # Clear frames hardly have particles; the few that one has say nothing of those in weather.
+        kinds = [group.kind if group.axis != PARTICLE_AXIS else "" for group in layout.groups]
+        bins = [group.bins for group in layout.groups]
+        moved = np.repeat([kind in ("mean", "spread") for kind in kinds], bins)
         scenes = {target.condition.scene: target.clear_frames for target in self.measured}
         degrees = sum(scenes.values()) - len(scenes)
         if degrees < 1:

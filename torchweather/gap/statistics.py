@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FEWEST", "Group", "Layout", "Pool", "Reduced"]
+__all__ = ["FEWEST", "PARTICLE_AXIS", "Group", "Layout", "Pool", "Reduced"]
 
 Floats = NDArray[np.float64]
 

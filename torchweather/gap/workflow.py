@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +41,10 @@ NULLS = 1000
 OVERDISPERSION = 1.5
 ALARM_P = 2e-4
 REFITTED, FURTHER_REFITTED, PAIRS_REFITTED = 4, 2, 2  # candidates that are fitted: alone, further ones, pairs
+# Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
+# left open stands so many standard deviations off.
+SHADOWED, FAR = (0.3, 0.7), 2.0
+SETTLED_ROUNDS = 3  # of that
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
@@ -363,8 +367,18 @@ def _fitted(
     found = []
     for setting, node, amplitude in proposed:
         say("fitting " + " and ".join([*setting.values, node.id]))
-        start = replace(setting, values={**setting.values, node.id: _start(node, amplitude)})
-        fit = search.fit(placed(search, start, node.id, base), base.nuisance, base.base, QUICK)
+        values = {**setting.values, node.id: _start(node, amplitude)}
+        starts = [(replace(setting, values=values), base.nuisance)]
+        response = node.response
+        far = any(abs(value) > FAR for value in setting.open.values())
+        if response @ base.nuisance(response) < SHADOWED[far] * (response @ response):
+            # The nuisances have moved to look like the effect while it was not there: let them settle with it.
+            settled = _settled_along(search, setting, node, misfit)
+            starts.append((settled.setting, settled.nuisance))
+        fits = []
+        for start, nuisance in starts:
+            fits.append(search.fit(placed(search, start, node.id, base), nuisance, base.base, QUICK))
+        fit = min(fits, key=lambda one: one.misfit)
         found.append(Candidate(node.id, fit, misfit - fit.misfit))
     least = min(candidate.fit.misfit for candidate in found)
     for place, one in enumerate(found):
@@ -374,6 +388,46 @@ def _fitted(
             if fit.misfit < one.fit.misfit:
                 found[place] = Candidate(one.id, fit, misfit - fit.misfit)
     return sorted(found, key=lambda candidate: candidate.fit.misfit)
+
+
+def _settled_along(search: Search, setting: Setting, node: Node, misfit: float) -> Fit:
+    """The nuisances settled beside an effect at the best of its weak strengths (the nuisances do not reach as far as a
+    strong one), and where a parabola through the misfits has its least.
+
+    Args:
+        search: its simulator.
+        setting: effects found before.
+        node: of the effect.
+        misfit: without the effect.
+    """
+
+    def settled(values: Mapping[str, float]) -> Fit:
+        values = _start(replace(node, values=values), 1.0)
+        return search.settle(Setting({**setting.values, node.id: values}), SETTLED_ROUNDS)
+
+    (name,) = [one.name for one in EFFECTS[node.id].arguments if one.identity is not None and one.name in node.values]
+    declared = next(one for one in EFFECTS[node.id].arguments if one.name == name)
+    # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
+    curves = [one for one in lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)]) if name in one.settings[0]]
+    strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
+    found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
+    if declared.identity is not None and math.isfinite(declared.identity):
+        places = [declared.identity, *found]
+        least = _least(np.array(places), np.array([misfit, *(fit.misfit for fit in found.values())]))
+        found[least] = settled({**node.values, name: least})
+    return min(found.values(), key=lambda fit: fit.misfit)
+
+
+def _least(place: Floats, value: Floats) -> float:
+    """Where a parabola through the least of some values and its neighbours has its own, not beyond those."""
+    order = np.argsort(place)
+    place, value = place[order], value[order]
+    middle = min(max(int(value.argmin()), 1), len(place) - 2)
+    near = slice(middle - 1, middle + 2)
+    curvature, slope, _ = np.polyfit(place[near] - place[middle], value[near], 2)
+    if curvature <= 0:
+        return float(place[value.argmin()])
+    return float(np.clip(place[middle] - 0.5 * slope / curvature, place[near][0], place[near][-1]))
 
 
 def _start(node: Node, amplitude: float) -> dict[str, float]:
