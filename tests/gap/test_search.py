@@ -257,6 +257,11 @@ HIDDEN = [
 ]
 
 
+# With the same random numbers for every setting a share of few beams goes in steps: from other starts the fit ends up
+# to this much elsewhere (2.03 to 2.11 dB for seed 1), which least squares does not know.
+STEPS_OF_FITS = {"lidar.threshold_shift": 0.05}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "parameter", "truth", "start"), HIDDEN, ids=[one[0] for one in HIDDEN])
 def test_a_hidden_parameter_is_found_within_three_standard_errors(
@@ -266,7 +271,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
     search = search_of(small([EFFECTS[name](**{parameter: truth})], seed=1))
     base = search.begin()
     fit = search.fit(Setting({name: {parameter: start}}), base.nuisance, base.base)
-    error = math.sqrt(float(fit.covariance[0, 0]))
+    error = math.hypot(math.sqrt(float(fit.covariance[0, 0])), STEPS_OF_FITS.get(name, 0.0))
     found = fit.setting.values[name][parameter]
     assert fit.names == ((name, parameter),)
     assert abs(found - truth) < 3.0 * error
