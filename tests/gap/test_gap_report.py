@@ -20,10 +20,10 @@ from torchweather.gap.baseline import Baseline, Target, Whitening
 from torchweather.gap.clear_air import ClearAir
 from torchweather.gap.empirical_fit import Departures
 from torchweather.gap.gap_report import _standard_error, gap_report, read_model, write_model
+from torchweather.gap.held_out import HeldOut
 from torchweather.gap.search import Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.unknown import log_chance, without_means
-from torchweather.gap.workflow import HeldOut
 from torchweather.sensors import Lidar
 from torchweather.stages import with_effects
 from torchweather.stages.effects import Parameter

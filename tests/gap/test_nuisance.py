@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from torchweather.gap.candidates import Line
-from torchweather.gap.search import AMPLITUDES, Node, Nuisance, amplitudes, gains, pair_gains
+from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains, pair_gains
+from torchweather.gap.nuisance import Nuisance
 from torchweather.stages.effects_lidar import EFFECTS
 
 RNG = np.random.default_rng

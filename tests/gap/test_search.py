@@ -15,9 +15,10 @@ from torchweather.gap.baseline import baseline, targets
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.placing import placed
+from torchweather.gap.screening import screen
 from torchweather.gap.search import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
 from torchweather.gap.study import Study
-from torchweather.gap.workflow import ALARM_P, find_gap_with, screen
+from torchweather.gap.workflow import ALARM_P, find_gap_with
 from torchweather.stages.effects import Effect
 from torchweather.stages.effects_lidar import EFFECTS
 from torchweather.weather import Snow

@@ -10,31 +10,25 @@ import pytest
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.gap import workflow
+from torchweather.gap.candidate_fits import LEAST_AMPLITUDE, Candidate, _start, best_nodes, best_pairs
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.find import find_gap
-from torchweather.gap.search import Node, Nuisance, Setting
+from torchweather.gap.held_out import HeldOut
+from torchweather.gap.matched import Node
+from torchweather.gap.nuisance import Nuisance
+from torchweather.gap.screening import OVERDISPERSION, REFINED, _tail, overdispersion, screen
+from torchweather.gap.search import Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import (
     ALARM_P,
     HELD_GAIN,
     HELD_LOSS,
-    LEAST_AMPLITUDE,
-    OVERDISPERSION,
-    REFINED,
     SURE_GAIN,
     SURE_P,
     UNKNOWN_SHARE,
-    Candidate,
-    HeldOut,
-    _best_nodes,
-    _best_pairs,
     _rounds,
-    _start,
-    _tail,
     _verdict,
-    overdispersion,
-    screen,
 )
 from torchweather.stages.effects_lidar import EFFECTS, LidarWindowLoss
 from torchweather.weather import Snow
@@ -131,8 +125,8 @@ def further(monkeypatch: pytest.MonkeyPatch, misfit: float, gain: float, thresho
         fitted(third, misfit - gain, 0.0),
     ]
     held = [HeldOut(1.0, 1.0, 0.05, 300.0 - 10.0 * place) for place in range(3)]
-    monkeypatch.setattr(workflow, "_fitted", lambda *given: [rounds.pop(0)])
-    monkeypatch.setattr(workflow, "_gap", lambda *given: held.pop(0))
+    monkeypatch.setattr(workflow, "fitted", lambda *given: [rounds.pop(0)])
+    monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
     search: Any = SimpleNamespace(origin=Setting(), seed=0)
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
     found = SimpleNamespace(**vars(screening()), nodes=NODES, best_null=np.full(100, threshold))
@@ -220,7 +214,7 @@ def test_only_lines_near_the_best_are_simulated_whole() -> None:
 
 
 def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
-    found = _best_nodes(NODES, np.array([1.5, 1.1, 0.3, 0.0]), NOTHING)
+    found = best_nodes(NODES, np.array([1.5, 1.1, 0.3, 0.0]), NOTHING)
     # Gains: 1 x 2 a 1.5 - a^2 of at most 1.35; 25.3 / 9.25; 1.21; 0.09, too little.
     assert [(one.id, one.values) for one, _ in found] == [
         ("lidar.window_loss", {"loss_db": 3.0}),
@@ -231,12 +225,12 @@ def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
 
 def test_pairs_are_of_different_effects_each_once_best_first() -> None:
     gain = np.array([[9.0, 9.0, 5.0, 7.0], [9.0, 9.0, 6.0, 3.0], [5.0, 6.0, 9.0, 1.0], [7.0, 3.0, 1.0, 9.0]])
-    found = _best_pairs(NODES, gain, Setting(), 2.0)
+    found = best_pairs(NODES, gain, Setting(), 2.0)
     assert [{*setting.values, other.id} for setting, other, _ in found] == [
         {"lidar.window_loss", "lidar.crosstalk"},
         {"lidar.window_loss", "lidar.range_noise"},
     ]
-    assert _best_pairs(NODES, gain, Setting(), 8.0) == []
+    assert best_pairs(NODES, gain, Setting(), 8.0) == []
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from torchweather import __version__
 from torchweather.gap.baseline import Baseline
+from torchweather.gap.candidate_fits import Candidate
 from torchweather.gap.model_file import Additions, read_model, write_model
 from torchweather.gap.search import Fit, Search
 from torchweather.gap.statistics import Group
 from torchweather.gap.unknown import unknown
-from torchweather.gap.workflow import Candidate, GapResult
+from torchweather.gap.workflow import GapResult
 from torchweather.io import atomic_write
 from torchweather.stages.effects import EFFECTS, Effect, Parameter
 from torchweather.stages.empirical import Empirical

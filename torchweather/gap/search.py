@@ -33,11 +33,13 @@ from torchweather.gap.baseline import (
     element_noise,
 )
 from torchweather.gap.candidates import Line
+from torchweather.gap.matched import Node
+from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.statistics import PARTICLE_AXIS, Pool
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
 
-__all__ = ["Fit", "Node", "Nuisance", "Search", "Setting", "amplitudes", "gains", "pair_gains"]
+__all__ = ["Fit", "Search", "Setting"]
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +47,6 @@ POOL_FRAMES = 48  # of each condition, for the scatter
 SCREEN_FRAMES = 6  # of each condition, for a response or a derivative; the first of the pool
 PROBE_FRAMES = 16  # of each condition, for a cost
 PROBE_DRAWS = 32
-AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
 KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which knobs are first looked for
 OPEN_STEP = 2.0  # of a derivative by what the model leaves open, standard deviations: few particles change by less
@@ -79,77 +80,6 @@ class Setting:
     def effects(self) -> list[Effect]:
         """The stages."""
         return [EFFECTS[name](**values) for name, values in self.values.items()]
-
-
-@dataclass(frozen=True)
-class Node:
-    """Response to one setting of one effect.
-
-    Args:
-        line: it belongs to.
-        number: place in the line.
-        values: the parameters.
-        response: ``(C P,)`` whitened change of all vectors.
-    """
-
-    line: Line
-    number: int
-    values: Mapping[str, float]
-    response: Floats
-
-    @property
-    def id(self) -> str:
-        """Of the effect."""
-        return self.line.effect.id
-
-
-class Nuisance:
-    """What is not the model's fault, and how much of a residual it explains.
-
-    Args:
-        response: ``(C P, K)`` G: whitened change per standard deviation of each.
-        offset: ``(K,)`` x: where they stand, in standard deviations from the record.
-        moving: number of those that the simulator can be moved along, the first ones.
-    """
-
-    def __init__(self, response: Floats, offset: Floats, moving: int) -> None:
-        self.response, self.offset, self.moving = response, offset, moving
-        normal = response.T @ response + np.eye(response.shape[1])
-        self._inverse = np.linalg.inv(normal)
-        self._fixed = np.linalg.inv(normal[moving:, moving:])
-
-    def moved(self, offset: Floats) -> Nuisance:
-        """The same nuisances, standing elsewhere."""
-        found = Nuisance.__new__(Nuisance)
-        found.response, found.offset, found.moving = self.response, offset, self.moving
-        found._inverse, found._fixed = self._inverse, self._fixed
-        return found
-
-    def __call__(self, vectors: Floats) -> Floats:
-        """``(1 - G (G'G + 1)^-1 G') y`` of vectors ``(..., C P)``."""
-        found: Floats = vectors - (vectors @ self.response) @ self._inverse @ self.response.T
-        return found
-
-    def step(self, residual: Floats) -> Floats:
-        """``(K,)`` by how far they move to explain a residual best, in standard deviations."""
-        found: Floats = self._inverse @ (self.response.T @ residual - self.offset)
-        return found
-
-    def left(self, residual: Floats) -> Floats:
-        """A residual ``(C P,)`` without what the nuisances explain."""
-        found: Floats = residual - self.response @ self.step(residual)
-        return found
-
-    def cost(self, residual: Floats) -> float:
-        """A residual squared where the moving ones stand, and what it costs that they do."""
-        along = self.response[:, self.moving :].T @ residual
-        return float(residual @ residual - along @ self._fixed @ along + (self.offset**2).sum())
-
-    def misfit(self, residual: Floats) -> float:
-        """What is left, squared, with what the moved nuisances cost."""
-        step = self.step(residual)
-        rest = residual - self.response @ step
-        return float(rest @ rest + ((self.offset + step) ** 2).sum())
 
 
 @dataclass(frozen=True)
@@ -585,49 +515,3 @@ def _widened(degrees: int) -> float:
     """Variance at which the normal law reaches as far, one time in 1,000, as Student's of a scatter known from so
     many degrees of freedom."""
     return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)
-
-
-def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple[Floats, Floats]:
-    """By what each node is best scaled to explain what nuisances have left ``(R, C P)``, and its squared length."""
-    responses = np.stack([node.response for node in nodes])
-    norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
-    found: Floats = np.clip((left @ responses.T) / norm, *AMPLITUDES)
-    return found, norm
-
-
-def gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
-    """By how much each node, scaled, lowers the squares of what nuisances have left ``(R, C P)``: ``(R, nodes)``."""
-    amplitude, norm = amplitudes(nodes, left, nuisance)
-    along = left @ np.stack([node.response for node in nodes]).T
-    found: Floats = 2.0 * amplitude * along - amplitude**2 * norm
-    return found
-
-
-def pair_gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
-    """By how much each two nodes together lower what is left ``(C P,)``: ``(nodes, nodes)``, from one Gram matrix.
-
-    Amplitudes are those of the best point of the square in which both may lie, its edges included.
-    """
-    responses = np.stack([node.response for node in nodes])
-    gram = responses @ nuisance(responses).T
-    along = responses @ left
-    norm = np.maximum(np.diag(gram), 1e-12)
-    low, high = AMPLITUDES
-    first = np.broadcast_to(along[:, None], gram.shape)
-    second = first.T
-    determinant = np.maximum(norm[:, None] * norm[None] - gram**2, 1e-9 * norm[:, None] * norm[None])
-    inner_1 = (first * norm[None] - second * gram) / determinant
-    inner_2 = inner_1.T
-
-    def gain(amplitude_1: Floats, amplitude_2: Floats) -> Floats:
-        square = amplitude_1**2 * norm[:, None] + amplitude_2**2 * norm[None] + 2.0 * amplitude_1 * amplitude_2 * gram
-        found: Floats = 2.0 * (amplitude_1 * first + amplitude_2 * second) - square
-        return found
-
-    inside = (inner_1 >= low) & (inner_1 <= high) & (inner_2 >= low) & (inner_2 <= high)
-    best = np.where(inside, gain(inner_1, inner_2), -np.inf)
-    for edge in (low, high):
-        held = np.full(gram.shape, edge)
-        best = np.maximum(best, gain(held, np.clip((second - edge * gram) / norm[None], low, high)))
-        best = np.maximum(best, gain(np.clip((first - edge * gram) / norm[:, None], low, high), held))
-    return best

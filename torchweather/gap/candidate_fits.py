@@ -1,0 +1,160 @@
+"""Candidates: settings that response curves propose, fitted in the simulator.
+
+References:
+    GAP.md 3 (6).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.gap.candidates import lines
+from torchweather.gap.held_out import HeldOut
+from torchweather.gap.matched import Node, amplitudes, gains
+from torchweather.gap.nuisance import Nuisance
+from torchweather.gap.placing import placed
+from torchweather.gap.search import Fit, Search, Setting
+from torchweather.stages.effects import EFFECTS
+
+__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted"]
+
+Floats = NDArray[np.float64]
+
+Proposal = tuple[Setting, Node, float]
+"""A setting, what to put on top of it, and how much of its response is expected."""
+
+PAIRS_REFITTED = 2  # pairs that are fitted
+# Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
+# left open stands so many standard deviations off.
+SHADOWED, FAR = (0.3, 0.7), 2.0
+SETTLED_ROUNDS = 3  # of that
+QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
+WORTH = 0.35  # of the best gain, from which a candidate is refitted
+LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect, fitted.
+
+    Args:
+        id: of the effect.
+        fit: with it and what was found before.
+        gain: by which it lowers the misfit.
+        held: departure of the held-out conditions with it, where it was looked at.
+    """
+
+    id: str
+    fit: Fit
+    gain: float
+    held: HeldOut | None = None
+
+
+def best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[tuple[Node, float]]:
+    """The best node of each effect that is worth a fit, with its amplitude, best first."""
+    gain = gains(nodes, left[None], nuisance)[0]
+    amplitude = amplitudes(nodes, left[None], nuisance)[0][0]
+    best: dict[str, int] = {}
+    for place in np.argsort(-gain):
+        best.setdefault(nodes[place].id, int(place))
+    worth = [place for place in best.values() if gain[place] >= WORTH * gain.max()]
+    return [(nodes[place], float(amplitude[place])) for place in worth]
+
+
+def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: float) -> list[Proposal]:
+    """Pairs of different effects whose responses explain more than ``least`` together, best first."""
+    first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
+    found: dict[frozenset[str], Proposal] = {}
+    for one, other in zip(first, second, strict=True):
+        if gain[one, other] < least or len(found) == PAIRS_REFITTED:
+            break
+        names = frozenset((nodes[one].id, nodes[other].id))
+        if len(names) == 2 and names not in found:
+            found[names] = (replace(origin, values={nodes[one].id: _start(nodes[one], 1.0)}), nodes[other], 1.0)
+    return list(found.values())
+
+
+def fitted(
+    search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
+) -> list[Candidate]:
+    """Effects fitted in the simulator, each on top of its setting; best first."""
+    found = []
+    for setting, node, amplitude in proposed:
+        say("fitting " + " and ".join([*setting.values, node.id]))
+        values = {**setting.values, node.id: _start(node, amplitude)}
+        starts = [(replace(setting, values=values), base.nuisance)]
+        response = node.response
+        far = any(abs(value) > FAR for value in setting.open.values())
+        if response @ base.nuisance(response) < SHADOWED[far] * (response @ response):
+            # The nuisances have moved to look like the effect while it was not there: let them settle with it.
+            settled = _settled_along(search, setting, node, misfit)
+            starts.append((settled.setting, settled.nuisance))
+        fits = []
+        for start, nuisance in starts:
+            fits.append(search.fit(placed(search, start, node.id, base), nuisance, base.base, QUICK))
+        fit = min(fits, key=lambda one: one.misfit)
+        found.append(Candidate(node.id, fit, misfit - fit.misfit))
+    least = min(candidate.fit.misfit for candidate in found)
+    for place, one in enumerate(found):
+        if one.fit.misfit < least + CLOSE:
+            say("refining " + " and ".join(one.fit.setting.values))
+            fit = search.fit(one.fit.setting, one.fit.nuisance, base.base)
+            if fit.misfit < one.fit.misfit:
+                found[place] = Candidate(one.id, fit, misfit - fit.misfit)
+    return sorted(found, key=lambda candidate: candidate.fit.misfit)
+
+
+def _settled_along(search: Search, setting: Setting, node: Node, misfit: float) -> Fit:
+    """The nuisances settled beside an effect at the best of its weak strengths (the nuisances do not reach as far as a
+    strong one), and where a parabola through the misfits has its least.
+
+    Args:
+        search: its simulator.
+        setting: effects found before.
+        node: of the effect.
+        misfit: without the effect.
+    """
+
+    def settled(values: Mapping[str, float]) -> Fit:
+        values = _start(replace(node, values=values), 1.0)
+        return search.settle(Setting({**setting.values, node.id: values}), SETTLED_ROUNDS)
+
+    (name,) = [one.name for one in EFFECTS[node.id].arguments if one.identity is not None and one.name in node.values]
+    declared = next(one for one in EFFECTS[node.id].arguments if one.name == name)
+    # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
+    curves = [one for one in lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)]) if name in one.settings[0]]
+    strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
+    found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
+    if declared.identity is not None and math.isfinite(declared.identity):
+        places = [declared.identity, *found]
+        least = _least(np.array(places), np.array([misfit, *(fit.misfit for fit in found.values())]))
+        found[least] = settled({**node.values, name: least})
+    return min(found.values(), key=lambda fit: fit.misfit)
+
+
+def _least(place: Floats, value: Floats) -> float:
+    """Where a parabola through the least of some values and its neighbours has its own, not beyond those."""
+    order = np.argsort(place)
+    place, value = place[order], value[order]
+    middle = min(max(int(value.argmin()), 1), len(place) - 2)
+    near = slice(middle - 1, middle + 2)
+    curvature, slope, _ = np.polyfit(place[near] - place[middle], value[near], 2)
+    if curvature <= 0:
+        return float(place[value.argmin()])
+    return float(np.clip(place[middle] - 0.5 * slope / curvature, place[near][0], place[near][-1]))
+
+
+def _start(node: Node, amplitude: float) -> dict[str, float]:
+    """All parameters where an effect of so many times a node's response is expected."""
+    found = {}
+    for one in EFFECTS[node.id].arguments:
+        value = node.values.get(one.name, one.value)
+        if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
+            value = one.identity + max(amplitude, LEAST_AMPLITUDE) * (value - one.identity)
+        found[one.name] = min(max(value, one.low), one.high) if math.isfinite(value) else value
+    return found

@@ -1,0 +1,131 @@
+"""Whether anything is missing: response curves of all effects against the nulls of a simulator without them.
+
+References:
+    GAP.md 3 (5, 7). Gumbel 1958 (largest of many).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.gap.candidates import lines
+from torchweather.gap.matched import Node, gains
+from torchweather.gap.placing import standing_lines
+from torchweather.gap.search import Fit, Search
+from torchweather.stages.effects import Effect
+
+__all__ = ["OVERDISPERSION", "Screening", "overdispersion", "screen", "screening_entries"]
+
+Floats = NDArray[np.float64]
+
+NULLS = 1000
+# Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
+# screening are those of noise so many times larger in square. Set on development studies.
+OVERDISPERSION = 1.5
+REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Whether anything is missing.
+
+    Args:
+        residual: ``(C P,)`` whitened departure of the measured conditions.
+        misfit: its square, without what the nuisance explains.
+        counted: number of entries.
+        nodes: responses.
+        gains: ``(nodes,)``.
+        best_null: ``(R,)`` largest gain of each null.
+        misfit_null: ``(R,)``.
+        p_value: of the larger of both departures.
+    """
+
+    residual: Floats
+    misfit: float
+    counted: int
+    nodes: tuple[Node, ...]
+    gains: Floats
+    best_null: Floats
+    misfit_null: Floats
+    p_value: float
+
+
+def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int) -> Screening:
+    """Response curves of all effects, and whether any of them, or anything at all, stands out."""
+    residual, nuisance = base.residual, base.nuisance
+    places = azimuths(search)
+    found = [line for effect in effects for line in lines(effect, places)]
+    found += standing_lines(search, effects)
+    left = nuisance.left(residual)
+    nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
+    gain = gains(nodes, left[None], nuisance)[0]
+    near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= REFINED * gain.max()}
+    rest = [
+        (line, place)
+        for line in found
+        if id(line) in near
+        for place in range(len(line.settings))
+        if place not in line.first
+    ]
+    nodes += search.nodes(rest, search.origin, search.start)
+    nulls = search.null_residuals(nuisance, NULLS, seed)
+    best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
+    misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
+    gain = gains(nodes, left[None], nuisance)[0]
+    misfit = nuisance.misfit(residual)
+    counted = screening_entries(search)
+    p_gain = _tail(best_null, float(gain.max()))
+    p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
+    return Screening(
+        residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, min(1.0, 2.0 * min(p_gain, p_misfit))
+    )
+
+
+def azimuths(search: Search) -> list[float]:
+    """Where in azimuth the measurement departs most: two places at which effects with a place are tried."""
+    layout = search.model.layout
+    total: dict[tuple[float, ...], Floats] = {}
+    for target in search.measured:
+        name = target.condition.id
+        apart = (target.vector - search.start.mean[name]) / search.start.sd[name]
+        z: Floats = np.where(search.start.used[name], apart, 0.0)
+        for group, part in zip(layout.groups, layout.slices, strict=True):
+            if group.axis == "azimuth_rad":
+                common = float(np.median(z[part]))
+                total.setdefault(group.edges, np.zeros(group.bins))
+                total[group.edges] += np.abs(z[part] - common)
+    found = []
+    for edges, values in total.items():
+        middles = 0.5 * (np.asarray(edges[1:]) + np.asarray(edges[:-1]))
+        best = np.argsort(-values)
+        found += [float(middles[best[0]])]
+        elsewhere = [place for place in best[1:] if abs(middles[place] - middles[best[0]]) > 0.6]
+        found += [float(middles[elsewhere[0]])] if elsewhere else []
+    return found
+
+
+def overdispersion(search: Search) -> float:
+    """How much larger in square the noise is taken than stated: the fewer clear frames tell it, the more."""
+    clear = {target.condition.scene: target.clear_frames for target in search.measured}
+    degrees = max(sum(clear.values()) - len(clear), 1)
+    return OVERDISPERSION * (1.0 + 2.0 / degrees)
+
+
+def screening_entries(search: Search) -> int:
+    """Number of statistics that hold enough to count, over all conditions."""
+    return int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
+
+
+def _tail(null: Floats, value: float) -> float:
+    """Probability that a null exceeds a value: counted, and beyond those by a Gumbel law of their moments."""
+    counted = float((null >= value).mean())
+    if counted * len(null) >= 20:
+        return counted
+    scale = float(null.std()) * math.sqrt(6.0) / math.pi
+    place = float(null.mean()) - 0.5772156649 * scale
+    return float(-np.expm1(-np.exp(-min((value - place) / max(scale, 1e-12), 700.0))))
