@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,8 +15,9 @@ from scipy import stats
 
 from torchweather.gap.baseline import Baseline, Target, Whitening
 from torchweather.gap.lidar_sums import lidar_layout
-from torchweather.gap.search import KNOWN_TO, PROBE_FRAMES, SCREEN_FRAMES, SELDOM, UNSAID, Search, Setting, _widened
+from torchweather.gap.search import PROBE_FRAMES, SCREEN_FRAMES, UNSAID, Search, Setting
 from torchweather.gap.statistics import Group, Layout, Reduced
+from torchweather.gap.whole_frames import KNOWN_TO, SELDOM, clear_errors, model_errors, widened
 from torchweather.stages.effects import EFFECTS
 from torchweather.stages.effects_lidar import EFFECTS as LIDAR_EFFECTS
 
@@ -84,6 +86,11 @@ def base(mean: float = 0.0) -> Baseline:
     return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {})
 
 
+def of(search: Search, at: Baseline) -> tuple[Any, ...]:
+    """What columns are made from: the model, the conditions, and how a departure becomes a column."""
+    return search.model, search.measured, partial(search._column, at)
+
+
 def covariance(columns: Any) -> Any:
     """Of the departures of all conditions ``(C, P, C, P)``, of nuisances of one standard deviation each."""
     response = np.stack(columns, 1)
@@ -115,7 +122,7 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
     sample = sum((CLEAR[scene] - 1) * of_frames(scene).var(0, ddof=1) for scene in CLEAR) / degrees
     assert pooled[0, 0] > 1.5 * sample[0]
     pooled *= stats.t.isf(0.5e-3, degrees) ** 2 / stats.norm.isf(0.5e-3) ** 2
-    found = covariance(bare()._clear_errors(base()))
+    found = covariance(clear_errors(*of(bare(), base())))
     for one, (name, scene) in enumerate(SCENES.items()):
         for other, (_, elsewhere) in enumerate(SCENES.items()):
             share = (scene == elsewhere) / CLEAR[scene] + (one == other) / FRAMES[name]
@@ -123,19 +130,19 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
 
 
 def test_a_single_clear_frame_of_each_scene_tells_nothing_of_whole_frames() -> None:
-    assert bare(dict.fromkeys(CLEAR, 1))._clear_errors(base()) == []
+    assert clear_errors(*of(bare(dict.fromkeys(CLEAR, 1)), base())) == []
 
 
 def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
     # Two-sided one in a thousand, from tables of Student's t; 3.2905 of the normal law.
     for degrees, quantile in ((1, 636.62), (5, 6.869), (10, 4.587), (30, 3.646), (120, 3.373)):
-        assert _widened(degrees) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
+        assert widened(degrees) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
         # The normal law of that variance reaches as far as often.
         reach = stats.t.ppf(1.0 - 0.5 * SELDOM, degrees)
-        assert 2.0 * stats.norm.sf(reach / math.sqrt(_widened(degrees))) == pytest.approx(1e-3, rel=1e-6)
-    each = [_widened(degrees) for degrees in range(1, 60)]
+        assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees))) == pytest.approx(1e-3, rel=1e-6)
+    each = [widened(degrees) for degrees in range(1, 60)]
     assert each == sorted(each, reverse=True)
-    assert _widened(10**7) == pytest.approx(1.0, abs=1e-5)
+    assert widened(10**7) == pytest.approx(1.0, abs=1e-5)
 
 
 # ---- the model -------------------------------------------------------------------------------------------------------
@@ -143,7 +150,7 @@ def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
 
 def test_what_weather_does_to_means_is_known_to_half_a_percent_in_all_conditions_and_in_each() -> None:
     at = base(3.0)
-    found = covariance(bare()._model_errors(at))
+    found = covariance(model_errors(bare().model, bare().measured, at, partial(bare()._column, at)))
     known = {name: np.where(AVERAGES, KNOWN_TO * at.mean[name], 0.0) for name in SCENES}
     assert KNOWN_TO == 0.005
     for one, name in enumerate(SCENES):

@@ -21,7 +21,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from torchweather.gap.baseline import (
     PORTIONED_FRAMES,
@@ -35,7 +34,8 @@ from torchweather.gap.baseline import (
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.statistics import PARTICLE_AXIS, Pool
+from torchweather.gap.statistics import Pool
+from torchweather.gap.whole_frames import clear_errors, model_errors
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
 
@@ -57,9 +57,7 @@ SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how 
 ROUNDS = 10  # of fitting the nuisances alone
 STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
-KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one physics differ by as much
 UNSAID = 0.5  # of what an effect does to a statistic of which its parameters say nothing
-SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 FARTHEST = 4.0  # standard deviations that a nuisance may move
 
 
@@ -277,59 +275,11 @@ class Search:
             after = self.mean(replace(setting, open={**setting.open, name: strength + step}), SCREEN_FRAMES)
             change = [(new - old) / step for new, old in zip(after, before, strict=True)]
             columns.append(self.whitened(base, change))
-        self.fixed = [*self._clear_errors(base), *self._model_errors(base)]
+        whitened = partial(self._column, base)
+        self.fixed = clear_errors(self.model, self.measured, whitened)
+        self.fixed += model_errors(self.model, self.measured, base, whitened)
         response = np.stack([*columns, *self.fixed], 1)
         return Nuisance(response, self.offset(setting), len(columns))
-
-    def _clear_errors(self, base: Baseline) -> list[Floats]:
-        """Columns of what whole frames do, of means and spreads, from how clear frames of all scenes differ.
-
-        The error of each scene's clear mean moves all its conditions alike; the mean of a condition's own frames has
-        one of its own. The scatter of each entry holds it, but not that all entries go together.
-        """
-        layout = self.model.layout
-        # Clear frames hardly have particles; the few that one has say nothing of those in weather.
-        kinds = [group.kind if group.axis != PARTICLE_AXIS else "" for group in layout.groups]
-        bins = [group.bins for group in layout.groups]
-        moved = np.repeat([kind in ("mean", "spread") for kind in kinds], bins)
-        scenes = {target.condition.scene: target.clear_frames for target in self.measured}
-        degrees = sum(scenes.values()) - len(scenes)
-        if degrees < 1:
-            return []
-        one_frame: list[Floats] = []  # summed up in square: the variance of a frame
-        evenly: dict[str, float] = {}  # variance of a mean over all elements
-        for scene, number in scenes.items():
-            pool = Pool(layout, self.model.clear(scene))
-            each = pool.vectors(np.arange(number)[:, None])
-            # Departures from the mean of the others are larger than those from the mean of all.
-            less = (number - 1) / number / math.sqrt(degrees)
-            one_frame += list(np.where(moved, each - each.mean(0), 0.0) * less)
-            for name, values in pool.averages().items():
-                evenly[name] = evenly.get(name, 0.0) + float(((values - values.mean()) ** 2).sum()) * less**2
-        # A few frames do not tell how an even shift of all entries looks: it is known.
-        for name, variance in evenly.items():
-            own_entries = [np.full(group.bins, group.is_average_of(name)) for group in layout.groups]
-            one_frame.append(math.sqrt(variance) * np.concatenate(own_entries))
-        one_frame = [departure * math.sqrt(_widened(degrees)) for departure in one_frame]
-        columns = []
-        for scene, number in scenes.items():
-            own = [place for place, target in enumerate(self.measured) if target.condition.scene == scene]
-            for departure in one_frame:
-                columns.append(self._column(base, dict.fromkeys(own, departure / math.sqrt(number))))
-                for place in own:
-                    apart_mean = departure / math.sqrt(self.measured[place].frames)
-                    columns.append(self._column(base, {place: apart_mean}))
-        return columns
-
-    def _model_errors(self, base: Baseline) -> list[Floats]:
-        """Columns of how well a model knows what weather does to means: in every condition, and in all alike."""
-        layout = self.model.layout
-        averages = np.concatenate([np.full(g.bins, g.is_average_of(g.statistic)) for g in layout.groups])
-        each = {
-            place: np.where(averages, KNOWN_TO * base.mean[target.condition.id], 0.0)
-            for place, target in enumerate(self.measured)
-        }
-        return [self._column(base, each), *(self._column(base, {place: own}) for place, own in each.items())]
 
     def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
         """Whitened departures of some conditions, 0 in the others, ``(C P,)``."""
@@ -509,9 +459,3 @@ class Search:
             moved = values[effect][parameter] + limited
             values[effect][parameter] = float(np.clip(moved, declared.low, declared.high))
         return replace(setting, values=values)
-
-
-def _widened(degrees: int) -> float:
-    """Variance at which the normal law reaches as far, one time in 1,000, as Student's of a scatter known from so
-    many degrees of freedom."""
-    return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)
