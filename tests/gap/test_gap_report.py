@@ -261,11 +261,11 @@ def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round(ver
 @pytest.mark.parametrize(
     ("identity", "value", "variance", "expected"),
     [
-        (0.0, 3.0, 0.04, (1.5 * 0.2, 0.08 * 3.0, 0.01 * 2.0)),
-        (0.0, -3.0, 0.0, (0.08 * 3.0, 0.01 * 2.0)),
-        (1.0, 0.5, 0.01, (1.5 * 0.1, 0.08 * 0.5, 0.01 * 2.0)),  # a factor: half of it is gone
-        (math.inf, 40.0, 1.0, (1.5, 0.08 * 40.0, 0.01 * 2.0)),  # an extent
-        (None, 3.0, 0.04, (1.5 * 0.2, 0.03 * 2.0)),  # a place has no strength
+        (0.0, 3.0, 0.04, (1.5 * 0.2, 0.2 * 3.0, 0.01 * 2.0)),
+        (0.0, -3.0, 0.0, (0.2 * 3.0, 0.01 * 2.0)),
+        (1.0, 0.5, 0.01, (1.5 * 0.1, 0.2 * 0.5, 0.01 * 2.0)),  # a factor: half of it is gone
+        (math.inf, 40.0, 1.0, (1.5, 0.2 * 40.0)),  # an extent
+        (None, 3.0, 0.04, (1.5 * 0.2, 0.06 * 2.0)),  # a place has no strength
         (0.0, 0.0, -1e-9, (0.01 * 2.0,)),  # no worse than rounding
     ],
 )

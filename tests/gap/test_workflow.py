@@ -127,6 +127,7 @@ def further(monkeypatch: pytest.MonkeyPatch, misfit: float, gain: float, thresho
     held = [HeldOut(1.0, 1.0, 0.05, 300.0 - 10.0 * place) for place in range(3)]
     monkeypatch.setattr(workflow, "fitted", lambda *given: [rounds.pop(0)])
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
+    monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
     search: Any = SimpleNamespace(origin=Setting(), seed=0)
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
     found = SimpleNamespace(**vars(screening()), nodes=NODES, best_null=np.full(100, threshold))
@@ -166,7 +167,7 @@ class Responses:
 
     def __init__(self, clear: int, turns: dict[str, float]) -> None:
         layout = Layout((Group("lost_share", "range_m", "share", (0.0, 1.0, 2.0)),), (), (), ())
-        self.model = SimpleNamespace(layout=layout)
+        self.model = SimpleNamespace(layout=layout, sizes={})
         condition = SimpleNamespace(id="c0", scene="s0")
         self.measured = [SimpleNamespace(condition=condition, vector=np.zeros(2), clear_frames=clear)]
         ones = {"c0": np.ones(2)}

@@ -52,6 +52,7 @@ class FrameModel(Protocol):
     layout: Layout
     effects: list[Effect]
     map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
+    sizes: Mapping[str, float]  # typical sizes of parameters that are a matter of the data
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""

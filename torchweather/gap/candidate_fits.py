@@ -31,8 +31,8 @@ Proposal = tuple[Setting, Node, float]
 PAIRS_REFITTED = 2  # pairs that are fitted
 # Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
 # left open stands so many standard deviations off.
-SHADOWED, FAR = (0.3, 0.7), 2.0
-SETTLED_ROUNDS = 3  # of that
+SHADOWED, FAR = (0.1, 0.5), 2.0
+SETTLED_ROUNDS, SETTLED_BESIDE = 3, 2  # of that; of how many effects, the ones with the largest gains
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
@@ -84,13 +84,14 @@ def fitted(
 ) -> list[Candidate]:
     """Effects fitted in the simulator, each on top of its setting; best first."""
     found = []
-    for setting, node, amplitude in proposed:
+    for place, (setting, node, amplitude) in enumerate(proposed):
         say("fitting " + " and ".join([*setting.values, node.id]))
         values = {**setting.values, node.id: _start(node, amplitude)}
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
         far = any(abs(value) > FAR for value in setting.open.values())
-        if response @ base.nuisance(response) < SHADOWED[far] * (response @ response):
+        shadowed = response @ base.nuisance(response) < SHADOWED[far] * (response @ response)
+        if shadowed and place < SETTLED_BESIDE and not setting.values:
             # The nuisances have moved to look like the effect while it was not there: let them settle with it.
             settled = _settled_along(search, setting, node, misfit)
             starts.append((settled.setting, settled.nuisance))
@@ -127,7 +128,8 @@ def _settled_along(search: Search, setting: Setting, node: Node, misfit: float) 
     (name,) = [one.name for one in EFFECTS[node.id].arguments if one.identity is not None and one.name in node.values]
     declared = next(one for one in EFFECTS[node.id].arguments if one.name == name)
     # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
-    curves = [one for one in lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)]) if name in one.settings[0]]
+    curves = lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)], search.model.sizes)
+    curves = [one for one in curves if name in one.settings[0]]
     strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
     found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
     if declared.identity is not None and math.isfinite(declared.identity):

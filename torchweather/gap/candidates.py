@@ -44,18 +44,18 @@ class Line:
         return (0, number // 2) if number > 2 else (number // 2,)
 
 
-def _strengths(parameter: Parameter) -> list[list[float]]:
-    """Values on either side of the identity, from weak to strong, inside the bounds."""
+def _strengths(parameter: Parameter, size: float) -> list[list[float]]:
+    """Values on either side of the identity, from weak to strong in terms of a typical size, inside the bounds."""
     identity = parameter.identity
     assert identity is not None
     found = []
     for sign in (1.0, -1.0):
         if math.isinf(identity):
-            values = [parameter.scale * step for step in FAR_STEPS] if sign > 0 else []
+            values = [size * step for step in FAR_STEPS] if sign > 0 else []
         elif identity > 0 and parameter.low >= 0:  # a factor
-            values = [identity * math.exp(sign * parameter.scale * step) for step in STEPS]
+            values = [identity * math.exp(sign * size * step) for step in STEPS]
         else:
-            values = [identity + sign * parameter.scale * step for step in STEPS]
+            values = [identity + sign * size * step for step in STEPS]
         inside = [value for value in values if parameter.low <= value <= parameter.high]
         if len(inside) < len(values) and values:
             bound = parameter.high if values[-1] > (identity if math.isfinite(identity) else 0.0) else parameter.low
@@ -66,12 +66,13 @@ def _strengths(parameter: Parameter) -> list[list[float]]:
     return found
 
 
-def lines(effect: type[Effect], places: Sequence[float]) -> list[Line]:
+def lines(effect: type[Effect], places: Sequence[float], sizes: Mapping[str, float] | None = None) -> list[Line]:
     """Lines of settings of an effect.
 
     Args:
         effect: its class.
         places: azimuths, rad, at which it is tried if it has one.
+        sizes: of parameters whose typical size is a matter of the data, such as an intensity.
     """
     deciding = [parameter for parameter in effect.arguments if parameter.identity is not None]
     telling = [parameter for parameter in effect.arguments if parameter.identity is None]
@@ -88,6 +89,6 @@ def lines(effect: type[Effect], places: Sequence[float]) -> list[Line]:
         for parameter in deciding:
             found += [
                 Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
-                for values in _strengths(parameter)
+                for values in _strengths(parameter, (sizes or {}).get(parameter.name, parameter.scale))
             ]
     return found

@@ -36,7 +36,7 @@ CENTRAL_90 = 1.6449  # standard deviations of a normal law
 WIDENED = 1.5
 # Standard deviations of what the form of an effect leaves open: of its strength, and of its parameter's typical size
 # where that is a strength and where it says which or where. Set on development studies.
-FORM, FORM_OF_SCALE = 0.08, (0.01, 0.03)
+FORM, FORM_OF_SCALE = 0.2, (0.01, 0.06)
 STANDS_OUT = 4.0  # standard deviations, from which a bin is named
 CURVES = 4
 RESPONSES = 2  # statistics, of which responses are shown
@@ -262,9 +262,12 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
 def _standard_error(declared: Parameter, value: float, variance: float) -> float:
     """Of a parameter: least squares, widened, and what two implementations of one effect differ by."""
     identity = declared.identity
-    strength = abs(value - identity) if identity is not None and math.isfinite(identity) else 0.0
-    far = abs(value) if identity is not None and math.isinf(identity) else 0.0
-    other = math.hypot(FORM * (strength + far), FORM_OF_SCALE[identity is None] * declared.scale)
+    if identity is None:
+        other = FORM_OF_SCALE[1] * declared.scale
+    elif math.isinf(identity):
+        other = FORM * abs(value)
+    else:
+        other = math.hypot(FORM * (value - identity), FORM_OF_SCALE[0] * declared.scale)
     return math.hypot(WIDENED * math.sqrt(max(variance, 0.0)), other)
 
 

@@ -59,7 +59,7 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     """Response curves of all effects, and whether any of them, or anything at all, stands out."""
     residual, nuisance = base.residual, base.nuisance
     places = azimuths(search)
-    found = [line for effect in effects for line in lines(effect, places)]
+    found = [line for effect in effects for line in lines(effect, places, search.model.sizes)]
     found += standing_lines(search, effects)
     left = nuisance.left(residual)
     nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)

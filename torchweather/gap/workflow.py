@@ -26,6 +26,7 @@ from torchweather.gap.matched import gains, pair_gains
 from torchweather.gap.screening import OVERDISPERSION, Screening, screen, screening_entries
 from torchweather.gap.search import Fit, Search, Setting
 from torchweather.gap.study import Study
+from torchweather.gap.untouched import fresh_gains, untouched
 from torchweather.stages.effects import EFFECTS
 
 __all__ = ["GapResult", "find_gap_with"]
@@ -168,9 +169,14 @@ def _rounds(
             return rounds
         here = best.fit.nuisance
         rest_left = here.left(best.fit.residual)
-        worth = bool(gains(rest, rest_left[None], here).max() >= needed)
+        # What shows where the effects found do nothing need not compare with what they explain.
+        gain_elsewhere = fresh_gains(rest, rest_left, untouched(search, best.fit))
+        fresh = {name for name, gain in gain_elsewhere.items() if gain > threshold}
+        worth = bool(fresh) or bool(gains(rest, rest_left[None], here).max() >= needed)
         further = best_nodes(rest, rest_left, here)[:FURTHER_REFITTED]
-        proposed = [(best.fit.setting, node, amplitude) for node, amplitude in further]
+        further += best_nodes([node for node in rest if node.id in fresh], rest_left, here)[:1] if fresh else []
+        once = {node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}
+        proposed = list(once.values())
         if len(rounds) == 1:
             found = best_pairs(nodes, pairs, search.origin, best.gain + needed)
             proposed += found
@@ -178,9 +184,10 @@ def _rounds(
         if not worth:
             return rounds
         more = fitted(search, base, proposed, best.fit.misfit, say)
-        if more[0].gain < needed:
+        kept = [one for one in more if one.gain >= (threshold if one.id in fresh else needed)]
+        if not kept:
             return rounds
-        rounds.append(more)
+        rounds.append(kept)
 
 
 def _excess(screening: Screening, best: Candidate) -> float:

@@ -1,0 +1,70 @@
+"""What the effects found so far leave as it was."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from torchweather.gap.candidates import Line
+from torchweather.gap.matched import Node
+from torchweather.gap.statistics import Group, Layout
+from torchweather.gap.untouched import TOUCHED, fresh_gains, untouched
+from torchweather.stages.effects_lidar import EFFECTS
+
+LAYOUT = Layout(
+    (
+        Group("ratio", "x", "mean", (0.0, 1.0, 2.0)),
+        Group("apart", "x", "mean", (0.0, 1.0, 2.0)),
+        Group("ratio", "y", "mean", (0.0, 1.0)),
+    ),
+    (),
+    (),
+    (),
+)
+
+
+def search(used: list[bool]) -> Any:
+    names = ("c0", "c1")
+    start = SimpleNamespace(
+        mean={name: np.zeros(5) for name in names},
+        sd={name: np.full(5, 0.5) for name in names},
+        used={name: np.array(used) for name in names},
+    )
+    measured = [SimpleNamespace(condition=SimpleNamespace(id=name)) for name in names]
+    return SimpleNamespace(model=SimpleNamespace(layout=LAYOUT), start=start, measured=measured)
+
+
+def fit(change: list[float]) -> Any:
+    return SimpleNamespace(base=SimpleNamespace(mean={"c0": np.zeros(5), "c1": np.array(change)}))
+
+
+def test_a_statistic_is_touched_as_a_whole_in_all_conditions() -> None:
+    """Root mean square over three entries of two conditions: one that moves by 0.5 d / sqrt(6)."""
+    least = TOUCHED * 0.5 * np.sqrt(6.0)
+    for size, still in ((0.98, True), (1.02, False)):
+        found = untouched(search([True] * 5), fit([0.0, 0.0, 0.0, 0.0, size * least]))
+        np.testing.assert_array_equal(found, [still, still, True, True, still] * 2)
+
+
+def test_entries_that_do_not_count_touch_nothing() -> None:
+    found = untouched(search([True, True, True, True, False]), fit([0.0, 0.0, 0.0, 0.0, 99.0]))
+    assert found.all()
+    assert not untouched(search([True, True, False, False, True]), fit([0.0] * 5))[[2, 3, 7, 8]].any()
+
+
+def test_a_gain_is_that_of_the_entries_alone() -> None:
+    line = Line(EFFECTS["lidar.range_noise"], ({"std_m": 0.1}, {"std_m": 0.2}))
+    nodes = [
+        Node(line, place, values, np.array(response))
+        for place, (values, response) in enumerate(
+            zip(line.settings, ([100.0, 3.0, 0.0], [0.0, 0.0, 5.0]), strict=True)
+        )
+    ]
+    left = np.array([-100.0, 3.0, 1.0])
+    # Of the first the amplitude is 1 in the second entry: 2 * 9 - 9; of the second 0.2: 1.
+    assert fresh_gains(nodes, left, np.array([False, True, True])) == pytest.approx({"lidar.range_noise": 9.0})
+    assert fresh_gains(nodes, left, np.array([False, False, True])) == pytest.approx({"lidar.range_noise": 1.0})
+    assert fresh_gains(nodes, left, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
