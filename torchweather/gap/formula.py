@@ -35,6 +35,7 @@ TOLD_APART = 1e-6  # singular values of the terms, over the largest, from which 
 FITS, LEAVES = 1e-3, 0.1
 NEARLY = 2.0  # difference of the criterion that says next to nothing
 FREQUENCIES = 8  # of a sine, most
+NOTHING = 1e-12  # a coefficient that is 0 but for rounding
 OPEN = 3.0  # an end bin so many times as wide as its neighbour has no end
 # Lengths over the width of the axis, and exponents that one would write down.
 LENGTHS = np.geomspace(0.02, 2.0, 40)
@@ -279,14 +280,15 @@ def _stack(*terms: Floats) -> Floats:
 
 def _number(value: float) -> str:
     """Three significant digits."""
-    return f"{value:.3g}" if abs(value) > 1e-12 else "0"
+    return f"{value:.3g}" if abs(value) > NOTHING else "0"
 
 
 def _sum(*terms: tuple[float, str]) -> str:
     """Coefficients with what they multiply."""
     text = ""
     for coefficient, name in terms:
-        sign = ("- " if coefficient < 0 else "+ ") if text else ("-" if coefficient < 0 else "")
+        negative = coefficient < -NOTHING  # rounding has no sign
+        sign = ("- " if negative else "+ ") if text else ("-" if negative else "")
         part = f"{_number(abs(coefficient))} {name}".strip()
         text = f"{text} {sign}{part}" if text else f"{sign}{part}"
     return text
