@@ -41,7 +41,8 @@ STANDS_OUT = 4.0  # standard deviations, from which a bin is named
 CURVES = 4
 RESPONSES = 2  # statistics, of which responses are shown
 AXES_OF_ONE = 2  # of one statistic, that are shown
-# Share of right names among those that development studies were given, where nothing is left and where something is.
+# Share of right names that some tens of development studies were given, rounded: where nothing is left, and where
+# something is.
 RIGHT = {"named": 0.95, "named_and_rest": 0.8}
 LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
 DIGITS = 6  # significant

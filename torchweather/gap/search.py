@@ -1,14 +1,11 @@
-"""The search for missing effects: response curves, screening of singles and pairs, fits in the simulator.
+"""The search for missing effects: the simulator at a setting, response curves, nuisances, fits in the simulator.
 
 All in whitened space (``baseline.py``), where a departure of length one is one standard deviation. What must not be
-taken for an effect is a nuisance, G in units of its standard deviations: the error of the weather record of every
-condition, the error of the mean of the clear frames that all conditions of a scene share, and what the model leaves
-open. With x the nuisances at a setting, a residual r there leaves
-
-    min over d of |r - G d|^2 + |x + d|^2,   d = (G'G + 1)^-1 (G'r - x).
+taken for an effect is a nuisance (``nuisance.py``), in units of its standard deviations: the error of the weather
+record of every condition, what whole frames do (``whole_frames.py``), and what the model leaves open.
 
 References:
-    GAP.md 3 (4, 5, 6). A matched filter for each distorted simulator: Anau Montel, Alvey & Weniger 2025.
+    GAP.md 3 (4, 5, 6).
 """
 
 from __future__ import annotations
@@ -271,7 +268,7 @@ class Search:
         before = self.mean(setting, SCREEN_FRAMES) if self.open else []
         for name in self.open:
             strength = setting.open.get(name, 0.0)
-            step = OPEN_STEP if strength <= 0.0 else -min(OPEN_STEP, strength - max(self.open[name], -FARTHEST))
+            step = OPEN_STEP if strength + OPEN_STEP <= FARTHEST else -OPEN_STEP  # a short one would be noise alone
             after = self.mean(replace(setting, open={**setting.open, name: strength + step}), SCREEN_FRAMES)
             change = [(new - old) / step for new, old in zip(after, before, strict=True)]
             columns.append(self.whitened(base, change))
