@@ -18,7 +18,7 @@ from torchweather.gap.held_out import HeldOut
 from torchweather.gap.matched import Node, amplitudes, gains
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed
-from torchweather.gap.search import Fit, Search, Setting
+from torchweather.gap.search import SETTLED, Fit, Search, Setting
 from torchweather.stages.effects import EFFECTS
 
 __all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted"]
@@ -33,6 +33,7 @@ PAIRS_REFITTED = 2  # pairs that are fitted
 # left open stands so many standard deviations off.
 SHADOWED, FAR = (0.1, 0.5), 2.0
 SETTLED_ROUNDS, SETTLED_BESIDE = 3, 2  # of that; of how many effects, the ones with the largest gains
+REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
@@ -104,10 +105,20 @@ def fitted(
     for place, one in enumerate(found):
         if one.fit.misfit < least + CLOSE:
             say("refining " + " and ".join(one.fit.setting.values))
-            fit = search.fit(one.fit.setting, one.fit.nuisance, base.base)
-            if fit.misfit < one.fit.misfit:
-                found[place] = Candidate(one.id, fit, misfit - fit.misfit)
+            fit = _refined(search, one.fit)
+            found[place] = Candidate(one.id, fit, misfit - fit.misfit)
     return sorted(found, key=lambda candidate: candidate.fit.misfit)
+
+
+def _refined(search: Search, fit: Fit) -> Fit:
+    """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
+    for _ in range(REWEIGHTED):
+        found = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)
+        gained = fit.misfit - found.misfit
+        fit = found if gained > 0 else fit
+        if gained < SETTLED:
+            break
+    return fit
 
 
 def _settled_along(search: Search, setting: Setting, node: Node, misfit: float) -> Fit:
