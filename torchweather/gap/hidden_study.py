@@ -19,6 +19,7 @@ from torchweather.gap.study import Study
 from torchweather.random import keyed_stream
 from torchweather.scenes import SCENES, LidarView, lidar_view
 from torchweather.sensors import Lidar
+from torchweather.stages import ToEnergy
 from torchweather.stages.effects import Effect
 from torchweather.stages.effects_lidar import EFFECTS
 from torchweather.threads import one_thread_an_operation
@@ -36,6 +37,7 @@ WEATHERS: Mapping[str, tuple[Weather, ...]] = {
     "snow": tuple(Snow(rate) for rate in (0.5, 1.0, 1.5, 3.0)),
 }
 INTENSITY_NOISE = 0.03  # relative standard deviation of a beam's intensity from frame to frame; order of magnitude
+MARGIN_DB = 1e-3  # what is reported stands above the threshold by its own signal, noise and all
 FRAME_STEP_S = 0.1  # 10 Hz, the usual rate of scanning LiDAR
 
 
@@ -238,6 +240,7 @@ def _sensor(columns: int) -> Lidar:
         origin_heights_m=None,
         columns=columns,
         intensity_unit="reflectivity",  # fine enough to carry noise
+        margin_db=MARGIN_DB,
     )
 
 
@@ -252,13 +255,19 @@ def _true(weather: Weather, factor: float) -> Weather:
 
 
 def _clear(view: LidarView, lidar: Lidar, frames: int, name: str, seed: int) -> tuple[Tensor, Tensor]:
-    """Ranges and intensities ``(F, N)`` in clear air, noise of their own in each frame; 0 where no return."""
+    """Ranges and intensities ``(F, N)`` in clear air, noise of their own in each frame; 0 where no return.
+
+    A return whose signal, noise and all, lies below the threshold is none.
+    """
     noise = _stream(seed, f"noise.{name}").standard_normal((2, frames, len(view.points)), dtype=np.float32)
     range_noise, intensity_noise = torch.from_numpy(noise)
     range_m = torch.linalg.vector_norm(view.points[:, :3], dim=-1) + lidar.range_noise_m * range_noise
     range_m = torch.round(range_m / lidar.range_resolution_m) * lidar.range_resolution_m
     intensity = view.points[:, 3] * torch.exp(INTENSITY_NOISE * intensity_noise)
-    return torch.where(view.hit, range_m, 0.0), torch.where(view.hit, intensity, 0.0)
+    energy = ToEnergy(lidar)
+    strong = energy.signal_of_intensity(intensity, range_m) >= energy.beam.threshold
+    seen = view.hit & (strong | (range_m < lidar.near_start_m))  # the detection lets through what is near
+    return torch.where(seen, range_m, 0.0), torch.where(seen, intensity, 0.0)
 
 
 def _weathered(
