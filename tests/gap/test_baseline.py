@@ -204,7 +204,8 @@ def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study
     portioned = Reduced(weight, weight * values, weight, np.zeros((frames, 0)), np.zeros((frames, 0, 1)))
     aim = target(study, np.zeros(BINS), number)
     found = element_noise({aim.condition.id: Pool(LAYOUT, portioned)}, [aim])
-    # 3 sets of 128 portions: sqrt(0.5 / 384) = 4 % of a standard deviation, 5 % of a correlation; three times that.
+    # 128 portions of 8 frames, 7 of them free: sqrt(0.5 / 896) = 2.4 % of a standard deviation, 3 % of a correlation;
+    # three to five times that.
     expected = 1.0 / np.sqrt(number * PORTIONS * elements)
     np.testing.assert_allclose(found.scatter[aim.condition.id], expected, rtol=0.12)
     assert found.correlation[0, 5] == pytest.approx(0.6, abs=0.15)

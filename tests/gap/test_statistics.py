@@ -1,4 +1,4 @@
-"""Statistics of frames: stabilised entries against closed forms, vectors against plain loops, the jackknife."""
+"""Statistics of frames: stabilised entries against closed forms, vectors against plain loops, the noise of portions."""
 
 from __future__ import annotations
 
@@ -206,42 +206,56 @@ def test_the_average_of_a_frame_is_that_of_all_its_elements_whatever_their_bins(
     np.testing.assert_allclose(found["b"], [1.5, 0.0], rtol=1e-12)  # 0 where there is none
 
 
-# ---- leaving out portions --------------------------------------------------------------------------------------------
+# ---- the noise of portions --------------------------------------------------------------------------------------------
 
 
-def jackknife_variance(layout: Layout, frames: Reduced, portions: int, number: int) -> Any:
-    left_out = Pool(layout, frames).jackknife(portions, number)
-    return ((left_out - left_out.mean(1, keepdims=True)) ** 2).sum(1) * (portions - 1) / portions
+def noise_variance(layout: Layout, frames: Reduced, portions: int, number: int, clear_frames: int = 10**6) -> Any:
+    return (Pool(layout, frames).element_noise(portions, number, clear_frames) ** 2).sum(1).mean(0)
 
 
 @pytest.mark.parametrize("number", [1, 3])
-def test_the_jackknife_variance_of_a_mean_is_that_of_its_elements_over_their_number(number: int) -> None:
-    portions, sets = 50, 2
-    values = RNG(5).normal(2.0, 3.0, (sets, number, portions))
+def test_the_noise_of_a_mean_is_that_of_its_elements_over_their_number(number: int) -> None:
+    portions, frames = 50, 40
+    values = RNG(5).normal(2.0, 3.0, (frames, portions))
+    found = noise_variance(
+        one_bin("mean"), reduced(np.ones(values.size), values.ravel(), values.ravel() ** 2), portions, number
+    )
+    # A mean is straight in the sums of its values, and its weights have no noise.
+    np.testing.assert_allclose(found, values.var(0, ddof=1).mean() / (number * portions), rtol=1e-6)
+
+
+def test_what_differs_from_element_to_element_in_all_frames_alike_is_no_noise() -> None:
+    portions, frames = 50, 8
+    pattern, noise = RNG(5).normal(2.0, 3.0, portions), RNG(6).normal(0.0, 0.1, (frames, portions))
+    values = pattern + noise
+    found = noise_variance(one_bin("mean"), reduced(np.ones(values.size), values.ravel(), values.ravel() ** 2), portions, 1)
+    np.testing.assert_allclose(found, noise.var(0, ddof=1).mean() / portions, rtol=1e-6)
+
+
+def test_frames_made_from_the_same_clear_ones_know_only_so_much_noise() -> None:
+    """16 frames from 4 clear ones, four each: of the noise a quarter is in their mean."""
+    portions, clear = 200, 4
+    values = np.tile(RNG(7).normal(0.0, 1.0, (clear, portions)), (4, 1))
     frames = reduced(np.ones(values.size), values.ravel(), values.ravel() ** 2)
-    found = jackknife_variance(one_bin("mean"), frames, portions, number)[:, 0]
-    # One portion of a set is its mean over the frames.
-    np.testing.assert_allclose(found, values.mean(1).var(1, ddof=1) / portions, rtol=1e-10)
+    found = noise_variance(one_bin("mean"), frames, portions, 1, clear)
+    # 200 variances of three degrees of freedom: known to sqrt(2 / 600) = 6 %.
+    assert found[0] * portions == pytest.approx(1.0, rel=3 * math.sqrt(2.0 / (3.0 * portions)))
+    assert found[0] == pytest.approx(noise_variance(one_bin("mean"), frames, portions, 1)[0] * (4 / 3) / (16 / 15))
 
 
-def test_the_jackknife_variance_of_a_count_is_a_quarter() -> None:
-    # Portions of a Poisson count are Poisson. 400 sets of 50 portions: known to sqrt(2 / 20,000) = 1 %, and
-    # 1 / (4 * 25) of it is left of the variance of the root.
-    portions, sets = 50, 400
-    counts = RNG(6).poisson(2.0, sets * portions)
-    found = jackknife_variance(one_bin("count"), reduced(np.ones(len(counts)), counts, counts), portions, 1)
-    assert found.mean() == pytest.approx(0.25, rel=TOLERANCE)
+@pytest.mark.parametrize("number", [1, 4])
+def test_the_noise_of_a_count_is_a_quarter(number: int) -> None:
+    # Portions of a Poisson count are Poisson. 400 frames of 50 portions: known to sqrt(2 / 20,000) = 1 %; of the root's
+    # variance 3/8 over the count, 0.4 %, is not there.
+    portions, frames = 50, 400
+    counts = RNG(6).poisson(2.0, frames * portions)
+    found = noise_variance(one_bin("count"), reduced(np.ones(len(counts)), counts, counts), portions, number)
+    assert found[0] == pytest.approx(0.25, rel=TOLERANCE)
 
 
-def test_what_is_left_is_scaled_to_the_size_of_the_whole() -> None:
-    counts = np.array([3.0, 8.0, 1.0, 4.0])
-    found = Pool(one_bin("count"), reduced(np.ones(4), counts, counts)).jackknife(4, 1)[0, :, 0]
-    np.testing.assert_allclose(found, np.sqrt((counts.sum() - counts) * 4.0 / 3.0 + 0.375), rtol=1e-12)
-
-
-def test_the_jackknife_knows_nothing_of_what_is_between_frames() -> None:
-    found = Pool(WHOLE, random_frames(12)).jackknife(4, 3)
-    assert found.shape == (1, 4, WHOLE.size)
+def test_the_noise_of_portions_knows_nothing_of_what_is_between_frames() -> None:
+    found = Pool(WHOLE, random_frames(12)).element_noise(4, 3, 3)
+    assert found.shape == (3, 4, WHOLE.size)
     assert (found[..., WHOLE.bins :] == 0).all()
     assert (found[..., : WHOLE.bins].var(1) > 0).all()
 

@@ -1,7 +1,7 @@
 """How far measured conditions are from a simulator, in units of its own scatter.
 
 A pool of simulated frames of each condition gives the distribution of its vector at the measured number of frames: its
-mean and its scatter. How the scatter of one entry goes with that of another follows from leaving out portions of the
+mean and its scatter. How the scatter of one entry goes with that of another follows from the noise of portions of the
 elements (beams, pixels, targets): simulated frames cannot tell it, they start from a handful of clear frames and know
 only so many directions of noise. The residual is the measured vector's departure in those units, made independent
 (whitened), so that each of its entries is about 1 if nothing is missing.
@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 
 DRAWS = 256  # of the vector from the pool
 PORTIONS = 128  # of the elements of a frame
-PORTIONED_FRAMES = 18  # of each condition
+PORTIONED_FRAMES = 8  # of each condition
 SHRINKAGE = 0.1  # of the correlations towards none
 
 
@@ -248,7 +248,7 @@ def baseline(
 
 
 def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:
-    """Scatter and correlations from leaving out portions of the elements.
+    """Scatter and correlations from the noise of portions of the elements.
 
     Args:
         portioned: condition to simulated frames times ``PORTIONS``.
@@ -258,13 +258,11 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> 
     total = np.zeros((size, size))
     scatter = {}
     for target in measured:
-        name, number = target.condition.id, target.frames
-        pool = portioned[name]
-        vectors = pool.jackknife(PORTIONS, min(number, len(pool) // PORTIONS))
-        apart = (vectors - vectors.mean(1, keepdims=True)).reshape(-1, size)
-        variance = (apart**2).mean(0) * (PORTIONS - 1)
-        scatter[name] = np.sqrt(variance)
-        unit = np.where(target.enough, apart / np.where(variance > 0, np.sqrt(variance), 1.0), 0.0)
-        total += (unit.T @ unit) * (PORTIONS - 1) / len(unit)
+        name = target.condition.id
+        apart = portioned[name].element_noise(PORTIONS, target.frames, target.clear_frames)
+        scatter[name] = np.sqrt((apart**2).sum(1).mean(0))
+        unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
+        unit = np.where(target.enough, unit, 0.0).reshape(-1, size)
+        total += unit.T @ unit / len(apart)
     spread = np.sqrt(np.diag(total))
     return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12))

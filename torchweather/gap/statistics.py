@@ -12,7 +12,8 @@ handful of frames; its vector holds, with the variance of each entry made nearly
 - ``persistence``: sqrt of the mean product of the maps of two different frames: what stays in its place.
 
 References:
-    GAP.md 3 (1). Anscombe 1948 (square root of counts), Freeman & Tukey 1950 (shares).
+    GAP.md 3 (1). Anscombe 1948 (square root of counts), Freeman & Tukey 1950 (shares), Jaeckel 1972 (infinitesimal
+    jackknife).
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ LEAST = {"between": 0.2, "persistence": 0.1}
 PERSISTENCE_SHARE = 0.01  # of itself: in dense weather the mean pattern persists, and no simulator knows it better
 PARTICLE_AXIS = "particle_range_m"
 TINY = 1e-12
+LINEAR = 1e-4  # of a departure, over which entries are straight
 
 
 @dataclass(frozen=True)
@@ -184,25 +186,37 @@ class Pool:
                 found[group.statistic] = value / np.maximum(weight, TINY)
         return found
 
-    def jackknife(self, portions: int, number: int) -> Floats:
-        """Vectors ``(sets, portions, size)`` with one portion of the elements left out, of sets of ``number`` frames.
+    def element_noise(self, portions: int, number: int, clear_frames: int) -> Floats:
+        """Departures ``(frames, portions, size)`` of the vector of ``number`` frames by the noise of one portion of the
+        elements alone: squared and summed over the portions, their mean over the frames is the noise of all elements.
 
-        The rows of the pool are frames times portions. Entries that are not sums over bins come out 0: between frames
-        nothing is known of them here.
+        The infinitesimal jackknife, of each portion about its own mean over the frames: what differs from element to
+        element in all frames alike is no noise. Entries that are not sums over bins come out 0: between frames nothing
+        is known of them here.
+
+        Args:
+            portions: the rows of the pool are frames times so many.
+            number: of frames of the vector.
+            clear_frames: from which the pool's frames were made, in turn.
         """
         frames, bins = self.frames, self.layout.bins
-        sets = len(frames) // (portions * number)
-        parts = []
+        count = len(frames) // portions
+        independent = min(count, clear_frames)
+        scale = math.sqrt(number * independent / max(independent - 1, 1))
+        totals, noises = [], []
         for name in ("weight", "value", "square"):
-            shaped = getattr(frames, name)[: sets * number * portions].reshape(sets, number, portions, bins).sum(1)
-            # Scaled to the size of the whole.
-            parts.append((shaped.sum(1, keepdims=True) - shaped) * (portions / (portions - 1)))
-        found = np.zeros((sets, portions, self.layout.size))
+            shaped = getattr(frames, name).reshape(count, portions, bins)
+            mean = shaped.mean(0)
+            totals.append(number * mean.sum(0))
+            noises.append(scale * (shaped - mean))
+        found = np.zeros((count, portions, self.layout.size))
         start = 0
         for group in self.layout.binned:
             part = slice(start, start + group.bins)
             start += group.bins
-            found[..., part] = _entry(group.kind, *(sums[..., part] for sums in parts))
+            here = [total[part] for total in totals]
+            moved = [total[part] + LINEAR * noise[..., part] for total, noise in zip(totals, noises, strict=True)]
+            found[..., part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / LINEAR
         return found
 
     def least_scatter(self, number: int, misplaced: float = 0.0) -> Floats:
