@@ -200,13 +200,16 @@ def test_the_average_of_a_frame_is_that_of_all_its_elements_whatever_their_bins(
     #                  a    a    s    a    a    p    b    b
     weight = np.array([[1.0, 3.0, 9.0, 4.0, 4.0, 7.0, 2.0, 0.0], [2.0, 2.0, 9.0, 4.0, 4.0, 7.0, 0.0, 0.0]])
     value = np.array([[5.0, 3.0, 1.0, 8.0, 1.0, 7.0, 3.0, 0.0], [0.0, 6.0, 1.0, 6.0, 1.0, 7.0, 0.0, 0.0]])
-    found = Pool(Layout(AVERAGED, (), (), ()), reduced(weight, value, value)).averages()
+    noise = np.array([0.3, 0.1, 9.0, 9.0, 9.0, 9.0, 0.2, 0.0])
+    found = Pool(Layout(AVERAGED, (), (), ()), reduced(weight, value, value)).averages(noise)
     assert sorted(found) == ["a", "b"]
-    np.testing.assert_allclose(found["a"], [(5.0 + 3.0) / 4.0, 6.0 / 4.0], rtol=1e-12)
-    np.testing.assert_allclose(found["b"], [1.5, 0.0], rtol=1e-12)  # 0 where there is none
+    np.testing.assert_allclose(found["a"][0], [(5.0 + 3.0) / 4.0, 6.0 / 4.0], rtol=1e-12)
+    np.testing.assert_allclose(found["b"][0], [1.5, 0.0], rtol=1e-12)  # 0 where there is none
+    # Shares of the elements: a quarter and a half in the first bin, three quarters and a half in the second.
+    assert found["a"][1] == pytest.approx(0.375**2 * 0.3 + 0.625**2 * 0.1, rel=1e-12)
 
 
-# ---- the noise of portions --------------------------------------------------------------------------------------------
+# ---- the noise of portions -------------------------------------------------------------------------------------------
 
 
 def noise_variance(layout: Layout, frames: Reduced, portions: int, number: int, clear_frames: int = 10**6) -> Any:
@@ -228,7 +231,9 @@ def test_what_differs_from_element_to_element_in_all_frames_alike_is_no_noise() 
     portions, frames = 50, 8
     pattern, noise = RNG(5).normal(2.0, 3.0, portions), RNG(6).normal(0.0, 0.1, (frames, portions))
     values = pattern + noise
-    found = noise_variance(one_bin("mean"), reduced(np.ones(values.size), values.ravel(), values.ravel() ** 2), portions, 1)
+    found = noise_variance(
+        one_bin("mean"), reduced(np.ones(values.size), values.ravel(), values.ravel() ** 2), portions, 1
+    )
     np.testing.assert_allclose(found, noise.var(0, ddof=1).mean() / portions, rtol=1e-6)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import Node
+from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.untouched import TOUCHED, fresh_gains, untouched
 from torchweather.stages.effects_lidar import EFFECTS
@@ -64,7 +65,20 @@ def test_a_gain_is_that_of_the_entries_alone() -> None:
         )
     ]
     left = np.array([-100.0, 3.0, 1.0])
+    nothing = Nuisance(np.zeros((3, 1)), np.zeros(1), 0)
     # Of the first the amplitude is 1 in the second entry: 2 * 9 - 9; of the second 0.2: 1.
-    assert fresh_gains(nodes, left, np.array([False, True, True])) == pytest.approx({"lidar.range_noise": 9.0})
-    assert fresh_gains(nodes, left, np.array([False, False, True])) == pytest.approx({"lidar.range_noise": 1.0})
-    assert fresh_gains(nodes, left, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
+    assert fresh_gains(nodes, left, nothing, np.array([False, True, True])) == pytest.approx({"lidar.range_noise": 9.0})
+    assert fresh_gains(nodes, left, nothing, np.array([False, False, True])) == pytest.approx(
+        {"lidar.range_noise": 1.0}
+    )
+    assert fresh_gains(nodes, left, nothing, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
+
+
+def test_what_a_nuisance_took_from_a_residual_is_taken_from_the_response() -> None:
+    """A clock moves both entries together, far more than a bias does; what it leaves of a bias still counts fully."""
+    line = Line(EFFECTS["lidar.range_bias"], ({"offset_m": 0.1},))
+    node = Node(line, 0, line.settings[0], np.array([40.0, 48.0]))
+    clock = Nuisance(np.array([[1e4], [1e4]]), np.zeros(1), 0)
+    left = clock.left(0.5 * node.response)  # -2 and 2 about
+    # Half a response: 2 * 0.5 * 16 - 0.25 * 32.
+    assert fresh_gains([node], left, clock, np.ones(2, bool)) == pytest.approx({"lidar.range_bias": 8.0}, rel=1e-3)

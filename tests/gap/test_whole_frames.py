@@ -13,11 +13,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from torchweather.gap.baseline import Baseline, Target, Whitening
+from torchweather.gap.baseline import PORTIONS, Baseline, Target, Whitening
 from torchweather.gap.lidar_sums import lidar_layout
 from torchweather.gap.search import PROBE_FRAMES, SCREEN_FRAMES, UNSAID, Search, Setting
 from torchweather.gap.statistics import Group, Layout, Reduced
-from torchweather.gap.whole_frames import KNOWN_TO, SELDOM, clear_errors, model_errors, widened
+from torchweather.gap.whole_frames import (
+    KNOWN_TO,
+    SELDOM,
+    clear_errors,
+    clear_means,
+    frame_departures,
+    model_errors,
+    widened,
+)
 from torchweather.stages.effects import EFFECTS
 from torchweather.stages.effects_lidar import EFFECTS as LIDAR_EFFECTS
 
@@ -50,13 +58,18 @@ def of_frames(scene: str) -> Any:
     return values - values.mean(0)
 
 
-def clear(scene: str) -> Reduced:
-    """Clear frames, each compared with the mean of the others: further apart by K / (K - 1)."""
+def clear(scene: str, portions: int = 1) -> Reduced:
+    """Clear frames, each compared with the mean of the others: further apart by K / (K - 1); elements without noise."""
     each = of_frames(scene)
     number = len(each)
     value = WEIGHT * (0.5 + each - (each.sum(0) - each) / (number - 1))
     weight = np.tile(WEIGHT, (number, 1))
-    return Reduced(weight, value, weight, np.zeros((number, 1)), np.zeros((number, 0, 1)))
+    if portions > 1:
+        value, weight = (
+            np.repeat(np.tile(one.mean(0) / portions, (number, 1)), portions, 0) for one in (value, weight)
+        )
+    nothing = np.zeros((len(value), 0))
+    return Reduced(weight, value, weight, np.zeros((len(value), 1)), nothing[..., None])
 
 
 def bare(clear_frames: Mapping[str, int] = CLEAR) -> Search:
@@ -86,11 +99,6 @@ def base(mean: float = 0.0) -> Baseline:
     return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {})
 
 
-def of(search: Search, at: Baseline) -> tuple[Any, ...]:
-    """What columns are made from: the model, the conditions, and how a departure becomes a column."""
-    return search.model, search.measured, partial(search._column, at)
-
-
 def covariance(columns: Any) -> Any:
     """Of the departures of all conditions ``(C, P, C, P)``, of nuisances of one standard deviation each."""
     response = np.stack(columns, 1)
@@ -107,22 +115,20 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
     for scene in CLEAR:
         each = of_frames(scene)
         entries = np.zeros((len(each), SIZE))
-        entries[:, RATIO] = each[:, RATIO]
-        entries[:, APART] = each[:, APART]  # not of particles: clear frames hardly have any
         even = {
             name: (each[:, part] * WEIGHT[part]).sum(1) / WEIGHT[part].sum()
             # All elements of one axis: each is in a bin of every axis.
             for name, part in (("ratio", slice(0, 3)), ("apart", APART))
         }
+        for name, part in (("ratio", RATIO), ("apart", APART)):  # not of particles: clear frames hardly have any
+            entries[:, part] = each[:, part] - even[name][:, None]
+            pooled[part, part] += (even[name] ** 2).sum() / degrees
         for one in entries:
             pooled += np.outer(one, one) / degrees
-        for name, part in (("ratio", RATIO), ("apart", APART)):
-            pooled[part, part] += (even[name] ** 2).sum() / degrees
-    # Sample variances of the two scenes, pooled, and the even shift beside them.
-    sample = sum((CLEAR[scene] - 1) * of_frames(scene).var(0, ddof=1) for scene in CLEAR) / degrees
-    assert pooled[0, 0] > 1.5 * sample[0]
     pooled *= stats.t.isf(0.5e-3, degrees) ** 2 / stats.norm.isf(0.5e-3) ** 2
-    found = covariance(clear_errors(*of(bare(), base())))
+    search, at = bare(), base()
+    departures = frame_departures(search.model, search.measured)
+    found = covariance(clear_errors(departures, search.measured, partial(search._column, at)))
     for one, (name, scene) in enumerate(SCENES.items()):
         for other, (_, elsewhere) in enumerate(SCENES.items()):
             share = (scene == elsewhere) / CLEAR[scene] + (one == other) / FRAMES[name]
@@ -130,7 +136,44 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
 
 
 def test_a_single_clear_frame_of_each_scene_tells_nothing_of_whole_frames() -> None:
-    assert clear_errors(*of(bare(dict.fromkeys(CLEAR, 1)), base())) == []
+    search = bare(dict.fromkeys(CLEAR, 1))
+    assert frame_departures(search.model, search.measured) == []
+    assert clear_errors([], search.measured, partial(search._column, base())) == []
+
+
+@pytest.mark.parametrize("clock", [0.0, 1.0])
+def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> None:
+    """Elements with noise of 1 in two bins of 512; a clock that moves all of them together by a tenth of that or so."""
+    portions, number, scenes = PORTIONS, 24, 12
+    layout = Layout(
+        (Group("apart", "x", "mean", (0.0, 1.0, 2.0)), Group("level", "x", "spread", (0.0, 1.0))), (), (), ()
+    )
+    each = 4  # elements of a portion in each bin
+
+    def frames(scene: str, parts: int = 1) -> Reduced:
+        rng = RNG([7, int(scene)])
+        value = rng.normal(size=(number, portions, 3, each))
+        value[..., :2, :] += 0.1 * clock * rng.normal(size=(number, 1, 1, 1))
+        value -= value.mean(0)
+        value *= number / (number - 1)  # compared with the mean of the others
+        sums = (np.full(value.shape[:3], float(each)), value.sum(-1), (value**2).sum(-1))
+        shaped = [one.reshape(-1, 3) if parts > 1 else one.sum(1) for one in sums]
+        rows = len(shaped[0])
+        return Reduced(*shaped, np.zeros((rows, 0)), np.zeros((rows, 0, 1)))
+
+    measured = [
+        Target(SimpleNamespace(scene=str(scene)), np.zeros(3), np.ones(3, bool), 1, clear_frames=number)  # type: ignore[arg-type]
+        for scene in range(scenes)
+    ]
+    model: Any = SimpleNamespace(layout=layout, clear=frames)
+    departures = frame_departures(model, measured)
+    found = sum((np.outer(one, one) for one in departures), np.zeros((3, 3)))
+    # 276 degrees of freedom: the variance of a clock is known to sqrt(2 / 276) = 8.5 %, nothing to a tenth of the
+    # element noise of a bin, 1 / 512 (of the spread, half of that).
+    assert found[:2, :2] == pytest.approx(
+        np.full((2, 2), 0.01 * clock * widened(scenes * (number - 1))), rel=0.3, abs=4e-4
+    )
+    assert abs(found[2]).max() < 2e-4
 
 
 def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
@@ -150,13 +193,25 @@ def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
 
 def test_what_weather_does_to_means_is_known_to_half_a_percent_in_all_conditions_and_in_each() -> None:
     at = base(3.0)
-    found = covariance(model_errors(bare().model, bare().measured, at, partial(bare()._column, at)))
-    known = {name: np.where(AVERAGES, KNOWN_TO * at.mean[name], 0.0) for name in SCENES}
+    in_clear_air = {"s0": np.linspace(0.0, 2.0, SIZE), "s1": np.linspace(1.0, 0.0, SIZE)}
+    columns = model_errors(LAYOUT, bare().measured, at, in_clear_air, partial(bare()._column, at))
+    found = covariance(columns)
+    known = {
+        name: np.where(AVERAGES, KNOWN_TO * (at.mean[name] - in_clear_air[scene]), 0.0)
+        for name, scene in SCENES.items()
+    }
     assert KNOWN_TO == 0.005
     for one, name in enumerate(SCENES):
         for other, elsewhere in enumerate(SCENES):
             expected = (1.0 + (one == other)) * np.outer(known[name], known[elsewhere])
             np.testing.assert_allclose(found[one, :, other], expected, rtol=1e-9, atol=1e-15)
+
+
+def test_what_weather_does_is_against_all_clear_frames_of_the_scene() -> None:
+    found = clear_means(bare().model, bare().measured)
+    assert sorted(found) == sorted(CLEAR)
+    for scene, vector in found.items():
+        assert vector[RATIO] == pytest.approx(0.5 + of_frames(scene).mean(0)[RATIO], abs=1e-12)
 
 
 # ---- seeds -----------------------------------------------------------------------------------------------------------

@@ -58,8 +58,8 @@ class FrameModel(Protocol):
         """The condition's own frames."""
         ...
 
-    def clear(self, scene_id: str) -> Reduced:
-        """The clear frames of a scene, each compared with the others."""
+    def clear(self, scene_id: str, portions: int = 1) -> Reduced:
+        """The clear frames of a scene, each compared with the others; each in so many portions of its elements."""
         ...
 
     def open(self, condition: Condition) -> Mapping[str, float]:

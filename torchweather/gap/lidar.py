@@ -90,10 +90,10 @@ class LidarFrames:
         row = torch.arange(len(frames)) % len(self.scenes[condition.scene].range_m)
         return self.reduce(condition.scene, range_m, intensity, row)
 
-    def clear(self, scene_id: str) -> Reduced:
-        """The clear frames of a scene, each compared with the others."""
+    def clear(self, scene_id: str, portions: int = 1) -> Reduced:
+        """The clear frames of a scene, each compared with the others; ``portions`` as in ``reduce``."""
         scene = self.scenes[scene_id]
-        return self.reduce(scene_id, scene.range_m, scene.intensity, torch.arange(len(scene.range_m)))
+        return self.reduce(scene_id, scene.range_m, scene.intensity, torch.arange(len(scene.range_m)), portions)
 
     def transform(self, condition: Condition) -> LidarWeather:
         """The ready-made chain of a condition's weather."""

@@ -32,7 +32,7 @@ from torchweather.gap.candidates import Line
 from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.statistics import Pool
-from torchweather.gap.whole_frames import clear_errors, model_errors
+from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
 
@@ -120,6 +120,8 @@ class Search:
         self.simulated_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
         self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
+        self.frame_departures = frame_departures(model, self.measured)
+        self.clear_means = clear_means(model, self.measured)
         self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
         self.start = self.at(Setting())
         self.origin = Setting()
@@ -273,8 +275,8 @@ class Search:
             change = [(new - old) / step for new, old in zip(after, before, strict=True)]
             columns.append(self.whitened(base, change))
         whitened = partial(self._column, base)
-        self.fixed = clear_errors(self.model, self.measured, whitened)
-        self.fixed += model_errors(self.model, self.measured, base, whitened)
+        self.fixed = clear_errors(self.frame_departures, self.measured, whitened)
+        self.fixed += model_errors(self.model.layout, self.measured, base, self.clear_means, whitened)
         response = np.stack([*columns, *self.fixed], 1)
         return Nuisance(response, self.offset(setting), len(columns))
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FEWEST", "PARTICLE_AXIS", "Group", "Layout", "Pool", "Reduced"]
+__all__ = ["FEWEST", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
 
 Floats = NDArray[np.float64]
 
@@ -174,16 +174,25 @@ class Pool:
         parts.append(_persistence(maps))
         return np.concatenate(parts, 1)
 
-    def averages(self) -> dict[str, Floats]:
-        """Mean over all elements of each frame ``(F,)`` of every statistic that a whole frame can move."""
-        found: dict[str, Floats] = {}
+    def averages(self, noise: Floats) -> dict[str, tuple[Floats, float]]:
+        """Mean over all elements of each frame ``(F,)`` of every statistic that a whole frame can move.
+
+        Args:
+            noise: ``(size,)`` variance of each entry of one frame, independent from bin to bin.
+
+        Returns:
+            The means, and the variance that this noise gives them.
+        """
+        found: dict[str, tuple[Floats, float]] = {}
         start = 0
         for group in self.layout.binned:
             part = slice(start, start + group.bins)
             start += group.bins
             if group.is_average_of(group.statistic) and group.statistic not in found:
-                weight, value = self.frames.weight[:, part].sum(1), self.frames.value[:, part].sum(1)
-                found[group.statistic] = value / np.maximum(weight, TINY)
+                weight, value = self.frames.weight[:, part], self.frames.value[:, part].sum(1)
+                whole = np.maximum(weight.sum(1), TINY)
+                share = (weight / whole[:, None]).mean(0)
+                found[group.statistic] = value / whole, float((share**2 * noise[part]).sum())
         return found
 
     def element_noise(self, portions: int, number: int, clear_frames: int) -> Floats:

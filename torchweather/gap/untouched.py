@@ -42,10 +42,12 @@ def untouched(search: Search, fit: Fit) -> NDArray[np.bool_]:
     return np.tile(entries, len(search.measured))
 
 
-def fresh_gains(nodes: Sequence[Node], left: Floats, entries: NDArray[np.bool_]) -> dict[str, float]:
+def fresh_gains(
+    nodes: Sequence[Node], left: Floats, nuisance: Nuisance, entries: NDArray[np.bool_]
+) -> dict[str, float]:
     """Largest gain of each effect in some entries of a residual ``(C P,)`` from which nuisances are taken."""
     nothing = Nuisance(np.zeros((len(left), 1)), np.zeros(1), 0)
-    masked = [Node(one.line, one.number, one.values, one.response * entries) for one in nodes]
+    masked = [Node(one.line, one.number, one.values, nuisance(one.response) * entries) for one in nodes]
     found: dict[str, float] = {}
     for node, gain in zip(nodes, gains(masked, (left * entries)[None], nothing)[0], strict=True):
         found[node.id] = max(found.get(node.id, 0.0), float(gain))

@@ -4,7 +4,7 @@ The scatter of an entry says how far it departs, not that all entries of a frame
 a clock is off.
 
 References:
-    GAP.md 3 (2).
+    GAP.md 3 (2). Variance components: Searle, Casella & McCulloch 1992.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from torchweather.gap.baseline import Baseline, FrameModel, Target
-from torchweather.gap.statistics import PARTICLE_AXIS, Pool
+from torchweather.gap.baseline import PORTIONS, Baseline, FrameModel, Target
+from torchweather.gap.statistics import PARTICLE_AXIS, TINY, Layout, Pool
 
-__all__ = ["clear_errors", "model_errors"]
+__all__ = ["clear_errors", "clear_means", "frame_departures", "model_errors"]
 
 Floats = NDArray[np.float64]
 
@@ -30,50 +30,99 @@ KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one p
 SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 
 
-def clear_errors(model: FrameModel, measured: Sequence[Target], column: Column) -> list[Floats]:
-    """Columns of what whole frames do to means and spreads of objects, from how clear frames of all scenes differ.
+def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Floats]:
+    """What whole frames do to means and spreads of objects ``(P,)``, from how clear frames of all scenes differ; summed
+    up in square, the variance of a frame.
 
-    The error of each scene's clear mean moves all its conditions alike; the mean of a condition's own frames has one of
-    its own.
+    By more than the noise of their elements makes them differ, which is in the scatter of each entry: of the even shift
+    of a statistic, and of what is left of each frame, the excess over that counts.
     """
     layout = model.layout
     # Clear frames hardly have particles; the few that one has say nothing of those in weather.
     kinds = [group.kind if group.axis != PARTICLE_AXIS else "" for group in layout.groups]
     moved = np.repeat([kind in ("mean", "spread") for kind in kinds], [group.bins for group in layout.groups])
+    statistic = np.repeat([group.statistic for group in layout.groups], [group.bins for group in layout.groups])
     scenes = {target.condition.scene: target.clear_frames for target in measured}
     degrees = sum(scenes.values()) - len(scenes)
     if degrees < 1:
         return []
-    one_frame: list[Floats] = []  # summed up in square: the variance of a frame
+    rests: list[Floats] = []  # summed up in square: the variance of a frame
     evenly: dict[str, float] = {}  # variance of a mean over all elements
+    found, expected = np.zeros(layout.size), np.zeros(layout.size)
     for scene, number in scenes.items():
         pool = Pool(layout, model.clear(scene))
         each = pool.vectors(np.arange(number)[:, None])
         # Departures from the mean of the others are larger than those from the mean of all.
-        less = (number - 1) / number / math.sqrt(degrees)
-        one_frame += list(np.where(moved, each - each.mean(0), 0.0) * less)
-        for name, values in pool.averages().items():
-            evenly[name] = evenly.get(name, 0.0) + float(((values - values.mean()) ** 2).sum()) * less**2
+        less = (number - 1) / number
+        portioned = Pool(layout, model.clear(scene, PORTIONS))
+        noise = less**2 * (portioned.element_noise(PORTIONS, 1, number) ** 2).sum(1).mean(0)
+        apart = np.where(moved, each - each.mean(0), 0.0) * less
+        for name, (values, variance) in pool.averages(noise).items():
+            even = (values - values.mean()) * less
+            entries = np.concatenate([np.full(group.bins, group.is_average_of(name)) for group in layout.groups])
+            apart -= even[:, None] * entries
+            excess = float((even**2).sum()) - (number - 1) * variance
+            evenly[name] = evenly.get(name, 0.0) + excess / degrees
+        found += (apart**2).sum(0) / degrees
+        expected += noise * (number - 1) / degrees
+        rests += list(apart / math.sqrt(degrees))
+    share = np.zeros(layout.size)
+    for name in set(statistic[moved]):
+        own = moved & (statistic == name) & (found > 0)
+        if own.any():
+            share[own] = max(1.0 - 1.0 / float(np.mean(found[own] / np.maximum(expected[own], TINY))), 0.0)
+    one_frame = [np.sqrt(share) * rest for rest in rests if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
     for name, variance in evenly.items():
-        own_entries = [np.full(group.bins, group.is_average_of(name)) for group in layout.groups]
-        one_frame.append(math.sqrt(variance) * np.concatenate(own_entries))
-    one_frame = [departure * math.sqrt(widened(degrees)) for departure in one_frame]
+        entries = np.concatenate([np.full(group.bins, group.is_average_of(name)) for group in layout.groups])
+        one_frame += [math.sqrt(variance) * entries] if variance > 0 else []
+    return [departure * math.sqrt(widened(degrees)) for departure in one_frame]
+
+
+def clear_errors(departures: Sequence[Floats], measured: Sequence[Target], column: Column) -> list[Floats]:
+    """Columns of what whole frames do: the error of each scene's clear mean moves all its conditions alike; the mean of
+    a condition's own frames has one of its own.
+
+    Args:
+        departures: of one frame (``frame_departures``).
+        measured: the conditions.
+        column: makes one.
+    """
+    scenes = {target.condition.scene: target.clear_frames for target in measured}
     columns = []
     for scene, number in scenes.items():
         own = [place for place, target in enumerate(measured) if target.condition.scene == scene]
-        for departure in one_frame:
+        for departure in departures:
             columns.append(column(dict.fromkeys(own, departure / math.sqrt(number))))
             columns += [column({place: departure / math.sqrt(measured[place].frames)}) for place in own]
     return columns
 
 
-def model_errors(model: FrameModel, measured: Sequence[Target], base: Baseline, column: Column) -> list[Floats]:
-    """Columns of how well a model knows what weather does to means: in every condition, and in all alike."""
-    groups = model.layout.groups
+def clear_means(model: FrameModel, measured: Sequence[Target]) -> dict[str, Floats]:
+    """Vector ``(P,)`` of all clear frames of each scene."""
+    found = {}
+    for scene in dict.fromkeys(target.condition.scene for target in measured):
+        pool = Pool(model.layout, model.clear(scene))
+        found[scene] = pool.vectors(np.arange(len(pool))[None])[0]
+    return found
+
+
+def model_errors(
+    layout: Layout, measured: Sequence[Target], base: Baseline, clear: Mapping[str, Floats], column: Column
+) -> list[Floats]:
+    """Columns of how well a model knows what weather does to means: in every condition, and in all alike.
+
+    Args:
+        layout: of the vectors.
+        measured: the conditions.
+        base: the model.
+        clear: vectors of clear air (``clear_means``).
+        column: makes one.
+    """
+    groups = layout.groups
     averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in groups])
     each = {
-        place: np.where(averages, KNOWN_TO * base.mean[target.condition.id], 0.0)
+        place: np.where(averages, KNOWN_TO * (base.mean[target.condition.id] - clear[target.condition.scene]), 0.0)
         for place, target in enumerate(measured)
     }
     return [column(each), *(column({place: own}) for place, own in each.items())]

@@ -35,14 +35,17 @@ Floats = NDArray[np.float64]
 
 # The numbers below were set on development studies of the bench.
 ALARM_P = 2e-4
+FURTHER_P = 0.01  # of a further effect, by chance; held-out conditions speak, too
 REFITTED, FURTHER_REFITTED = 4, 2  # candidates that are fitted: alone, further ones
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
 # another form of the first effect leaves is patched a little by many.
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
-HELD_GAIN = 4.0  # by which an effect must lower the misfit of held-out conditions: two standard deviations
-SURE_GAIN, HELD_LOSS = 50.0, 0.1  # misfit explained from which less is asked of held-out ones, by so much of the rest
+# By which a further effect must lower the misfit of held-out conditions, two standard deviations; an alarm is beyond
+# noise already: they must not speak against its effect. One that explains more than SURE_GAIN they may, by so much of
+# the rest: where they hardly show it.
+HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.2  # of the excess misfit that is left
 SIGNIFICANT = 4.0  # standard deviations of a null's misfit, from which a rest is no noise
@@ -140,7 +143,7 @@ def _rounds(
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
     nodes, nuisance = screening.nodes, base.nuisance
-    threshold = float(np.quantile(screening.best_null, 1.0 - ALARM_P))
+    threshold = float(np.quantile(screening.best_null, 1.0 - FURTHER_P))
     left = nuisance.left(base.residual)
     tried = [(search.origin, node, amplitude) for node, amplitude in best_nodes(nodes, left, nuisance)[:REFITTED]]
     rounds = [fitted(search, base, tried, screening.misfit, say)]
@@ -170,7 +173,7 @@ def _rounds(
         here = best.fit.nuisance
         rest_left = here.left(best.fit.residual)
         # What shows where the effects found do nothing need not compare with what they explain.
-        gain_elsewhere = fresh_gains(rest, rest_left, untouched(search, best.fit))
+        gain_elsewhere = fresh_gains(rest, rest_left, here, untouched(search, best.fit))
         fresh = {name for name, gain in gain_elsewhere.items() if gain > threshold}
         worth = bool(fresh) or bool(gains(rest, rest_left[None], here).max() >= needed)
         further = best_nodes(rest, rest_left, here)[:FURTHER_REFITTED]
@@ -205,9 +208,7 @@ def _verdict(screening: Screening, misfit: float, before: HeldOut, after: HeldOu
     left = max(misfit - expected, 0.0)
     share = left / max(screening.misfit - min(expected, misfit), 1e-9)
     explained = screening.misfit - misfit
-    # Held-out conditions that hardly show a strong effect must not speak against it by much.
-    least = HELD_GAIN - HELD_LOSS * max(explained - SURE_GAIN, 0.0)
-    if before.misfit - after.misfit < least:
+    if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
         return "unknown" if screening.p_value < SURE_P else "none"
     if share > UNKNOWN_SHARE:
         return "unknown"
