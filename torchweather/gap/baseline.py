@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from torchweather.gap.statistics import Layout, Pool, Reduced
+from torchweather.gap.statistics import TINY, Layout, Pool, Reduced
 from torchweather.gap.study import Condition, Study
 from torchweather.stages.effects import Effect
 
@@ -174,6 +174,7 @@ class Baseline:
         used: condition to ``(P,)`` entries that count.
         whitening: common to all conditions.
         draws: condition to ``(DRAWS, P)`` vectors of the simulator itself.
+        least: condition to ``(P,)`` scatter that each entry has at least.
     """
 
     mean: Mapping[str, Floats]
@@ -182,6 +183,7 @@ class Baseline:
     used: Mapping[str, NDArray[np.bool_]]
     whitening: Whitening
     draws: Mapping[str, Floats]
+    least: Mapping[str, Floats]
 
     def residual(self, target: Target, vector: Floats | None = None) -> Floats:
         """Whitened departure ``(P,)`` of a vector, the measured one by default."""
@@ -205,7 +207,7 @@ def baseline(
     pools: Mapping[str, Pool],
     measured: Sequence[Target],
     noise: ElementNoise,
-    whitening: Whitening | None,
+    start: Baseline | None,
     seed: int,
 ) -> Baseline:
     """The distribution of the vectors that pools of simulated frames give.
@@ -214,10 +216,11 @@ def baseline(
         pools: condition to simulated frames.
         measured: the conditions, with their number of frames.
         noise: of the elements.
-        whitening: of another setting, to be kept; ``None`` makes it from these pools.
+        start: the model without effects, whose whitening is kept; ``None`` where this is it. The noise of elements is
+            its noise, and grows as the elements' own spread does.
         seed: of the draws.
     """
-    means, sds, owns, totals, used, draws = {}, {}, {}, {}, {}, {}
+    means, sds, owns, totals, used, draws, spreads = {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
     shares = np.concatenate([np.full(group.bins, group.kind == "share") for group in layout.groups])
     averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in layout.groups])
@@ -231,7 +234,9 @@ def baseline(
         # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
         share = np.full(len(mean), min(n / count, 0.5))
         # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
-        least = np.maximum(pool.least_scatter(n, target.misplaced), np.where(shares, 0.0, noise.scatter[name]))
+        spreads[name] = least = pool.least_scatter(n, target.misplaced)
+        grown = 1.0 if start is None else np.maximum(least / np.maximum(start.least[name], TINY), 1.0)
+        least = np.maximum(least, np.where(shares, 0.0, noise.scatter[name] * np.where(averages, grown, 1.0)))
         share = share + np.where(shares | averages, n / target.clear_frames, 0.0)
         drawn = spread**2 / (1.0 - min(n / count, 0.5))
         own = np.sqrt(np.maximum(drawn, least**2))
@@ -241,10 +246,9 @@ def baseline(
         sds[name] = np.where(averages, least * np.sqrt(1.0 + share), totals[name])
         means[name], draws[name] = mean, vectors
         used[name] = target.enough & pool.enough(n)
-    if whitening is None:
-        # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
-        whitening = Whitening.of(noise, owns)
-    return Baseline(means, sds, totals, used, whitening, draws)
+    # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
+    whitening = Whitening.of(noise, owns) if start is None else start.whitening
+    return Baseline(means, sds, totals, used, whitening, draws, spreads)
 
 
 def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:

@@ -21,7 +21,7 @@ from torchweather.gap.placing import placed
 from torchweather.gap.search import SETTLED, Fit, Search, Setting
 from torchweather.stages.effects import EFFECTS
 
-__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted"]
+__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "stands_far"]
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ PAIRS_REFITTED = 2  # pairs that are fitted
 # Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
 # left open stands so many standard deviations off.
 SHADOWED, FAR = (0.1, 0.5), 2.0
-SETTLED_ROUNDS, SETTLED_BESIDE = 3, 2  # of that; of how many effects, the ones with the largest gains
+SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
 REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.35  # of the best gain, from which a candidate is refitted
@@ -80,6 +80,11 @@ def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: floa
     return list(found.values())
 
 
+def stands_far(setting: Setting) -> bool:
+    """Whether something that the model leaves open has moved by more than such things do by chance."""
+    return any(abs(value) > FAR for value in setting.open.values())
+
+
 def fitted(
     search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
 ) -> list[Candidate]:
@@ -90,12 +95,10 @@ def fitted(
         values = {**setting.values, node.id: _start(node, amplitude)}
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
-        far = any(abs(value) > FAR for value in setting.open.values())
-        shadowed = response @ base.nuisance(response) < SHADOWED[far] * (response @ response)
+        shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
         if shadowed and place < SETTLED_BESIDE and not setting.values:
             # The nuisances have moved to look like the effect while it was not there: let them settle with it.
-            settled = _settled_along(search, setting, node, misfit)
-            starts.append((settled.setting, settled.nuisance))
+            starts.append(_settled_along(search, base, setting, node, misfit))
         fits = []
         for start, nuisance in starts:
             fits.append(search.fit(placed(search, start, node.id, base), nuisance, base.base, QUICK))
@@ -121,20 +124,24 @@ def _refined(search: Search, fit: Fit) -> Fit:
     return fit
 
 
-def _settled_along(search: Search, setting: Setting, node: Node, misfit: float) -> Fit:
+def _settled_along(search: Search, base: Fit, setting: Setting, node: Node, misfit: float) -> tuple[Setting, Nuisance]:
     """The nuisances settled beside an effect at the best of its weak strengths (the nuisances do not reach as far as a
     strong one), and where a parabola through the misfits has its least.
 
     Args:
         search: its simulator.
+        base: the fit without effects.
         setting: effects found before.
         node: of the effect.
         misfit: without the effect.
+
+    Returns:
+        The setting, and the nuisances there.
     """
 
-    def settled(values: Mapping[str, float]) -> Fit:
+    def settled(values: Mapping[str, float]) -> tuple[Setting, Nuisance, float]:
         values = _start(replace(node, values=values), 1.0)
-        return search.settle(Setting({**setting.values, node.id: values}), SETTLED_ROUNDS)
+        return search.settle_beside(Setting({**setting.values, node.id: values}), base, SETTLED_ROUNDS)
 
     (name,) = [one.name for one in EFFECTS[node.id].arguments if one.identity is not None and one.name in node.values]
     declared = next(one for one in EFFECTS[node.id].arguments if one.name == name)
@@ -145,9 +152,10 @@ def _settled_along(search: Search, setting: Setting, node: Node, misfit: float) 
     found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
     if declared.identity is not None and math.isfinite(declared.identity):
         places = [declared.identity, *found]
-        least = _least(np.array(places), np.array([misfit, *(fit.misfit for fit in found.values())]))
+        least = _least(np.array(places), np.array([misfit, *(one[2] for one in found.values())]))
         found[least] = settled({**node.values, name: least})
-    return min(found.values(), key=lambda fit: fit.misfit)
+    best = min(found.values(), key=lambda one: one[2])
+    return best[0], best[1]
 
 
 def _least(place: Floats, value: Floats) -> float:

@@ -26,7 +26,6 @@ from torchweather.sensors import Lidar
 from torchweather.stages import Chain, Extinction, LidarState, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.stages.states import PointKind
 from torchweather.transforms import LidarWeather
 
 __all__ = ["LidarFrames"]
@@ -191,7 +190,8 @@ class LidarFrames:
         key = (condition.id, log_knob, tuple(seeds), first, before)
         kept = self._kept.get(key)
         if kept is None:
-            range_m, intensity = scene.range_m[row], scene.intensity[row]
+            # The scale of a frame is one of the reading: detection does not know of it.
+            range_m, intensity = scene.range_m[row], scene.intensity[row] / scene.gain[row, None]
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
             state = replace(state, grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
@@ -202,9 +202,7 @@ class LidarFrames:
         last = chain.stages[ToPoints.default_name]
         assert isinstance(last, ToPoints)
         range_m, intensity = last.measurement(state, self._noise(chain, last.default_name, condition, state, seeds))
-        # Objects have their clear frame's scale already, particles have not.
-        ours = (state.kind[..., 0] == int(PointKind.PARTICLE)) & ~state.integral
-        return range_m, torch.where(ours, intensity * scene.gain[row, None], intensity)
+        return range_m, intensity * scene.gain[row, None]
 
     def _part(
         self, chain: Chain, condition: Condition, log_knob: float, state: LidarState, seeds: list[int], *ends: int

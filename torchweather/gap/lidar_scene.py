@@ -53,7 +53,7 @@ class LidarScene:
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
         gain: ``(K,)`` intensities of each clear frame over the mean of all: what a sensor's scale does from frame
-            to frame.
+            to frame; 1 where intensities are whole numbers.
         reading_std: relative standard deviation of the intensity that does not depend on the signal.
         variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.
         bins: axis to the bin of each beam ``(K + 1, N)``, -1 for none, after the clear frames other than k: a frame
@@ -126,7 +126,8 @@ def lidar_scene(
         stable = stable & (margin_db[-1] > FLICKER_SD * noise_db)
         if bool(stable.any()) and number > 1:
             common = apart[:, stable].mean(1)
-            gain = common.exp().float()
+            if not bool((intensity == intensity.round()).all()):  # whole numbers would not stay whole
+                gain = common.exp().float()
             constant, variance_at_threshold = _variances(apart[:, stable] - common[:, None], margin_db[-1, stable])
             reading_std = math.sqrt(constant)
     isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M)[0]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,10 @@ class Screening:
     best_null: Floats
     misfit_null: Floats
     p_value: float
+
+    def raised(self, gain: float) -> Screening:
+        """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
+        return replace(self, p_value=min(self.p_value, 2.0 * _tail(self.best_null, gain)))
 
 
 def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int) -> Screening:

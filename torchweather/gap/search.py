@@ -166,8 +166,7 @@ class Search:
     def at(self, setting: Setting) -> Baseline:
         """The distribution of the vectors at a setting; whitened as the model without effects is."""
         pools = self.pools(setting, self.pool_frames)
-        whitening = self.start.whitening if hasattr(self, "start") else None
-        found = baseline(pools, self.measured, self.noise, whitening, self.seed)
+        found = baseline(pools, self.measured, self.noise, getattr(self, "start", None), self.seed)
         unsaid = {name for effect in setting.values for name in EFFECTS[effect].unsaid}
         return self._loosened(found, unsaid) if unsaid else found
 
@@ -285,11 +284,37 @@ class Search:
         nothing = np.zeros(self.model.layout.size)
         return self.whitened(base, [departures.get(place, nothing) for place in range(len(self.measured))])
 
-    def settle(self, setting: Setting, rounds: int = ROUNDS) -> Fit:
+    def settle(self, setting: Setting) -> Fit:
         """The nuisances alone, fitted at a setting of effects; the knobs first looked for on a grid."""
         setting = self._scanned(setting)
         base = self.at(setting)
-        nuisance = self.nuisance(setting, base)
+        setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), ROUNDS)
+        final = self.at(setting)
+        residual = self.residual(final)
+        misfit = nuisance.misfit(residual) + self._wider(final)
+        return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
+
+    def settle_beside(self, setting: Setting, like: Fit, rounds: int) -> tuple[Setting, Nuisance, float]:
+        """The same beside a weak effect, with the scatter and, at first, the nuisances of a fit without it.
+
+        Args:
+            setting: of the effect; the knobs are looked for.
+            like: the fit without it.
+            rounds: at most.
+
+        Returns:
+            The setting, the nuisances there, and the misfit.
+        """
+        setting = self._scanned(setting)
+        found, nuisance, residual = self._settled(
+            setting, like.base, like.nuisance.moved(self.offset(setting)), rounds
+        )
+        return found, nuisance, nuisance.misfit(residual)
+
+    def _settled(
+        self, setting: Setting, base: Baseline, nuisance: Nuisance, rounds: int
+    ) -> tuple[Setting, Nuisance, Floats]:
+        """The setting with its nuisances moved, the nuisances, and the residual there."""
         residual = self.departure(base, self.mean(setting))
         cost = nuisance.cost(residual)
         for _ in range(rounds):
@@ -302,10 +327,8 @@ class Search:
             if gained < SETTLED + STALLED_SHARE * cost:
                 break
             nuisance = self.nuisance(setting, base)
-        final = self.at(setting)
-        residual, nuisance = self.residual(final), nuisance.moved(self.offset(setting))
-        misfit = nuisance.misfit(residual) + self._wider(final)
-        return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
+            cost = nuisance.cost(residual)
+        return setting, nuisance.moved(self.offset(setting)), residual
 
     def _scanned(self, setting: Setting) -> Setting:
         """A setting with each condition's knob where its own vector is met best, of a few over the record.

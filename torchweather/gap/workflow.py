@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
-from torchweather.gap.candidate_fits import Candidate, best_nodes, best_pairs, fitted
+from torchweather.gap.candidate_fits import Candidate, best_nodes, best_pairs, fitted, stands_far
 from torchweather.gap.clear_air import ClearAir, clear_air
 from torchweather.gap.held_out import HeldOut, held_out
-from torchweather.gap.matched import gains, pair_gains
+from torchweather.gap.matched import Node, gains, pair_gains
 from torchweather.gap.screening import OVERDISPERSION, Screening, screen, screening_entries
 from torchweather.gap.search import Fit, Search, Setting
 from torchweather.gap.study import Study
@@ -38,6 +38,7 @@ ALARM_P = 2e-4
 FURTHER_P = 0.01  # of a further effect, by chance; held-out conditions speak, too
 REFITTED, FURTHER_REFITTED = 4, 2  # candidates that are fitted: alone, further ones
 MOST_EFFECTS = 3
+SINGLED_OUT = 4.0  # times the gain of any other effect, from which a further one need not compare with the first
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
 # another form of the first effect leaves is patched a little by many.
@@ -122,12 +123,17 @@ def find_gap_with(
     screening = screen(search, chosen, base, seed)
     held = Search(model, targets(model, held_conditions), seed + 1)
     before = held_out(held, held.begin(), seed)
+    singles: list[Candidate] = []
+    if screening.p_value <= ALARM_P or stands_far(base.setting):
+        # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
+        singles = _singles(search, base, screening, say)
+        screening = screening.raised(singles[0].gain)
     if screening.p_value > ALARM_P:
         left = base.nuisance.left(base.residual)
         return GapResult(
             "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
         )
-    rounds = _rounds(search, held, base, screening, before, say)
+    rounds = _rounds(search, held, base, screening, before, singles, say)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
     verdict = _verdict(screening, best.misfit, before, after)
     after = before if verdict == "none" else after  # nothing is added
@@ -138,15 +144,27 @@ def find_gap_with(
     )
 
 
+def _singles(search: Search, base: Fit, screening: Screening, say: Callable[[str], None]) -> list[Candidate]:
+    """Single effects fitted in the simulator, best first."""
+    nuisance = base.nuisance
+    best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:REFITTED]
+    return fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
+
+
 def _rounds(
-    search: Search, held: Search, base: Fit, screening: Screening, before: HeldOut, say: Callable[[str], None]
+    search: Search,
+    held: Search,
+    base: Fit,
+    screening: Screening,
+    before: HeldOut,
+    singles: list[Candidate],
+    say: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
     nodes, nuisance = screening.nodes, base.nuisance
     threshold = float(np.quantile(screening.best_null, 1.0 - FURTHER_P))
     left = nuisance.left(base.residual)
-    tried = [(search.origin, node, amplitude) for node, amplitude in best_nodes(nodes, left, nuisance)[:REFITTED]]
-    rounds = [fitted(search, base, tried, screening.misfit, say)]
+    rounds = [list(singles)]
     held_gap = before
     pairs = pair_gains(nodes, left, nuisance)
     while True:
@@ -175,7 +193,9 @@ def _rounds(
         # What shows where the effects found do nothing need not compare with what they explain.
         gain_elsewhere = fresh_gains(rest, rest_left, here, untouched(search, best.fit))
         fresh = {name for name, gain in gain_elsewhere.items() if gain > threshold}
-        worth = bool(fresh) or bool(gains(rest, rest_left[None], here).max() >= needed)
+        gain = gains(rest, rest_left[None], here)[0]
+        fresh |= _singled_out(rest, gain, threshold)
+        worth = bool(fresh) or bool(gain.max() >= needed)
         further = best_nodes(rest, rest_left, here)[:FURTHER_REFITTED]
         further += best_nodes([node for node in rest if node.id in fresh], rest_left, here)[:1] if fresh else []
         once = {node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}
@@ -191,6 +211,16 @@ def _rounds(
         if not kept:
             return rounds
         rounds.append(kept)
+
+
+def _singled_out(nodes: Sequence[Node], gain: Floats, threshold: float) -> set[str]:
+    """The effect that explains what no other one does: no rest of another form, which many patch a little."""
+    best: dict[str, float] = {}
+    for node, value in zip(nodes, gain, strict=True):
+        best[node.id] = max(best.get(node.id, 0.0), float(value))
+    first, *others = sorted(best, key=lambda name: -best[name])
+    alone = all(best[first] >= SINGLED_OUT * best[name] for name in others)
+    return {first} if alone and best[first] > threshold else set()
 
 
 def _excess(screening: Screening, best: Candidate) -> float:
