@@ -190,7 +190,8 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
     strengths = {"noise": 2.0, "fog shift": 1.0, "fog spread": 1.0, "particle gain": 5.0}
     opened = model.open_stages(condition, strengths)
     transform = model.transform(condition)
-    points = torch.cat([model.direction * scene.range_m[:3, :, None], scene.intensity[:3, :, None]], -1)
+    gain = scene.gain[:3, None]
+    points = torch.cat([model.direction * scene.range_m[:3, :, None], (scene.intensity[:3] / gain)[..., None]], -1)
     begin = transform.state_of(points, model.direction)
     begin = replace(begin, grid=model.grid, cos_incidence=scene.cos_incidence[None], up=scene.up[None])  # type: ignore[index]
     for loss_db in (0.5, 3.0, 0.5):  # the second and third start from what the first kept
@@ -204,8 +205,7 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
         range_m = out.points[..., :3].norm(dim=-1)
         torch.testing.assert_close(found_range_m, range_m, rtol=3e-6, atol=1e-6)
         ours = (out.kind[..., 0] == PARTICLE) & (range_m > 0)
-        intensity = torch.where(ours, out.points[..., 3] * scene.gain[:3, None], out.points[..., 3])
-        assert torch.equal(found_intensity, torch.where(range_m > 0, intensity, 0.0))
+        assert torch.equal(found_intensity, torch.where(range_m > 0, out.points[..., 3] * gain, 0.0))
         assert bool(ours.any())
 
 
@@ -221,18 +221,28 @@ def test_each_open_stage_changes_the_frames_of_fog_and_can_be_taken_back(
     assert all(torch.equal(one, other) for one, other in zip(plain, again, strict=True))
 
 
-def test_particles_have_the_scale_of_their_clear_frame(study: Study) -> None:
-    """A laser 10 % stronger in the second clear frame: so are its particles, which no clear frame shows."""
+def test_the_scale_of_a_frame_is_one_of_the_reading(study: Study) -> None:
+    """Intensities 10 % larger in the second clear frame: so are those of its particles, and nothing else changes."""
     condition = study.conditions[1]
     one, other = LidarFrames(study), LidarFrames(study)
     scene = one.scenes["s0"]
     gain = torch.tensor([1.0, 1.1, 1.0, 1.0])
     one.scenes["s0"] = replace(scene, gain=torch.ones(4))
-    other.scenes["s0"] = replace(scene, gain=gain)
-    (_, plain), (range_m, scaled) = (through(each, condition, []) for each in (one, other))
-    ratio = np.where(plain > 0, scaled / plain.clamp_min(1e-30), 1.0)
-    particle = (range_m > 0) & scene.empty
-    assert particle[1].sum() > 5
-    np.testing.assert_allclose(ratio[particle], gain[:3, None].expand(range_m.shape)[particle], rtol=1e-6)
-    same = ((range_m - scene.range_m[:3]).abs() < 0.1) & scene.stable
-    assert (ratio[same] == 1.0).all()
+    other.scenes["s0"] = replace(scene, gain=gain, intensity=scene.intensity * gain[:, None])
+    (plain_m, plain), (range_m, scaled) = (through(each, condition, []) for each in (one, other))
+    assert ((range_m > 0) & scene.empty).sum() > 15
+    assert ((range_m > 0) & scene.stable).sum() > 15
+    torch.testing.assert_close(range_m, plain_m, rtol=3e-6, atol=1e-6)
+    torch.testing.assert_close(scaled, plain * gain[:3, None], rtol=1e-5, atol=0.0)
+
+
+def test_whole_numbers_have_no_scale() -> None:
+    """They would not stay whole."""
+    study = tiny_study(clear=4)
+    scenes = [
+        replace(scene, clear=[{**frame, "intensity": np.rint(100.0 * frame["intensity"])} for frame in scene.clear])
+        for scene in study.scenes.values()
+    ]
+    whole = replace(study, scenes={scene.id: scene for scene in scenes})
+    assert (LidarFrames(whole).scenes["s0"].gain == 1.0).all()
+    assert (LidarFrames(study).scenes["s0"].gain != 1.0).any()

@@ -96,7 +96,7 @@ def base(mean: float = 0.0) -> Baseline:
     each, ones = {name: mean * np.arange(1.0, SIZE + 1.0) * FRAMES[name] for name in SCENES}, np.ones(SIZE)
     one = dict.fromkeys(SCENES, ones)
     twice = dict.fromkeys(SCENES, 2.0 * ones)
-    return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {})
+    return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {})
 
 
 def covariance(columns: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,17 +18,18 @@ from torchweather.gap.held_out import HeldOut
 from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.screening import OVERDISPERSION, REFINED, _tail, overdispersion, screen
-from torchweather.gap.search import Setting
+from torchweather.gap.search import Fit, Search, Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import (
     ALARM_P,
-    HELD_GAIN,
     HELD_LOSS,
+    SINGLED_OUT,
     SURE_GAIN,
     SURE_P,
     UNKNOWN_SHARE,
     _rounds,
+    _singled_out,
     _verdict,
 )
 from torchweather.stages.effects_lidar import EFFECTS, LidarWindowLoss
@@ -80,11 +82,11 @@ def test_what_is_left_of_the_excess_decides_between_a_name_a_rest_and_no_name(mi
 @pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
 @pytest.mark.parametrize(
     ("explained", "least"),
-    [(0.9 * SURE_GAIN, HELD_GAIN), (10.0 * SURE_GAIN, HELD_GAIN - 9.0 * SURE_GAIN * HELD_LOSS)],
+    [(0.9 * SURE_GAIN, 0.0), (10.0 * SURE_GAIN, -9.0 * SURE_GAIN * HELD_LOSS)],
     ids=["weak", "strong"],
 )
 def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, explained: float, least: float) -> None:
-    """A weak effect must explain them, too; a strong one may lose a little there."""
+    """They must not speak against a weak effect; a strong one may lose a little there."""
     found = screening(misfit=210.0 + explained, p_value=p_value)
     for gained, expected in ((least - 0.1, verdict), (least + 0.1, "named")):
         after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained)
@@ -132,7 +134,8 @@ def further(monkeypatch: pytest.MonkeyPatch, misfit: float, gain: float, thresho
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
     found = SimpleNamespace(**vars(screening()), nodes=NODES, best_null=np.full(100, threshold))
     base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.array([30.0, 0.0, 0.0, 0.0]))
-    return len(_rounds(search, other, base, found, BEFORE, lambda text: None))  # type: ignore[arg-type]
+    singles = [rounds.pop(0)]
+    return len(_rounds(search, other, base, found, BEFORE, singles, lambda text: None))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -150,6 +153,52 @@ def test_a_further_effect_explains_most_of_what_is_left_or_a_tenth_of_all(
 ) -> None:
     assert further(monkeypatch, misfit, needed - 0.5, threshold) == 1
     assert further(monkeypatch, misfit, needed + 0.5, threshold) == 2
+
+
+@pytest.mark.parametrize(("others", "alone"), [(1.0 / SINGLED_OUT, True), (1.05 / SINGLED_OUT, False)])
+def test_an_effect_that_explains_what_no_other_does_is_singled_out(others: float, alone: bool) -> None:
+    """However its own settings compare, and only beyond what noise gains."""
+    gain = np.array([others * 40.0, 0.0, 40.0, 39.0])
+    nodes = [NODES[0], NODES[3], NODES[2], NODES[2]]
+    found = {"lidar.range_noise"} if alone else set()
+    assert _singled_out(nodes, gain, 35.0) == found
+    assert _singled_out(nodes, gain, 41.0) == set()
+    assert _singled_out(nodes[2:], gain[2:], 35.0) == {"lidar.range_noise"}
+
+
+@pytest.mark.parametrize(
+    ("open_sd", "gain", "verdict"), [(3.0, 200.0, "named"), (3.0, 1.0, "none"), (1.0, 200.0, "none")]
+)
+def test_an_effect_may_hide_behind_what_is_left_open(
+    monkeypatch: pytest.MonkeyPatch, open_sd: float, gain: float, verdict: str
+) -> None:
+    """Without an alarm candidates are fitted only where something open stands far off; their gain is then the alarm."""
+    study = tiny_study(rows=8, columns=16, weathers=WEATHERS)
+    asked = []
+
+    def quiet(search: Any, effects: Any, base: Any, seed: int) -> Any:
+        return replace(screen(search, effects, base, seed), p_value=0.5, best_null=RNG(1).gumbel(8.0, 3.0, 1000))
+
+    def begin(search: Search) -> Fit:
+        found = settled(search)
+        return replace(found, setting=replace(found.setting, open={"particle gain": open_sd}))
+
+    def singles(search: Any, base: Fit, screening: Any, number: int, say: Any) -> list[Candidate]:
+        asked.append(screening.p_value)
+        values = {"lidar.window_loss": {"loss_db": 0.01}}
+        fit = replace(base, setting=replace(base.setting, values=values), misfit=screening.misfit - gain)
+        return [Candidate("lidar.window_loss", fit, gain)]
+
+    settled = Search.begin
+    monkeypatch.setattr(workflow, "screen", quiet)
+    monkeypatch.setattr(Search, "begin", begin)
+    monkeypatch.setattr(workflow, "_singles", singles)
+    monkeypatch.setattr(workflow, "_rounds", lambda *given: [list(given[5])])
+    monkeypatch.setattr(workflow, "_verdict", lambda *given: "named")
+    found = find_gap(study, effects=["lidar.window_loss"])
+    assert asked == ([0.5] if open_sd > 2.0 else [])
+    assert found.verdict == verdict
+    assert (found.answer["p_value"] < ALARM_P) == (verdict == "named")
 
 
 def test_noise_is_the_less_known_the_fewer_clear_frames_tell_it() -> None:

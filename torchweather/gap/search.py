@@ -306,9 +306,7 @@ class Search:
             The setting, the nuisances there, and the misfit.
         """
         setting = self._scanned(setting)
-        found, nuisance, residual = self._settled(
-            setting, like.base, like.nuisance.moved(self.offset(setting)), rounds
-        )
+        found, nuisance, residual = self._settled(setting, like.base, like.nuisance.moved(self.offset(setting)), rounds)
         return found, nuisance, nuisance.misfit(residual)
 
     def _settled(

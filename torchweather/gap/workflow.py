@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
-from torchweather.gap.candidate_fits import Candidate, best_nodes, best_pairs, fitted, stands_far
+from torchweather.gap.candidate_fits import (
+    SETTLED_BESIDE,
+    Candidate,
+    best_nodes,
+    best_pairs,
+    fitted,
+    stands_far,
+)
 from torchweather.gap.clear_air import ClearAir, clear_air
 from torchweather.gap.held_out import HeldOut, held_out
 from torchweather.gap.matched import Node, gains, pair_gains
@@ -35,7 +42,6 @@ Floats = NDArray[np.float64]
 
 # The numbers below were set on development studies of the bench.
 ALARM_P = 2e-4
-FURTHER_P = 0.01  # of a further effect, by chance; held-out conditions speak, too
 REFITTED, FURTHER_REFITTED = 4, 2  # candidates that are fitted: alone, further ones
 MOST_EFFECTS = 3
 SINGLED_OUT = 4.0  # times the gain of any other effect, from which a further one need not compare with the first
@@ -45,7 +51,7 @@ FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 # By which a further effect must lower the misfit of held-out conditions, two standard deviations; an alarm is beyond
 # noise already: they must not speak against its effect. One that explains more than SURE_GAIN they may, by so much of
-# the rest: where they hardly show it.
+# the rest: where they hardly show it. So much must a further effect explain that need not compare with the first.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_SHARE, UNKNOWN_SHARE = 0.1, 0.2  # of the excess misfit that is left
@@ -126,7 +132,8 @@ def find_gap_with(
     singles: list[Candidate] = []
     if screening.p_value <= ALARM_P or stands_far(base.setting):
         # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
-        singles = _singles(search, base, screening, say)
+        number = REFITTED if screening.p_value <= ALARM_P else SETTLED_BESIDE
+        singles = _singles(search, base, screening, number, say)
         screening = screening.raised(singles[0].gain)
     if screening.p_value > ALARM_P:
         left = base.nuisance.left(base.residual)
@@ -144,10 +151,12 @@ def find_gap_with(
     )
 
 
-def _singles(search: Search, base: Fit, screening: Screening, say: Callable[[str], None]) -> list[Candidate]:
-    """Single effects fitted in the simulator, best first."""
+def _singles(
+    search: Search, base: Fit, screening: Screening, number: int, say: Callable[[str], None]
+) -> list[Candidate]:
+    """So many single effects fitted in the simulator, best first."""
     nuisance = base.nuisance
-    best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:REFITTED]
+    best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
     return fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
 
 
@@ -162,7 +171,8 @@ def _rounds(
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
     nodes, nuisance = screening.nodes, base.nuisance
-    threshold = float(np.quantile(screening.best_null, 1.0 - FURTHER_P))
+    threshold = float(np.quantile(screening.best_null, 1.0 - ALARM_P))
+    sure = max(threshold, SURE_GAIN)
     left = nuisance.left(base.residual)
     rounds = [list(singles)]
     held_gap = before
@@ -192,9 +202,9 @@ def _rounds(
         rest_left = here.left(best.fit.residual)
         # What shows where the effects found do nothing need not compare with what they explain.
         gain_elsewhere = fresh_gains(rest, rest_left, here, untouched(search, best.fit))
-        fresh = {name for name, gain in gain_elsewhere.items() if gain > threshold}
+        fresh = {name for name, gain in gain_elsewhere.items() if gain > sure}
         gain = gains(rest, rest_left[None], here)[0]
-        fresh |= _singled_out(rest, gain, threshold)
+        fresh |= _singled_out(rest, gain, sure)
         worth = bool(fresh) or bool(gain.max() >= needed)
         further = best_nodes(rest, rest_left, here)[:FURTHER_REFITTED]
         further += best_nodes([node for node in rest if node.id in fresh], rest_left, here)[:1] if fresh else []
@@ -207,7 +217,7 @@ def _rounds(
         if not worth:
             return rounds
         more = fitted(search, base, proposed, best.fit.misfit, say)
-        kept = [one for one in more if one.gain >= (threshold if one.id in fresh else needed)]
+        kept = [one for one in more if one.gain >= (sure if one.id in fresh else needed)]
         if not kept:
             return rounds
         rounds.append(kept)
