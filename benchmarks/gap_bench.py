@@ -24,6 +24,7 @@ from hidden.cases import GROUPS, Streets, build, needed_strengths, plan
 from hidden.design import Size
 from hidden.scoring import score
 from hidden.sealed import append_line, read_json, read_lines, sha256_of, write_json
+from hidden.table_text import bars_table, further_table, missed_table
 
 
 def make(arguments: argparse.Namespace) -> None:
@@ -125,6 +126,8 @@ def report(arguments: argparse.Namespace) -> None:
     write_json(out / "score.json", {**seal, **found, "bars": bars})
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
+    tables = bars_table(found["table"], bars), further_table(found["table"]), missed_table(found["cases"])
+    (out / "table.md").write_text("\n\n".join(tables) + "\n", encoding="utf-8")  # for the docs
     for name, value in found["table"].items():
         if isinstance(value, dict) and "share" in value and value["of"]:
             print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")

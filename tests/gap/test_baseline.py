@@ -146,6 +146,25 @@ def test_shares_and_means_of_elements_carry_the_noise_of_the_clear_frames(study:
     np.testing.assert_allclose(found.total[name], expected, rtol=1e-9)
 
 
+def test_the_noise_of_elements_grows_as_their_spread_does_and_never_shrinks(study: Study) -> None:
+    """An effect that makes ranges noisier makes their means noisier; of other entries the pool itself tells it."""
+    aim = target(study, np.zeros(BINS), 4)
+    name = aim.condition.id
+    noise = ElementNoise({name: np.full(BINS, 0.5)}, np.eye(BINS))
+    quiet = pool(40, 0)
+
+    def spread(factor: float) -> Pool:
+        frames = quiet.frames
+        return Pool(LAYOUT, replace(frames, square=factor**2 * frames.square))
+
+    start = baseline({name: quiet}, [aim], noise, None, 0)
+    for factor, grown in ((3.0, 3.0), (1.0, 1.0), (0.3, 1.0)):
+        found = baseline({name: spread(factor)}, [aim], noise, start, 0)
+        # The square holds the mean's, too, a 400th of it.
+        np.testing.assert_allclose(found.sd[name], 0.5 * grown * np.sqrt(1.1), rtol=0.02)
+        assert found.whitening is start.whitening
+
+
 @pytest.mark.parametrize("clear", [2, MANY])
 def test_what_the_clear_frames_share_goes_together_as_the_elements_noise_does(study: Study, clear: int) -> None:
     """Correlations are those of the elements, however large a part of the scatter is the clear frames'."""

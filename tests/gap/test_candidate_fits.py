@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.candidate_fits import SETTLED_ROUNDS, _least, _settled_along
+from torchweather.gap.candidate_fits import REWEIGHTED, SETTLED_ROUNDS, _least, _refined, _settled_along
 from torchweather.gap.candidates import lines
 from torchweather.gap.matched import Node
-from torchweather.gap.search import Setting
+from torchweather.gap.search import SETTLED, Setting
 from torchweather.stages.effects_lidar import EFFECTS
+
+BASE: Any = SimpleNamespace(note="the fit without effects")
 
 
 def test_the_least_of_a_parabola_is_found_between_its_points() -> None:
@@ -34,17 +36,18 @@ def test_nuisances_are_settled_beside_weak_strengths_of_either_sign(truth: float
     """The misfit is a parabola of the factor: it is found exactly, whatever sign the response was of."""
     asked = []
 
-    def settle(setting: Setting, rounds: int) -> Any:
-        assert rounds == SETTLED_ROUNDS
+    def settle_beside(setting: Setting, like: Any, rounds: int) -> Any:
+        assert (like, rounds) == (BASE, SETTLED_ROUNDS)
         factor = setting.values["lidar.extinction_scale"]["factor"]
         asked.append(factor)
-        return SimpleNamespace(setting=setting, misfit=200.0 + 5e4 * (factor - truth) ** 2)
+        return setting, factor, 200.0 + 5e4 * (factor - truth) ** 2
 
-    search: Any = SimpleNamespace(settle=settle, model=SimpleNamespace(sizes={}))
+    search: Any = SimpleNamespace(settle_beside=settle_beside, model=SimpleNamespace(sizes={}))
     (line, _) = lines(EFFECTS["lidar.extinction_scale"], [])
     node = Node(line, 0, line.settings[0], np.zeros(3))
-    found = _settled_along(search, Setting(), node, 200.0 + 5e4 * (1.0 - truth) ** 2)
-    assert found.misfit == pytest.approx(200.0, abs=1e-6)
+    setting, nuisance = _settled_along(search, BASE, Setting(), node, 200.0 + 5e4 * (1.0 - truth) ** 2)
+    assert setting.values["lidar.extinction_scale"]["factor"] == pytest.approx(truth, abs=1e-6)
+    assert nuisance == pytest.approx(truth, abs=1e-6)  # those of the same fit
     assert len(asked) == 5
     assert min(asked) < 1.0 < max(asked)
 
@@ -52,12 +55,35 @@ def test_nuisances_are_settled_beside_weak_strengths_of_either_sign(truth: float
 def test_an_effect_whose_identity_is_infinitely_far_is_settled_at_its_settings() -> None:
     asked = []
 
-    def settle(setting: Setting, rounds: int) -> Any:
+    def settle_beside(setting: Setting, like: Any, rounds: int) -> Any:
         asked.append(setting.values["lidar.limited_extent"]["extent_m"])
-        return SimpleNamespace(setting=setting, misfit=abs(asked[-1] - 90.0))
+        return setting, None, abs(asked[-1] - 90.0)
 
-    search: Any = SimpleNamespace(settle=settle, model=SimpleNamespace(sizes={}))
+    search: Any = SimpleNamespace(settle_beside=settle_beside, model=SimpleNamespace(sizes={}))
     (line,) = lines(EFFECTS["lidar.limited_extent"], [])
-    found = _settled_along(search, Setting(), Node(line, 0, line.settings[0], np.zeros(3)), math.inf)
-    assert found.setting.values["lidar.limited_extent"]["extent_m"] == min(asked, key=lambda one: abs(one - 90.0))
+    found, _ = _settled_along(search, BASE, Setting(), Node(line, 0, line.settings[0], np.zeros(3)), math.inf)
+    assert found.values["lidar.limited_extent"]["extent_m"] == min(asked, key=lambda one: abs(one - 90.0))
     assert len(asked) == 3
+
+
+@pytest.mark.parametrize(
+    ("misfits", "best", "rounds"),
+    [
+        ([90.0, 80.0, 70.0, 60.0], 70.0, REWEIGHTED),  # no more than so often
+        ([90.0, 89.0, 10.0], 89.0, 2),  # a round that gains little is the last
+        ([100.0 + SETTLED, 10.0], 100.0, 1),  # none that is worse is taken
+    ],
+)
+def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float], best: float, rounds: int) -> None:
+    asked = []
+
+    def fit(setting: str, nuisance: Any, base: Any) -> Any:
+        assert nuisance == ("nuisance", setting, base)  # of the same place
+        asked.append(setting)
+        number = len(asked)
+        return SimpleNamespace(setting=f"setting {number}", base=f"base {number}", misfit=misfits[number - 1])
+
+    search: Any = SimpleNamespace(fit=fit, nuisance=lambda setting, base: ("nuisance", setting, base))
+    start: Any = SimpleNamespace(setting="setting 0", base="base 0", misfit=100.0)
+    assert _refined(search, start).misfit == best
+    assert asked == [f"setting {number}" for number in range(rounds)]

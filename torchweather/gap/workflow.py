@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from torchweather.gap.baseline import FrameModel, targets
 from torchweather.gap.candidate_fits import (
     SETTLED_BESIDE,
     Candidate,
+    Proposal,
     best_nodes,
     best_pairs,
     fitted,
@@ -170,13 +172,10 @@ def _rounds(
     say: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
-    nodes, nuisance = screening.nodes, base.nuisance
     threshold = float(np.quantile(screening.best_null, 1.0 - ALARM_P))
     sure = max(threshold, SURE_GAIN)
-    left = nuisance.left(base.residual)
     rounds = [list(singles)]
     held_gap = before
-    pairs = pair_gains(nodes, left, nuisance)
     while True:
         best = rounds[-1][0]
         values = best.fit.setting.values
@@ -192,35 +191,60 @@ def _rounds(
         if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         held_gap = after
-        if len(best.fit.setting.values) == MOST_EFFECTS:
+        if len(values) == MOST_EFFECTS:
             return rounds
-        # On top of the best, and, while the responses around the base still say something, pairs of any two.
-        rest = [node for node in nodes if node.id not in best.fit.setting.values]
-        if not rest:
-            return rounds
-        here = best.fit.nuisance
-        rest_left = here.left(best.fit.residual)
-        # What shows where the effects found do nothing need not compare with what they explain.
-        gain_elsewhere = fresh_gains(rest, rest_left, here, untouched(search, best.fit))
-        fresh = {name for name, gain in gain_elsewhere.items() if gain > sure}
-        gain = gains(rest, rest_left[None], here)[0]
-        fresh |= _singled_out(rest, gain, sure)
-        worth = bool(fresh) or bool(gain.max() >= needed)
-        further = best_nodes(rest, rest_left, here)[:FURTHER_REFITTED]
-        further += best_nodes([node for node in rest if node.id in fresh], rest_left, here)[:1] if fresh else []
-        once = {node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}
-        proposed = list(once.values())
+        fresh, proposed = _on_top(search, screening, best, needed, sure)
         if len(rounds) == 1:
-            found = best_pairs(nodes, pairs, search.origin, best.gain + needed)
+            # While the responses around the base still say something: pairs of any two.
+            pairs = pair_gains(screening.nodes, base.nuisance.left(base.residual), base.nuisance)
+            found = best_pairs(screening.nodes, pairs, search.origin, best.gain + needed)
+            proposed = proposed or (_best_on_top(best, screening.nodes) if found else [])
             proposed += found
-            worth = worth or bool(found)
-        if not worth:
+        if not proposed:
             return rounds
         more = fitted(search, base, proposed, best.fit.misfit, say)
         kept = [one for one in more if one.gain >= (sure if one.id in fresh else needed)]
         if not kept:
             return rounds
         rounds.append(kept)
+
+
+def _on_top(
+    search: Search, screening: Screening, best: Candidate, needed: float, sure: float
+) -> tuple[set[str], list[Proposal]]:
+    """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
+
+    Args:
+        search: its simulator.
+        screening: with the responses.
+        best: what was found so far.
+        needed: gain that a further effect must promise,
+        sure: or this, if it needs not compare with the first.
+
+    Returns:
+        The effects that need not: they show where those found do nothing, or alone explain what is left. And what is
+        to be fitted.
+    """
+    rest = [node for node in screening.nodes if node.id not in best.fit.setting.values]
+    if not rest:
+        return set(), []
+    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    gain = gains(rest, left[None], nuisance)[0]
+    elsewhere = fresh_gains(rest, left, nuisance, untouched(search, best.fit))
+    fresh = {name for name, value in elsewhere.items() if value > sure} | _singled_out(rest, gain, sure)
+    if not fresh and gain.max() < needed:
+        return fresh, []
+    return fresh, _best_on_top(best, rest, fresh)
+
+
+def _best_on_top(best: Candidate, nodes: Sequence[Node], fresh: AbstractSet[str] = frozenset()) -> list[Proposal]:
+    """The best nodes on top of an effect, and the best one of some effects."""
+    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    rest = [node for node in nodes if node.id not in best.fit.setting.values]
+    further = best_nodes(rest, left, nuisance)[:FURTHER_REFITTED] if rest else []
+    own = [node for node in rest if node.id in fresh]
+    further += best_nodes(own, left, nuisance)[:1] if own else []
+    return list({node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}.values())
 
 
 def _singled_out(nodes: Sequence[Node], gain: Floats, threshold: float) -> set[str]:

@@ -1,0 +1,105 @@
+"""A score as Markdown: figures with their bars, and what was missed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["bars_table", "further_table", "missed_table"]
+
+Row = Mapping[str, Any]
+WORDS = {
+    "singles_identifiable_exact": "single effects, identifiable, d' of 10 or more: exact name",
+    "singles_wrong_asserted": "single effects: a wrong name asserted",
+    "singles_identifiable_unknown": "single effects, identifiable, d' of 10 or more: called unknown",
+    "pairs_both": "pairs: both names",
+    "screen_nulls_alarm": "nothing hidden, screening alone: alarms",
+    "nulls_alarm": "nothing hidden, whole workflow: alarms",
+    "outside_unknown": "outside of the catalogue: called unknown",
+    "coverage_90": "90 % intervals of parameters: hold the truth",
+    "interval_width_over_known": "width of intervals over those of a fit that knows the effect, median",
+    "gap_after_within_1.15_floor": "exact answers: held-out gap after within 1.15 floors",
+    "other_metrics_after_over_before": "exact answers: gap on metrics never used, after over before, median",
+    "seconds": "seconds a study, median",
+    "singles_exact": "single effects, all: exact name",
+    "singles_in_confusion_set": "single effects, all: exact, or a name that was sealed as confusable",
+    "several_wrong_asserted": "pairs and triples: a wrong name asserted",
+    "triples_all": "triples: all names",
+    "outside_detected": "outside of the catalogue: an alarm",
+    "outside_right_axis": "outside of the catalogue, where alarmed: right axis",
+    "decoys_right": "decoys: right answer",
+    "coverage_90_same_form": "90 % intervals, effects of the catalogue's own form: hold the truth",
+}
+FURTHER = (
+    "singles_exact",
+    "singles_in_confusion_set",
+    "triples_all",
+    "several_wrong_asserted",
+    "outside_detected",
+    "outside_right_axis",
+    "decoys_right",
+    "coverage_90_same_form",
+)
+HOLDS = {True: "yes", False: "**no**", None: "not counted"}
+
+
+def bars_table(table: Row, bars: Sequence[Row]) -> str:
+    """Every bar, what was reached, and whether it holds."""
+    lines = ["| figure | bar | reached | Wilson 95 % | holds |", "| --- | --- | --- | --- | --- |"]
+    for one in bars:
+        side = "at_least" if "at_least" in one else "at_most"
+        figure = table[one["figure"]]
+        counts = "share" in figure
+        limit = f"{100 * one[side]:g} %" if counts else f"{one[side]:g}"
+        bar = f"{'>=' if side == 'at_least' else '<='} {limit}"
+        reached = _share(figure) if counts else _number(one["reached"])
+        interval = _interval(figure) if counts else ""
+        lines.append(f"| {WORDS[one['figure']]} | {bar} | {reached} | {interval} | {HOLDS[one['holds']]} |")
+    return "\n".join(lines)
+
+
+def further_table(table: Row) -> str:
+    """Figures without a bar."""
+    lines = ["| figure | reached | Wilson 95 % |", "| --- | --- | --- |"]
+    for name in FURTHER:
+        lines.append(f"| {WORDS[name]} | {_share(table[name])} | {_interval(table[name])} |")
+    for level, figure in table["by_level"].items():
+        lines.append(f"| single effects, d' of {level}: exact name | {_share(figure)} | {_interval(figure)} |")
+    for weather, figure in table["by_weather"].items():
+        lines.append(f"| single effects in {weather}: exact name | {_share(figure)} | {_interval(figure)} |")
+    off = table["parameter_off_over_departure"]
+    lines.append(
+        f"| error of a parameter over its departure, same form: median of {off['of']} | {_number(off['median'])} | |"
+    )
+    return "\n".join(lines)
+
+
+def missed_table(cases: Sequence[Row]) -> str:
+    """Effects of the catalogue that were not named exactly: what was hidden, and what was said."""
+    lines = ["| hidden | d' | in | said | studies |", "| --- | --- | --- | --- | --- |"]
+    missed = Counter(
+        (_names(one["true"]), one["level"], one["weather"], _names(one["names"]) or one["verdict"])
+        for one in cases
+        if one["family"] in ("single", "pair", "triple") and not one["exact"]
+    )
+    for (hidden, level, weather, said), number in sorted(missed.items()):
+        lines.append(f"| {hidden} | {level:g} | {weather} | {said} | {number} |")
+    return "\n".join(lines)
+
+
+def _names(names: Sequence[str]) -> str:
+    return " + ".join(name.replace("lidar.", "").replace("_", " ") for name in names)
+
+
+def _share(figure: Row) -> str:
+    return f"{figure['hits']} of {figure['of']}" + (f" ({100 * figure['share']:.0f} %)" if figure["of"] else "")
+
+
+def _interval(figure: Row) -> str:
+    ends = figure["wilson_95"]
+    return "" if ends is None else f"{100 * ends[0]:.0f} to {100 * ends[1]:.0f} %"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"

@@ -1,0 +1,82 @@
+"""The table of the bench: from a score made by hand, and in the docs as it was committed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from benchmarks.hidden.bars import against_bars
+from benchmarks.hidden.scoring import score
+from benchmarks.hidden.table_text import bars_table, further_table, missed_table
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, SCORE = ROOT / "docs" / "gap-bench.md", ROOT / "benchmarks" / "gap_bench" / "score.json"
+
+
+def truth(case: str, family: str, *names: str) -> dict[str, Any]:
+    effects = [
+        {
+            "name": f"lidar.{name}",
+            "parameters": {"loss_db": 1.0},
+            "level": 10.0,
+            "identifiable": True,
+            "same_form": True,
+            "confusable_with": {},
+        }
+        for name in names
+    ]
+    return {"id": case, "family": family, "weather": "rain", "options": {}, "effects": effects}
+
+
+def answered(case: str, verdict: str, *names: str) -> dict[str, Any]:
+    effects = [
+        {
+            "name": f"lidar.{name}",
+            "parameters": {"loss_db": 1.1},
+            "interval": {"loss_db": [0.9, 1.2]},
+            "confidence": 0.9,
+        }
+        for name in names
+    ]
+    report = {"verdict": verdict, "effects": effects, "gap": {"before": 4.0, "after": 1.0, "floor": 1.0}}
+    return {"case": case, "seconds": 20.0, "report": report}
+
+
+def test_a_row_says_what_was_reached_of_how_many_and_whether_the_bar_holds() -> None:
+    truths = {
+        "a": truth("a", "single", "window_loss"),
+        "b": truth("b", "single", "window_loss"),
+        "c": truth("c", "pair", "window_loss", "range_noise"),
+        "d": truth("d", "null"),
+    }
+    answers = [
+        answered("a", "named", "window_loss"),
+        answered("b", "none"),
+        answered("c", "named", "window_loss"),
+        answered("d", "none"),
+    ]
+    found = score(truths, answers)
+    lines = bars_table(found["table"], against_bars(found["table"])).splitlines()
+    assert lines[2] == (
+        "| single effects, identifiable, d' of 10 or more: exact name | >= 97 % | 1 of 2 (50 %) | 9 to 91 % | **no** |"
+    )
+    assert "| nothing hidden, whole workflow: alarms | <= 0 % | 0 of 1 (0 %) | 0 to 79 % | yes |" in lines
+    assert "| seconds a study, median | <= 30 | 20 |  | yes |" in lines
+    assert "| nothing hidden, screening alone: alarms | <= 1 % | 0 of 0 |  | not counted |" in lines
+    assert "| single effects in rain: exact name | 1 of 2 (50 %) | 9 to 91 % |" in further_table(found["table"])
+    assert missed_table(found["cases"]).splitlines()[2:] == [
+        "| range noise + window loss | 10 | rain | window loss | 1 |",
+        "| window loss | 10 | rain | none | 1 |",
+    ]
+
+
+def test_the_docs_hold_the_table_that_was_committed() -> None:
+    found, page = json.loads(SCORE.read_text(encoding="utf-8")), PAGE.read_text(encoding="utf-8")
+    for text in (
+        bars_table(found["table"], found["bars"]),
+        further_table(found["table"]),
+        missed_table(found["cases"]),
+    ):
+        assert text in page
+    assert found["truth_sha256"] in page
