@@ -127,7 +127,7 @@ def report(arguments: argparse.Namespace) -> None:
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
     tables = bars_table(found["table"], bars), further_table(found["table"]), missed_table(found["cases"])
-    (out / "table.md").write_text("\n\n".join(tables) + "\n", encoding="utf-8")  # for the docs
+    (out / "table.md").write_text("\n\n".join(tables) + "\n", encoding="utf-8")  # for docs/gap-bench.md
     for name, value in found["table"].items():
         if isinstance(value, dict) and "share" in value and value["of"]:
             print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")

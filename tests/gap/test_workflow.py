@@ -167,10 +167,17 @@ def test_an_effect_that_explains_what_no_other_does_is_singled_out(others: float
 
 
 @pytest.mark.parametrize(
-    ("open_sd", "gain", "verdict"), [(3.0, 200.0, "named"), (3.0, 1.0, "none"), (1.0, 200.0, "none")]
+    ("open_sd", "gain", "without", "verdict"),
+    [
+        (3.0, 200.0, 0.0, "named"),
+        (3.0, 1.0, 0.0, "none"),
+        (3.0, 200.0, 199.0, "none"),  # the nuisances do as well where the effect led them, without it
+        (3.0, 200.0, -50.0, "named"),
+        (1.0, 200.0, 0.0, "none"),
+    ],
 )
 def test_an_effect_may_hide_behind_what_is_left_open(
-    monkeypatch: pytest.MonkeyPatch, open_sd: float, gain: float, verdict: str
+    monkeypatch: pytest.MonkeyPatch, open_sd: float, gain: float, without: float, verdict: str
 ) -> None:
     """Without an alarm candidates are fitted only where something open stands far off; their gain is then the alarm."""
     study = tiny_study(rows=8, columns=16, weathers=WEATHERS)
@@ -187,6 +194,12 @@ def test_an_effect_may_hide_behind_what_is_left_open(
         asked.append(screening.p_value)
         values = {"lidar.window_loss": {"loss_db": 0.01}}
         fit = replace(base, setting=replace(base.setting, values=values), misfit=screening.misfit - gain)
+
+        def settle(search: Search, setting: Setting) -> Any:
+            assert (setting.values, setting.open) == ({}, {"particle gain": open_sd})
+            return SimpleNamespace(residual=None, nuisance=SimpleNamespace(misfit=lambda _: screening.misfit - without))
+
+        monkeypatch.setattr(Search, "settle", settle)
         return [Candidate("lidar.window_loss", fit, gain)]
 
     settled = Search.begin

@@ -45,7 +45,8 @@ def find_gap(
     Note:
         The error of the weather's record (its stated relative standard deviation) and of the mean of the clear frames
         are fitted beside every effect. Intervals are those of least squares, widened, and hold what another form of
-        an effect needs; the confidence is that of development studies. Neither was calibrated on a blind bench.
+        an effect needs; the confidence is that of development studies. docs/gap-bench.md has what became of both on a
+        blind bench.
 
     References:
         GAP.md 3, 4.

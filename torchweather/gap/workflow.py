@@ -136,7 +136,11 @@ def find_gap_with(
         # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
         number = REFITTED if screening.p_value <= ALARM_P else SETTLED_BESIDE
         singles = _singles(search, base, screening, number, say)
-        screening = screening.raised(singles[0].gain)
+        if screening.p_value > ALARM_P:
+            # The effect may only have led the nuisances to where they belong: they are settled from there without it.
+            without = search.settle(replace(singles[0].fit.setting, values={}))
+            least = min(screening.misfit, without.nuisance.misfit(without.residual))
+            screening = screening.raised(least - singles[0].fit.misfit)
     if screening.p_value > ALARM_P:
         left = base.nuisance.left(base.residual)
         return GapResult(
