@@ -64,9 +64,9 @@ def further_table(table: Row) -> str:
     lines = ["| figure | reached | Wilson 95 % |", "| --- | --- | --- |"]
     for name in FURTHER:
         lines.append(f"| {WORDS[name]} | {_share(table[name])} | {_interval(table[name])} |")
-    for level, figure in table["by_level"].items():
+    for level, figure in sorted(table["by_level"].items(), key=lambda one: float(one[0])):
         lines.append(f"| single effects, d' of {level}: exact name | {_share(figure)} | {_interval(figure)} |")
-    for weather, figure in table["by_weather"].items():
+    for weather, figure in sorted(table["by_weather"].items()):
         lines.append(f"| single effects in {weather}: exact name | {_share(figure)} | {_interval(figure)} |")
     off = table["parameter_off_over_departure"]
     lines.append(
