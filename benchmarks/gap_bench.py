@@ -26,6 +26,8 @@ from hidden.scoring import score
 from hidden.sealed import append_line, read_json, read_lines, sha256_of, write_json
 from hidden.table_text import bars_table, further_table, missed_table
 
+from torchweather.io import atomic_write
+
 
 def make(arguments: argparse.Namespace) -> None:
     """Write studies and the sealed truth."""
@@ -127,7 +129,8 @@ def report(arguments: argparse.Namespace) -> None:
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
     tables = bars_table(found["table"], bars), further_table(found["table"]), missed_table(found["cases"])
-    (out / "table.md").write_text("\n\n".join(tables) + "\n", encoding="utf-8")  # for docs/gap-bench.md
+    with atomic_write(out / "table.md") as unfinished:  # for docs/gap-bench.md
+        unfinished.write_text("\n\n".join(tables) + "\n", encoding="utf-8")
     for name, value in found["table"].items():
         if isinstance(value, dict) and "share" in value and value["of"]:
             print(f"{name:32s} {value['hits']:4d} of {value['of']:4d}  {value['share']:.3f}  {value['wilson_95']}")

@@ -269,7 +269,7 @@ def _excess(screening: Screening, best: Candidate) -> float:
 def _verdict(screening: Screening, misfit: float, before: HeldOut, after: HeldOut) -> str:
     """What is said of effects that were fitted: also on conditions that they were not fitted to.
 
-    Gates of a name: the alarm itself, held-out conditions that it explains, too, and a share of the excess.
+    Gates of a name: the alarm itself, held-out conditions that do not speak against it, and a share of the excess.
     """
     expected = float(screening.misfit_null.mean())
     # The scatter is stated with a margin: a good fit may leave less than a null is said to have.
