@@ -63,6 +63,11 @@ def no_noise(name: str) -> ElementNoise:
     return ElementNoise({name: np.zeros(BINS)}, np.eye(BINS))
 
 
+def residual(found: Baseline, aim: Target) -> Any:
+    """Whitened departure of a condition."""
+    return found.whitened(aim.condition.id, aim.vector - found.mean[aim.condition.id])
+
+
 # ---- the scatter of a condition --------------------------------------------------------------------------------------
 
 
@@ -118,7 +123,7 @@ def test_what_whole_frames_do_to_means_of_elements_is_in_their_total_scatter_alo
         off = replace(aim, vector=found.mean[name] + found.total[name])
         np.testing.assert_allclose(found.z(off), 1.0, rtol=1e-9)
         np.testing.assert_allclose(
-            found.whitening.factor @ found.residual(off), found.total[name] / found.sd[name], rtol=1e-9
+            found.whitening.undone(residual(found, off)), found.total[name] / found.sd[name], rtol=1e-9
         )
 
 
@@ -142,8 +147,11 @@ def test_shares_and_means_of_elements_carry_the_noise_of_the_clear_frames(study:
     with_clear = np.sqrt(1.0 + frames / count + frames / clear)
     # Other beams' noise is not that of a share; particles and spreads are no departures from a clear mean.
     expected = [least[0] * with_clear, 5.0 * with_clear, *[5.0 * np.sqrt(1.0 + frames / count)] * 2]
-    np.testing.assert_allclose(found.sd[name], expected, rtol=1e-9)
     np.testing.assert_allclose(found.total[name], expected, rtol=1e-9)
+    # Of a mean the clear frames' part is the same for all conditions of a scene, and apart.
+    expected[1] = 5.0 * np.sqrt(1.0 + frames / count)
+    np.testing.assert_allclose(found.sd[name], expected, rtol=1e-9)
+    np.testing.assert_allclose(found.shared[name] * found.sd[name], [0, 5.0 * np.sqrt(frames / clear), 0, 0], rtol=1e-9)
 
 
 def test_the_noise_of_elements_grows_as_their_spread_does_and_never_shrinks(study: Study) -> None:
@@ -182,7 +190,7 @@ def test_entries_that_do_not_count_are_zero(study: Study) -> None:
     name = aim.condition.id
     found = baseline({name: pool(40, 0)}, [aim], no_noise(name), None, 0)
     assert found.z(aim)[2] == 0.0
-    assert found.residual(aim)[2] == 0.0
+    assert residual(found, aim)[2] == 0.0
     assert (np.abs(found.z(aim)[[0, 1, 3, 4, 5]]) > 10.0).all()
 
 
@@ -202,6 +210,7 @@ def test_whitened_departures_are_independent() -> None:
     # 20,000 draws: 5 x sqrt(2 / 20,000) on the diagonal.
     np.testing.assert_allclose(found.T @ found / len(found), np.eye(BINS), atol=0.05)
     np.testing.assert_allclose(whitening(draws[0]), found[0], rtol=1e-12)
+    np.testing.assert_allclose(whitening.undone(found), draws, atol=1e-12)
 
 
 def test_scatter_that_is_an_entrys_own_counts_as_independent() -> None:
@@ -266,7 +275,7 @@ def test_departures_of_studies_that_lack_nothing_are_about_one() -> None:
             used = found.used[aim.condition.id]
             assert used.sum() > 150
             squares["z"] += list(found.z(aim)[used] ** 2)
-            squares["whitened"] += list(found.residual(aim)[used] ** 2)
+            squares["whitened"] += list(residual(found, aim)[used] ** 2)
     for values in squares.values():
         # Scatters have a least value, so that departures of thin bins are smaller than 1; whitened entries of three
         # studies: 4 x sqrt(0.5 / 600) above.
@@ -279,9 +288,10 @@ def test_a_vector_of_the_simulator_departs_as_much_as_its_draws(study: Study, mo
     others = Pool(model.layout, model.simulated(aim.condition, (), 0.0, range(90_000, 90_025)))
     vectors = others.vectors(np.arange(25).reshape(5, 5), aim.condition.time_s)
     used = found.used[name]
-    own = [found.residual(aim, vector)[used] for vector in vectors]
+    own = [residual(found, replace(aim, vector=vector))[used] for vector in vectors]
     assert 0.6 < np.sqrt(np.mean(np.square(own))) < 1.12
     # An effect shows: half a decibel of all intensities.
     window = [EFFECTS["lidar.window_loss"](loss_db=0.5)]
     moved = Pool(model.layout, model.simulated(aim.condition, window, 0.0, range(90_000, 90_005)))
-    assert np.sqrt(np.mean(found.residual(aim, moved.vectors(np.arange(5)[None])[0])[used] ** 2)) > 3.0
+    weaker = replace(aim, vector=moved.vectors(np.arange(5)[None])[0])
+    assert np.sqrt(np.mean(residual(found, weaker)[used] ** 2)) > 3.0

@@ -68,6 +68,7 @@ def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> Baseline:
         Whitening(np.linalg.cholesky(correlation)),
         {name: np.tile(values, (4, 1)) for name in CONDITIONS},
         {},
+        {},
     )
 
 

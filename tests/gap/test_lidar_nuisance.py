@@ -12,9 +12,17 @@ import torch
 from torch import Tensor
 
 from tests.gap.tiny_study import SENSOR, tiny_study
-from torchweather.gap.lidar import FOG_GAIN_SD, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
-from torchweather.gap.lidar_nuisance import EchoGain, FogEchoRange, ParticleReading, WeakSignalNoise
+from torchweather.gap.lidar import FOG_GAIN_SD, FOG_NOISE, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
+from torchweather.gap.lidar_nuisance import (
+    ClearScale,
+    EchoGain,
+    EchoNoise,
+    FogEchoRange,
+    ParticleReading,
+    WeakSignalNoise,
+)
 from torchweather.gap.study import Study
+from torchweather.gap.whole_frames import widened
 from torchweather.stages import LidarState
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_lidar import EFFECTS
@@ -103,6 +111,25 @@ def test_particles_are_brighter_by_a_share(share: float) -> None:
     assert torch.equal(found.signal[..., :1], before.signal[..., :1])
 
 
+@pytest.mark.parametrize("log_scale", [0.02, -0.3])
+def test_objects_are_brighter_by_a_scale(log_scale: float) -> None:
+    before = state(echoes=3)
+    found = after(ClearScale(log_scale=log_scale), before)
+    torch.testing.assert_close(found.signal[..., 0], before.signal[..., 0] * math.exp(log_scale), rtol=1e-6, atol=0.0)
+    assert torch.equal(found.signal[..., 1:], before.signal[..., 1:])
+    assert torch.equal(found.clear_signal, before.clear_signal)
+
+
+def test_echoes_are_noisier_before_they_are_detected() -> None:
+    """In the chain it comes before the threshold, what noise of a reading comes after it."""
+    before = state(echoes=2)
+    found = after(EchoNoise(std=0.05), before)
+    change = relative(found.signal[..., 1], before.signal[..., 1])
+    assert float(change.std()) == pytest.approx(0.05, rel=TOLERANCE)
+    assert torch.equal(found.signal[..., 0], before.signal[..., 0])
+    assert (EchoNoise.after, ParticleReading.after) == ("particle_returns", "detection")
+
+
 def test_fog_is_reported_nearer_and_scattered() -> None:
     before = replace(reported(), range_m=torch.where(reported().kind == PARTICLE, 5.0, 20.0))
     found = after(FogEchoRange(shift_m=-0.3, spread_m=0.2), before)
@@ -116,7 +143,7 @@ def test_fog_is_reported_nearer_and_scattered() -> None:
     assert bool((near.range_m[particle] == 0.1).all())  # not behind the sensor
 
 
-IDENTITIES = [WeakSignalNoise(), ParticleReading(), EchoGain(), FogEchoRange()]
+IDENTITIES = [WeakSignalNoise(), ClearScale(), ParticleReading(), EchoNoise(), EchoGain(), FogEchoRange()]
 
 
 @pytest.mark.parametrize("stage", IDENTITIES, ids=lambda stage: stage.id)
@@ -150,22 +177,27 @@ def model(study: Study) -> LidarFrames:
 
 def test_what_is_open_depends_on_the_weather(study: Study, model: LidarFrames) -> None:
     snow, fog, rain = study.conditions
-    assert model.open(snow) == model.open(rain) == {"noise": 0.0, "particle gain": -math.inf}
-    assert model.open(fog) == {"noise": 0.0, "fog shift": -math.inf, "fog spread": 0.0, "particle gain": -math.inf}
+    always = {"noise": 0.0, "particle gain": -math.inf, "clear scale s0": -math.inf}
+    assert model.open(snow) == model.open(rain) == always
+    assert model.open(fog) == {**always, "fog shift": -math.inf, "fog spread": 0.0, "fog noise": 0.0}
     assert model.misplaced(snow) == 0.0 < model.misplaced(fog) < 0.1
 
 
 def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> None:
     snow, fog, _ = study.conditions
-    strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0}
+    strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0, "fog noise": 2.0}
+    strengths["clear scale s0"] = -1.0
     of_snow = {one.id: one.to_dict() for one in model.open_stages(snow, strengths)}
     assert of_snow == {
         "gap.weak_signal_noise": {"effect": "gap.weak_signal_noise", "variance_at_threshold": pytest.approx(3e-3)},
         "gap.echo_gain": {"effect": "gap.echo_gain", "share": pytest.approx(3.0 * GAIN_SD)},
+        "gap.clear_scale": {"effect": "gap.clear_scale", "log_scale": pytest.approx(-model.clear_scale_sd["s0"])},
     }
     of_fog = {one.id: one.to_dict() for one in model.open_stages(fog, strengths)}
     metres = FOG_RANGE_SHARE * SENSOR.pulse_length_m
     assert of_fog["gap.echo_gain"]["share"] == pytest.approx(3.0 * FOG_GAIN_SD / math.sqrt(SENSOR.photons_at_threshold))
+    one_reading = 1.0 / math.sqrt(SENSOR.photons_at_threshold)
+    assert of_fog["gap.echo_noise"]["std"] == pytest.approx(2.0 * FOG_NOISE * one_reading)
     assert of_fog["gap.fog_echo_range"] == {
         "effect": "gap.fog_echo_range",
         "shift_m": pytest.approx(-2.0 * metres),
@@ -173,7 +205,9 @@ def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> 
     }
     for condition in (snow, fog):
         assert model.open_stages(condition, {}) == []
-        assert model.open_stages(condition, {"noise": -1.0, "fog spread": -1.0}) == []  # no less than none
+        assert (
+            model.open_stages(condition, {"noise": -1.0, "fog spread": -1.0, "fog noise": -1.0}) == []
+        )  # no less than none
 
 
 def through(model: LidarFrames, condition: Any, effects: list[Effect]) -> Any:
@@ -187,7 +221,7 @@ def through(model: LidarFrames, condition: Any, effects: list[Effect]) -> Any:
 def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, model: LidarFrames, place: int) -> None:
     """Kept states and random numbers against a chain that runs from end to end."""
     condition, scene = study.conditions[place], model.scenes["s0"]
-    strengths = {"noise": 2.0, "fog shift": 1.0, "fog spread": 1.0, "particle gain": 5.0}
+    strengths = {"noise": 2.0, "fog shift": 1.0, "fog spread": 1.0, "particle gain": 5.0, "clear scale s0": 2.0}
     opened = model.open_stages(condition, strengths)
     transform = model.transform(condition)
     gain = scene.gain[:3, None]
@@ -234,6 +268,20 @@ def test_the_scale_of_a_frame_is_one_of_the_reading(study: Study) -> None:
     assert ((range_m > 0) & scene.stable).sum() > 15
     torch.testing.assert_close(range_m, plain_m, rtol=3e-6, atol=1e-6)
     torch.testing.assert_close(scaled, plain * gain[:3, None], rtol=1e-5, atol=0.0)
+
+
+def test_the_scale_of_a_clear_mean_is_known_as_well_as_frames_agree() -> None:
+    """Frames of two scenes whose scales scatter by 1 %; more than Student's widening is no part of it."""
+    study = tiny_study(seed=3, rows=16, columns=32, clear=16)
+    scale = 1.0 + 0.01 * np.random.default_rng(4).normal(size=16)
+    (name, scene), *_ = study.scenes.items()
+    clear = [{**frame, "intensity": one * frame["intensity"]} for one, frame in zip(scale, scene.clear, strict=True)]
+    model = LidarFrames(replace(study, scenes={name: replace(scene, clear=clear)}))
+    expected = np.log(scale).std(ddof=1) / math.sqrt(16.0) * math.sqrt(widened(15))
+    # The frames' own noise of 2 % over about 300 beams.
+    assert model.clear_scale_sd[name] == pytest.approx(expected, rel=0.2)
+    assert LidarFrames(tiny_study(clear=1)).clear_scale_sd == {"s0": 0.0}
+    assert "clear scale s0" not in LidarFrames(tiny_study(clear=1)).open(study.conditions[0])
 
 
 def test_whole_numbers_have_no_scale() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains, pair_gains
-from torchweather.gap.nuisance import Nuisance
+from torchweather.gap.nuisance import Nuisance, together
 from torchweather.stages.effects_lidar import EFFECTS
 
 RNG = np.random.default_rng
@@ -91,6 +91,56 @@ def test_a_knob_error_within_its_record_costs_its_prior_alone() -> None:
         # |G n|^2 / (1 + |G|^2) = n^2 (1 - 1 / (1 + |G|^2)): the knob's own prior and no more.
         assert one.misfit(sds * response[:, 0]) == pytest.approx(sds**2 * norm / (1.0 + norm), rel=1e-10)
         assert one.step(sds * response[:, 0])[0] == pytest.approx(sds * norm / (1.0 + norm), rel=1e-10)
+
+
+# ---- nuisances that go together --------------------------------------------------------------------------------------
+
+
+def of_one_gauge(offset: Any = (0.0, 0.0, 0.0)) -> Nuisance:
+    """The moving ones have a part in common."""
+    plain = nuisance(offset)
+    return Nuisance(plain.response, plain.offset, MOVING, together(MOVING + FIXED, MOVING))
+
+
+def test_a_common_part_is_a_nuisance_of_its_own_that_moves_all_of_them() -> None:
+    """Against least squares with one more unknown, from an offset of 0: either has half of the variance."""
+    one, residual = of_one_gauge(), RNG(7).normal(size=SIZE)
+    own, others = np.sqrt(0.5) * one.response[:, :MOVING], one.response[:, MOVING:]
+    more = Nuisance(np.hstack([own, others, own.sum(1, keepdims=True)]), np.zeros(MOVING + FIXED + 1), MOVING)
+    assert one.misfit(residual) == pytest.approx(more.misfit(residual), rel=1e-10)
+    np.testing.assert_allclose(one.left(residual), more.left(residual), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(one(np.eye(SIZE)), more(np.eye(SIZE)), atol=1e-12)
+    expected = np.sqrt(0.5) * (more.step(residual)[:MOVING] + more.step(residual)[-1])
+    np.testing.assert_allclose(one.step(residual)[:MOVING], expected, rtol=1e-9)
+
+
+def test_records_that_are_all_off_alike_cost_less_than_each_by_itself() -> None:
+    """2 (1 + J)^-1 of three: two standard deviations alike cost 6, as does one alone, +2 and -2 cost 16; a single
+    record has its own standard deviation."""
+    nothing = np.zeros(SIZE)
+    for place, cost in (((2.0, 2.0, 2.0), 6.0), ((2.0, 0.0, 0.0), 6.0), ((2.0, -2.0, 0.0), 16.0)):
+        assert of_one_gauge(place).cost(nothing) == pytest.approx(cost, rel=1e-12)
+        assert of_one_gauge().moved(of_one_gauge(place).offset).cost(nothing) == pytest.approx(cost, rel=1e-12)
+    assert together(1, 1).tolist() == [[1.0]]
+
+
+def test_the_cost_of_where_they_stand_and_the_step_from_there_agree() -> None:
+    one, residual = of_one_gauge(OFFSETS[1]), RNG(8).normal(size=SIZE)
+    step = one.step(residual)
+    there = one.moved(np.concatenate([one.offset[:MOVING] + step[:MOVING], np.zeros(FIXED)]))
+    after = residual - one.response[:, :MOVING] @ step[:MOVING]
+    assert there.cost(after) == pytest.approx(one.misfit(residual), rel=1e-10)
+    np.testing.assert_allclose(there.step(after)[:MOVING], 0.0, atol=1e-10)
+
+
+def test_drawn_nuisances_have_their_covariance() -> None:
+    one, number = of_one_gauge(), 200_000
+    found = one.drawn(RNG(9), number)
+    covariance = np.eye(MOVING + FIXED)
+    covariance[:MOVING, :MOVING] = 0.5 * (np.eye(MOVING) + 1.0)
+    expected = one.response @ covariance @ one.response.T
+    # 200,000 draws: 5 x sqrt(2 / 200,000) = 1.6 % of the largest.
+    np.testing.assert_allclose(found.T @ found / number, expected, atol=0.016 * np.abs(expected).max())
 
 
 # ---- responses -------------------------------------------------------------------------------------------------------

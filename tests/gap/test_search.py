@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from torchweather.gap.placing import placed
 from torchweather.gap.screening import screen
 from torchweather.gap.search import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
 from torchweather.gap.study import Study
+from torchweather.gap.whole_frames import clear_errors
 from torchweather.gap.workflow import ALARM_P, find_gap_with
 from torchweather.stages.effects import Effect
 from torchweather.stages.effects_lidar import EFFECTS
@@ -100,22 +102,25 @@ def test_a_response_to_a_knob_is_that_of_a_study_whose_record_is_off(null: Searc
     share = KNOB_STEP
     ends = (null.mean(Setting({}, {name: sign * share * sd}), SCREEN_FRAMES)[0] for sign in (1.0, -1.0))
     high, low = ends
-    np.testing.assert_allclose(one.response[:, 0], null.start.whitened(name, (high - low) / (2.0 * share)), atol=1e-9)
+    expected = null.whitened(null.start, [(high - low) / (2.0 * share)])
+    np.testing.assert_allclose(one.response[:, 0], expected, atol=1e-9)
     assert np.abs(one.response[:, 0]).max() > 0.3
 
 
 def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_knobs(null: Search) -> None:
     one = null.nuisance(null.origin, null.start)
-    assert list(null.open) == ["noise", "particle gain"]
-    assert one.moving == 1 + 2
+    assert list(null.open) == ["noise", "clear scale s0", "particle gain"]
+    assert one.moving == 1 + 3
     # Eight clear frames and an even shift of three statistics at most: each may be off in the mean of the scene, and in
     # that of the condition; what weather does to means, in all conditions and in each.
     assert 1 <= len(null.frame_departures) <= 8 + 3
-    assert one.response.shape[1] == one.moving + 2 * len(null.frame_departures) + 2
+    even = [departure.even for departure in null.frame_departures if departure.even]
+    simulated = even.count("log_intensity_ratio")  # of the clear mean
+    assert one.response.shape[1] == one.moving + 2 * len(null.frame_departures) - simulated + 2
     stronger = null.mean(Setting({}, {}, {"particle gain": OPEN_STEP}), SCREEN_FRAMES)
     here = null.mean(Setting(), SCREEN_FRAMES)
     expected = null.whitened(null.start, [(new - old) / OPEN_STEP for new, old in zip(stronger, here, strict=True)])
-    np.testing.assert_allclose(one.response[:, 2], expected, atol=1e-9)
+    np.testing.assert_allclose(one.response[:, 3], expected, atol=1e-9)
     assert np.abs(expected).max() > 0.1
 
 
@@ -124,8 +129,8 @@ def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
     null.nuisance(null.origin, null.start)
     layout = null.model.layout
     whole = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
-    factor = null.start.whitening.factor
-    columns = np.stack(null.fixed) @ factor.T  # one condition; whitening undone
+    whitened = np.stack(null.fixed)[:, None]  # one condition
+    columns = null.start.whitening.undone(null._parted(null.start, whitened, 0.5))[:, 0]
     used = null.start.used[null.measured[0].condition.id]
     assert np.abs(columns[:, ~(whole & used)]).max() < 1e-9
     assert np.abs(columns[:, whole & used]).max() > 0.05
@@ -139,11 +144,11 @@ def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
 def test_moved_nuisances_stay_within_their_bounds(null: Search) -> None:
     null.nuisance(null.origin, null.start)
     step = np.zeros(len(null.offset(Setting())))
-    step[:3] = (100.0, -100.0, -2.5)  # the knob, noise that cannot be negative, the gain of particles
+    step[:4] = (100.0, -100.0, 1.5, -2.5)  # the knob, noise that cannot be negative, a scale, the gain of particles
     found = null.shifted(Setting(), step)
     assert found.log_knob == pytest.approx({"c0": FARTHEST * 0.05})
-    assert found.open == pytest.approx({"noise": 0.0, "particle gain": -2.5})
-    np.testing.assert_allclose(null.offset(found)[:3], (FARTHEST, 0.0, -2.5), rtol=1e-12)
+    assert found.open == pytest.approx({"noise": 0.0, "clear scale s0": 1.5, "particle gain": -2.5})
+    np.testing.assert_allclose(null.offset(found)[:4], (FARTHEST, 0.0, 1.5, -2.5), rtol=1e-12)
 
 
 def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
@@ -158,6 +163,59 @@ def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     assert search._scanned(Setting({}, {"c0": 0.1})).log_knob == pytest.approx({"c0": -0.6})
     # Fitted, it pays its prior: a little nearer to the record.
     assert search.begin().setting.log_knob == pytest.approx({"c0": -0.6}, abs=0.06)
+
+
+def fixed_nuisances(search: Search, fit: Fit) -> np.ndarray:
+    """Those that the simulator cannot be moved along, made anew with the scatter of a fit."""
+    column = partial(search._column, fit.base)
+    errors = clear_errors(search.frame_departures, search.measured, search.model.open_shifts, column)
+    return np.stack(errors, 1)
+
+
+def test_fits_hold_residual_and_nuisances_in_units_of_one_scatter() -> None:
+    """Whole frames shift intensities by forty standard deviations: a scatter that differs by a few percent between the
+    two would leave a departure that is none."""
+    search = search_of(small(seed=5))
+    settled = search.begin()
+    start = Setting({"lidar.range_noise": {"std_m": 0.02}})
+    for fit in (settled, search.fit(start, settled.nuisance, settled.base, 1)):
+        np.testing.assert_allclose(fit.residual, search.residual(fit.base), rtol=1e-12)
+        expected = fixed_nuisances(search, fit)
+        first = fit.nuisance.moving
+        found = fit.nuisance.response[:, first : first + expected.shape[1]]
+        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+
+
+def test_responses_of_the_model_as_it_was_are_put_into_units_of_a_fit(null: Search) -> None:
+    (loss,) = lines(EFFECTS["lidar.window_loss"], ())
+    there = null.at(Setting({"lidar.range_noise": {"std_m": 0.05}}))
+    (node,) = null.nodes([(loss, 2)], Setting(), null.start)
+    (found,) = null.nodes_at([node], there)
+    (expected,) = null.nodes([(loss, 2)], Setting(), there)
+    assert (found.id, found.values) == (node.id, node.values)
+    np.testing.assert_allclose(found.response, expected.response, rtol=1e-7, atol=1e-9)
+    assert np.abs(found.response - node.response).max() > 0.1
+
+
+def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
+    """All objects of the measurement are fainter than they say, and more of them are lost."""
+    study = small(seed=6)
+    (name, scene), *_ = study.scenes.items()
+    # Scales of frames that scatter by 2 %, about 1 or about what is two standard deviations of their mean above it.
+    scatter = 0.02 * RNG(7).normal(size=len(scene.clear))
+    found, one_sd = [], 0.0
+    for number in (0.0, 2.0):
+        scales = np.exp(scatter - scatter.mean() + number * one_sd)
+        clear = [{**f, "intensity": float(one) * f["intensity"]} for one, f in zip(scales, scene.clear, strict=True)]
+        search = search_of(replace(study, scenes={name: replace(scene, clear=clear)}))
+        one_sd = search.model.clear_scale_sd[name]  # type: ignore[attr-defined]
+        found.append(search.begin())
+    assert one_sd == pytest.approx(0.02 / math.sqrt(len(scene.clear)), rel=0.7)
+    # The five frames of the measurement have a scale of their own; which of both it is, their variances say.
+    moved = found[1].setting.open["clear scale s0"] - found[0].setting.open["clear scale s0"]
+    clear_share = (1.0 / len(scene.clear)) / (1.0 / len(scene.clear) + 1.0 / search.measured[0].frames)
+    assert moved == pytest.approx(-2.0 * clear_share, abs=0.3)
+    assert found[1].nuisance.misfit(found[1].residual) < found[0].nuisance.misfit(found[0].residual) + 12.0
 
 
 def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> None:

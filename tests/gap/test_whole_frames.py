@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -95,8 +96,8 @@ def base(mean: float = 0.0) -> Baseline:
     """A simulator that has scatters of 1 without correlations, whose means differ from entry to entry."""
     each, ones = {name: mean * np.arange(1.0, SIZE + 1.0) * FRAMES[name] for name in SCENES}, np.ones(SIZE)
     one = dict.fromkeys(SCENES, ones)
-    twice = dict.fromkeys(SCENES, 2.0 * ones)
-    return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {})
+    twice, nothing = dict.fromkeys(SCENES, 2.0 * ones), dict.fromkeys(SCENES, 0.0 * ones)
+    return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {}, nothing)
 
 
 def covariance(columns: Any) -> Any:
@@ -128,17 +129,68 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
     pooled *= stats.t.isf(0.5e-3, degrees) ** 2 / stats.norm.isf(0.5e-3) ** 2
     search, at = bare(), base()
     departures = frame_departures(search.model, search.measured)
-    found = covariance(clear_errors(departures, search.measured, partial(search._column, at)))
+    found = covariance(clear_errors(departures, search.measured, set(), partial(search._column, at)))
     for one, (name, scene) in enumerate(SCENES.items()):
         for other, (_, elsewhere) in enumerate(SCENES.items()):
             share = (scene == elsewhere) / CLEAR[scene] + (one == other) / FRAMES[name]
             np.testing.assert_allclose(found[one, :, other], share * pooled, rtol=1e-9, atol=1e-12)
 
 
+def test_an_even_shift_that_is_simulated_is_no_error_of_the_clear_mean_as_well() -> None:
+    """The conditions' own frames keep theirs."""
+    search, at = bare(), base()
+    departures = frame_departures(search.model, search.measured)
+    assert [one.even for one in departures if one.even] == ["ratio", "apart"]
+    column = partial(search._column, at)
+    both, without = (clear_errors(departures, search.measured, names, column) for names in (set(), {"ratio"}))
+    even = next(one.entries for one in departures if one.even == "ratio")
+    expected = {
+        scene: column({k: even / math.sqrt(CLEAR[scene]) for k, one in enumerate(SCENES.values()) if one == scene})
+        for scene in CLEAR
+    }
+    gone = [one for one in both if not any(np.array_equal(one, other) for other in without)]
+    np.testing.assert_array_equal(gone, list(expected.values()))
+
+
+# ---- conditions of one scene -----------------------------------------------------------------------------------------
+
+
+def shared() -> Baseline:
+    """What conditions of a scene share differs from entry to entry; scatters, too."""
+    share = {name: RNG([8, k]).uniform(0.2, 1.5, SIZE) for k, name in enumerate(SCENES)}
+    sd = {name: RNG([9, k]).uniform(0.5, 2.0, SIZE) for k, name in enumerate(SCENES)}
+    return replace(base(), shared=share, sd=sd)
+
+
+def test_what_conditions_of_a_scene_share_is_made_independent() -> None:
+    """Noise of each condition and one error of each scene's clear mean, drawn: 40,000 of them."""
+    search, at, rng, number = bare(), shared(), RNG(10), 40_000
+    own = rng.normal(size=(number, len(SCENES), SIZE))
+    of_scene = {scene: rng.normal(size=(number, SIZE)) for scene in CLEAR}
+    for place, (name, scene) in enumerate(SCENES.items()):
+        own[:, place] = at.sd[name] * (own[:, place] + at.shared[name] * of_scene[scene])
+    found = np.stack([search.whitened(at, list(one)) for one in own])
+    # 5 x sqrt(2 / 40,000) = 3.5 % on the diagonal.
+    np.testing.assert_allclose(found.T @ found / number, np.eye(found.shape[1]), atol=0.036)
+
+
+def test_vectors_are_whitened_again_as_they_would_have_been() -> None:
+    search, old, factor = bare(), shared(), np.linalg.cholesky(0.7 * np.eye(SIZE) + 0.3)
+    old = replace(old, whitening=Whitening(factor))
+    scatter = {name: 1.0 + 0.1 * np.arange(SIZE) for name in SCENES}
+    share = {name: 0.5 * one for name, one in old.shared.items()}
+    new = replace(old, sd=scatter, shared=share)
+    differences = RNG(11).normal(size=(4, len(SCENES), SIZE))
+    before, expected = (np.stack([search.whitened(at, list(one)) for one in differences]) for at in (old, new))
+    np.testing.assert_allclose(search.rewhitened(before, old, new), expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(search.rewhitened(before[2], old, new), expected[2], rtol=1e-10, atol=1e-12)
+    assert np.abs(before - expected).max() > 0.1
+
+
 def test_a_single_clear_frame_of_each_scene_tells_nothing_of_whole_frames() -> None:
     search = bare(dict.fromkeys(CLEAR, 1))
     assert frame_departures(search.model, search.measured) == []
-    assert clear_errors([], search.measured, partial(search._column, base())) == []
+    assert clear_errors([], search.measured, set(), partial(search._column, base())) == []
 
 
 @pytest.mark.parametrize("clock", [0.0, 1.0])
@@ -166,7 +218,7 @@ def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> 
         for scene in range(scenes)
     ]
     model: Any = SimpleNamespace(layout=layout, clear=frames)
-    departures = frame_departures(model, measured)
+    departures = [one.entries for one in frame_departures(model, measured)]
     found = sum((np.outer(one, one) for one in departures), np.zeros((3, 3)))
     # 276 degrees of freedom: the variance of a clock is known to sqrt(2 / 276) = 8.5 %, nothing to a tenth of the
     # element noise of a bin, 1 / 512 (of the spread, half of that).

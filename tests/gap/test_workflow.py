@@ -10,20 +10,25 @@ import numpy as np
 import pytest
 
 from tests.gap.tiny_study import tiny_study
+from torchweather.gap import screening as screening_module
 from torchweather.gap import workflow
+from torchweather.gap.baseline import targets
 from torchweather.gap.candidate_fits import LEAST_AMPLITUDE, Candidate, _start, best_nodes, best_pairs
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.find import find_gap
 from torchweather.gap.held_out import HeldOut
-from torchweather.gap.matched import Node
+from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.matched import Node, gains
 from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.screening import OVERDISPERSION, REFINED, _tail, overdispersion, screen
+from torchweather.gap.screening import OVERDISPERSION, REFINED, _tail, overdispersion, placed_nodes, screen
 from torchweather.gap.search import Fit, Search, Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import (
     ALARM_P,
     HELD_LOSS,
+    REST_P,
+    REST_SHARE,
     SINGLED_OUT,
     SURE_GAIN,
     SURE_P,
@@ -41,9 +46,15 @@ BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
 EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
 
 
-def screening(misfit: float = 1200.0, p_value: float = 1e-9) -> Any:
-    """Nulls of 200 +- 20."""
-    return SimpleNamespace(misfit_null=np.array([180.0, 220.0]), misfit=misfit, p_value=p_value)
+def screening(misfit: float = 1200.0, p_value: float = 1e-9, excess: float = 0.0, rest_p: float = 1.0) -> Any:
+    """Noise gains 30 at most; some statistics exceed theirs."""
+    rest = SimpleNamespace(excess=lambda left: excess, p_value=lambda left: rest_p)
+    return SimpleNamespace(misfit=misfit, p_value=p_value, best_null=np.full(100, 30.0), rest=rest)
+
+
+def left_by(misfit: float) -> Any:
+    """A fit."""
+    return SimpleNamespace(misfit=misfit, residual=np.zeros(4), nuisance=NOTHING)
 
 
 def node(name: str, values: dict[str, float], response: Any) -> Node:
@@ -63,20 +74,29 @@ NODES = [
 
 
 @pytest.mark.parametrize(
-    ("misfit", "verdict"),
+    ("share", "verdict"),
     [
-        (150.0, "named"),  # less than a null leaves
-        (210.0, "named"),
-        (299.0, "named"),  # 9.9 % of the excess
-        (310.0, "named"),  # 11 %, but less than 4 x 20 x 1.5 above the nulls
-        (325.0, "named_and_rest"),  # 12.5 %, and more
-        (200.0 + 995.0 * UNKNOWN_SHARE, "named_and_rest"),
-        (200.0 + 1005.0 * UNKNOWN_SHARE, "unknown"),
-        (1200.0, "unknown"),
+        (0.0, "named"),
+        (0.5 * REST_SHARE, "named"),
+        (REST_SHARE + 0.01, "named_and_rest"),
+        (UNKNOWN_SHARE - 0.01, "named_and_rest"),
+        (UNKNOWN_SHARE + 0.01, "unknown"),
+        (0.9, "unknown"),
     ],
 )
-def test_what_is_left_of_the_excess_decides_between_a_name_a_rest_and_no_name(misfit: float, verdict: str) -> None:
-    assert _verdict(screening(), misfit, BEFORE, EXPLAINED) == verdict
+def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, verdict: str) -> None:
+    """Of 1,000 that the effect explains and what it leaves, where that is no noise."""
+    excess = 1000.0 * share / (1.0 - share)
+    found = screening(excess=excess, rest_p=0.5 * REST_P)
+    assert _verdict(found, left_by(200.0), BEFORE, EXPLAINED) == verdict
+    noise = screening(excess=excess, rest_p=2.0 * REST_P)
+    assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(29.0, "unknown"), (31.0, "named")])
+def test_what_noise_gains_is_no_name(gain: float, verdict: str) -> None:
+    """Although something is missing."""
+    assert _verdict(screening(misfit=1200.0), left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
 
 
 @pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
@@ -90,12 +110,12 @@ def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, e
     found = screening(misfit=210.0 + explained, p_value=p_value)
     for gained, expected in ((least - 0.1, verdict), (least + 0.1, "named")):
         after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained)
-        assert _verdict(found, 210.0, BEFORE, after) == expected
+        assert _verdict(found, left_by(210.0), BEFORE, after) == expected
 
 
 def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
     for gap, verdict in ((1.45, "named"), (1.55, "named_and_rest")):
-        assert _verdict(screening(), 210.0, BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+        assert _verdict(screening(), left_by(210.0), BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
 
 
 def test_the_chance_of_an_excess_is_counted_and_beyond_the_nulls_that_of_a_gumbel_law() -> None:
@@ -110,8 +130,11 @@ def test_the_chance_of_an_excess_is_counted_and_beyond_the_nulls_that_of_a_gumbe
 # ---- further effects -------------------------------------------------------------------------------------------------
 
 
-def further(monkeypatch: pytest.MonkeyPatch, misfit: float, gain: float, threshold: float = 0.0) -> int:
-    """Number of effects that are kept where the best one leaves a misfit and another one lowers it by a gain."""
+def further(
+    monkeypatch: pytest.MonkeyPatch, misfit: float, gain: float, threshold: float = 0.0, excess: float = 0.0
+) -> int:
+    """Number of effects that are kept where the best one leaves a misfit, and so much more than noise does, and another
+    one lowers it by a gain."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
@@ -132,27 +155,31 @@ def further(monkeypatch: pytest.MonkeyPatch, misfit: float, gain: float, thresho
     monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
     search: Any = SimpleNamespace(origin=Setting(), seed=0)
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
-    found = SimpleNamespace(**vars(screening()), nodes=NODES, best_null=np.full(100, threshold))
+    given = {**vars(screening(excess=excess)), "best_null": np.full(100, threshold)}
+    found = SimpleNamespace(**given, nodes=NODES)
+    monkeypatch.setattr(
+        workflow, "_further", lambda search, found, best: [n for n in NODES if n.id not in best.fit.setting.values]
+    )
     base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.array([30.0, 0.0, 0.0, 0.0]))
     singles = [rounds.pop(0)]
     return len(_rounds(search, other, base, found, BEFORE, singles, lambda text: None))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("misfit", "threshold", "needed"),
+    ("misfit", "threshold", "excess", "needed"),
     [
-        (300.0, 0.0, 60.0),  # 0.6 of the excess over 200: less than 0.1 of 900
-        (600.0, 0.0, 60.0),  # 0.1 of what is explained, less than 0.6 of 400
-        (210.0, 0.0, 29.7),  # what any must add: 0.03 of 990; 0.6 of the excess is 6
-        (190.0, 0.0, 30.3),  # nothing is left
-        (300.0, 75.0, 75.0),  # what noise gains
+        (300.0, 0.0, 100.0, 60.0),  # 0.6 of the excess: less than 0.1 of 900
+        (600.0, 0.0, 400.0, 60.0),  # 0.1 of what is explained, less than 0.6 of 400
+        (210.0, 0.0, 10.0, 29.7),  # what any must add: 0.03 of 990; 0.6 of the excess is 6
+        (190.0, 0.0, 0.0, 30.3),  # nothing is left
+        (300.0, 75.0, 100.0, 75.0),  # what noise gains
     ],
 )
 def test_a_further_effect_explains_most_of_what_is_left_or_a_tenth_of_all(
-    monkeypatch: pytest.MonkeyPatch, misfit: float, threshold: float, needed: float
+    monkeypatch: pytest.MonkeyPatch, misfit: float, threshold: float, excess: float, needed: float
 ) -> None:
-    assert further(monkeypatch, misfit, needed - 0.5, threshold) == 1
-    assert further(monkeypatch, misfit, needed + 0.5, threshold) == 2
+    assert further(monkeypatch, misfit, needed - 0.5, threshold, excess) == 1
+    assert further(monkeypatch, misfit, needed + 0.5, threshold, excess) == 2
 
 
 @pytest.mark.parametrize(("others", "alone"), [(1.0 / SINGLED_OUT, True), (1.05 / SINGLED_OUT, False)])
@@ -249,8 +276,9 @@ class Responses:
         return RNG(seed).normal(size=(number, 2))
 
 
-def test_only_lines_near_the_best_are_simulated_whole() -> None:
+def test_only_lines_near_the_best_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """The share of the best gain is the squared cosine of the angle to the residual."""
+    monkeypatch.setattr(screening_module, "rest_of", lambda *given: SimpleNamespace(p_value=lambda left: 1.0))
     shares = {
         "lidar.window_loss": 1.0,
         "lidar.crosstalk": 1.04 * REFINED,
@@ -271,6 +299,23 @@ def test_only_lines_near_the_best_are_simulated_whole() -> None:
     again = screen(few, [EFFECTS[name] for name in shares], base, 0)
     assert found.best_null.max() > 1.0
     np.testing.assert_allclose(again.best_null, 3.0 / (1.0 + 2.0 / 7.0) * found.best_null, rtol=1e-9)
+
+
+def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> None:
+    """Weaker returns everywhere, most of all in one sector; behind them a smaller sector, found once they are in."""
+    hidden = [EFFECTS["lidar.sector_loss"](azimuth_rad=-1.5, width_rad=0.8, loss_db=3.0)]
+    hidden += [EFFECTS["lidar.spray"](strength=8.0, azimuth_rad=1.8, width_rad=0.8)]
+    study = tiny_study(hidden, seed=4, rows=16, columns=64, clear=4, weathers=WEATHERS)
+    search = Search(model := LidarFrames(study), targets(model, study.fit), 0, pool_frames=32)
+    base = search.begin()
+    first = Setting({"lidar.sector_loss": {"azimuth_rad": -1.5, "width_rad": 0.8, "loss_db": 3.0}})
+    fit = search.fit(first, base.nuisance, base.base, 1)
+    found = placed_nodes(search, [EFFECTS["lidar.spray"], EFFECTS["lidar.window_loss"]], fit)
+    assert {node.id for node in found} == {"lidar.spray"}
+    # Sectors of the statistics are 0.39 rad wide.
+    assert min(abs(node.values["azimuth_rad"] - 1.8) for node in found) < 0.6
+    best = found[int(gains(found, fit.nuisance.left(fit.residual)[None], fit.nuisance)[0].argmax())]
+    assert best.values["azimuth_rad"] == pytest.approx(1.8, abs=0.6)
 
 
 # ---- candidates ------------------------------------------------------------------------------------------------------

@@ -12,7 +12,9 @@ References:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,6 +55,7 @@ class FrameModel(Protocol):
     effects: list[Effect]
     map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
     sizes: Mapping[str, float]  # typical sizes of parameters that are a matter of the data
+    open_shifts: AbstractSet[str]  # statistics whose even shift by the clear frames' own error is among what is open
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""
@@ -162,6 +165,11 @@ class Whitening:
         found: Floats = solve_triangular(self.factor, flat.T, lower=True).T.reshape(scaled.shape)
         return found
 
+    def undone(self, independent: Floats) -> Floats:
+        """Back to units of the scatter, ``(..., P)``."""
+        found: Floats = independent @ self.factor.T
+        return found
+
 
 @dataclass(frozen=True)
 class Baseline:
@@ -169,12 +177,15 @@ class Baseline:
 
     Args:
         mean, sd: condition to ``(P,)`` mean of the vector and its scatter at the measured number of frames, with the
-            error of that mean; of means without what whole frames do, which is a nuisance (``search.py``).
+            error of that mean; of means without what whole frames do, which is a nuisance (``search.py``), and without
+            what is shared.
         total: the scatter with what whole frames do.
         used: condition to ``(P,)`` entries that count.
         whitening: common to all conditions.
         draws: condition to ``(DRAWS, P)`` vectors of the simulator itself.
         least: condition to ``(P,)`` scatter that each entry has at least.
+        shared: condition to ``(P,)`` what the error of its scene's clear mean adds, in units of ``sd``: it is the same
+            one for all conditions of the scene (``search.py``).
     """
 
     mean: Mapping[str, Floats]
@@ -184,12 +195,7 @@ class Baseline:
     whitening: Whitening
     draws: Mapping[str, Floats]
     least: Mapping[str, Floats]
-
-    def residual(self, target: Target, vector: Floats | None = None) -> Floats:
-        """Whitened departure ``(P,)`` of a vector, the measured one by default."""
-        name = target.condition.id
-        value = target.vector if vector is None else vector
-        return self.whitened(name, value - self.mean[name])
+    shared: Mapping[str, Floats]
 
     def whitened(self, name: str, difference: Floats) -> Floats:
         """Whitened difference of vectors ``(..., P)``; entries that do not count are 0."""
@@ -220,7 +226,7 @@ def baseline(
             its noise, and grows as the elements' own spread does.
         seed: of the draws.
     """
-    means, sds, owns, totals, used, draws, spreads = {}, {}, {}, {}, {}, {}, {}
+    means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
     shares = np.concatenate([np.full(group.bins, group.kind == "share") for group in layout.groups])
     averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in layout.groups])
@@ -232,23 +238,25 @@ def baseline(
         vectors = pool.vectors(index, target.condition.time_s)
         mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
         # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
-        share = np.full(len(mean), min(n / count, 0.5))
-        # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
+        pooled = min(n / count, 0.5)
         spreads[name] = least = pool.least_scatter(n, target.misplaced)
         grown = 1.0 if start is None else np.maximum(least / np.maximum(start.least[name], TINY), 1.0)
-        least = np.maximum(least, np.where(shares, 0.0, noise.scatter[name] * np.where(averages, grown, 1.0)))
-        share = share + np.where(shares | averages, n / target.clear_frames, 0.0)
-        drawn = spread**2 / (1.0 - min(n / count, 0.5))
+        elements = noise.scatter[name] * np.where(averages, grown, 1.0)
+        least = np.maximum(least, np.where(shares, 0.0, elements))
+        drawn = spread**2 / (1.0 - pooled)
         own = np.sqrt(np.maximum(drawn, least**2))
-        totals[name] = own * np.sqrt(1.0 + share)
+        # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
+        totals[name] = own * np.sqrt(1.0 + pooled + np.where(shares | averages, n / target.clear_frames, 0.0))
         # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
         owns[name] = np.where(averages, least, own)
-        sds[name] = np.where(averages, least * np.sqrt(1.0 + share), totals[name])
+        sds[name] = np.where(averages, least * math.sqrt(1.0 + pooled), totals[name])
+        of_clear = elements * math.sqrt(n / target.clear_frames)
+        shared[name] = np.where(averages, of_clear / np.maximum(sds[name], TINY), 0.0)
         means[name], draws[name] = mean, vectors
         used[name] = target.enough & pool.enough(n)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
     whitening = Whitening.of(noise, owns) if start is None else start.whitening
-    return Baseline(means, sds, totals, used, whitening, draws, spreads)
+    return Baseline(means, sds, totals, used, whitening, draws, spreads, shared)
 
 
 def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:
@@ -261,9 +269,13 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> 
     size = next(iter(portioned.values())).layout.size
     total = np.zeros((size, size))
     scatter = {}
+    groups = next(iter(portioned.values())).layout.groups
+    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in groups])
     for target in measured:
-        name = target.condition.id
-        apart = portioned[name].element_noise(PORTIONS, target.frames, target.clear_frames)
+        name, clear = target.condition.id, target.clear_frames
+        apart = portioned[name].element_noise(PORTIONS, target.frames, clear)
+        # Departures from the mean of the other clear frames are larger than those from the mean of all.
+        apart *= np.where(averages, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
         scatter[name] = np.sqrt((apart**2).sum(1).mean(0))
         unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
         unit = np.where(target.enough, unit, 0.0).reshape(-1, size)

@@ -35,7 +35,7 @@ SHADOWED, FAR = (0.1, 0.5), 2.0
 SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
 REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
-WORTH = 0.35  # of the best gain, from which a candidate is refitted
+WORTH = 0.5  # of the best gain, from which a candidate is refitted
 LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
 
 
@@ -172,8 +172,9 @@ def _least(place: Floats, value: Floats) -> float:
 
 def _start(node: Node, amplitude: float) -> dict[str, float]:
     """All parameters where an effect of so many times a node's response is expected."""
-    found = {}
-    for one in EFFECTS[node.id].arguments:
+    found, effect = {}, EFFECTS[node.id]
+    amplitude = 1.0 if effect.cuts else amplitude
+    for one in effect.arguments:
         value = node.values.get(one.name, one.value)
         if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
             value = one.identity + max(amplitude, LEAST_AMPLITUDE) * (value - one.identity)

@@ -18,6 +18,7 @@ __all__ = ["Line", "lines"]
 
 # Strengths over the parameter's typical size.
 STEPS = (0.03, 0.25, 1.0, 3.0)
+CUT_STEPS = tuple(0.15 * 1.2**step for step in range(16))  # of what cuts: between two of them it would be stepped over
 FAR_STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinitely far
 PLACES = ("azimuth_rad",)  # parameters that say where
 
@@ -44,7 +45,7 @@ class Line:
         return (0, number // 2) if number > 2 else (number // 2,)
 
 
-def _strengths(parameter: Parameter, size: float) -> list[list[float]]:
+def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = STEPS) -> list[list[float]]:
     """Values on either side of the identity, from weak to strong in terms of a typical size, inside the bounds."""
     identity = parameter.identity
     assert identity is not None
@@ -53,9 +54,9 @@ def _strengths(parameter: Parameter, size: float) -> list[list[float]]:
         if math.isinf(identity):
             values = [size * step for step in FAR_STEPS] if sign > 0 else []
         elif identity > 0 and parameter.low >= 0:  # a factor
-            values = [identity * math.exp(sign * size * step) for step in STEPS]
+            values = [identity * math.exp(sign * size * step) for step in steps]
         else:
-            values = [identity + sign * size * step for step in STEPS]
+            values = [identity + sign * size * step for step in steps]
         inside = [value for value in values if parameter.low <= value <= parameter.high]
         if len(inside) < len(values) and values:
             bound = parameter.high if values[-1] > (identity if math.isfinite(identity) else 0.0) else parameter.low
@@ -89,6 +90,8 @@ def lines(effect: type[Effect], places: Sequence[float], sizes: Mapping[str, flo
         for parameter in deciding:
             found += [
                 Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
-                for values in _strengths(parameter, (sizes or {}).get(parameter.name, parameter.scale))
+                for values in _strengths(
+                    parameter, (sizes or {}).get(parameter.name, parameter.scale), CUT_STEPS if effect.cuts else STEPS
+                )
             ]
     return found

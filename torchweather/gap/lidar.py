@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -17,11 +18,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.gap.lidar_nuisance import EchoGain, FogEchoRange, ParticleReading, WeakSignalNoise
+from torchweather.gap.lidar_nuisance import (
+    ClearScale,
+    EchoGain,
+    EchoNoise,
+    FogEchoRange,
+    ParticleReading,
+    WeakSignalNoise,
+)
 from torchweather.gap.lidar_scene import LidarScene, lidar_scene
 from torchweather.gap.lidar_sums import LidarSums, lidar_layout, map_cells
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
+from torchweather.gap.whole_frames import widened
 from torchweather.sensors import Lidar
 from torchweather.stages import Chain, Extinction, LidarState, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.effects import Effect, with_effects
@@ -36,6 +45,7 @@ TOGETHER = 8  # frames: more do not fit into the processor's cache
 KEPT = 48  # states, so that those of a setting are kept for every condition
 GAIN_SD = 0.02  # relative, of the brightness of drops and flakes; what two implementations of one physics differ by
 FOG_GAIN_SD = 0.25  # standard deviations of a reading at the threshold, by which their largest is uncertain
+FOG_NOISE = 0.6  # of a reading's noise, by which that of one reading exceeds the largest of two in square
 FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
@@ -63,6 +73,8 @@ class LidarFrames:
             name: lidar_scene(scene, self.direction, self.grid, self.energy, with_intensity)
             for name, scene in study.scenes.items()
         }
+        self.open_shifts: AbstractSet[str] = {"log_intensity_ratio"} if with_intensity else set()
+        self.clear_scale_sd = _clear_scale_sd(self.scenes)
         some = next(iter(self.scenes.values()))
         self.layout = lidar_layout(some.edges, with_intensity, int(some.stable.sum()))
         azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
@@ -106,7 +118,9 @@ class LidarFrames:
         assert condition.weather is not None
         found = {"noise": 0.0} if self.scenes[condition.scene].variance_at_threshold > 0 else {}
         if "fog" in {part.kind for part in condition.weather.parts}:
-            found |= {"fog shift": -math.inf, "fog spread": 0.0}
+            found |= {"fog shift": -math.inf, "fog spread": 0.0, "fog noise": 0.0}
+        if self.clear_scale_sd[condition.scene] > 0:
+            found[f"clear scale {condition.scene}"] = -math.inf
         return {**found, "particle gain": -math.inf}
 
     def misplaced(self, condition: Condition) -> float:
@@ -122,14 +136,20 @@ class LidarFrames:
             strengths: by name; what cannot be negative is not below 0.
         """
         given = {name: strengths.get(name, 0.0) for name in self.open(condition)}
+        photons = self.sensor.photons_at_threshold
         found: list[Effect] = []
         if given.get("noise", 0.0) > 0:
             variance = given["noise"] * self.scenes[condition.scene].variance_at_threshold
             found.append(WeakSignalNoise(variance_at_threshold=min(variance, 1.0)))
         if given["particle gain"] != 0:
             fog = "fog shift" in given
-            one_sd = FOG_GAIN_SD / math.sqrt(self.sensor.photons_at_threshold) if fog else GAIN_SD
+            one_sd = FOG_GAIN_SD / math.sqrt(photons) if fog else GAIN_SD
             found.append(EchoGain(share=min(max(given["particle gain"] * one_sd, -0.9), 9.0)))
+        if given.get("fog noise", 0.0) > 0:
+            found.append(EchoNoise(std=min(given["fog noise"] * FOG_NOISE / math.sqrt(photons), 1.0)))
+        scale = given.get(f"clear scale {condition.scene}", 0.0) * self.clear_scale_sd[condition.scene]
+        if scale != 0:
+            found.append(ClearScale(log_scale=min(max(scale, -2.0), 2.0)))
         shift, spread = given.get("fog shift", 0.0), max(given.get("fog spread", 0.0), 0.0)
         if shift != 0 or spread > 0:
             share = FOG_RANGE_SHARE * self.sensor.pulse_length_m
@@ -241,6 +261,16 @@ class LidarFrames:
     def reduce(self, scene_id: str, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)`` of a scene; arguments as ``LidarSums``."""
         return self._sums[scene_id](range_m, intensity, row, portions)
+
+
+def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
+    """Standard deviation of the logarithm of the scale of each scene's clear mean, from how frames of all differ."""
+    squares = sum(float(scene.log_scale.square().sum()) for scene in scenes.values())
+    degrees = sum(len(scene.log_scale) - 1 for scene in scenes.values())
+    if degrees < 1:
+        return dict.fromkeys(scenes, 0.0)
+    one_frame = squares / degrees * widened(degrees)
+    return {name: math.sqrt(one_frame / len(scene.log_scale)) for name, scene in scenes.items()}
 
 
 @contextmanager

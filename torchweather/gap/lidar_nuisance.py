@@ -16,7 +16,7 @@ from torchweather.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.states import LidarState, PointKind
 
-__all__ = ["EchoGain", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
+__all__ = ["ClearScale", "EchoGain", "EchoNoise", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
 
 
 class WeakSignalNoise(Effect):
@@ -53,6 +53,29 @@ class WeakSignalNoise(Effect):
         return {"signal": torch.cat([noisy[..., None], state.signal[..., 1:]], -1)}
 
 
+class ClearScale(Effect):
+    """Scale of the intensities of a scene's clear frames, as far as so few of them leave it open.
+
+    A simulated object has the signal that the clear frames say. Where their mean was read too low, all objects are
+    brighter than simulated, and fewer of them fall below the threshold.
+
+    Args:
+        log_scale: of the signal of objects.
+    """
+
+    id: ClassVar[str] = "gap.clear_scale"
+    title: ClassVar[str] = "objects are brighter or fainter than their clear frames say"
+    term: ClassVar[str] = "radiometric calibration error"
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("log_scale", "1", -2.0, 2.0, scale=5e-3, identity=0.0),)
+    after: ClassVar[str] = "particle_returns"
+    axes: ClassVar[tuple[str, ...]] = ("margin",)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The signal of the objects."""
+        objects = state.signal[..., :1] * self.value("log_scale", state.signal).exp()
+        return {"signal": torch.cat([objects, state.signal[..., 1:]], -1)}
+
+
 class ParticleReading(Effect):
     """Noise of the reading of a particle's intensity: objects have their clear frame's, particles have none.
 
@@ -78,6 +101,20 @@ class ParticleReading(Effect):
         signal = state.signal
         noisy = signal * (1.0 + self.value("std", signal) * noise["reading"].to(signal)[..., None]).clamp_min(0.0)
         return {"signal": torch.where(state.kind == int(PointKind.PARTICLE), noisy, signal)}
+
+
+class EchoNoise(ParticleReading):
+    """Noise of the echo of fog before it is detected, beyond that of the model: a receiver that has one reading of its
+    peak has all the photons' noise, the largest of several less and seldom a low one.
+
+    Args:
+        std: relative.
+    """
+
+    id: ClassVar[str] = "gap.echo_noise"
+    title: ClassVar[str] = "echoes of fog are noisier before they are detected"
+    term: ClassVar[str] = "detection statistics of a soft target"
+    after: ClassVar[str] = "particle_returns"
 
 
 class EchoGain(Effect):

@@ -52,8 +52,9 @@ class LidarScene:
         stable, empty: ``(N,)`` which beams count as what.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
-        gain: ``(K,)`` intensities of each clear frame over the mean of all: what a sensor's scale does from frame
-            to frame; 1 where intensities are whole numbers.
+        log_scale: ``(K,)`` logarithm of the intensities of each clear frame over the mean of all, averaged: what a
+            sensor's scale does from frame to frame.
+        gain: ``(K,)`` the scale that a frame is divided by; 1 where intensities are whole numbers.
         reading_std: relative standard deviation of the intensity that does not depend on the signal.
         variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.
         bins: axis to the bin of each beam ``(K + 1, N)``, -1 for none, after the clear frames other than k: a frame
@@ -70,6 +71,7 @@ class LidarScene:
     empty: Tensor
     tolerance_m: float
     noise_m: float
+    log_scale: Tensor
     gain: Tensor
     reading_std: float
     variance_at_threshold: float
@@ -119,16 +121,17 @@ def lidar_scene(
     with torch.no_grad():
         signal = energy.signal_of_intensity(mean_intensity.float(), mean_range.float())
     margin_db = 10.0 * torch.log10((signal / energy.beam.threshold).clamp_min(1e-6))
-    gain, variance_at_threshold, reading_std = torch.ones(number), 0.0, 0.0
+    log_scale, gain = torch.zeros(number, dtype=torch.float64), torch.ones(number)
+    variance_at_threshold, reading_std = 0.0, 0.0
     if with_intensity:
         apart = intensity.double().clamp_min(FAINTEST).log() - mean_intensity[-1].clamp_min(FAINTEST).log()
         noise_db = DB_PER_NEPER * _spread(apart, stable)
         stable = stable & (margin_db[-1] > FLICKER_SD * noise_db)
         if bool(stable.any()) and number > 1:
-            common = apart[:, stable].mean(1)
+            log_scale = apart[:, stable].mean(1)
             if not bool((intensity == intensity.round()).all()):  # whole numbers would not stay whole
-                gain = common.exp().float()
-            constant, variance_at_threshold = _variances(apart[:, stable] - common[:, None], margin_db[-1, stable])
+                gain = log_scale.exp().float()
+            constant, variance_at_threshold = _variances(apart[:, stable] - log_scale[:, None], margin_db[-1, stable])
             reading_std = math.sqrt(constant)
     isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M)[0]
     bins, edges = _bins(direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry)
@@ -141,6 +144,7 @@ def lidar_scene(
         empty=empty,
         tolerance_m=max(SAME_SURFACE_M, SPREAD_TIMES * min(usual, 0.2)),
         noise_m=max(usual, LEAST_NOISE_M),
+        log_scale=log_scale,
         gain=gain,
         reading_std=reading_std,
         variance_at_threshold=variance_at_threshold,

@@ -2,7 +2,9 @@
 
 With G the whitened change per standard deviation of each nuisance and x where they stand, a residual r leaves
 
-    min over d of |r - G d|^2 + |x + d|^2,   d = (G'G + 1)^-1 (G'r - x).
+    min over d of |r - G d|^2 + (x + d)' L (x + d),   d = (G'G + L)^-1 (G'r - L x),
+
+where L is the inverse of their covariance: the unit matrix unless some go together.
 
 References:
     GAP.md 3 (4).
@@ -13,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Nuisance"]
+__all__ = ["Nuisance", "together"]
 
 Floats = NDArray[np.float64]
 
@@ -25,11 +27,13 @@ class Nuisance:
         response: ``(C P, K)`` G: whitened change per standard deviation of each.
         offset: ``(K,)`` x: where they stand, in standard deviations from the record.
         moving: number of those that the simulator can be moved along, the first ones.
+        precision: ``(K, K)`` L; the others are independent of the moving ones.
     """
 
-    def __init__(self, response: Floats, offset: Floats, moving: int) -> None:
+    def __init__(self, response: Floats, offset: Floats, moving: int, precision: Floats | None = None) -> None:
         self.response, self.offset, self.moving = response, offset, moving
-        normal = response.T @ response + np.eye(response.shape[1])
+        self.precision = np.eye(response.shape[1]) if precision is None else precision
+        normal = response.T @ response + self.precision
         self._inverse = np.linalg.inv(normal)
         self._fixed = np.linalg.inv(normal[moving:, moving:])
 
@@ -37,17 +41,18 @@ class Nuisance:
         """The same nuisances, standing elsewhere."""
         found = Nuisance.__new__(Nuisance)
         found.response, found.offset, found.moving = self.response, offset, self.moving
+        found.precision = self.precision
         found._inverse, found._fixed = self._inverse, self._fixed
         return found
 
     def __call__(self, vectors: Floats) -> Floats:
-        """``(1 - G (G'G + 1)^-1 G') y`` of vectors ``(..., C P)``."""
+        """``(1 - G (G'G + L)^-1 G') y`` of vectors ``(..., C P)``."""
         found: Floats = vectors - (vectors @ self.response) @ self._inverse @ self.response.T
         return found
 
     def step(self, residual: Floats) -> Floats:
         """``(K,)`` by how far they move to explain a residual best, in standard deviations."""
-        found: Floats = self._inverse @ (self.response.T @ residual - self.offset)
+        found: Floats = self._inverse @ (self.response.T @ residual - self.precision @ self.offset)
         return found
 
     def left(self, residual: Floats) -> Floats:
@@ -58,10 +63,33 @@ class Nuisance:
     def cost(self, residual: Floats) -> float:
         """A residual squared where the moving ones stand, and what it costs that they do."""
         along = self.response[:, self.moving :].T @ residual
-        return float(residual @ residual - along @ self._fixed @ along + (self.offset**2).sum())
+        return float(residual @ residual - along @ self._fixed @ along + self._unlikely(self.offset))
 
     def misfit(self, residual: Floats) -> float:
         """What is left, squared, with what the moved nuisances cost."""
         step = self.step(residual)
         rest = residual - self.response @ step
-        return float(rest @ rest + ((self.offset + step) ** 2).sum())
+        return float(rest @ rest + self._unlikely(self.offset + step))
+
+    def drawn(self, generator: np.random.Generator, number: int) -> Floats:
+        """Residuals ``(number, C P)`` that nuisances alone make."""
+        factor = np.linalg.cholesky(np.linalg.inv(self.precision))
+        found: Floats = generator.normal(size=(number, len(factor))) @ factor.T @ self.response.T
+        return found
+
+    def _unlikely(self, offset: Floats) -> float:
+        return float(offset @ self.precision @ offset)
+
+
+def together(number: int, some: int) -> Floats:
+    """Precision ``(number, number)`` where half of the variance of each of the first ``some`` is common to them.
+
+    Covariance ``(1 + J) / 2``, its inverse ``2 (1 - J / (some + 1))``.
+
+    Example:
+        >>> together(3, 2).round(3).tolist()
+        [[1.333, -0.667, 0.0], [-0.667, 1.333, 0.0], [0.0, 0.0, 1.0]]
+    """
+    found = np.eye(number)
+    found[:some, :some] = 2.0 * (np.eye(some) - 1.0 / (some + 1.0))
+    return found

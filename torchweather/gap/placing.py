@@ -24,14 +24,15 @@ HALVINGS, PASSES = 5, 2
 ANSCOMBE = 3.0 / 8.0
 
 
-def standing_lines(search: Search, effects: Sequence[type[Effect]]) -> list[Line]:
-    """Settings of effects with an azimuth, a range and a width at the cell of the map with the most new returns."""
+def standing_lines(search: Search, effects: Sequence[type[Effect]], setting: Setting) -> list[Line]:
+    """Settings of effects with an azimuth, a range and a width at the cell of the map with the most returns that a
+    setting lacks."""
     fitting = [one for one in effects if {"azimuth_rad", "range_m", "width_rad"} <= {p.name for p in one.arguments}]
     if not fitting:
         return []
     cells = search.model.map_cells
     total = np.zeros(len(cells))
-    pools = search.pools(search.origin, FRAMES)
+    pools = search.pools(setting, FRAMES)
     for target in search.measured:
         # The least of all frames: what stands is in each of them.
         measured = search.model.measured(target.condition).maps[:, 0].min(0)

@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.candidates import lines
+from torchweather.gap.baseline import Baseline
+from torchweather.gap.candidates import PLACES, lines
 from torchweather.gap.matched import Node, gains
 from torchweather.gap.placing import standing_lines
+from torchweather.gap.rest import Rest, rest_of
 from torchweather.gap.search import Fit, Search
 from torchweather.stages.effects import Effect
 
-__all__ = ["OVERDISPERSION", "Screening", "overdispersion", "screen", "screening_entries"]
+__all__ = ["OVERDISPERSION", "Screening", "overdispersion", "placed_nodes", "screen", "screening_entries"]
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +29,7 @@ NULLS = 1000
 # Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
 # screening are those of noise so many times larger in square. Set on development studies.
 OVERDISPERSION = 1.5
+DEPARTURES = 3  # that are looked at; the chance of an alarm is that of any
 REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
 
 
@@ -42,7 +45,8 @@ class Screening:
         gains: ``(nodes,)``.
         best_null: ``(R,)`` largest gain of each null.
         misfit_null: ``(R,)``.
-        p_value: of the larger of both departures.
+        rest: noise of each statistic by itself.
+        p_value: of the largest of the three departures: along a response, of all entries, of one statistic.
     """
 
     residual: Floats
@@ -52,19 +56,20 @@ class Screening:
     gains: Floats
     best_null: Floats
     misfit_null: Floats
+    rest: Rest
     p_value: float
 
     def raised(self, gain: float) -> Screening:
         """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
-        return replace(self, p_value=min(self.p_value, 2.0 * _tail(self.best_null, gain)))
+        return replace(self, p_value=min(self.p_value, DEPARTURES * _tail(self.best_null, gain)))
 
 
 def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int) -> Screening:
     """Response curves of all effects, and whether any of them, or anything at all, stands out."""
     residual, nuisance = base.residual, base.nuisance
-    places = azimuths(search)
+    places = azimuths(search, search.start)
     found = [line for effect in effects for line in lines(effect, places, search.model.sizes)]
-    found += standing_lines(search, effects)
+    found += standing_lines(search, effects, search.origin)
     left = nuisance.left(residual)
     nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
     gain = gains(nodes, left[None], nuisance)[0]
@@ -85,19 +90,30 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     counted = screening_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
-    return Screening(
-        residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, min(1.0, 2.0 * min(p_gain, p_misfit))
-    )
+    each = rest_of(search, base, overdispersion(search))
+    p_value = min(1.0, DEPARTURES * min(p_gain, p_misfit, each.p_value(left)))
+    return Screening(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value)
 
 
-def azimuths(search: Search) -> list[float]:
+def placed_nodes(search: Search, effects: Sequence[type[Effect]], fit: Fit) -> list[Node]:
+    """Responses of effects that have a place, at the places where a fit leaves most, on top of it.
+
+    The first effect of several drowns the place of another.
+    """
+    placed = [effect for effect in effects if any(one.name in PLACES for one in effect.arguments)]
+    found = [line for effect in placed for line in lines(effect, azimuths(search, fit.base), search.model.sizes)]
+    found += standing_lines(search, placed, fit.setting)
+    return search.nodes([(line, place) for line in found for place in line.first], fit.setting, fit.base)
+
+
+def azimuths(search: Search, base: Baseline) -> list[float]:
     """Where in azimuth the measurement departs most: two places at which effects with a place are tried."""
     layout = search.model.layout
     total: dict[tuple[float, ...], Floats] = {}
     for target in search.measured:
         name = target.condition.id
-        apart = (target.vector - search.start.mean[name]) / search.start.sd[name]
-        z: Floats = np.where(search.start.used[name], apart, 0.0)
+        apart = (target.vector - base.mean[name]) / base.sd[name]
+        z: Floats = np.where(base.used[name], apart, 0.0)
         for group, part in zip(layout.groups, layout.slices, strict=True):
             if group.axis == "azimuth_rad":
                 common = float(np.median(z[part]))

@@ -30,8 +30,8 @@ from torchweather.gap.baseline import (
 )
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import Node
-from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.statistics import Pool
+from torchweather.gap.nuisance import Nuisance, together
+from torchweather.gap.statistics import TINY, Pool
 from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
@@ -181,7 +181,9 @@ class Search:
                 for name, own in scatter.items()
             }
 
-        return replace(base, sd=wider(base.sd), total=wider(base.total))
+        sd = wider(base.sd)
+        shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
+        return replace(base, sd=sd, total=wider(base.total), shared=shared)
 
     def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
         """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""
@@ -203,7 +205,32 @@ class Search:
             base.whitened(target.condition.id, difference)
             for target, difference in zip(self.measured, differences, strict=True)
         ]
-        return np.concatenate(parts)
+        return self._parted(base, np.stack(parts), -0.5).ravel()
+
+    @property
+    def _names(self) -> list[str]:
+        return [target.condition.id for target in self.measured]
+
+    @property
+    def _together(self) -> list[list[int]]:
+        """Places of the conditions of each scene."""
+        scenes = [target.condition.scene for target in self.measured]
+        return [[k for k, one in enumerate(scenes) if one == scene] for scene in dict.fromkeys(scenes)]
+
+    def _parted(self, base: Baseline, values: Floats, power: float) -> Floats:
+        """Values ``(..., C, P)`` times a power of ``1 + k k'``; k ``(C,)``, of each entry, is what a scene's share.
+
+        That is the covariance of a scene's conditions, each with noise of its own and all with the clear mean's error:
+        to the power -1/2 it makes them independent, to +1/2 undoes that.
+        """
+        found = values.copy()
+        for places in self._together:
+            names = [self._names[place] for place in places]
+            shared = np.stack([base.shared[name] * base.used[name] for name in names])
+            square = np.maximum((shared**2).sum(0), TINY)
+            along = (values[..., places, :] * shared).sum(-2) * (((1.0 + square) ** power - 1.0) / square)
+            found[..., places, :] += along[..., None, :] * shared
+        return found
 
     def departure(self, base: Baseline, mean: Sequence[Floats]) -> Floats:
         """The measured conditions' whitened departure ``(C P,)`` from mean vectors."""
@@ -211,7 +238,30 @@ class Search:
 
     def residual(self, base: Baseline) -> Floats:
         """The measured conditions' departure ``(C P,)`` from the simulator."""
-        return np.concatenate([base.residual(target) for target in self.measured])
+        return self.departure(base, [base.mean[name] for name in self._names])
+
+    def rewhitened(self, vectors: Floats, old: Baseline, new: Baseline) -> Floats:
+        """Vectors ``(..., C P)`` that were whitened with one scatter, with another.
+
+        What a residual is compared with must be in the units of the residual: of a shift by forty standard deviations
+        that nuisances explain, a scatter that is off by a few percent leaves one or two.
+        """
+        old_sd, new_sd = (np.stack([base.sd[name] for name in self._names]) for base in (old, new))
+        used = np.stack([new.used[name] for name in self._names])
+        shaped = vectors.reshape(*vectors.shape[:-1], len(self._names), -1)
+        scaled = old.whitening.undone(self._parted(old, shaped, 0.5))
+        whitened = new.whitening(np.where(used, scaled * (old_sd / new_sd), 0.0))
+        return self._parted(new, whitened, -0.5).reshape(vectors.shape)
+
+    def _nuisance_at(self, nuisance: Nuisance, old: Baseline, new: Baseline) -> Nuisance:
+        """Nuisances in units of another scatter."""
+        response = self.rewhitened(nuisance.response.T, old, new).T
+        return Nuisance(response, nuisance.offset, nuisance.moving, nuisance.precision)
+
+    def nodes_at(self, nodes: Sequence[Node], base: Baseline) -> list[Node]:
+        """Responses of the model as it was in units of another scatter."""
+        found = self.rewhitened(np.stack([node.response for node in nodes]), self.start, base)
+        return [replace(node, response=response) for node, response in zip(nodes, found, strict=True)]
 
     def null_residuals(self, nuisance: Nuisance, number: int, seed: int) -> Floats:
         """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
@@ -219,8 +269,7 @@ class Search:
         generator = np.random.default_rng([seed, 15485863])
         counted = np.concatenate([self.start.used[target.condition.id] for target in self.measured])
         noise = generator.normal(size=(number, len(counted))) * counted
-        off = generator.normal(size=(number, nuisance.response.shape[1]))
-        found: Floats = noise + off @ nuisance.response.T
+        found: Floats = noise + nuisance.drawn(generator, number)
         return found
 
     # ---- nuisances -------------------------------------------------------------------------------------------------
@@ -259,25 +308,44 @@ class Search:
                 for target, step in zip(self.measured, steps, strict=True)
             }
             ends.append(self.mean(replace(setting, log_knob=log_knob), SCREEN_FRAMES))
-        size = self.model.layout.size
-        columns = []
-        for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True)):
-            name = self.measured[number].condition.id
-            column = np.zeros((len(self.measured), size))
-            column[number] = base.whitened(name, (high - low) * (sd[number] / (2.0 * step)))
-            columns.append(column.ravel())
-        before = self.mean(setting, SCREEN_FRAMES) if self.open else []
-        for name in self.open:
-            strength = setting.open.get(name, 0.0)
-            step = OPEN_STEP if strength + OPEN_STEP <= FARTHEST else -OPEN_STEP  # a short one would be noise alone
-            after = self.mean(replace(setting, open={**setting.open, name: strength + step}), SCREEN_FRAMES)
-            change = [(new - old) / step for new, old in zip(after, before, strict=True)]
-            columns.append(self.whitened(base, change))
+        columns = [
+            self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
+            for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
+        ]
+        columns += self._open_columns(setting, base)
         whitened = partial(self._column, base)
-        self.fixed = clear_errors(self.frame_departures, self.measured, whitened)
+        self.fixed = clear_errors(self.frame_departures, self.measured, self.model.open_shifts, whitened)
         self.fixed += model_errors(self.model.layout, self.measured, base, self.clear_means, whitened)
         response = np.stack([*columns, *self.fixed], 1)
-        return Nuisance(response, self.offset(setting), len(columns))
+        # A gauge that reads too low may do so in every condition.
+        precision = together(response.shape[1], len(self.measured))
+        return Nuisance(response, self.offset(setting), len(columns), precision)
+
+    def _open_columns(self, setting: Setting, base: Baseline) -> list[Floats]:
+        """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
+        if not self.open:
+            return []
+        before = self.mean(setting, SCREEN_FRAMES)
+        places = {
+            name: [k for k, target in enumerate(self.measured) if name in self.model.open(target.condition)]
+            for name in self.open
+        }
+        columns: dict[str, Floats] = {}
+        while len(columns) < len(self.open):
+            steps: dict[str, float] = {}
+            taken: set[int] = set()
+            for name in self.open:
+                if name in columns or taken & set(places[name]):
+                    continue
+                taken |= set(places[name])
+                strength = setting.open.get(name, 0.0)
+                # A short one would be noise alone.
+                steps[name] = OPEN_STEP if strength + OPEN_STEP <= FARTHEST else -OPEN_STEP
+            moved = {name: setting.open.get(name, 0.0) + step for name, step in steps.items()}
+            after = self.mean(replace(setting, open={**setting.open, **moved}), SCREEN_FRAMES)
+            for name, step in steps.items():
+                columns[name] = self._column(base, {k: (after[k] - before[k]) / step for k in places[name]})
+        return [columns[name] for name in self.open]
 
     def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
         """Whitened departures of some conditions, 0 in the others, ``(C P,)``."""
@@ -290,7 +358,7 @@ class Search:
         base = self.at(setting)
         setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), ROUNDS)
         final = self.at(setting)
-        residual = self.residual(final)
+        residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
         misfit = nuisance.misfit(residual) + self._wider(final)
         return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
 
@@ -339,8 +407,11 @@ class Search:
         for place in places:
             knobs = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
             mean = self.mean(replace(setting, log_knob=knobs), SCREEN_FRAMES)
-            rest = self.departure(self.start, mean).reshape(len(self.measured), -1)
-            costs.append((rest**2).sum(1) + place**2)
+            rest = [
+                self.start.whitened(target.condition.id, target.vector - one)
+                for target, one in zip(self.measured, mean, strict=True)
+            ]
+            costs.append((np.stack(rest) ** 2).sum(1) + place**2)
         best = np.argmin(costs, 0)
         knobs = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
         return replace(setting, log_knob=knobs)
@@ -407,7 +478,7 @@ class Search:
                 renewed = False
         final = self.at(setting)
         residual = self.residual(final)
-        here = here.moved(self.offset(setting))
+        here = self._nuisance_at(here.moved(self.offset(setting)), base, final)
         misfit = here.misfit(residual) + self._wider(final)
         return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
 

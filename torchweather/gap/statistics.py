@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import polygamma
 
 __all__ = ["FEWEST", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
 
@@ -248,7 +249,9 @@ class Pool:
                 steady = self.layout.steady[self.layout.scalars.index(group.statistic)]
                 found.append(np.full(group.bins, steady / math.sqrt(max(number, 3) / 12.0)))
             elif group.kind == "between":
-                found.append(np.full(group.bins, LEAST[group.kind]))
+                # Of the logarithm of a standard deviation from so many normal values.
+                own = 0.5 * math.sqrt(float(polygamma(1, 0.5 * max(number - 1, 1))))
+                found.append(np.full(group.bins, max(LEAST[group.kind], own)))
             else:
                 part = slice(start, start + group.bins)
                 least = _least_scatter(group.kind, number, weight[part], value[part], square[part])

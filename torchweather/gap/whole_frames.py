@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from scipy import stats
 from torchweather.gap.baseline import PORTIONS, Baseline, FrameModel, Target
 from torchweather.gap.statistics import PARTICLE_AXIS, TINY, Layout, Pool
 
-__all__ = ["clear_errors", "clear_means", "frame_departures", "model_errors"]
+__all__ = ["FrameDeparture", "clear_errors", "clear_means", "frame_departures", "model_errors", "widened"]
 
 Floats = NDArray[np.float64]
 
@@ -30,9 +32,22 @@ KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one p
 SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 
 
-def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Floats]:
-    """What whole frames do to means and spreads of objects ``(P,)``, from how clear frames of all scenes differ; summed
-    up in square, the variance of a frame.
+@dataclass(frozen=True)
+class FrameDeparture:
+    """One of the ways in which a whole frame departs from others, by one standard deviation.
+
+    Args:
+        entries: ``(P,)``.
+        even: the statistic that it shifts evenly, if it is of that kind.
+    """
+
+    entries: Floats
+    even: str | None = None
+
+
+def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[FrameDeparture]:
+    """What whole frames do to means and spreads of objects, from how clear frames of all scenes differ; summed up in
+    square, the variance of a frame.
 
     By more than the noise of their elements makes them differ, which is in the scatter of each entry: of the even shift
     of a statistic, and of what is left of each frame, the excess over that counts.
@@ -71,21 +86,25 @@ def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Floa
         own = moved & (statistic == name) & (found > 0)
         if own.any():
             share[own] = max(1.0 - 1.0 / float(np.mean(found[own] / np.maximum(expected[own], TINY))), 0.0)
-    one_frame = [np.sqrt(share) * rest for rest in rests if share.any()]
+    widening = math.sqrt(widened(degrees))
+    one_frame = [FrameDeparture(widening * np.sqrt(share) * rest) for rest in rests if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
     for name, variance in evenly.items():
         entries = np.concatenate([np.full(group.bins, group.is_average_of(name)) for group in layout.groups])
-        one_frame += [math.sqrt(variance) * entries] if variance > 0 else []
-    return [departure * math.sqrt(widened(degrees)) for departure in one_frame]
+        one_frame += [FrameDeparture(widening * math.sqrt(variance) * entries, name)] if variance > 0 else []
+    return one_frame
 
 
-def clear_errors(departures: Sequence[Floats], measured: Sequence[Target], column: Column) -> list[Floats]:
+def clear_errors(
+    departures: Sequence[FrameDeparture], measured: Sequence[Target], simulated: AbstractSet[str], column: Column
+) -> list[Floats]:
     """Columns of what whole frames do: the error of each scene's clear mean moves all its conditions alike; the mean of
     a condition's own frames has one of its own.
 
     Args:
         departures: of one frame (``frame_departures``).
         measured: the conditions.
+        simulated: statistics whose even shift by the clear mean's error the simulator can be moved along.
         column: makes one.
     """
     scenes = {target.condition.scene: target.clear_frames for target in measured}
@@ -93,8 +112,9 @@ def clear_errors(departures: Sequence[Floats], measured: Sequence[Target], colum
     for scene, number in scenes.items():
         own = [place for place, target in enumerate(measured) if target.condition.scene == scene]
         for departure in departures:
-            columns.append(column(dict.fromkeys(own, departure / math.sqrt(number))))
-            columns += [column({place: departure / math.sqrt(measured[place].frames)}) for place in own]
+            if departure.even not in simulated:
+                columns.append(column(dict.fromkeys(own, departure.entries / math.sqrt(number))))
+            columns += [column({place: departure.entries / math.sqrt(measured[place].frames)}) for place in own]
     return columns
 
 

@@ -32,7 +32,7 @@ from torchweather.gap.candidate_fits import (
 from torchweather.gap.clear_air import ClearAir, clear_air
 from torchweather.gap.held_out import HeldOut, held_out
 from torchweather.gap.matched import Node, gains, pair_gains
-from torchweather.gap.screening import OVERDISPERSION, Screening, screen, screening_entries
+from torchweather.gap.screening import Screening, placed_nodes, screen, screening_entries
 from torchweather.gap.search import Fit, Search, Setting
 from torchweather.gap.study import Study
 from torchweather.gap.untouched import fresh_gains, untouched
@@ -56,8 +56,8 @@ FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 # the rest: where they hardly show it. So much must a further effect explain that need not compare with the first.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
-REST_SHARE, UNKNOWN_SHARE = 0.1, 0.2  # of the excess misfit that is left
-SIGNIFICANT = 4.0  # standard deviations of a null's misfit, from which a rest is no noise
+REST_P = 1e-4  # of one statistic, from which a rest is no noise
+REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such statistics
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 
 
@@ -148,7 +148,7 @@ def find_gap_with(
         )
     rounds = _rounds(search, held, base, screening, before, singles, say)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
-    verdict = _verdict(screening, best.misfit, before, after)
+    verdict = _verdict(screening, best, before, after)
     after = before if verdict == "none" else after  # nothing is added
     left = best.nuisance.left(best.residual)
     candidates = tuple(tuple(one) for one in rounds)
@@ -176,8 +176,7 @@ def _rounds(
     say: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
-    threshold = float(np.quantile(screening.best_null, 1.0 - ALARM_P))
-    sure = max(threshold, SURE_GAIN)
+    threshold = _threshold(screening)
     rounds = [list(singles)]
     held_gap = before
     while True:
@@ -189,20 +188,20 @@ def _rounds(
         after = held_out(held, settled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
         explained = screening.misfit - best.fit.misfit
-        needed = max(
-            threshold, FURTHER * explained, min(FURTHER_SURE * explained, OF_THE_REST * _excess(screening, best))
-        )
+        excess = OF_THE_REST * screening.rest.excess(best.fit.nuisance.left(best.fit.residual))
+        needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
+        sure = max(threshold, SURE_GAIN)
         if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         held_gap = after
         if len(values) == MOST_EFFECTS:
             return rounds
-        fresh, proposed = _on_top(search, screening, best, needed, sure)
+        fresh, proposed = _on_top(search, screening, best, needed, sure, max(sure, excess))
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             pairs = pair_gains(screening.nodes, base.nuisance.left(base.residual), base.nuisance)
             found = best_pairs(screening.nodes, pairs, search.origin, best.gain + needed)
-            proposed = proposed or (_best_on_top(best, screening.nodes) if found else [])
+            proposed = proposed or (_best_on_top(best, _further(search, screening, best)) if found else [])
             proposed += found
         if not proposed:
             return rounds
@@ -214,7 +213,7 @@ def _rounds(
 
 
 def _on_top(
-    search: Search, screening: Screening, best: Candidate, needed: float, sure: float
+    search: Search, screening: Screening, best: Candidate, needed: float, sure: float, alone: float
 ) -> tuple[set[str], list[Proposal]]:
     """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
 
@@ -223,28 +222,38 @@ def _on_top(
         screening: with the responses.
         best: what was found so far.
         needed: gain that a further effect must promise,
-        sure: or this, if it needs not compare with the first.
+        sure: or this, if it shows where those found do nothing,
+        alone: or this, if no other one explains as much.
 
     Returns:
         The effects that need not: they show where those found do nothing, or alone explain what is left. And what is
         to be fitted.
     """
-    rest = [node for node in screening.nodes if node.id not in best.fit.setting.values]
+    rest = _further(search, screening, best)
     if not rest:
         return set(), []
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
     gain = gains(rest, left[None], nuisance)[0]
     elsewhere = fresh_gains(rest, left, nuisance, untouched(search, best.fit))
-    fresh = {name for name, value in elsewhere.items() if value > sure} | _singled_out(rest, gain, sure)
+    fresh = {name for name, value in elsewhere.items() if value > sure} | _singled_out(rest, gain, alone)
     if not fresh and gain.max() < needed:
         return fresh, []
     return fresh, _best_on_top(best, rest, fresh)
 
 
-def _best_on_top(best: Candidate, nodes: Sequence[Node], fresh: AbstractSet[str] = frozenset()) -> list[Proposal]:
+def _further(search: Search, screening: Screening, best: Candidate) -> list[Node]:
+    """Responses to the effects that were not found yet, in units of the scatter with those that were; of effects with a
+    place also where most is left."""
+    rest = [node for node in screening.nodes if node.id not in best.fit.setting.values]
+    if not rest:
+        return []
+    effects = list(dict.fromkeys(node.line.effect for node in rest))
+    return [*search.nodes_at(rest, best.fit.base), *placed_nodes(search, effects, best.fit)]
+
+
+def _best_on_top(best: Candidate, rest: Sequence[Node], fresh: AbstractSet[str] = frozenset()) -> list[Proposal]:
     """The best nodes on top of an effect, and the best one of some effects."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    rest = [node for node in nodes if node.id not in best.fit.setting.values]
     further = best_nodes(rest, left, nuisance)[:FURTHER_REFITTED] if rest else []
     own = [node for node in rest if node.id in fresh]
     further += best_nodes(own, left, nuisance)[:1] if own else []
@@ -261,25 +270,25 @@ def _singled_out(nodes: Sequence[Node], gain: Floats, threshold: float) -> set[s
     return {first} if alone and best[first] > threshold else set()
 
 
-def _excess(screening: Screening, best: Candidate) -> float:
-    """Misfit that is left, over what noise is expected to leave."""
-    return max(best.fit.misfit - float(screening.misfit_null.mean()), 0.0)
-
-
-def _verdict(screening: Screening, misfit: float, before: HeldOut, after: HeldOut) -> str:
+def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) -> str:
     """What is said of effects that were fitted: also on conditions that they were not fitted to.
 
-    Gates of a name: the alarm itself, held-out conditions that do not speak against it, and a share of the excess.
+    Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
+    share of what departs.
     """
-    expected = float(screening.misfit_null.mean())
-    # The scatter is stated with a margin: a good fit may leave less than a null is said to have.
-    left = max(misfit - expected, 0.0)
-    share = left / max(screening.misfit - min(expected, misfit), 1e-9)
-    explained = screening.misfit - misfit
+    explained = screening.misfit - fit.misfit
+    if explained < _threshold(screening):
+        return "unknown"
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
         return "unknown" if screening.p_value < SURE_P else "none"
+    left = fit.nuisance.left(fit.residual)
+    excess = screening.rest.excess(left)
+    share = excess / max(excess + explained, 1e-9) if screening.rest.p_value(left) < REST_P else 0.0
     if share > UNKNOWN_SHARE:
         return "unknown"
-    significant = left > SIGNIFICANT * float(screening.misfit_null.std()) * OVERDISPERSION
-    rest = (significant and share > REST_SHARE) or after.gap > REST_GAP * after.floor
-    return "named_and_rest" if rest else "named"
+    return "named_and_rest" if share > REST_SHARE or after.gap > REST_GAP * after.floor else "named"
+
+
+def _threshold(screening: Screening) -> float:
+    """Gain that noise seldom reaches."""
+    return float(np.quantile(screening.best_null, 1.0 - ALARM_P))

@@ -84,6 +84,7 @@ class Effect(Stage):
         confusable_with: id of another effect to what data would tell the two apart.
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
         needs: fields of the state without which it cannot work.
+        cuts: whether it acts on all that lies within its parameter: half of what it does is no work of half of it.
         unsaid: quantities that it changes although no parameter says by how much, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 
@@ -112,6 +113,7 @@ class Effect(Stage):
     confusable_with: ClassVar[Mapping[str, str]] = {}
     percollect: ClassVar[str | None] = None
     needs: ClassVar[tuple[str, ...]] = ()
+    cuts: ClassVar[bool] = False
     unsaid: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:

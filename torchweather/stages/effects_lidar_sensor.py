@@ -154,6 +154,7 @@ class LidarBlindZone(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "lidar.isolated_return_filter": "ranges of the particles that are missing"
     }
+    cuts: ClassVar[bool] = True
     each_beam_alone: ClassVar[bool] = True
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -1,0 +1,98 @@
+"""What is left, statistic by statistic: sums against loops, probabilities against drawn noise, levels of noise."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from torchweather.gap.baseline import Whitening
+from torchweather.gap.nuisance import Nuisance
+from torchweather.gap.rest import LEVEL, Rest, rest_of
+from torchweather.gap.statistics import Group, Layout
+
+RNG = np.random.default_rng
+EDGES = (0.0, 1.0, 2.0, 3.0)
+LAYOUT = Layout(
+    (
+        Group("lost", "x", "share", EDGES),
+        Group("seldom", "x", "count", EDGES),
+        Group("ratio", "x", "mean", EDGES),
+        Group("never", "x", "share", EDGES),
+    ),
+    (),
+    (),
+    (),
+)
+PLACES = np.tile(np.repeat(np.arange(4), 3), 2)  # two conditions
+REST = Rest(PLACES, np.array([6.0, 5.0, 6.0, 0.0]), np.array([1.5, 0.5, 1.0, 1.0]))
+
+
+def test_squares_and_excess_are_those_of_loops() -> None:
+    left = RNG(1).normal(size=24)
+    squares = [
+        sum(float(value) ** 2 for value, place in zip(left, PLACES, strict=True) if place == k) for k in range(4)
+    ]
+    np.testing.assert_allclose(REST.squares(left), squares, rtol=1e-12)
+    left[PLACES == 1] *= 10.0
+    left[PLACES == 3] = 0.0
+    excess = sum(
+        max(float(one) - noise * n, 0.0)
+        for one, noise, n in zip(REST.squares(left), REST.noise, REST.counted, strict=True)
+    )
+    assert REST.excess(left) == pytest.approx(excess, rel=1e-12)
+    assert excess > 50.0
+
+
+def test_a_few_entries_that_depart_are_not_drowned_in_all_others() -> None:
+    """One group of 60 entries three scatters off among 1,500: 540 of 1,980, where noise leaves 1,500 +- 55 and less."""
+    groups, each = 25, 60
+    many = Rest(np.repeat(np.arange(groups), each), np.full(groups, 60.0), np.full(groups, 1.5))
+    left = 0.7 * RNG(2).normal(size=groups * each)
+    assert many.p_value(left) > 0.5
+    left[:each] += 3.0
+    assert float(left @ left) < 1500.0  # no more than noise is said to leave
+    assert many.p_value(left) < 1e-20
+    assert many.p_value(left) == pytest.approx(25.0 * chi2.sf(float(left[:each] @ left[:each]) / 1.5, 60), rel=1e-9)
+
+
+def test_noise_seldom_raises_an_alarm() -> None:
+    noise = np.sqrt(REST.noise)[PLACES] * (PLACES < 3) * RNG(3).normal(size=(4000, 24))
+    noise[:, np.flatnonzero(PLACES == 1)[0]] = 0.0  # five of six count
+    found = np.array([REST.p_value(one) for one in noise])
+    # Three groups, 4,000 draws: 5 x sqrt(0.05 x 0.95 / 4,000) = 0.017.
+    assert (found < 0.05).mean() == pytest.approx(0.05, abs=0.017)
+    assert Rest(PLACES, np.zeros(4), np.ones(4)).p_value(np.zeros(24)) == 1.0
+
+
+def test_shares_and_counts_scatter_as_simulated_frames_do_with_a_margin() -> None:
+    """A count at a third of the scatter that is stated, a share at all of it, one of what never happens, and a mean,
+    which is believed as it is stated."""
+    names, draws = ("c0", "c1"), 4000
+    scatter = np.repeat([1.0, 1.0 / 3.0, 1.0 / 3.0, 0.0], 3)
+    used = {name: np.ones(12, bool) for name in names}
+    used["c1"][0] = False
+    base: Any = SimpleNamespace(
+        base=SimpleNamespace(
+            draws={name: 7.0 + scatter * RNG(k).normal(size=(draws, 12)) for k, name in enumerate(names)},
+            mean={name: np.full(12, 7.0) for name in names},
+            used=used,
+            whitening=Whitening(np.eye(12)),
+        ),
+        nuisance=Nuisance(np.zeros((24, 1)), np.zeros(1), 1),
+    )
+    search: Any = SimpleNamespace(
+        model=SimpleNamespace(layout=LAYOUT),
+        measured=[SimpleNamespace(condition=SimpleNamespace(id=name)) for name in names],
+        seed=0,
+        whitened=lambda _, parts: np.where(np.concatenate([used[name] for name in names]), np.concatenate(parts), 0.0),
+    )
+    found = rest_of(search, base, 1.6)
+    np.testing.assert_array_equal(found.places, PLACES)
+    np.testing.assert_array_equal(found.counted, [5, 6, 6, 6])
+    # 24,000 numbers: a variance is known to 5 x sqrt(2 / 24,000) = 4.6 %.
+    expected = 1.6 * np.array([1.0, LEVEL[0] + LEVEL[1] / 9.0, 1.0, LEVEL[0]])
+    np.testing.assert_allclose(found.noise, expected, rtol=0.04)

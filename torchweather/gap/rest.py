@@ -1,0 +1,81 @@
+"""What is left, statistic by statistic: a departure of a few entries is not drowned in the noise of all others.
+
+Of each statistic along each axis the squares of its whitened entries are held against those of noise. Stated scatters
+have a least value; of shares and counts of what hardly ever happens, simulated frames show how much less they scatter,
+and that is taken (``LEVEL``), with a margin.
+
+References:
+    GAP.md 3 (7): look at the groups of statistics that stay untouched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from torchweather.gap.search import Fit, Search
+
+__all__ = ["Rest", "rest_of"]
+
+Floats = NDArray[np.float64]
+
+# Square of the scatter that shares and counts are taken to have, over the stated one: never less than the first, and so
+# many times that of simulated frames, which know only the clear frames that they start from.
+LEVEL = (0.15, 2.5)
+COUNTED = ("share", "count")  # kinds whose stated scatter is that of counting
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Noise of the squares of each group of entries.
+
+    Args:
+        places: ``(C P,)`` group of each entry.
+        counted: ``(G,)`` number of entries that count, over all conditions.
+        noise: ``(G,)`` mean square that an entry has by noise.
+    """
+
+    places: NDArray[np.intp]
+    counted: Floats
+    noise: Floats
+
+    def squares(self, left: Floats) -> Floats:
+        """Summed squares ``(G,)`` of what is left ``(C P,)``."""
+        return np.asarray(np.bincount(self.places, left**2, len(self.counted)), dtype=np.float64)
+
+    def p_value(self, left: Floats) -> float:
+        """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
+        some = self.counted > 0
+        each = chi2.sf(self.squares(left)[some] / self.noise[some], self.counted[some])
+        return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0
+
+    def excess(self, left: Floats) -> float:
+        """By how much groups exceed what noise leaves, summed."""
+        return float(np.maximum(self.squares(left) - self.noise * self.counted, 0.0).sum())
+
+
+def rest_of(search: Search, base: Fit, overdispersion: float) -> Rest:
+    """The noise of the model as it is.
+
+    Args:
+        search: its simulator.
+        base: the model without further effects, its nuisances fitted.
+        overdispersion: how much larger in square noise is taken than stated.
+    """
+    groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
+    of_one = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
+    places = np.tile(of_one, len(names))
+    used = np.concatenate([base.base.used[name] for name in names])
+    counted: Floats = np.bincount(places, used, len(groups)).astype(np.float64)
+    # Vectors that the simulator draws, those of one condition independent of another's.
+    draws = [base.base.draws[name] - base.base.mean[name] for name in names]
+    number = min(len(one) for one in draws)
+    order = [np.random.default_rng([search.seed, place, 32452843]).permutation(number) for place in range(len(names))]
+    mixed = zip(*(one[shuffled] for one, shuffled in zip(draws, order, strict=True)), strict=True)
+    whitened = base.nuisance(np.stack([search.whitened(base.base, list(one)) for one in mixed]))
+    drawn = np.bincount(places, (whitened**2).mean(0), len(groups)) / np.maximum(counted, 1.0)
+    level = np.where([group.kind in COUNTED for group in groups], np.minimum(LEVEL[0] + LEVEL[1] * drawn, 1.0), 1.0)
+    return Rest(places, counted, overdispersion * level)
