@@ -2,24 +2,27 @@
 
 The signature of an effect is the change of the coarse statistics of the fitted conditions, whitened by their scatter
 over replicates and freed of what an error of each condition's weather record does. Its length is the detectability d'.
+Each condition has noise of its own frames; the noise of a scene's clear frames, with which they are compared, is the
+same for all its conditions, and so is what those few frames leave open of the scale of intensities: it decides which
+returns the threshold takes.
 Two sets of seeds, A and B, keep the noise of the estimate out of lengths and cosines: products are taken between a
 signature of A and one of B.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .coarse_statistics import BROAD, Tally
 from .design import Design
 from .effects import CATALOGUE, Known
-from .lidar_sensor import Effect, Weather, shoot
+from .lidar_sensor import SCALE_SPREAD, Effect, View, Weather, shoot
 from .outside import OUTSIDE
 from .scene import FloatArray
 
-__all__ = ["IDENTIFIABLE_BELOW", "KINDS", "STRENGTHS", "Curve", "Detector"]
+__all__ = ["IDENTIFIABLE_BELOW", "KINDS", "STRENGTHS", "Curve", "Detector", "brighter", "independent"]
 
 KINDS: dict[str, type[Known]] = {**CATALOGUE, **OUTSIDE}
 IDENTIFIABLE_BELOW = 0.95
@@ -29,6 +32,8 @@ FRAMES, MANY_FRAMES, REPLICATES = 3, 12, 24
 # Weight of the diagonal in the pooled correlation: 24 replicates a condition cannot hold all of it.
 SHRINKAGE = 0.4
 RATE_STEP, RATE_FRAMES = 1.25, 12
+# A rate may be off by any number of its directions' units; brightness by which the response to a scale is taken.
+RATE_KNOWN_TO, SCALE_STEP = 1e4, 0.3
 # Variances between a few frames below this share of that of the replicates are chance.
 LEAST_VARIANCE = 0.3
 # Whitened changes below this many standard deviations of their own noise are set to 0 in a direction.
@@ -85,6 +90,8 @@ class Detector:
         seed: of the replicates, unlike those of any study.
     """
 
+    scale_spread = SCALE_SPREAD
+
     def __init__(self, design: Design, seed: int) -> None:
         self.design, self.seed = design, seed
         self.conditions = [one for one in design.conditions if one.split == "fit"]
@@ -98,45 +105,90 @@ class Detector:
         pooled = np.concatenate(residuals)
         correlation = (1.0 - SHRINKAGE) * pooled.T @ pooled / len(pooled) + SHRINKAGE * np.eye(pooled.shape[1])
         values, vectors = np.linalg.eigh(correlation)
-        self._whiten = vectors * (1.0 / np.sqrt(np.maximum(values, 0.5 * SHRINKAGE)))
+        whiten = vectors * (1.0 / np.sqrt(np.maximum(values, 0.5 * SHRINKAGE)))
+        # Rotated so that the clear frames' noise is independent, too: of particles they have none.
+        clear = self._clear_scatter()
+        self._clear, axes = np.linalg.eigh(whiten.T @ (correlation * np.outer(clear, clear)) @ whiten)
+        self._whiten = whiten @ axes
         self._base = {
             count: np.stack([self._totals((), side, count=count) for side in (0, 1)]) for count in (FRAMES, MANY_FRAMES)
         }
-        self._rate = self._rate_directions()
+        self._free = self._projection()
 
     def _frames(
-        self, number: int, weather: Weather, effects: tuple[Effect, ...], frames: int, seed: int
+        self,
+        number: int,
+        weather: Weather,
+        effects: tuple[Effect, ...],
+        frames: int,
+        seed: int,
+        scale: float = 1.0,
     ) -> tuple[FloatArray, FloatArray]:
         scene = self.conditions[number].scene
         rng = np.random.default_rng([self.seed, seed, number])
-        return self._tallies[scene](shoot(self.design.views[scene], weather, effects, 10.0 * np.arange(frames), rng))
+        view = brighter(self.design.views[scene], scale)
+        return self._tallies[scene](shoot(view, weather, effects, 10.0 * np.arange(frames), rng))
 
-    def _totals(self, effects: tuple[Effect, ...], side: int, factor: float = 1.0, count: int = FRAMES) -> FloatArray:
+    def _totals(
+        self,
+        effects: tuple[Effect, ...],
+        side: int,
+        factor: float = 1.0,
+        count: int = FRAMES,
+        scales: tuple[float, ...] | None = None,
+    ) -> FloatArray:
         """Whitened mean of every condition, and log variances between frames of the broad statistics, ``(C, K)``.
 
-        In units of the scatter of the mean over a condition's frames, that of the clear frames included.
+        The mean over a condition's frames in units of its scatter; ``scales`` of the targets of each scene.
         """
-        unit = np.sqrt(1.0 / self.design.size.frames + 1.0 / self.design.size.clear_frames)
         rows = []
         for number, one in enumerate(self.conditions):
             amount = one.weather.amount / factor if one.weather.kind == "fog" else one.weather.amount * factor
-            frames, _ = self._frames(number, Weather(one.weather.kind, amount), effects, count, side)
+            scale = 1.0 if scales is None else scales[one.scene]
+            frames, _ = self._frames(number, Weather(one.weather.kind, amount), effects, count, side, scale)
             scaled = frames / self._spread[number]
-            mean = scaled.mean(0) @ self._whiten / unit
+            mean = scaled.mean(0) @ self._whiten * np.sqrt(self.design.size.frames)
             # The log of the variance of n frames scatters by about sqrt(2 / (n - 1)).
             scatter = np.log(scaled[:, -BROAD:].var(0, ddof=1) + LEAST_VARIANCE)
             rows.append(np.append(mean, scatter / np.sqrt(2.0 / (self.design.size.frames - 1))))
         return np.stack(rows)
 
-    def _rate_directions(self) -> FloatArray:
-        """Unit vector of a change of each condition's rate, ``(C, K)``."""
+    def _clear_scatter(self) -> FloatArray:
+        """Scatter of clear frames over that of frames in weather, of each statistic, at most 1."""
+        ratios = []
+        for number in range(len(self.conditions)):
+            clear, _ = self._frames(number, Weather(), (), REPLICATES, 8)
+            ratios.append(clear.std(0, ddof=1) / self._spread[number])
+        return np.asarray(np.minimum(np.mean(ratios, 0), 1.0))
+
+    def _apart(self, rows: FloatArray) -> FloatArray:
+        """Rows ``(..., C, K)`` in units in which all are independent: freed of what a scene's clear frames share."""
+        shared = self._clear * self.design.size.frames / self.design.size.clear_frames
+        means = independent(rows[..., :-BROAD], [one.scene for one in self.conditions], shared)
+        return np.concatenate([means, rows[..., -BROAD:]], -1)
+
+    def _projection(self) -> FloatArray:
+        """``(C K, C K)``: takes what errors of the rates do out of a signature, and what a scale can do."""
         base = self._totals((), 2, count=RATE_FRAMES)
+        conditions = np.arange(len(self.conditions))
         change = self._totals((), 2, RATE_STEP, RATE_FRAMES) - base
         change = np.where(np.abs(change) > NOISE_CUT, change, 0.0)
-        return np.asarray(change / np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-9))
+        rates = np.zeros((len(conditions), *change.shape))
+        rates[conditions, conditions] = change / np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-9)
+        # So far that it stands out of noise; by one standard deviation of the mean of the clear frames.
+        one_sd = self.scale_spread / np.sqrt(self.design.size.clear_frames)
+        scaled = []
+        for scene in range(len(self.design.views)):
+            scales = tuple(1.0 + SCALE_STEP * (place == scene) for place in range(len(self.design.views)))
+            moved = self._totals((), 2, count=RATE_FRAMES, scales=scales) - base
+            scaled.append(np.where(np.abs(moved) > NOISE_CUT, moved, 0.0) * one_sd / SCALE_STEP)
+        directions = self._apart(np.concatenate([RATE_KNOWN_TO * rates, np.stack(scaled)]))
+        # The root of the inverse of 1 + the covariance that they make.
+        _, strengths, axes = np.linalg.svd(directions.reshape(len(directions), -1), full_matrices=False)
+        return np.asarray(np.eye(axes.shape[1]) - (axes.T * (1.0 - 1.0 / np.hypot(1.0, strengths))) @ axes)
 
     def signature(self, effects: tuple[Effect, ...], scatter_only: bool = False) -> FloatArray:
-        """Of both seed sets, ``(2, C K)``, without what the rates can explain.
+        """Of both seed sets, ``(2, C K)``, without what the rates and a scale can explain.
 
         ``scatter_only`` keeps the variances between frames: an effect that differs from frame to frame moves the mean
         of a few frames by chance.
@@ -146,8 +198,7 @@ class Detector:
         if scatter_only:
             change[..., :-BROAD] = 0.0
             return np.asarray(change.reshape(2, -1))
-        along = (change * self._rate).sum(-1, keepdims=True)
-        return np.asarray((change - along * self._rate).reshape(2, -1))
+        return np.asarray(self._apart(change).reshape(2, -1) @ self._free)
 
     def length_of(self, effect: Known) -> float:
         """d' of an effect."""
@@ -160,6 +211,27 @@ class Detector:
         signatures = np.stack(found, 1)
         lengths = np.array([length(one) for one in found])
         return Curve(name, fixed, sign, np.array(STRENGTHS), lengths, signatures)
+
+
+def brighter(view: View, scale: float) -> View:
+    """A view whose targets send back so many times as much."""
+    if scale == 1.0:
+        return view
+    return replace(view, target=replace(view.target, reflectivity=view.target.reflectivity * scale))
+
+
+def independent(rows: FloatArray, scenes: list[int], shared: FloatArray) -> FloatArray:
+    """Rows ``(..., C, K)``, in units of the noise of a condition's own frames, in units in which they are independent.
+
+    Conditions of a scene have variances ``shared (K,)`` in common: their covariance is ``1 + J shared``, whose inverse
+    root takes a part of their mean away from each.
+    """
+    found = np.array(rows, dtype=np.float64)
+    for scene in set(scenes):
+        places = [place for place, one in enumerate(scenes) if one == scene]
+        mean = rows[..., places, :].mean(-2, keepdims=True)
+        found[..., places, :] -= mean * (1.0 - 1.0 / np.sqrt(1.0 + len(places) * np.maximum(shared, 0.0)))
+    return found
 
 
 def _direction(signature: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import torch
 from benchmarks.hidden.coarse_statistics import Tally
 from benchmarks.hidden.decoys import DECOYS
 from benchmarks.hidden.design import Size, draw_design, study_of, with_record
-from benchmarks.hidden.detectability import KINDS, Detector, cosine, length
+from benchmarks.hidden.detectability import KINDS, Detector, brighter, cosine, independent, length
 from benchmarks.hidden.effects import CATALOGUE
 from benchmarks.hidden.lidar_sensor import PARTICLE, TARGET, View, Weather, shoot, study_sensor
 from benchmarks.hidden.particles import air_of, draw_drops
@@ -252,6 +252,44 @@ def test_detectability_grows_with_strength_and_a_rate_is_no_signature(design):
     assert cosine(strong, strong) == pytest.approx(1.0)
     noise = CATALOGUE["lidar.range_noise"]({"std_m": 0.1})
     assert abs(cosine(strong, detector.signature((noise,)))) < 0.5
+
+
+def test_conditions_of_a_scene_share_the_noise_of_its_clear_frames():
+    """Drawn as it is measured: frames of each condition against the mean of the clear frames of its scene."""
+    rng, scenes, number = np.random.default_rng(21), [0, 0, 1, 0], 40_000
+    own = rng.normal(size=(number, 4, 2))
+    clear = rng.normal(size=(number, 2, 2)) * np.sqrt([0.75, 0.0])  # 6 frames against 8; of particles there is none
+    found = independent(own - clear[:, scenes], scenes, np.array([0.75, 0.0])).reshape(number, -1)
+    # 5 x sqrt(2 / 40,000) = 3.5 %.
+    np.testing.assert_allclose(found.T @ found / number, np.eye(8), atol=0.036)
+    # A change that is the same everywhere is worth less than it would be with clear frames for each condition.
+    steady = np.ones((1, 4, 1))
+    assert length_of(independent(steady, scenes, np.array([0.75]))) == pytest.approx(3 / 3.25 + 1 / 1.75)
+    assert length_of(independent(steady, [0, 1, 2, 3], np.array([0.75]))) == pytest.approx(4 / 1.75)
+
+
+def length_of(rows):
+    return float((rows**2).sum())
+
+
+def test_a_scale_that_the_clear_frames_leave_open_is_no_signature(design):
+    """Eight frames know it to half a percent: of 10 % most is no noise, but no rate's error either."""
+    view = brighter(design.views[0], 1.1)
+    np.testing.assert_allclose(view.target.reflectivity, 1.1 * design.views[0].target.reflectivity)
+    assert brighter(view, 1.0) is view
+    detector = Detector(design, 12)
+    base = detector._totals((), 0)
+    moved = detector._apart(detector._totals((), 0, scales=(1.1,) * len(design.views)) - base).ravel()
+    left, whole = np.linalg.norm(moved @ detector._free), np.linalg.norm(moved)
+    # Of two scenes alike, each along one direction of s standard deviations, 1 / sqrt(1 + s^2) is left; what lies
+    # in the noise of the direction's estimate stays.
+    one_sd = whole / np.sqrt(2.0) * 0.015 / np.sqrt(design.size.clear_frames) / 0.1
+    assert one_sd > 1.5
+    assert 0.9 * whole / np.hypot(1.0, one_sd) < left < 0.75 * whole
+    rates_alone = Detector.__new__(Detector)
+    rates_alone.__dict__.update(detector.__dict__)
+    rates_alone.scale_spread = 1e-9
+    assert np.linalg.norm(moved @ rates_alone._projection()) > 0.85 * whole
 
 
 def test_tally_counts_lost_beams(design):

@@ -242,13 +242,15 @@ def _on_top(
 
 
 def _further(search: Search, screening: Screening, best: Candidate) -> list[Node]:
-    """Responses to the effects that were not found yet, in units of the scatter with those that were; of effects with a
-    place also where most is left."""
+    """Responses to the effects that were not found yet, in units of the scatter with those that were; where more is
+    left than noise, of effects with a place also where most of it is."""
     rest = [node for node in screening.nodes if node.id not in best.fit.setting.values]
     if not rest:
         return []
-    effects = list(dict.fromkeys(node.line.effect for node in rest))
-    return [*search.nodes_at(rest, best.fit.base), *placed_nodes(search, effects, best.fit)]
+    found = search.nodes_at(rest, best.fit.base)
+    if screening.rest.p_value(best.fit.nuisance.left(best.fit.residual)) < REST_P:
+        found += placed_nodes(search, list(dict.fromkeys(node.line.effect for node in rest)), best.fit)
+    return found
 
 
 def _best_on_top(best: Candidate, rest: Sequence[Node], fresh: AbstractSet[str] = frozenset()) -> list[Proposal]:
