@@ -128,14 +128,14 @@ def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
     """Clear means that are off by one draw: entries of means and spreads move, all others stay."""
     null.nuisance(null.origin, null.start)
     layout = null.model.layout
-    whole = np.concatenate([np.full(group.bins, group.kind in ("mean", "spread")) for group in layout.groups])
+    whole = layout.each(lambda group: group.kind in ("mean", "spread"))
     whitened = np.stack(null.fixed)[:, None]  # one condition
     columns = null.start.whitening.undone(null._parted(null.start, whitened, 0.5))[:, 0]
     used = null.start.used[null.measured[0].condition.id]
     assert np.abs(columns[:, ~(whole & used)]).max() < 1e-9
     assert np.abs(columns[:, whole & used]).max() > 0.05
     # What weather does to means comes last, and moves those of beams alone.
-    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in layout.groups])
+    averages = layout.averages
     assert np.abs(columns[-2:, ~(averages & used)]).max() < 1e-9
     assert (np.abs(columns[-2:, averages & used]) > 0).mean() > 0.9
     np.testing.assert_allclose(columns[-2], columns[-1], rtol=1e-9)  # one condition: all of them and each

@@ -118,6 +118,17 @@ def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
         assert _verdict(screening(), left_by(210.0), BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
 
 
+@pytest.mark.parametrize(
+    ("gap", "verdict"),
+    [(2.9, "named_and_rest"), (3.3, "unknown")],  # of 10: 7.5 % and 10.0 % of the square over the floor's
+)
+def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(gap: float, verdict: str) -> None:
+    before = HeldOut(10.0, 1.0, 0.05, 4000.0)
+    assert _verdict(screening(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+    far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
+    assert _verdict(screening(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
+
+
 def test_the_chance_of_an_excess_is_counted_and_beyond_the_nulls_that_of_a_gumbel_law() -> None:
     null = RNG(1).gumbel(10.0, 2.0, 1000)
     assert _tail(null, float(np.quantile(null, 0.9))) == pytest.approx(0.1, abs=0.002)  # counted

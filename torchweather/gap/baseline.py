@@ -228,8 +228,7 @@ def baseline(
     """
     means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
-    shares = np.concatenate([np.full(group.bins, group.kind == "share") for group in layout.groups])
-    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in layout.groups])
+    shares, averages = layout.each(lambda group: group.kind == "share"), layout.averages
     for number, target in enumerate(measured):
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
@@ -269,8 +268,7 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> 
     size = next(iter(portioned.values())).layout.size
     total = np.zeros((size, size))
     scatter = {}
-    groups = next(iter(portioned.values())).layout.groups
-    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in groups])
+    averages = next(iter(portioned.values())).layout.averages
     for target in measured:
         name, clear = target.condition.id, target.clear_frames
         apart = portioned[name].element_noise(PORTIONS, target.frames, clear)

@@ -46,7 +46,7 @@ def clear_air(model: FrameModel, seed: int) -> list[ClearAir]:
     found = []
     layout = model.layout
     groups = [group for group in layout.groups for _ in range(group.bins)]
-    binned = np.array([group.kind not in ("between", "slope", "persistence") for group in groups])
+    binned = layout.each(lambda group: group.kind not in ("between", "slope", "persistence"))
     for name in model.study.scenes:
         pool = Pool(layout, model.clear(name))
         number = len(pool)

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 # Square of the scatter that shares and counts are taken to have, over the stated one: never less than the first, and so
 # many times that of simulated frames, which know only the clear frames that they start from.
-LEVEL = (0.15, 2.5)
+LEVEL = (0.3, 2.5)
 COUNTED = ("share", "count")  # kinds whose stated scatter is that of counting
 
 
@@ -66,8 +66,7 @@ def rest_of(search: Search, base: Fit, overdispersion: float) -> Rest:
         overdispersion: how much larger in square noise is taken than stated.
     """
     groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
-    of_one = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
-    places = np.tile(of_one, len(names))
+    places = np.tile(np.repeat(np.arange(len(groups)), [group.bins for group in groups]), len(names))
     used = np.concatenate([base.base.used[name] for name in names])
     counted: Floats = np.bincount(places, used, len(groups)).astype(np.float64)
     # Vectors that the simulator draws, those of one condition independent of another's.

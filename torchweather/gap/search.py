@@ -172,8 +172,7 @@ class Search:
 
     def _loosened(self, base: Baseline, unsaid: AbstractSet[str]) -> Baseline:
         """A distribution that knows to half what effects do to statistics of which their parameters say nothing."""
-        groups = self.model.layout.groups
-        open_entries = np.concatenate([np.full(group.bins, group.statistic in unsaid) for group in groups])
+        open_entries = self.model.layout.each(lambda group: group.statistic in unsaid)
 
         def wider(scatter: Mapping[str, Floats]) -> dict[str, Floats]:
             return {

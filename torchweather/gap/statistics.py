@@ -20,8 +20,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ Floats = NDArray[np.float64]
 FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
 """Least weight in a bin, over all frames of a condition, for which its entry counts."""
 ANSCOMBE = 3.0 / 8.0
-FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
+FEW_COUNTS = 0.25  # of 0.5, the scatter of a stabilised count; half of it, where counts are few
 SPREAD_KNOWN_TO = 0.03  # of the logarithm of a standard deviation: no noise is modelled better than to 3 %
 # Of the logarithm of the spread of particles that the model may misplace: the largest of several readings scatters less
 # than one, by as much as a receiver makes them independent (18 % were found).
@@ -107,6 +108,21 @@ class Layout:
     def size(self) -> int:
         """Number of entries."""
         return sum(group.bins for group in self.groups)
+
+    def each(self, of: Callable[[Group], Any]) -> NDArray[Any]:
+        """What is said of a group, for each of its entries, ``(size,)``.
+
+        Example:
+            >>> layout = Layout((Group("ratio", "x", "mean", (0.0, 1.0, 2.0)),), ("ratio",), (1e-3,), ())
+            >>> layout.each(lambda group: group.kind).tolist()
+            ['mean', 'mean', 'between', 'slope']
+        """
+        return np.concatenate([np.full(group.bins, of(group)) for group in self.groups])
+
+    @property
+    def averages(self) -> NDArray[np.bool_]:
+        """``(size,)`` entries that are means of elements (``Group.is_average_of``)."""
+        return self.each(lambda group: group.is_average_of(group.statistic))
 
     @property
     def bins(self) -> int:

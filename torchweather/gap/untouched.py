@@ -38,7 +38,7 @@ def untouched(search: Search, fit: Fit) -> NDArray[np.bool_]:
     for statistic, parts in changed.items():
         values = np.concatenate(parts)
         still[statistic] = len(values) > 0 and float(np.sqrt((values**2).mean())) < TOUCHED
-    entries = np.concatenate([np.full(group.bins, still[group.statistic]) for group in layout.groups])
+    entries = layout.each(lambda group: still[group.statistic])
     return np.tile(entries, len(search.measured))
 
 

@@ -54,9 +54,8 @@ def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Fram
     """
     layout = model.layout
     # Clear frames hardly have particles; the few that one has say nothing of those in weather.
-    kinds = [group.kind if group.axis != PARTICLE_AXIS else "" for group in layout.groups]
-    moved = np.repeat([kind in ("mean", "spread") for kind in kinds], [group.bins for group in layout.groups])
-    statistic = np.repeat([group.statistic for group in layout.groups], [group.bins for group in layout.groups])
+    moved = layout.each(lambda group: group.axis != PARTICLE_AXIS and group.kind in ("mean", "spread"))
+    statistic = layout.each(lambda group: group.statistic)
     scenes = {target.condition.scene: target.clear_frames for target in measured}
     degrees = sum(scenes.values()) - len(scenes)
     if degrees < 1:
@@ -74,8 +73,7 @@ def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Fram
         apart = np.where(moved, each - each.mean(0), 0.0) * less
         for name, (values, variance) in pool.averages(noise).items():
             even = (values - values.mean()) * less
-            entries = np.concatenate([np.full(group.bins, group.is_average_of(name)) for group in layout.groups])
-            apart -= even[:, None] * entries
+            apart -= even[:, None] * (layout.averages & (statistic == name))
             excess = float((even**2).sum()) - (number - 1) * variance
             evenly[name] = evenly.get(name, 0.0) + excess / degrees
         found += (apart**2).sum(0) / degrees
@@ -90,7 +88,7 @@ def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Fram
     one_frame = [FrameDeparture(widening * np.sqrt(share) * rest) for rest in rests if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
     for name, variance in evenly.items():
-        entries = np.concatenate([np.full(group.bins, group.is_average_of(name)) for group in layout.groups])
+        entries = layout.averages & (statistic == name)
         one_frame += [FrameDeparture(widening * math.sqrt(variance) * entries, name)] if variance > 0 else []
     return one_frame
 
@@ -139,8 +137,7 @@ def model_errors(
         clear: vectors of clear air (``clear_means``).
         column: makes one.
     """
-    groups = layout.groups
-    averages = np.concatenate([np.full(group.bins, group.is_average_of(group.statistic)) for group in groups])
+    averages = layout.averages
     each = {
         place: np.where(averages, KNOWN_TO * (base.mean[target.condition.id] - clear[target.condition.scene]), 0.0)
         for place, target in enumerate(measured)
