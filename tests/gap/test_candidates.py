@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -113,3 +114,13 @@ def test_of_four_steps_the_third_is_of_the_typical_size_and_far_extents_are_all_
             )
             assert steps[line.first[-1]] == pytest.approx(typical, rel=1e-9)
             assert abs(steps[line.first[0]]) < 0.1 * abs(typical)
+
+
+def test_what_cuts_is_tried_so_closely_that_nothing_is_stepped_over() -> None:
+    """Particles between one metre and the next are cut or not: from half a metre to seven, by a fifth each."""
+    (line,) = lines(EFFECTS["lidar.blind_zone"], [])
+    values = [setting["range_m"] for setting in line.settings]
+    assert values[0] < 0.5 < 6.5 < values[-1]
+    assert [high / low for low, high in itertools.pairwise(values)] == pytest.approx([1.2] * (len(values) - 1))
+    assert list(line.first) == list(range(len(values)))
+    assert [name for name in NAMES if EFFECTS[name].cuts] == ["lidar.blind_zone"]

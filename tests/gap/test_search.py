@@ -201,10 +201,10 @@ def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
     """All objects of the measurement are fainter than they say, and more of them are lost."""
     study = small(seed=6)
     (name, scene), *_ = study.scenes.items()
-    # Scales of frames that scatter by 2 %, about 1 or about what is two standard deviations of their mean above it.
+    # Scales of frames that scatter by 2 %, about 1 or about what is four standard deviations of their mean above it.
     scatter = 0.02 * RNG(7).normal(size=len(scene.clear))
     found, one_sd = [], 0.0
-    for number in (0.0, 2.0):
+    for number in (0.0, 4.0):
         scales = np.exp(scatter - scatter.mean() + number * one_sd)
         clear = [{**f, "intensity": float(one) * f["intensity"]} for one, f in zip(scales, scene.clear, strict=True)]
         search = search_of(replace(study, scenes={name: replace(scene, clear=clear)}))
@@ -214,7 +214,7 @@ def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
     # The five frames of the measurement have a scale of their own; which of both it is, their variances say.
     moved = found[1].setting.open["clear scale s0"] - found[0].setting.open["clear scale s0"]
     clear_share = (1.0 / len(scene.clear)) / (1.0 / len(scene.clear) + 1.0 / search.measured[0].frames)
-    assert moved == pytest.approx(-2.0 * clear_share, abs=0.3)
+    assert moved == pytest.approx(-4.0 * clear_share, abs=0.6)  # settling stops where little is gained
     assert found[1].nuisance.misfit(found[1].residual) < found[0].nuisance.misfit(found[0].residual) + 12.0
 
 

@@ -313,7 +313,7 @@ def test_a_share_scatters_no_more_than_one_element_that_changes_in_half_of_the_f
         # By how much half an element a frame changes the entry; the weight is that with 3/4 of an element more.
         assert found == pytest.approx(0.5 * (entries[1] - entries[0]), rel=2e-3)
     else:
-        assert found == pytest.approx(0.35 / math.sqrt(number * weight), rel=1e-12)
+        assert found == pytest.approx(0.25 / math.sqrt(number * weight), rel=1e-12)
 
 
 def particles(kind: str, values: Any, weight: Any) -> Pool:

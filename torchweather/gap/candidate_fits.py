@@ -36,7 +36,7 @@ SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones 
 REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.5  # of the best gain, from which a candidate is refitted
-LEAST_AMPLITUDE = 0.1  # of a node's response, at which a fit starts
+LEAST_AMPLITUDE = 0.02  # of a node's response, at which a fit starts
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from torchweather.gap.baseline import (
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance, together
-from torchweather.gap.statistics import TINY, Pool
+from torchweather.gap.statistics import COUNTING, FEW_COUNTS, TINY, Pool
 from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
@@ -49,6 +49,7 @@ KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at 
 OPEN_STEP = 2.0  # of a derivative by what the model leaves open, standard deviations: few particles change by less
 LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
 STEP = 0.05  # of a derivative, over the parameter's typical size
+WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
 ITERATIONS = 10
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
 ROUNDS = 10  # of fitting the nuisances alone
@@ -517,12 +518,18 @@ class Search:
         return best
 
     def _wider(self, base: Baseline) -> float:
-        """Twice the logarithm of the scatter over that of the start, of all entries."""
+        """Twice the logarithm of the scatter over that of the start, of all entries.
+
+        Of counts up to that of counting, which is all that the first few of what there was nothing of before bring.
+        """
+        counts = self.model.layout.each(lambda group: group.kind in ("share", "count"))
         total = 0.0
         for target in self.measured:
             name = target.condition.id
             used = self.start.used[name] & base.used[name]
-            total += 2.0 * float(np.log(base.sd[name][used] / self.start.sd[name][used]).sum())
+            free = np.where(counts, COUNTING / FEW_COUNTS * self.start.least[name], 0.0)
+            wider = np.maximum(base.sd[name], free) / np.maximum(self.start.sd[name], free)
+            total += 2.0 * float(np.log(wider[used]).sum())
         return total
 
     def _derivative(self, setting: Setting, name: tuple[str, str], mean: Sequence[Floats], base: Baseline) -> Floats:
@@ -531,6 +538,9 @@ class Search:
         declared = next(one for one in EFFECTS[effect].arguments if one.name == parameter)
         value = setting.values[effect][parameter]
         step = STEP * (max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale)
+        if declared.identity is not None and math.isfinite(declared.identity):
+            # Counts go as the root of a probability: a step far beyond a weak one has another slope.
+            step = min(step, max(WEAK_STEP * abs(value - declared.identity), LEAST_STEP * declared.scale))
         if parameter in ("azimuth_rad", "width_rad"):  # finer than the sector itself
             step = max(0.25 * setting.values[effect].get("width_rad", 0.0), LEAST_ANGLE_RAD)
         step = min(step, 0.25 * (declared.high - declared.low))

@@ -28,14 +28,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
-__all__ = ["FEWEST", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
+__all__ = ["COUNTING", "FEWEST", "FEW_COUNTS", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
 
 Floats = NDArray[np.float64]
 
 FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
 """Least weight in a bin, over all frames of a condition, for which its entry counts."""
 ANSCOMBE = 3.0 / 8.0
-FEW_COUNTS = 0.25  # of 0.5, the scatter of a stabilised count; half of it, where counts are few
+COUNTING = 0.5  # scatter of a stabilised count
+FEW_COUNTS = 0.5 * COUNTING  # that it has at least: of few counts, of which there seldom is one, it is less
 SPREAD_KNOWN_TO = 0.03  # of the logarithm of a standard deviation: no noise is modelled better than to 3 %
 # Of the logarithm of the spread of particles that the model may misplace: the largest of several readings scatters less
 # than one, by as much as a receiver makes them independent (18 % were found).

@@ -10,6 +10,7 @@ References:
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
@@ -46,7 +47,6 @@ Floats = NDArray[np.float64]
 ALARM_P = 2e-4
 REFITTED, FURTHER_REFITTED = 4, 2  # candidates that are fitted: alone, further ones
 MOST_EFFECTS = 3
-SINGLED_OUT = 4.0  # times the gain of any other effect, from which a further one need not compare with the first
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
 # another form of the first effect leaves is patched a little by many.
@@ -190,7 +190,9 @@ def _rounds(
         after = held_out(held, settled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
         explained = screening.misfit - best.fit.misfit
-        excess = OF_THE_REST * screening.rest.excess(best.fit.nuisance.left(best.fit.residual))
+        left = best.fit.nuisance.left(best.fit.residual)
+        excess = OF_THE_REST * screening.rest.excess(left)
+        significant = screening.rest.p_value(left) < REST_P
         needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
         sure = max(threshold, SURE_GAIN)
         if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
@@ -198,7 +200,7 @@ def _rounds(
         held_gap = after
         if len(values) == MOST_EFFECTS:
             return rounds
-        fresh, proposed = _on_top(search, screening, best, needed, sure, max(sure, excess))
+        fresh, proposed = _on_top(search, screening, best, needed, sure, max(sure, excess) if significant else math.inf)
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             pairs = pair_gains(screening.nodes, base.nuisance.left(base.residual), base.nuisance)
@@ -208,15 +210,15 @@ def _rounds(
         if not proposed:
             return rounds
         more = fitted(search, base, proposed, best.fit.misfit, say)
-        kept = [one for one in more if one.gain >= (sure if one.id in fresh else needed)]
+        kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
         if not kept:
             return rounds
         rounds.append(kept)
 
 
 def _on_top(
-    search: Search, screening: Screening, best: Candidate, needed: float, sure: float, alone: float
-) -> tuple[set[str], list[Proposal]]:
+    search: Search, screening: Screening, best: Candidate, needed: float, sure: float, most: float
+) -> tuple[dict[str, float], list[Proposal]]:
     """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
 
     Args:
@@ -225,22 +227,23 @@ def _on_top(
         best: what was found so far.
         needed: gain that a further effect must promise,
         sure: or this, if it shows where those found do nothing,
-        alone: or this, if no other one explains as much.
+        most: or this, most of a rest that is no noise.
 
     Returns:
-        The effects that need not: they show where those found do nothing, or alone explain what is left. And what is
-        to be fitted.
+        The effects that need not compare with the first, with what they need: they show where those found do nothing,
+        or explain what is left. And what is to be fitted.
     """
     rest = _further(search, screening, best)
     if not rest:
-        return set(), []
+        return {}, []
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
     gain = gains(rest, left[None], nuisance)[0]
     elsewhere = fresh_gains(rest, left, nuisance, untouched(search, best.fit))
-    fresh = {name for name, value in elsewhere.items() if value > sure} | _singled_out(rest, gain, alone)
+    fresh = {node.id: most for node, value in zip(rest, gain, strict=True) if value > most}
+    fresh |= {name: sure for name, value in elsewhere.items() if value > sure}
     if not fresh and gain.max() < needed:
         return fresh, []
-    return fresh, _best_on_top(best, rest, fresh)
+    return fresh, _best_on_top(best, rest, fresh.keys())
 
 
 def _further(search: Search, screening: Screening, best: Candidate) -> list[Node]:
@@ -262,16 +265,6 @@ def _best_on_top(best: Candidate, rest: Sequence[Node], fresh: AbstractSet[str] 
     own = [node for node in rest if node.id in fresh]
     further += best_nodes(own, left, nuisance)[:1] if own else []
     return list({node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}.values())
-
-
-def _singled_out(nodes: Sequence[Node], gain: Floats, threshold: float) -> set[str]:
-    """The effect that explains what no other one does: no rest of another form, which many patch a little."""
-    best: dict[str, float] = {}
-    for node, value in zip(nodes, gain, strict=True):
-        best[node.id] = max(best.get(node.id, 0.0), float(value))
-    first, *others = sorted(best, key=lambda name: -best[name])
-    alone = all(best[first] >= SINGLED_OUT * best[name] for name in others)
-    return {first} if alone and best[first] > threshold else set()
 
 
 def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) -> str:
