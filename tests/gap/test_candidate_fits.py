@@ -31,9 +31,12 @@ def test_the_least_is_not_looked_for_beyond_the_points() -> None:
     assert _least(place, np.array([3.0, 4.0, 2.0])) == 2.0
 
 
-@pytest.mark.parametrize("truth", [1.064, 0.93])
-def test_nuisances_are_settled_beside_weak_strengths_of_either_sign(truth: float) -> None:
-    """The misfit is a parabola of the factor: it is found exactly, whatever sign the response was of."""
+@pytest.mark.parametrize(("truth", "farther"), [(1.064, 0), (0.93, 1), (0.7, 4), (1.6, 5)])
+def test_nuisances_are_settled_beside_weak_strengths_of_either_sign_and_on_along_a_valley(
+    truth: float, farther: int
+) -> None:
+    """The misfit is a parabola of the factor: it is found exactly, whatever sign the response was of. Of the weak
+    strengths 0.88 and 1.13 are the farthest; beyond them each step is 1.4 times the departure, until one is worse."""
     asked = []
 
     def settle_beside(setting: Setting, like: Any, rounds: int) -> Any:
@@ -48,7 +51,7 @@ def test_nuisances_are_settled_beside_weak_strengths_of_either_sign(truth: float
     setting, nuisance = _settled_along(search, BASE, Setting(), node, 200.0 + 5e4 * (1.0 - truth) ** 2)
     assert setting.values["lidar.extinction_scale"]["factor"] == pytest.approx(truth, abs=1e-6)
     assert nuisance == pytest.approx(truth, abs=1e-6)  # those of the same fit
-    assert len(asked) == 5
+    assert len(asked) == 5 + farther
     assert min(asked) < 1.0 < max(asked)
 
 

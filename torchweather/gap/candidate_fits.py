@@ -33,6 +33,7 @@ PAIRS_REFITTED = 2  # pairs that are fitted
 # left open stands so many standard deviations off.
 SHADOWED, FAR = (0.1, 0.5), 2.0
 SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
+OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronger effects, and what each multiplies by
 REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.5  # of the best gain, from which a candidate is refitted
@@ -151,6 +152,14 @@ def _settled_along(search: Search, base: Fit, setting: Setting, node: Node, misf
     strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
     found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
     if declared.identity is not None and math.isfinite(declared.identity):
+        for _ in range(OUTWARD):
+            # Along a narrow valley, in which an effect and the record say nearly the same, no derivative leads.
+            strength = min(found, key=lambda one: found[one][2])
+            farther = declared.identity + OUTWARD_STEP * (strength - declared.identity)
+            farther = min(max(farther, declared.low), declared.high)
+            if any((one - strength) * (strength - declared.identity) > 0 for one in found) or farther == strength:
+                break
+            found[farther] = settled({**node.values, name: farther})
         places = [declared.identity, *found]
         least = _least(np.array(places), np.array([misfit, *(one[2] for one in found.values())]))
         found[least] = settled({**node.values, name: least})
