@@ -335,3 +335,17 @@ def test_effects_leave_unsaid_only_what_is_looked_at() -> None:
     assert sorted(unsaid) == ["lidar.crosstalk", "lidar.spray", "lidar.static_structure"]
     for found in unsaid.values():
         assert set(found) == {"log_particle_intensity", "log_particle_intensity_spread"} <= names
+
+
+def test_first_counts_of_what_there_was_nothing_of_widen_nothing() -> None:
+    """A likelihood counts the logarithm of a scatter; of shares and counts up to that of counting it does not."""
+    search, there = bare(), base()
+    counts = np.isin(np.arange(SIZE), (7, 8, 11))  # "lost" and "many"
+    least = dict.fromkeys(SCENES, np.where(counts, 1.0, 0.0))
+    search.start = replace(base(), least=least)
+    for factor, wider in ((1.5, 0.0), (2.0, 0.0), (3.0, math.log(3.0 / 2.0))):
+        sd = {name: np.where(counts, factor, 1.0) for name in SCENES}
+        # Three entries of three conditions.
+        assert search._wider(replace(there, sd=sd)) == pytest.approx(2.0 * 9 * wider, abs=1e-12)
+    sd = {name: np.where(counts, 1.0, 1.5) for name in SCENES}
+    assert search._wider(replace(there, sd=sd)) == pytest.approx(2.0 * 3 * (SIZE - 3) * math.log(1.5), rel=1e-12)
