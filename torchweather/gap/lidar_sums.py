@@ -46,7 +46,7 @@ OF_SURFACES = ("lost", "before", "beyond", "ratio", "ratio2")
 OF_THE_SAME = ("apart", "apart2", "wide", "wide2", "even", "even2")
 OF_PARTICLES = ("frame", "before", "of_empty", "particle", "clustered", "level", "level2")
 SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
-FEW_COUNTS = 0.35  # of 0.5, the scatter of a stabilised count
+STEADY_COUNT = 0.35  # of 0.5, the scatter of a stabilised count, below which frames are called alike
 STEADY_RATIO = 1e-3  # of a mean logarithm over thousands of beams
 MAPS = ("particles",)
 
@@ -81,7 +81,7 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
         groups.append(Group("log_particle_intensity", "particle_range_m", "mean", PARTICLE_RANGE_M))
         groups.append(Group("log_particle_intensity_spread", "particle_range_m", "spread", PARTICLE_RANGE_M))
     add("lost_share_of_thin_targets", "share", ("isolated",))
-    steady = (FEW_COUNTS / math.sqrt(max(beams, 1)), FEW_COUNTS, STEADY_RATIO, FEW_COUNTS)
+    steady = (STEADY_COUNT / math.sqrt(max(beams, 1)), STEADY_COUNT, STEADY_RATIO, STEADY_COUNT)
     return Layout(tuple(groups), SCALARS, steady, MAPS)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from torchweather.gap.search import Fit, Search
+from torchweather.gap.statistics import COUNTED
 
 __all__ = ["Rest", "rest_of"]
 
@@ -25,7 +26,6 @@ Floats = NDArray[np.float64]
 # Square of the scatter that shares and counts are taken to have, over the stated one: never less than the first, and so
 # many times that of simulated frames, which know only the clear frames that they start from.
 LEVEL = (0.3, 2.5)
-COUNTED = ("share", "count")  # kinds whose stated scatter is that of counting
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from torchweather.gap.baseline import (
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance, together
-from torchweather.gap.statistics import COUNTING, FEW_COUNTS, TINY, Pool
+from torchweather.gap.statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
 from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.stages.effects import EFFECTS, Effect
 from torchweather.threads import side_by_side
@@ -244,7 +244,7 @@ class Search:
         """Vectors ``(..., C P)`` that were whitened with one scatter, with another.
 
         What a residual is compared with must be in the units of the residual: of a shift by forty standard deviations
-        that nuisances explain, a scatter that is off by a few percent leaves one or two.
+        that nuisances explain, a scatter that is off by a few percent leaves one or two. What did not count is 0.
         """
         old_sd, new_sd = (np.stack([base.sd[name] for name in self._names]) for base in (old, new))
         used = np.stack([new.used[name] for name in self._names])
@@ -522,7 +522,7 @@ class Search:
 
         Of counts up to that of counting, which is all that the first few of what there was nothing of before bring.
         """
-        counts = self.model.layout.each(lambda group: group.kind in ("share", "count"))
+        counts = self.model.layout.each(lambda group: group.kind in COUNTED)
         total = 0.0
         for target in self.measured:
             name = target.condition.id

@@ -28,13 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
-__all__ = ["COUNTING", "FEWEST", "FEW_COUNTS", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
+__all__ = ["COUNTED", "COUNTING", "FEWEST", "FEW_COUNTS", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
 
 Floats = NDArray[np.float64]
 
 FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
 """Least weight in a bin, over all frames of a condition, for which its entry counts."""
 ANSCOMBE = 3.0 / 8.0
+COUNTED = ("share", "count")  # kinds whose stated scatter is that of counting
 COUNTING = 0.5  # scatter of a stabilised count
 FEW_COUNTS = 0.5 * COUNTING  # that it has at least: of few counts, of which there seldom is one, it is less
 SPREAD_KNOWN_TO = 0.03  # of the logarithm of a standard deviation: no noise is modelled better than to 3 %

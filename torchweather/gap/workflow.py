@@ -200,12 +200,13 @@ def _rounds(
         held_gap = after
         if len(values) == MOST_EFFECTS:
             return rounds
-        fresh, proposed = _on_top(search, screening, best, needed, sure, max(sure, excess) if significant else math.inf)
+        rest = _further(search, screening, best)
+        fresh, proposed = _on_top(search, rest, best, needed, sure, max(sure, excess) if significant else math.inf)
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             pairs = pair_gains(screening.nodes, base.nuisance.left(base.residual), base.nuisance)
             found = best_pairs(screening.nodes, pairs, search.origin, best.gain + needed)
-            proposed = proposed or (_best_on_top(best, _further(search, screening, best)) if found else [])
+            proposed = proposed or (_best_on_top(best, rest) if found else [])
             proposed += found
         if not proposed:
             return rounds
@@ -217,13 +218,13 @@ def _rounds(
 
 
 def _on_top(
-    search: Search, screening: Screening, best: Candidate, needed: float, sure: float, most: float
+    search: Search, rest: Sequence[Node], best: Candidate, needed: float, sure: float, most: float
 ) -> tuple[dict[str, float], list[Proposal]]:
     """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
 
     Args:
         search: its simulator.
-        screening: with the responses.
+        rest: responses to the effects that were not found yet.
         best: what was found so far.
         needed: gain that a further effect must promise,
         sure: or this, if it shows where those found do nothing,
@@ -233,7 +234,6 @@ def _on_top(
         The effects that need not compare with the first, with what they need: they show where those found do nothing,
         or explain what is left. And what is to be fitted.
     """
-    rest = _further(search, screening, best)
     if not rest:
         return {}, []
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
