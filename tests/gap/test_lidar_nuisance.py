@@ -12,11 +12,10 @@ import torch
 from torch import Tensor
 
 from tests.gap.tiny_study import SENSOR, tiny_study
-from torchweather.gap.lidar import FOG_GAIN_SD, FOG_NOISE, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
+from torchweather.gap.lidar import FOG_GAIN_SD, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
 from torchweather.gap.lidar_nuisance import (
     ClearScale,
     EchoGain,
-    EchoNoise,
     FogEchoRange,
     ParticleReading,
     WeakSignalNoise,
@@ -120,16 +119,6 @@ def test_objects_are_brighter_by_a_scale(log_scale: float) -> None:
     assert torch.equal(found.clear_signal, before.clear_signal)
 
 
-def test_echoes_are_noisier_before_they_are_detected() -> None:
-    """In the chain it comes before the threshold, what noise of a reading comes after it."""
-    before = state(echoes=2)
-    found = after(EchoNoise(std=0.05), before)
-    change = relative(found.signal[..., 1], before.signal[..., 1])
-    assert float(change.std()) == pytest.approx(0.05, rel=TOLERANCE)
-    assert torch.equal(found.signal[..., 0], before.signal[..., 0])
-    assert (EchoNoise.after, ParticleReading.after) == ("particle_returns", "detection")
-
-
 def test_fog_is_reported_nearer_and_scattered() -> None:
     before = replace(reported(), range_m=torch.where(reported().kind == PARTICLE, 5.0, 20.0))
     found = after(FogEchoRange(shift_m=-0.3, spread_m=0.2), before)
@@ -143,7 +132,7 @@ def test_fog_is_reported_nearer_and_scattered() -> None:
     assert bool((near.range_m[particle] == 0.1).all())  # not behind the sensor
 
 
-IDENTITIES = [WeakSignalNoise(), ClearScale(), ParticleReading(), EchoNoise(), EchoGain(), FogEchoRange()]
+IDENTITIES = [WeakSignalNoise(), ClearScale(), ParticleReading(), EchoGain(), FogEchoRange()]
 
 
 @pytest.mark.parametrize("stage", IDENTITIES, ids=lambda stage: stage.id)
@@ -179,13 +168,13 @@ def test_what_is_open_depends_on_the_weather(study: Study, model: LidarFrames) -
     snow, fog, rain = study.conditions
     always = {"noise": 0.0, "particle gain": -math.inf, "clear scale s0": -math.inf}
     assert model.open(snow) == model.open(rain) == always
-    assert model.open(fog) == {**always, "fog shift": -math.inf, "fog spread": 0.0, "fog noise": 0.0}
+    assert model.open(fog) == {**always, "fog shift": -math.inf, "fog spread": 0.0}
     assert model.misplaced(snow) == 0.0 < model.misplaced(fog) < 0.1
 
 
 def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> None:
     snow, fog, _ = study.conditions
-    strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0, "fog noise": 2.0}
+    strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0}
     strengths["clear scale s0"] = -1.0
     of_snow = {one.id: one.to_dict() for one in model.open_stages(snow, strengths)}
     assert of_snow == {
@@ -196,8 +185,6 @@ def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> 
     of_fog = {one.id: one.to_dict() for one in model.open_stages(fog, strengths)}
     metres = FOG_RANGE_SHARE * SENSOR.pulse_length_m
     assert of_fog["gap.echo_gain"]["share"] == pytest.approx(3.0 * FOG_GAIN_SD / math.sqrt(SENSOR.photons_at_threshold))
-    one_reading = 1.0 / math.sqrt(SENSOR.photons_at_threshold)
-    assert of_fog["gap.echo_noise"]["std"] == pytest.approx(2.0 * FOG_NOISE * one_reading)
     assert of_fog["gap.fog_echo_range"] == {
         "effect": "gap.fog_echo_range",
         "shift_m": pytest.approx(-2.0 * metres),
@@ -205,9 +192,7 @@ def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> 
     }
     for condition in (snow, fog):
         assert model.open_stages(condition, {}) == []
-        assert (
-            model.open_stages(condition, {"noise": -1.0, "fog spread": -1.0, "fog noise": -1.0}) == []
-        )  # no less than none
+        assert model.open_stages(condition, {"noise": -1.0, "fog spread": -1.0}) == []  # no less than none
 
 
 def through(model: LidarFrames, condition: Any, effects: list[Effect]) -> Any:

@@ -107,9 +107,9 @@ def test_a_batch_in_one_weather_is_its_samples_one_by_one(kind: str, monkeypatch
     solved: list[int] = []
     of = ReturnTable.of.__func__  # type: ignore[attr-defined]
 
-    def counted(cls: type[ReturnTable], between: Tensor) -> ReturnTable:
+    def counted(cls: type[ReturnTable], between: Tensor, places_of: Tensor | None) -> ReturnTable:
         solved.append(len(between))
-        found: ReturnTable = of(cls, between)
+        found: ReturnTable = of(cls, between, places_of)
         return found
 
     monkeypatch.setattr(ReturnTable, "of", classmethod(counted))

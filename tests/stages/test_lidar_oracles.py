@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.signal import fftconvolve
 
 from tests.oracles import load
 from tests.reference.every_lidar_particle import Link
-from tests.reference.fog_waveform import SoftTarget, soft_return, soft_signal
+from tests.reference.fog_waveform import SoftTarget, local_signal, soft_return, soft_signal
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam
 from torchweather.stages.soft_return import SoftReturn
@@ -117,37 +118,43 @@ def test_waveform_is_the_reference_s_integral_over_the_pulse(mor_m: float) -> No
     range_m = np.linspace(2.5, 40.0, 200)
     found = part.signal(beam, torch.tensor([alpha]), torch.from_numpy(range_m).float())[0].double().numpy()
     # 32 nodes across the pulse, which has a kink where the ramp begins.
-    np.testing.assert_allclose(found, soft_signal(range_m + fog.pulse_length_m, fog, link), rtol=5e-3)
+    np.testing.assert_allclose(found, soft_signal(range_m + fog.pulse_length_m, fog, link), rtol=2e-4)
     peak_m, peak = soft_return(fog, link)
     assert float(found.max()) == pytest.approx(peak, rel=5e-3)
     assert range_m[found.argmax()] == pytest.approx(peak_m, abs=0.2)
 
 
-def test_largest_photon_count_of_independent_pulse_lengths_has_the_law_of_the_table() -> None:
-    """The physics by brute force: Poisson counts of the waveform's largest value in cells a pulse length long, at a
-    random phase; the largest count wins."""
+@pytest.mark.parametrize("mor_m", [20.0, 100.0])
+def test_the_largest_reading_of_few_photons_has_the_law_of_the_table(mor_m: float) -> None:
+    """The physics by brute force: photons arrive one by one, the receiver answers each with the pulse, and its largest
+    value is the reading. The answer's height, 4/3, makes the variance of a value its mean."""
     lidar = Lidar.preset("ouster-os1-128")
-    rng = np.random.default_rng(4)
-    for mor_m in (20.0, 100.0):
-        fog = LidarFog(Fog(mor_m=mor_m), lidar)
-        returns = fog.chain.stages["particle_returns"]
-        part = returns.kinds["fog"]
-        n = 20_000
-        centre = lidar.near_start_m + (np.arange(20)[None] + rng.random((n, 1))) * lidar.pulse_length_m
-        within = centre[..., None] + np.linspace(-0.5, 0.5, 9) * lidar.pulse_length_m
-        signal = part.signal(returns.beam, fog.extinction_per_m, torch.from_numpy(within).float())[0].numpy().max(-1)
-        counts = rng.poisson(signal / lidar.threshold_per_m2_sr * lidar.photons_at_threshold)
-        largest = counts.max(1)
-        for photons in (5, 10, 15, 20, 25):
-            number = part.expected_above(
-                returns.beam,
-                torch.tensor([[photons / lidar.photons_at_threshold * lidar.threshold_per_m2_sr]]),
-                fog.extinction_per_m,
-                torch.tensor([[30.0]]),
-            )
-            found = float(torch.exp(-number))
-            # A count n stands for n - 1/2 to n + 1/2 of the continued law: half of those with `photons` are below.
-            wanted = (largest < photons).mean() + 0.5 * (largest == photons).mean()
-            # Cells at a fixed spacing share their phase, the table averages over it: 3 % at most here; 4 standard
-            # errors of the count add 1.4 %.
-            assert found == pytest.approx(wanted, abs=0.045)
+    fog = LidarFog(Fog(mor_m=mor_m), lidar)
+    returns = fog.chain.stages["particle_returns"]
+    part = returns.kinds["fog"]
+    target = SoftTarget(float(fog.extinction_per_m), float(part.backscatter_per_m_sr(part.mor_m)))
+    link = Link(0.0095, lidar.divergence_mrad * 1e-3, 40.0)
+    step_m, n = 0.05, 20_000
+    range_m = np.arange(lidar.near_start_m + 0.5 * step_m, 30.0, step_m)
+    per_step = local_signal(range_m, target, link) / target.pulse_length_m * step_m
+    photons = np.random.default_rng(4).poisson(
+        0.75 * per_step / lidar.threshold_per_m2_sr * lidar.photons_at_threshold, (n, len(range_m))
+    )
+    place = np.arange(-target.pulse_length_m + 0.5 * step_m, target.pulse_length_m, step_m)
+    answer = 4.0 / 3.0 * np.cos(0.5 * math.pi * place / target.pulse_length_m) ** 2
+    largest = fftconvolve(photons.astype(float), answer[None], axes=1).max(1)
+    compared = 0
+    for reading in range(4, 31):
+        number = part.expected_above(
+            returns.beam,
+            torch.tensor([[reading / lidar.photons_at_threshold * lidar.threshold_per_m2_sr]]),
+            fog.extinction_per_m,
+            torch.tensor([[30.0]]),
+        )
+        found, wanted = float(torch.exp(-number)), float((largest < reading).mean())
+        if 0.01 < wanted < 0.99:
+            compared += 1
+            # 4 standard errors of the share: 0.014. The law is exact for high readings; of low ones, crossings that
+            # follow each other are not independent, and the answers' sum is more skewed than a Poisson count: 0.035.
+            assert found == pytest.approx(wanted, abs=0.015 if wanted > 0.5 else 0.045)
+    assert compared >= 5

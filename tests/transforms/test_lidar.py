@@ -163,15 +163,16 @@ def test_the_expectation_is_the_mean_of_many_draws(weather: Weather, mode: str) 
 
 @pytest.mark.parametrize("mode", ["first", "last", "dual"])
 @pytest.mark.parametrize("mor_m", [30.0, 150.0])
-def test_the_expectation_of_merging_fog_is_near_the_mean(mode: str, mor_m: float) -> None:
+def test_the_expectation_of_merging_fog_is_the_mean(mode: str, mor_m: float) -> None:
     transform = LidarFog(Fog(mor_m), replace(SENSOR, return_mode=mode))
     kinds = [(r, 2.0) for r in (2.5, 3.5, 5.0, 8.0, 15.0)]
     points = torch.cat([target(*kind) for kind in kinds])
     result = ran(transform, points.repeat_interleave(400, 0))
     share = (result.kind == OBJECT) if mode != "dual" else (result.kind == OBJECT) | (result.second_kind == OBJECT)
     wanted = transform.expected(points)[1]
-    # The fog's range is taken independent of its strength.
-    assert float((share.reshape(5, 400).float().mean(1) - wanted).abs().max()) < 0.15
+    # 4.5 standard deviations of 5 shares; tables between nodes, 0.01.
+    allowed = 4.5 * torch.sqrt(wanted * (1 - wanted) / 400) + 0.01
+    assert bool(((share.reshape(5, 400).float().mean(1) - wanted).abs() <= allowed).all())
 
 
 def test_the_expected_signal_is_that_of_the_link() -> None:

@@ -21,7 +21,6 @@ from torch import Tensor
 from torchweather.gap.lidar_nuisance import (
     ClearScale,
     EchoGain,
-    EchoNoise,
     FogEchoRange,
     ParticleReading,
     WeakSignalNoise,
@@ -44,9 +43,8 @@ LEAST_MARGIN_DB = 1e-3
 TOGETHER = 8  # frames: more do not fit into the processor's cache
 KEPT = 48  # states, so that those of a setting are kept for every condition
 GAIN_SD = 0.02  # relative, of the brightness of drops and flakes; what two implementations of one physics differ by
-FOG_GAIN_SD = 0.25  # standard deviations of a reading at the threshold, by which their largest is uncertain
-# Of a reading's noise, what the largest of two lacks: that has 0.83 of it, and 1 - 0.83^2 = 0.56^2 (rounded).
-FOG_NOISE = 0.6
+# Standard deviations of a reading at the threshold, by which two implementations of one physics differ in the largest.
+FOG_GAIN_SD = 0.1
 FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
@@ -119,7 +117,7 @@ class LidarFrames:
         assert condition.weather is not None
         found = {"noise": 0.0} if self.scenes[condition.scene].variance_at_threshold > 0 else {}
         if "fog" in {part.kind for part in condition.weather.parts}:
-            found |= {"fog shift": -math.inf, "fog spread": 0.0, "fog noise": 0.0}
+            found |= {"fog shift": -math.inf, "fog spread": 0.0}
         if self.clear_scale_sd[condition.scene] > 0:
             found[f"clear scale {condition.scene}"] = -math.inf
         return {**found, "particle gain": -math.inf}
@@ -146,8 +144,6 @@ class LidarFrames:
             fog = "fog shift" in given
             one_sd = FOG_GAIN_SD / math.sqrt(photons) if fog else GAIN_SD
             found.append(EchoGain(share=min(max(given["particle gain"] * one_sd, -0.9), 9.0)))
-        if given.get("fog noise", 0.0) > 0:
-            found.append(EchoNoise(std=min(given["fog noise"] * FOG_NOISE / math.sqrt(photons), 1.0)))
         scale = given.get(f"clear scale {condition.scene}", 0.0) * self.clear_scale_sd[condition.scene]
         if scale != 0:
             found.append(ClearScale(log_scale=min(max(scale, -2.0), 2.0)))

@@ -16,7 +16,7 @@ from torchweather.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.states import LidarState, PointKind
 
-__all__ = ["ClearScale", "EchoGain", "EchoNoise", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
+__all__ = ["ClearScale", "EchoGain", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
 
 
 class WeakSignalNoise(Effect):
@@ -101,20 +101,6 @@ class ParticleReading(Effect):
         signal = state.signal
         noisy = signal * (1.0 + self.value("std", signal) * noise["reading"].to(signal)[..., None]).clamp_min(0.0)
         return {"signal": torch.where(state.kind == int(PointKind.PARTICLE), noisy, signal)}
-
-
-class EchoNoise(ParticleReading):
-    """Noise of the echo of fog before it is detected, beyond that of the model: a receiver that has one reading of its
-    peak has all the photons' noise, the largest of several less and seldom a low one.
-
-    Args:
-        std: relative.
-    """
-
-    id: ClassVar[str] = "gap.echo_noise"
-    title: ClassVar[str] = "echoes of fog are noisier before they are detected"
-    term: ClassVar[str] = "detection statistics of a soft target"
-    after: ClassVar[str] = "particle_returns"
 
 
 class EchoGain(Effect):

@@ -53,7 +53,7 @@ FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 # By which a further effect must lower the misfit of held-out conditions, two standard deviations; an alarm is beyond
 # noise already: they must not speak against its effect. One that explains more than SURE_GAIN they may, by so much of
-# the rest: where they hardly show it. So much must a further effect explain that need not compare with the first.
+# the rest: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
 REST_P = 1e-4  # of one statistic, from which a rest is no noise
@@ -194,14 +194,15 @@ def _rounds(
         excess = OF_THE_REST * screening.rest.excess(left)
         significant = screening.rest.p_value(left) < REST_P
         needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
-        sure = max(threshold, SURE_GAIN)
         if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         held_gap = after
         if len(values) == MOST_EFFECTS:
             return rounds
         rest = _further(search, screening, best)
-        fresh, proposed = _on_top(search, rest, best, needed, sure, max(sure, excess) if significant else math.inf)
+        fresh, proposed = _on_top(
+            search, rest, best, needed, threshold, max(threshold, excess) if significant else math.inf
+        )
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             pairs = pair_gains(screening.nodes, base.nuisance.left(base.residual), base.nuisance)

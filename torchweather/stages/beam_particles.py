@@ -146,13 +146,8 @@ class BeamParticles(nn.Module):
         row = ((torch.log(signal.clamp_min(1e-30)) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
         return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
 
-    def located_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
-        """Where a particle at a range ``(B, N)`` is reported: there."""
-        return range_m
-
-    def drawn_before_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
-        """Range ``(B, N)`` before which a particle must be to be reported before ``range_m``: that range."""
-        return range_m
+    def places(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> None:
+        """Where particles of a signal are follows from ``between``."""
 
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid from which particles count; ``None`` is its first node."""

@@ -102,19 +102,17 @@ class _Rivals:
         stronger = self._number(part, signal, self.range_m)
         if self.detection.return_mode == "strongest":
             return torch.exp(-stronger)
-        first = self.detection.return_mode == "first"
-        apart_m = (self.range_m - self.detection.sensor.echo_separation).clamp_min(0.0)
-        own = self.returns.beam.threshold.dtype
-        drawn_m = part.drawn_before_m(apart_m.to(own), self.returns.beam, self.alpha.to(own)).to(apart_m)
-        apart_m = torch.minimum(drawn_m, self.range_m)
-        stronger_apart = self._number(part, signal, apart_m)
+        first, apart_m = self.detection.return_mode == "first", self.detection.sensor.echo_separation
         faint = self.returns.beam.threshold.expand_as(signal).to(signal)
-        seen_apart = self._number(part, faint, apart_m)
-        if not isinstance(part, SoftReturn):
-            return torch.exp(stronger_apart - stronger - (seen_apart if first else 0.0))
-        # Fog returns once: approximately with the share of Lambda as the share of the place.
-        apart, seen = stronger_apart / stronger.clamp_min(TINY), self._number(part, faint, self.range_m)
-        swallowed = -torch.expm1(-stronger) * (1.0 - apart)
-        weaker = (torch.exp(-stronger) - torch.exp(-seen)).clamp_min(0.0)
-        in_front = -torch.expm1(-stronger) * apart + weaker * seen_apart / seen.clamp_min(TINY)
-        return 1.0 - swallowed - (in_front if first else 0.0)
+        if isinstance(part, SoftReturn):
+            # Fog returns once: swallowed by one that is stronger and near, or behind one that is seen farther in front.
+            swallowed = -torch.expm1(-stronger) - self._in_front(part, signal, apart_m)
+            return 1.0 - swallowed - (self._in_front(part, faint, apart_m) if first else 0.0)
+        farther_m = (self.range_m - apart_m).clamp_min(0.0)
+        swallowed = stronger - self._number(part, signal, farther_m)
+        return torch.exp(-swallowed - (self._number(part, faint, farther_m) if first else 0.0))
+
+    def _in_front(self, part: SoftReturn, signal: Tensor, apart_m: float) -> Tensor:
+        own = self.returns.beam.threshold.dtype
+        signal_at, alpha, range_m = (value.to(own) for value in (signal, self.alpha, self.range_m))
+        return part.chance_before(self.returns.beam, signal_at, alpha, apart_m, range_m).to(signal)

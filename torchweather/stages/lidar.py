@@ -336,7 +336,7 @@ class ParticleReturns(Stage):
             else:
                 between = part.between(beam, extinction, density)
                 row, column, exists = strongest_before(between, arrived, own_place, reach, start)
-            range_m = torch.minimum(part.located_m(part.grid.range_m(column), beam, extinction), reach_m)
+            range_m = torch.minimum(part.grid.range_m(column), reach_m)
             ranges.append(range_m * exists)
             signals.append(part.signal_at(row, beam) * exists)
         return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
@@ -349,13 +349,14 @@ class ParticleReturns(Stage):
         if density is not None:
             inputs.append(density)
         if is_exporting() or any(value.requires_grad for value in inputs):
-            return ReturnTable.of(part.between(beam, extinction, density))
+            return ReturnTable.of(part.between(beam, extinction, density), part.places(beam, extinction, density))
         before, table = self._last_tables.get(part.kind, (None, None))
         if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
             shared = density is None and all(value.numel() == 1 for value in inputs[1:]) and _all_alike(extinction)
             with torch.no_grad():
                 # One table serves all samples that are in the same weather.
-                table = ReturnTable.of(part.between(beam, extinction[:1] if shared else extinction, density))
+                own = extinction[:1] if shared else extinction
+                table = ReturnTable.of(part.between(beam, own, density), part.places(beam, own, density))
             table = table.expanded(len(extinction)) if shared else table
             self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
         return table

@@ -4,18 +4,26 @@ The receiver sees the pulse spread over the fog in front of it,
 
     S(r) = beta (c/2) int_0^{2 tau} sin^2(pi t / 2 tau) f(r + c tau/2 - c t/2) dt,   f(r) = xi(r) exp(-2 alpha r) / r^2,
 
-with tau the pulse width (FWHM); r is counted so that a hard target stands at its own range. Within one pulse length
-l = c tau/2 the photons of S are one count, Poisson distributed, and counts a pulse length apart are independent. The
-reading of a beam is the largest count, at its range. With F(e; S) the distribution of a count,
+with tau the pulse width (FWHM); r is counted so that a hard target stands at its own range. The photons of S within one
+pulse length l = c tau/2 are Poisson distributed. The receiver's response is the pulse itself, so that this noise is
+correlated as sin^2 with itself, over about a pulse length. The reading of a beam is the largest value of the waveform.
 
-    P(largest <= e) = prod F = exp(-Lambda(e, R)),   Lambda(e, R) = int_0^R -ln F(e; S(r)) dr / l,
+Let F(e; S) = Phi(z) be the distribution of a value, z that of a standard normal one of the same rank. A value e is
+exceeded where the noise first crosses z(e, r) upwards. With lambda the mean square slope of the noise and w the slope
+of z over its root, Rice's formula gives the rate of crossings at which none was before,
 
-so the strongest return of fog is drawn from a table of Lambda just as the strongest particle is, and the pulse length
-in which it lies follows from the derivative in e in the same way. Within a pulse length S(r) above is its largest value
-there, and that is the place which is reported: a receiver as slow as the pulse has one reading of a narrow peak.
+    sqrt(lambda) M(z) [h(w) + max(-w, 0)],   M(z) = phi(z) / Phi(z),   h(w) = phi(w) - |w| (1 - Phi(|w|)),
+
+and the second term, of a waveform that rises through e by itself, integrates to -ln F, so that
+
+    P(largest before R <= e) = exp(-Lambda(e, R)),   Lambda(e, R) = -ln F(e; max S) + sqrt(lambda) int_0^R M h(w) dr.
+
+So the strongest return of fog is drawn from a table of Lambda just as the strongest particle is. The largest value lies
+where the noise has the slope of z: at r with a density that goes as phi(w) dM/de.
 
 References:
-    PHYSICS.md 5.3 (photons), 5.8 (waveform).
+    PHYSICS.md 5.3 (photons), 5.8 (waveform). Rice 1945, Bell Syst. Tech. J. 24; Cramer and Leadbetter 1967, Stationary
+    and Related Stochastic Processes, 13.2 (crossings of a curve).
 """
 
 from __future__ import annotations
@@ -25,6 +33,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from scipy.special import ndtri_exp
 from torch import Tensor, nn
 
 from torchweather.errors import check_one_of
@@ -32,23 +41,29 @@ from torchweather.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam, RangeGrid
 from torchweather.stages.fog_optics import FogOptics, mor_range_m
-from torchweather.stages.strongest import expected_number
+from torchweather.stages.strongest import expected_number, table_at
 from torchweather.weather import Fog
 
 __all__ = ["SoftReturn"]
 
 BACKSCATTERS = ("mie", "hahner")
 HAHNER_BETA_MOR_PER_SR = 0.046  # Rasshofer 2011, Hahner 2021: beta = 0.046 / MOR, a lidar ratio of 65 sr
-PULSE_NODES = 32
-COUNT_NODES = 65  # cells by powers of two: the search in strongest.py halves them
+PULSE_NODES = 16  # of each of two parts
+COUNT_NODES = 129  # cells by powers of two: the search in strongest.py halves them
 FEWEST_PHOTONS = 0.1  # of those at the threshold: a reading below it is not drawn
 PHOTON_LOW, PHOTON_HIGH, PHOTON_NODES = 1e-2, 1e5, 2048
 NEVER = 1e-30  # -ln F of a reading that never occurs, so that logarithms stay finite
+NO_PHOTONS = 1e-20
+
+# Mean square slope of white noise filtered with sin^2(pi r / 2 l), over its variance, times l^2.
+SLOPE_SQUARE = math.pi**2 / 3.0
+# Weight of "where the waveform rises" among the places, for a reach so short that its noise decides nothing.
+RISING = 1e-6
 
 
 @lru_cache(maxsize=8)
-def _count_table(roots: tuple[float, float]) -> Tensor:
-    """ln(-ln F) of a reading at the nodes, ``(COUNT_NODES, PHOTON_NODES)``, over the ln of the expected photons.
+def _count_tables(roots: tuple[float, float]) -> tuple[Tensor, Tensor]:
+    """ln(-ln F) and ln M at the nodes, ``(COUNT_NODES, PHOTON_NODES)`` each, over the ln of the expected photons.
 
     ``F(n; mu) = Q(n + 1/2, mu)``: the Poisson distribution continued between the integers with the mean kept.
     """
@@ -58,8 +73,10 @@ def _count_table(roots: tuple[float, float]) -> Tensor:
     # Far in the tail, where Q underflows: Q(a, mu) = mu^(a-1) exp(-mu) / Gamma(a).
     far = mean - (reading - 1) * mean.log() + torch.lgamma(reading)
     minus_log = torch.where(above < 0.5, -torch.log1p(-above.clamp_max(0.5)), -below.clamp_min(1e-280).log())
-    minus_log = torch.where(below < 1e-270, far, minus_log)
-    return minus_log.clamp_min(NEVER).log().float()
+    minus_log = torch.where(below < 1e-270, far, minus_log).clamp_min(NEVER)
+    rank = torch.from_numpy(ndtri_exp(-minus_log.numpy()))
+    log_mills = -0.5 * rank.square() - 0.5 * math.log(2.0 * math.pi) - torch.special.log_ndtr(rank)
+    return minus_log.log().float(), log_mills.float()
 
 
 class SoftReturn(nn.Module):
@@ -73,7 +90,8 @@ class SoftReturn(nn.Module):
     """
 
     mor_m: Tensor
-    count_table: Tensor
+    never_table: Tensor
+    mills_table: Tensor
     pulse_length_m: Tensor
     photons_at_threshold: Tensor
     pulse_place: Tensor
@@ -89,7 +107,6 @@ class SoftReturn(nn.Module):
         self.grid = RangeGrid.of(sensor)
         self.optics = FogOptics(weather, float(sensor.wavelength_nm))
         place, weight = np.polynomial.legendre.leggauss(PULSE_NODES)
-        weight = weight * np.cos(0.5 * np.pi * place) ** 2  # sin^2 of the pulse, from its middle; integral 1
         for name, value in (
             ("mor_m", weather.mor_m),
             ("pulse_length_m", sensor.pulse_length_m),
@@ -113,7 +130,9 @@ class SoftReturn(nn.Module):
         self.root_low = math.sqrt(FEWEST_PHOTONS * photons)
         self.root_high = max(math.sqrt(brightest) + 3.0, 2.0 * math.sqrt(photons) + 3.0)
         self.root_step = (self.root_high - self.root_low) / (COUNT_NODES - 1)
-        self.register_buffer("count_table", _count_table((self.root_low, self.root_high)), persistent=False)
+        never, mills = _count_tables((self.root_low, self.root_high))
+        self.register_buffer("never_table", never, persistent=False)
+        self.register_buffer("mills_table", mills, persistent=False)
 
     def backscatter_per_m_sr(self, mor_m: Tensor) -> Tensor:
         """beta, 1/(m sr), of the shape of ``mor_m``."""
@@ -126,11 +145,22 @@ class SoftReturn(nn.Module):
         return self._signal(beam, self.mor_m.reshape(-1), extinction_per_m, range_m)
 
     def _signal(self, beam: Beam, mor_m: Tensor, extinction_per_m: Tensor, range_m: Tensor) -> Tensor:
-        # (..., PULSE_NODES): where in the fog the light of each part of the pulse comes from.
-        source_m = (range_m[..., None] - self.pulse_length_m * self.pulse_place).clamp_min(1e-3)
+        # Where in the fog the light comes from, (..., 2 PULSE_NODES): the part of the pulse that meets the rising
+        # response and that which meets the full one. f is smooth in each: S has no ripples however short the rise.
+        behind_m = range_m + self.pulse_length_m
+        begin_m = torch.maximum(range_m - self.pulse_length_m, beam.near_start_m).clamp_min(1e-3)
+        begin_m = torch.minimum(begin_m, behind_m)
+        full_m = torch.minimum(torch.maximum(beam.near_full_m, begin_m), behind_m)
+        place = 0.5 * (1.0 + self.pulse_place)
+        lengths_m = torch.stack([full_m - begin_m, behind_m - full_m], -1)[..., None]
+        source_m = torch.stack([begin_m, full_m], -1)[..., None] + lengths_m * place
+        weight = 0.5 * self.pulse_weight * lengths_m / self.pulse_length_m
+        phase = (range_m[..., None, None] - source_m) * (0.5 * math.pi / self.pulse_length_m)
+        weight = (weight * phase.cos().square()).flatten(-2)
+        source_m = source_m.flatten(-2)
         extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
         response = beam.near_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * source_m)
-        spread = (response * self.pulse_weight).sum(-1)
+        spread = (response * weight).sum(-1)
         beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim))
         return beta * self.pulse_length_m * spread
 
@@ -142,65 +172,85 @@ class SoftReturn(nn.Module):
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
         """
-        signal = self._largest(self.signal(beam, extinction_per_m, self.grid.quadrature_m))  # (B, cells, G)
+        photons = self._photons(beam, extinction_per_m, density_scale)
+        steep = self._slope(photons).abs()
+        chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
+        per_m = self._read(self.mills_table, photons) * chance.clamp_min(0.0)[:, None]
+        crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
+        return self._risen(photons) + crossed
+
+    def places(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
+        """Weight of the places up to each node of range for a reading between two nodes, ``(B, E, P)``."""
+        photons = self._photons(beam, extinction_per_m, density_scale)
+        alike = torch.exp(-0.5 * self._slope(photons).square())
+        weight = self.grid.integrated(_apart(self._read(self.mills_table, photons) * alike[:, None]))
+        return weight + RISING * self._risen(photons)
+
+    def _photons(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None) -> Tensor:
+        """Expected photons of a value at the nodes of the quadrature, ``(B, cells, G)``."""
+        signal = self.signal(beam, extinction_per_m, self.grid.quadrature_m)
         if density_scale is not None:
             signal = signal * density_scale.to(signal)[:, None, None]
-        photons = signal * (self.photons_at_threshold / beam.threshold)
+        return (signal * (self.photons_at_threshold / beam.threshold)).clamp_min(NO_PHOTONS)
+
+    def _slope(self, photons: Tensor) -> Tensor:
+        """w, of the shape of ``photons``: dz/dr is that of -2 sqrt(photons), whose noise is of 1 everywhere."""
+        root, range_m = photons.flatten(1).sqrt(), self.grid.quadrature_m.flatten()
+        step_m = range_m.diff()
+        rise = root.diff(dim=1) / step_m
+        # The nearer neighbour counts more: second order on uneven nodes.
+        inner = torch.lerp(rise[:, :-1], rise[:, 1:], step_m[:-1] / (step_m[:-1] + step_m[1:]))
+        each = torch.cat([rise[:, :1], inner, rise[:, -1:]], 1)
+        return (each * (-2.0 / math.sqrt(SLOPE_SQUARE) * self.pulse_length_m)).reshape(photons.shape)
+
+    def _risen(self, photons: Tensor) -> Tensor:
+        """-ln F of the largest expected value, from one node of the reading to the next, up to each node of range."""
+        flat = photons.flatten(1)
+        # The waveform rises once and falls once.
+        peak = flat.detach().argmax(1, keepdim=True)
+        behind = torch.arange(flat.shape[1], device=flat.device) > peak
+        largest = torch.where(behind, flat.gather(1, peak), flat).reshape(photons.shape)[..., -1]  # (B, cells)
+        never = _apart(self._read(self.never_table, largest))
+        return torch.cat([torch.zeros_like(never[..., :1]), never], -1)
+
+    def _read(self, table: Tensor, photons: Tensor) -> Tensor:
+        """Exponential of a table at the nodes of the reading and at expected photons ``(B, ...)``: ``(B, E, ...)``."""
         step = math.log(PHOTON_HIGH / PHOTON_LOW) / (PHOTON_NODES - 1)
-        position = (photons.clamp_min(1e-20).log() - math.log(PHOTON_LOW)) / step
-        table = self.count_table.to(position.dtype)
+        position = (photons.log() - math.log(PHOTON_LOW)) / step
         node = position.detach().floor().clamp(0, PHOTON_NODES - 2).to(torch.int64)
         flat = node.reshape(-1)
-        low, high = table[:, flat], table[:, flat + 1]  # (E, B cells G)
-        share = (position - node).reshape(-1)
-        # Below the table F is a power of the mean: the first cell goes on.
-        per_count = torch.exp(torch.lerp(low, high, share)).reshape(COUNT_NODES, *photons.shape).transpose(0, 1)
-        per_m = per_count / self.pulse_length_m
-        next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
-        return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
+        table = table.to(position.dtype)
+        # Below the table both are powers of the mean: the first cell goes on.
+        found = torch.lerp(table[:, flat], table[:, flat + 1], (position - node).reshape(-1))
+        return torch.exp(found).reshape(COUNT_NODES, *photons.shape).transpose(0, 1)
 
     def expected_above(self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, reach_m: Tensor) -> Tensor:
         """Lambda(e, R) with ``exp(-Lambda)`` the probability that no reading exceeds ``signal``, ``(B, N)``."""
-        photons = (signal / beam.threshold * self.photons_at_threshold).clamp_min(1e-12)
-        row = ((torch.sqrt(photons) - self.root_low) / self.root_step).clamp(0.0, COUNT_NODES - 1)
+        row = self._row(beam, signal)
         return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
 
-    def located_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
-        """Where a reading at a range ``(B, N)`` is reported: at the maximum of S, no farther off than half a pulse."""
-        with torch.no_grad():
-            peak_m = self._peak_m(self.signal(beam, extinction_per_m, self.grid.quadrature_m))
-        return self._towards(peak_m, range_m)
+    def chance_before(
+        self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, apart_m: float, reach_m: Tensor
+    ) -> Tensor:
+        """Probability of a reading above ``signal`` that lies ``apart_m`` or more before ``reach_m``.
 
-    def drawn_before_m(self, range_m: Tensor, beam: Beam, extinction_per_m: Tensor) -> Tensor:
-        """Range ``(B, N)`` before which a reading must be drawn to be reported before ``range_m``."""
-        with torch.no_grad():
-            peak_m = self._peak_m(self.signal(beam, extinction_per_m, self.grid.quadrature_m))
-        half_m = 0.5 * self.pulse_length_m
-        return torch.where(range_m >= peak_m, range_m + half_m, (range_m - half_m).clamp_min(0.0))
+        ``(B, N)``; summed over the readings between two nodes, for a reach at each node of range.
+        """
+        above = self.between(beam, extinction_per_m).flip(1).cumsum(1).flip(1)  # (B, E, P)
+        none = torch.exp(-above)
+        read = torch.cat([none[:, 1:], torch.ones_like(none[:, :1])], 1) - none
+        places = self.places(beam, extinction_per_m)
+        reach = torch.arange(self.grid.nodes).to(places)
+        near = self.grid.position((self.grid.range_m(reach) - apart_m).clamp_min(self.grid.near_m))
+        node = near.floor().clamp_max(self.grid.nodes - 2).to(torch.int64)
+        before = torch.lerp(places[..., node], places[..., node + 1], near - node)
+        chance = (read * before / places.clamp_min(NEVER)).flip(1).cumsum(1).flip(1)
+        return table_at(chance, self._row(beam, signal), self.grid.position(reach_m))
 
-    def _peak_m(self, signal: Tensor) -> Tensor:
-        """Range ``(B, 1)`` at which a waveform ``(B, cells, G)`` is largest."""
-        return self.grid.quadrature_m.flatten()[signal.flatten(1).argmax(1)][:, None]
-
-    def _towards(self, peak_m: Tensor, range_m: Tensor) -> Tensor:
-        half_m = 0.5 * self.pulse_length_m
-        return torch.minimum(torch.maximum(peak_m, range_m - half_m), range_m + half_m)
-
-    def _largest(self, signal: Tensor) -> Tensor:
-        """Largest value of a waveform ``(B, cells, G)`` within half a pulse length; it rises once and falls once."""
-        nodes = self.grid.quadrature_m
-        cells, each = nodes.shape
-        wanted_m = self._towards(self._peak_m(signal.detach()), nodes.flatten())  # (B, cells G)
-        place = self.grid.position(wanted_m)
-        cell = place.floor().clamp(0, cells - 1)
-        inside = self.grid.position(nodes[0])
-        index = cell * each + ((place - cell)[..., None] >= inside).sum(-1) - 1
-        index = index.clamp(0, cells * each - 2).to(torch.int64)
-        below_m, above_m = nodes.flatten()[index], nodes.flatten()[index + 1]
-        share = ((wanted_m - below_m) / (above_m - below_m)).clamp(0.0, 1.0)
-        flat = signal.flatten(1)
-        found = torch.lerp(flat.gather(1, index), flat.gather(1, index + 1), share)
-        return torch.maximum(flat, found).reshape(signal.shape)
+    def _row(self, beam: Beam, signal: Tensor) -> Tensor:
+        """Place of a signal on the axis of readings."""
+        photons = (signal / beam.threshold * self.photons_at_threshold).clamp_min(1e-12)
+        return ((torch.sqrt(photons) - self.root_low) / self.root_step).clamp(0.0, COUNT_NODES - 1)
 
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid where the fog begins; ``None`` is its first node."""
@@ -218,3 +268,8 @@ class SoftReturn(nn.Module):
     def variates(self) -> tuple[Variate, ...]:
         """Arrival and place of the strongest reading of each beam."""
         return Variate("fog_arrival", "uniform", (1, "N")), Variate("fog_place", "uniform", (1, "N"))
+
+
+def _apart(at: Tensor) -> Tensor:
+    """What lies between one node of the reading and the next, dimension 1; the last: above it."""
+    return (at - torch.cat([at[:, 1:], torch.zeros_like(at[:, :1])], 1)).clamp_min(0.0)

@@ -6,7 +6,7 @@ solve ``Lambda(e*, R) = E``. The next strongest solve it with the sum of two exp
 particle of signal e* has the distribution function ``d_e Lambda(e*, r) / d_e Lambda(e*, R)``: between two rows of the
 table, ``W(r) = Lambda(e_i, r) - Lambda(e_{i+1}, r)``, solve ``W(r) = u W(R)``. (``Lambda(e*, r) / Lambda(e*, R)`` would
 be the range of all particles above e*.) The finite difference keeps the atom that a particle larger than the beam puts
-at the full-beam signal.
+at the full-beam signal. What is not a list of particles, as a waveform of fog, may have places of its own, W.
 
 ``strongest_before`` solves both equations by bisection for every beam. ``ReturnTable`` solves them once on a grid of E
 and of u, and reads the solutions; tests hold the two together.
@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-__all__ = ["ReturnTable", "expected_number", "strongest_before"]
+__all__ = ["ReturnTable", "expected_number", "strongest_before", "table_at"]
 
 FEW = 1e-20  # expected number that stands for none, so that logarithms stay finite
 NOTHING = 1e-9  # the same, where its logarithm must keep a gradient
@@ -77,13 +77,23 @@ def expected_number(between: Tensor, signal: Tensor, reach: Tensor) -> Tensor:
         signal: ``(B, N)`` place on the axis of signals.
         reach: ``(B, N)`` place on the grid.
     """
-    batch, signals, places = between.shape
-    flat = _above(between).reshape(batch, signals * places)
+    # A power law inside the cell, as in the drawing.
+    here, louder, share = _rows_at(_above(between), signal, reach)
+    return torch.exp(torch.lerp((here + NOTHING).log(), (louder + NOTHING).log(), share)) - NOTHING
+
+
+def table_at(table: Tensor, signal: Tensor, reach: Tensor) -> Tensor:
+    """A table ``(B, E, P)`` between its nodes, linearly, at places ``(B, N)`` on the axes of signals and ranges."""
+    return torch.lerp(*_rows_at(table, signal, reach))
+
+
+def _rows_at(table: Tensor, signal: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Values of the rows below and above a signal, and its place between them."""
+    batch, signals, places = table.shape
+    flat = table.reshape(batch, signals * places)
     row, column = _below(signal, signals), _below(reach, places)
     index = row * places + column
-    here, louder = _lerp(flat, index, reach - column), _lerp(flat[:, places:], index, reach - column)
-    # A power law inside the cell, as in the drawing.
-    return torch.exp(torch.lerp((here + NOTHING).log(), (louder + NOTHING).log(), signal - row)) - NOTHING
+    return _lerp(flat, index, reach - column), _lerp(flat[:, places:], index, reach - column), signal - row
 
 
 @dataclass(frozen=True)
@@ -105,21 +115,27 @@ class ReturnTable:
     signals: int
 
     @classmethod
-    def of(cls, between: Tensor) -> ReturnTable:
-        """Solve for every node of the grid; ``between`` as in ``strongest_before``."""
+    def of(cls, between: Tensor, places_of: Tensor | None = None) -> ReturnTable:
+        """Solve for every node of the grid; ``between`` as in ``strongest_before``.
+
+        Args:
+            between: Lambda.
+            places_of: ``(B, E, P)`` W where it is not ``between``.
+        """
+        where = between if places_of is None else places_of
         batch, signals, places = between.shape
         step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
         arrivals = torch.exp(math.log(ARRIVAL_LOW) + step * torch.arange(ARRIVAL_NODES).to(between))
         reach = torch.arange(places).to(between)[:, None].expand(places, ARRIVAL_NODES).reshape(1, -1)
         signal = _signal(between, arrivals.repeat(places).expand(batch, -1), reach.expand(batch, -1), None)
-        end = between[..., -1:]
+        end = where[..., -1:]
         v = torch.arange(PLACE_NODES).to(between) / (PLACE_NODES - 1)
         base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
         # Short of 1: W stays at its end behind the last particle of a signal, whose place is where it gets there.
         wanted = (end * (1.0 - (1.0 - v * v).square()).clamp_max(LAST_PLACE)).flatten(1)
-        cells = between.reshape(batch, signals * places)
+        cells = where.reshape(batch, signals * places)
         place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted, places)
-        share = (between / end.clamp_min(FEW)).flatten(1)
+        share = (where / end.clamp_min(FEW)).flatten(1)
         return cls(signal, share, place, places, signals)
 
     def expanded(self, batch: int) -> ReturnTable:
