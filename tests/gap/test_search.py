@@ -365,6 +365,6 @@ def test_a_hidden_effect_raises_an_alarm_and_with_it_in_the_model_there_is_none(
     assert found.p_value < 1e-6
     assert found.nodes[int(found.gains.argmax())].id == "lidar.window_loss"
     others = [name for name in SCREENED if name != "lidar.window_loss"]
-    with_it = find_gap_with(LidarFrames(study, effects=[window]), study, effects=others)
+    with_it = find_gap_with(LidarFrames(study, effects=[window]), effects=others)
     assert with_it.verdict == "none"
     assert with_it.screening.misfit < 1.3 * with_it.screening.counted < 0.5 * found.misfit

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from torchweather.gap.statistics import TINY, Layout, Pool, Reduced
-from torchweather.gap.study import Condition, Study
+from torchweather.gap.conditions import Condition
 from torchweather.stages.effects import Effect
 
 __all__ = [
@@ -50,9 +50,13 @@ SHRINKAGE = 0.1  # of the correlations towards none
 class FrameModel(Protocol):
     """What the workflow needs of a kind of sensor: one file each."""
 
-    study: Study
+    fit: Sequence[Condition]  # to be explained
+    holdout: Sequence[Condition]
+    clear_frames: Mapping[str, int]  # of each scene
+    catalogue: Sequence[str]  # ids of the effects that it can simulate
+    as_record: AbstractSet[str]  # those that do what an error of the record does: never named beside another
     layout: Layout
-    effects: list[Effect]
+    effects: list[Effect]  # that it has already
     map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
     sizes: Mapping[str, float]  # typical sizes of parameters that are a matter of the data
     open_shifts: AbstractSet[str]  # statistics whose even shift by the clear frames' own error is among what is open
@@ -120,7 +124,7 @@ def targets(model: FrameModel, conditions: Sequence[Condition]) -> list[Target]:
     found = []
     for condition in conditions:
         pool = Pool(model.layout, model.measured(condition))
-        number, clear = len(pool), len(model.study.scenes[condition.scene].clear)
+        number, clear = len(pool), model.clear_frames[condition.scene]
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
         found.append(Target(condition, vector, pool.enough(number), number, model.misplaced(condition), clear))
     return found

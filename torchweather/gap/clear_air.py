@@ -47,7 +47,7 @@ def clear_air(model: FrameModel, seed: int) -> list[ClearAir]:
     layout = model.layout
     groups = [group for group in layout.groups for _ in range(group.bins)]
     binned = layout.each(lambda group: group.kind not in ("between", "slope", "persistence"))
-    for name in model.study.scenes:
+    for name in model.clear_frames:
         pool = Pool(layout, model.clear(name))
         number = len(pool)
         if number < FEWEST_FRAMES:

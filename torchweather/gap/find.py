@@ -62,5 +62,5 @@ def find_gap(
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
         model = LidarFrames(study, options, model_effects)
-        result = find_gap_with(model, study, effects, seed, say)
+        result = find_gap_with(model, effects, seed, say)
     return gap_report(result, study.sha256, seed)

@@ -61,7 +61,13 @@ class LidarFrames:
 
     def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
         assert isinstance(study.sensor, Lidar)
-        self.study, self.options, self.effects = study, dict(options or {}), list(effects)
+        self.options, self.effects = dict(options or {}), list(effects)
+        self.fit, self.holdout = (
+            [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
+        )
+        self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
+        self.catalogue = [name for name in EFFECTS if name.startswith("lidar.")]
+        self.as_record: AbstractSet[str] = frozenset()
         direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))
         self.grid = (direction.shape[0], direction.shape[1])
         self.direction = direction.reshape(-1, 3)

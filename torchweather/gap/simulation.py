@@ -39,6 +39,7 @@ __all__ = [
 
 # Samples of a link further than this from any rain on it are dry (GAP.md section 1): the clear set of a link.
 DRY_AFTER_S = 900.0
+DRIZZLE_MM_PER_H = 0.1  # radars and gauges do not tell less from none
 TRANSFORMS_KEPT = 64
 
 Array = NDArray[Any]
@@ -256,11 +257,11 @@ def rain_attenuation_db(links: Mapping[str, Array], rain_mm_per_h: Array) -> Arr
 
 
 def dry_samples(time_s: Array, rain_mm_per_h: Array) -> NDArray[np.bool_]:
-    """Which samples ``(T, L)`` of links are further than 15 min from any rain on their path.
+    """Which samples ``(T, L)`` of links are further than 15 min from rain of more than 0.1 mm/h on their path.
 
     Args:
         time_s: ``(T,)``, rising.
-        rain_mm_per_h: ``(T, L, P)``; NaN is unknown and may be rain.
+        rain_mm_per_h: ``(T, L, P)``; its mean along the path counts; NaN is unknown and may be rain.
 
     Example:
         >>> rain = np.zeros((5, 1, 1))
@@ -268,7 +269,7 @@ def dry_samples(time_s: Array, rain_mm_per_h: Array) -> NDArray[np.bool_]:
         >>> dry_samples(np.array([0.0, 600.0, 900.0, 901.0, 2000.0]), rain)[:, 0].tolist()
         [False, False, False, True, True]
     """
-    wet = ~(np.asarray(rain_mm_per_h) == 0).all(-1)
+    wet = ~(np.asarray(rain_mm_per_h).mean(-1) <= DRIZZLE_MM_PER_H)
     time = np.asarray(time_s, dtype=np.float64)
     dry = np.ones(wet.shape, dtype=bool)
     for link in range(wet.shape[1]):

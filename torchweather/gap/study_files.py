@@ -31,6 +31,7 @@ SENSOR_KEYS = ("kind", "preset", "overrides", "beams", "links")
 MOST_BYTES = 64 * 2**20
 MOST_NODES = 10_000_000
 SERIES = "series"
+LINK_REL_SD = "rain_rel_sd"  # of a condition of links: relative standard deviation of the rain in its frames
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,13 @@ def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str)
     rows = _rows(values.get("conditions", []), "conditions", owner)
     for place, row in enumerate(rows):
         if "rel_sd" in row:
-            known = sorted({spread for _, spread in WEATHERS.values()})
+            known = [LINK_REL_SD] if kind == "link" else sorted({spread for _, spread in WEATHERS.values()})
             raise TorchweatherError(
-                f"{owner}: unknown key 'conditions[{place}].rel_sd'; in a file it is {' or '.join(known)} of weather."
+                f"{owner}: unknown key 'conditions[{place}].rel_sd'; in a file it is {' or '.join(known)}"
+                f"{'' if kind == 'link' else ' of weather'}."
             )
+        if kind == "link" and LINK_REL_SD in row:
+            row["rel_sd"] = row.pop(LINK_REL_SD)
     built = [
         # A key without a value counts as absent.
         {
@@ -302,6 +306,8 @@ def _condition_values(one: Condition, frames: Sequence[str]) -> dict[str, Any]:
             values["weather"][WEATHERS[one.weather.kind][1]] = one.rel_sd
     elif one.scene:
         values["weather"] = {"kind": CLEAR}
+    elif one.rel_sd:
+        values[LINK_REL_SD] = one.rel_sd
     values["frames"] = list(frames)
     if one.time_s is not None:
         values["time_s"] = one.time_s.tolist()

@@ -223,7 +223,7 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
     given, where = row.get("weather"), f"{key}.weather"
     rel_sd = _number(row.get("rel_sd", 0.0), f"{owner}: {key}.rel_sd", 0.0, MOST_REL_SD, "")
     if given == CLEAR or (given is None and (kind == "link" or "weather" in row)):
-        return None, 0.0
+        return None, rel_sd if kind == "link" else 0.0
     if isinstance(given, Mapping):
         given = dict(given)
         name = given.get("kind")

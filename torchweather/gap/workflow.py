@@ -35,7 +35,6 @@ from torchweather.gap.held_out import HeldOut, held_out
 from torchweather.gap.matched import Node, gains, pair_gains
 from torchweather.gap.screening import Screening, placed_nodes, screen, screening_entries
 from torchweather.gap.search import Fit, Search, Setting
-from torchweather.gap.study import Study
 from torchweather.gap.untouched import fresh_gains, untouched
 from torchweather.stages.effects import EFFECTS
 
@@ -93,27 +92,22 @@ class GapResult:
 
 def find_gap_with(
     model: FrameModel,
-    study: Study,
     effects: Sequence[str] | None = None,
     seed: int = 0,
     say: Callable[[str], None] = lambda text: None,
 ) -> GapResult:
     """Run the workflow with a model of a sensor's frames."""
     started = time.perf_counter()
-    fit_conditions = [one for one in study.fit if one.weather is not None]
-    held_conditions = [one for one in study.holdout if one.weather is not None]
-    if not fit_conditions or not held_conditions:
+    if not model.fit or not model.holdout:
         raise TorchweatherError(
             "find_gap: not enough data to decide: study.yaml: conditions[].split: wanted conditions in weather to fit "
-            f"to and others held out; got {len(fit_conditions)} and {len(held_conditions)}. A second rate or a second "
+            f"to and others held out; got {len(model.fit)} and {len(model.holdout)}. A second rate or a second "
             "scene can be held out."
         )
-    kind = f"{study.kind}."
-    known = [name for name in EFFECTS if name.startswith(kind)]
     for name in effects or ():
-        check_one_of("effect", name, known, owner="find_gap")
+        check_one_of("effect", name, model.catalogue, owner="find_gap")
     present = {effect.id for effect in model.effects}
-    chosen = [EFFECTS[name] for name in (effects or known) if name not in present]
+    chosen = [EFFECTS[name] for name in (effects or model.catalogue) if name not in present]
     if not chosen:
         raise TorchweatherError(
             f"find_gap: effects: the model under test has {', '.join(sorted(present))} already; none is left that may "
@@ -122,7 +116,7 @@ def find_gap_with(
     say("clear frames against clear frames")
     clear = tuple(clear_air(model, seed))
     say("simulating the conditions as they are")
-    search = Search(model, targets(model, fit_conditions), seed)
+    search = Search(model, targets(model, model.fit), seed)
     base = search.begin()
     if screening_entries(search) < FEWEST_ENTRIES:
         raise TorchweatherError(
@@ -131,7 +125,7 @@ def find_gap_with(
         )
     say("response curves")
     screening = screen(search, chosen, base, seed)
-    held = Search(model, targets(model, held_conditions), seed + 1)
+    held = Search(model, targets(model, model.holdout), seed + 1)
     before = held_out(held, held.begin(), seed)
     singles: list[Candidate] = []
     if screening.p_value <= ALARM_P or stands_far(base.setting):
@@ -205,8 +199,9 @@ def _rounds(
         )
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
-            pairs = pair_gains(screening.nodes, base.nuisance.left(base.residual), base.nuisance)
-            found = best_pairs(screening.nodes, pairs, search.origin, best.gain + needed)
+            nodes = _beside(search, screening)
+            pairs = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance)
+            found = best_pairs(nodes, pairs, search.origin, best.gain + needed)
             proposed = proposed or (_best_on_top(best, rest) if found else [])
             proposed += found
         if not proposed:
@@ -247,10 +242,15 @@ def _on_top(
     return fresh, _best_on_top(best, rest, fresh.keys())
 
 
+def _beside(search: Search, screening: Screening) -> list[Node]:
+    """Responses to the effects that may be named beside another."""
+    return [node for node in screening.nodes if node.id not in search.model.as_record]
+
+
 def _further(search: Search, screening: Screening, best: Candidate) -> list[Node]:
     """Responses to the effects that were not found yet, in units of the scatter with those that were; where more is
     left than noise, of effects with a place also where most of it is."""
-    rest = [node for node in screening.nodes if node.id not in best.fit.setting.values]
+    rest = [node for node in _beside(search, screening) if node.id not in best.fit.setting.values]
     if not rest:
         return []
     found = search.nodes_at(rest, best.fit.base)
