@@ -95,6 +95,7 @@ from torchweather.physics.visibility import (
     mor_from_extinction,
     mor_from_liquid_water_m,
 )
+from torchweather.physics.wet_cover import wet_cover_loss_db, wet_cover_series_db
 
 __all__ = [
     "DB_PER_KM",
@@ -179,6 +180,8 @@ __all__ = [
     "water_refractive_index",
     "water_refractive_index_25c",
     "water_refractive_index_microwave",
+    "wet_cover_loss_db",
+    "wet_cover_series_db",
     "wet_flake_diameter_mm",
     "wet_snow_refractive_index_microwave",
 ]

@@ -112,18 +112,23 @@ class _PartAttenuation(nn.Module):
         super().__init__()
         self.weather = weather
         none = math.inf if isinstance(weather, Fog) else 0.0
-        at_rest: Weather = replace(weather, **{weather.knob_name: none})  # type: ignore[type-var]
+        self.at_rest: Weather = replace(weather, **{weather.knob_name: none})  # type: ignore[type-var]
         carrier = Radar(
             frequency_ghz=radar.frequency_ghz, polarisation=radar.polarisation, elevation_rad=radar.elevation_rad
         )
         # A copy: .to(dtype) of one module must not reach the cached table of all others.
-        self.table = copy.deepcopy(_table(at_rest, carrier, model))
+        self.table = copy.deepcopy(_table(self.at_rest, carrier, model))
         self.register_buffer(weather.knob_name, torch.as_tensor(weather.knob, dtype=torch.float32))
+
+    @property
+    def knob(self) -> Tensor:
+        """Rate or visibility, flattened."""
+        found: Tensor = getattr(self, self.weather.knob_name).reshape(-1)
+        return found
 
     def forward(self) -> Tensor:
         """dB/km one way, of the knob's shape flattened."""
-        knob: Tensor = getattr(self, self.weather.knob_name).reshape(-1)
-        found: Tensor = self.table(knob)
+        found: Tensor = self.table(self.knob)
         return found
 
 
@@ -181,6 +186,11 @@ class PathAttenuation(Stage):
             state,
             gain_db=state.gain_db - self.two_way_db(state.range_m),
             attenuation_db_per_km=state.attenuation_db_per_km + per_km,
+            sensor=self.sensor,
+            weathers=tuple(part.at_rest for part in self.parts.values()),
+            rates_mm_per_h={
+                kind: part.knob.expand(state.batch) for kind, part in self.parts.items() if kind in ("rain", "snow")
+            },
         )
 
 

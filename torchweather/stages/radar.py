@@ -55,13 +55,17 @@ class RadarDetection(Stage):
         excess = state.points_in[..., POWER] - (state.noise_floor_db + state.detection_snr_db)[:, None]
         margin = self.margin_db * -(1.0 - noise["margin"].to(excess)).log()
         excess = torch.where(excess < 0, margin.to(excess), excess)
-        lost = excess + state.gain_db < 0
-        kind = state.kind.masked_fill(lost, LOST)
-        snr = excess + state.gain_db + state.detection_snr_db
+        above = excess + state.gain_db
+        snr = above + state.detection_snr_db
+        if state.noise_shift_db is not None:
+            above, snr = above - state.noise_shift_db[:, None], snr - state.noise_shift_db[:, None]
+        if state.threshold_shift_db is not None:
+            above = above - state.threshold_shift_db[:, None]
+        kind = state.kind.masked_fill(above < 0, LOST)
         snr = torch.where(state.kind == LOST, -math.inf, snr)
         if state.clutter is not None and state.clutter_valid is not None:
             own = torch.where(state.clutter_valid, PARTICLE, LOST).to(torch.int8)
-            clutter_snr = state.clutter[..., POWER] - state.noise_floor_db[:, None]
+            clutter_snr = state.clutter[..., POWER] - state.floor_db[:, None]
             clutter_snr = torch.where(state.clutter_valid, clutter_snr, -math.inf)
             kind, snr = torch.cat([kind, own], 1), torch.cat([snr, clutter_snr], 1)
         return replace(state, kind=kind, snr_db=snr)

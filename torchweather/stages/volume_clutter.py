@@ -215,7 +215,7 @@ class VolumeClutter(Stage):
             return state
         own = {key: value.to(state.gain_db.dtype) for key, value in noise.items()}
         eta, fall, fall_std = (value.to(state.gain_db.dtype) for value in self.falling(state.batch))
-        threshold_db = state.noise_floor_db + state.detection_snr_db
+        threshold_db = state.detected_from_db
         node_m = self._nodes_m(state)
         bins = self._doppler_bins(fall, fall_std)
         missing = self._missing(node_m, eta, bins, threshold_db, state)
@@ -225,7 +225,13 @@ class VolumeClutter(Stage):
         off_db = 2.0 * (self.sensor.gain_dbi(azimuth, elevation) - self.sensor.antenna_gain_dbi)
         peak_db = threshold_db[:, None] - missing.log() / DB
         power_db = _above_db(threshold_db[:, None], peak_db + off_db, own["power"])
-        clutter = self._rows(range_m, azimuth, elevation, power_db, off_db, fall, fall_std, own["doppler"])
+        if state.pattern_tilt_rad is not None:
+            azimuth = azimuth + state.pattern_tilt_rad[:, None]
+        spread: float | Tensor = self.turbulence_m_per_s
+        if state.speed_std_m_per_s is not None:
+            more = state.speed_std_m_per_s[:, None]
+            spread = torch.where(more > 0, (spread**2 + more.square()).clamp_min(NEVER).sqrt(), spread)
+        clutter = self._rows(range_m, azimuth, elevation, power_db, off_db, fall, fall_std, own["doppler"], spread)
         clutter = torch.where(there[..., None], clutter, 0.0)
         if state.clutter is not None and state.clutter_valid is not None:
             clutter, there = torch.cat([state.clutter, clutter], 1), torch.cat([state.clutter_valid, there], 1)
@@ -310,11 +316,12 @@ class VolumeClutter(Stage):
         fall: Tensor,
         fall_std: Tensor,
         doppler: Tensor,
+        spread_m_per_s: float | Tensor,
     ) -> Tensor:
         """x, y, z, radial speed, power and radar cross section of each, ``(B, K, 6)``."""
         flat = torch.cos(elevation)
         along = torch.stack([flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.sin(elevation)], -1)
-        speed = radial_speed_m_per_s(along, self.falling.weather, fall, fall_std, doppler, self.turbulence_m_per_s)
+        speed = radial_speed_m_per_s(along, self.falling.weather, fall, fall_std, doppler, spread_m_per_s)
         speed = speed - along[..., 0] * self.ego_speed_m_per_s
         period = 2.0 * self.sensor.max_speed_m_per_s
         speed = speed - period * (speed / period).round()
@@ -341,7 +348,7 @@ def radial_speed_m_per_s(
     fall: Tensor,
     fall_std: Tensor,
     doppler: Tensor,
-    turbulence_m_per_s: float,
+    turbulence_m_per_s: float | Tensor,
 ) -> Tensor:
     """Radial speed of drops or flakes, m/s, positive receding: wind, fall, and their spread within a cell.
 
@@ -350,7 +357,7 @@ def radial_speed_m_per_s(
         weather: for its wind.
         fall, fall_std: ``(B,)`` mean and standard deviation of the fall speed.
         doppler: ``(B, K)`` standard normal.
-        turbulence_m_per_s: standard deviation of the air's speed.
+        turbulence_m_per_s: standard deviation of the air's speed, ``()`` or ``(B, 1)``.
     """
     wind = direction.new_tensor(weather.wind_m_per_s)
     up = direction[..., 2]

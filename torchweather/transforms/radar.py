@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,14 +17,16 @@ from torchweather.errors import TorchweatherWarning, check_one_of
 from torchweather.sensors import Radar
 from torchweather.stages import (
     Chain,
+    Effect,
     PathAttenuation,
     PointKind,
     RadarDetection,
     RadarState,
-    Stage,
     ToRadarPoints,
     VolumeClutter,
     WetRadome,
+    effect_from_dict,
+    with_effects,
 )
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.radar import POWER
@@ -37,6 +39,8 @@ __all__ = ["RadarAttenuation", "RadarResult"]
 COLUMNS = 6
 COLUMNS_WANTED = "x, y, z in m, radial speed in m/s, power in dB, radar cross section in dBsm"
 LOST_AS = ("zero", "nan", "drop")
+# Fields of the state that effects may need and a list does not hold, and which sizes each has behind the batch's.
+KNOWN = {"target_class": "N", "frame_number": "", "past_rain_mm_per_h": "T", "past_rain_min": "T"}
 List = Tensor | list[Tensor]
 
 
@@ -50,7 +54,8 @@ class RadarResult:
             empty in the input).
         source: ``(..., N)`` row of the input, -1 for clutter.
         snr_db: ``(..., N)`` signal over the noise floor, also of what is lost; -inf where there is nothing.
-        attenuation_db: ``(..., N)`` two-way loss of path and cover together; 0 for clutter.
+        attenuation_db: ``(..., N)`` two-way loss of path and cover together, and of what effects do to the power; 0 for
+            clutter.
         floored_points: ``(...)`` detections whose power column says less than the detection threshold.
     """
 
@@ -82,6 +87,7 @@ class RadarAttenuation(WeatherTransform):
         ego_speed_m_per_s: of the vehicle, forward; for the clutter's Doppler.
         lost: lost detections become ``zero`` (x, y, z of 0; the rest stays), ``nan``, or are left out (``drop``).
         variant: ``d3_4``: all three models as the deliverable published them.
+        effects: of ``stages.EFFECTS`` for radar, or their dictionaries; each goes to its place in the chain.
 
     Note:
         Rows at the origin are no detections and stay as they are. The radar cross section column stays: it is the
@@ -115,6 +121,7 @@ class RadarAttenuation(WeatherTransform):
         ego_speed_m_per_s: float = 0.0,
         lost: str = "zero",
         variant: str | None = None,
+        effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
         super().__init__()
         self._check_weather(weather)
@@ -130,24 +137,32 @@ class RadarAttenuation(WeatherTransform):
                 )
             rain_model = fog_model = snow_model = variant
         self.weather, self.sensor, self.lost = weather, sensor, lost
-        stages: dict[str, Stage] = {
-            "path_attenuation": PathAttenuation(
-                weather.parts, sensor, rain_model or "p838", fog_model or "p840", snow_model or "dsd_mie"
-            )
-        }
+        self.ego_speed_m_per_s = float(ego_speed_m_per_s)
+        plain = Chain(
+            {
+                "path_attenuation": PathAttenuation(
+                    weather.parts, sensor, rain_model or "p838", fog_model or "p840", snow_model or "dsd_mie"
+                ),
+                "radar_detection": RadarDetection(sensor),
+                "to_radar_points": ToRadarPoints(),
+            }
+        )
+        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
+        self.chain = with_effects(plain, built)
+        # The cover in front of the effects, which may append echoes; the clutter behind them, which may change it.
         if radome_loss_db or radome_film_db:
             rates = [part.rate_mm_per_h for part in weather.parts if isinstance(part, Rain)]
-            stages["wet_radome"] = WetRadome(
-                rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent
-            )
+            cover = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
+            if cover.default_name in self.chain.stages:
+                raise ValueError(
+                    f"{type(self).__name__}: radome_loss_db and radome_film_db are what radar.wet_radome has as "
+                    "loss_db and film_db. Give one or the other."
+                )
+            self.chain = self.chain.insert(cover, after="path_attenuation")
         for part in weather.parts:
             if clutter and isinstance(part, (Rain, Snow)):
-                stages[f"{part.kind}_clutter"] = VolumeClutter(
-                    part, sensor, capacity=clutter_points, ego_speed_m_per_s=ego_speed_m_per_s
-                )
-        stages["radar_detection"] = RadarDetection(sensor)
-        stages["to_radar_points"] = ToRadarPoints()
-        self.chain = Chain(stages)
+                echo = VolumeClutter(part, sensor, capacity=clutter_points, ego_speed_m_per_s=ego_speed_m_per_s)
+                self.chain = self.chain.insert(echo, before="radar_detection", name=f"{part.kind}_clutter")
 
     @property
     def attenuation_db_per_km(self) -> Tensor:
@@ -158,25 +173,27 @@ class RadarAttenuation(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
-    def forward(self, points: Tensor, noise: Mapping[str, Tensor] | None = None) -> List:
+    def forward(self, points: Tensor, noise: Mapping[str, Tensor] | None = None, **known: Tensor) -> List:
         """The detections in the weather.
 
         Args:
             points: ``(..., N, 6 or more)``: x, y, z (m), radial speed (m/s), power (dB), radar cross section (dBsm),
                 further columns.
             noise: what ``draw`` gave; ``None`` draws anew.
+            known: what some effects need: ``target_class`` ``(N,)`` or ``(..., N)``, ``frame_number`` ``()`` or
+                ``(...)``, ``past_rain_mm_per_h`` and ``past_rain_min`` ``(T,)`` or ``(..., T)``.
 
         Returns:
-            The input's shape, columns and dtype; rows more with ``clutter``; a shorter list (of lists for a batch) with
-            ``lost="drop"``.
+            The input's shape, columns and dtype; rows more with ``clutter`` and with effects that list more; a shorter
+            list (of lists for a batch) with ``lost="drop"``.
         """
-        state = self._through(self._begin(points), noise)
+        state = self._through(self.state_of(points, **known), noise)
         assert state.points is not None
         return self._outgoing(self._marked(state.points, state, points), state, points)
 
-    def run(self, points: Tensor, noise: Mapping[str, Tensor] | None = None) -> RadarResult:
+    def run(self, points: Tensor, noise: Mapping[str, Tensor] | None = None, **known: Tensor) -> RadarResult:
         """The detections, and what happened to each of them; arguments as ``forward``."""
-        before = self._begin(points)
+        before = self.state_of(points, **known)
         state = self._through(before, noise)
         assert state.points is not None
         assert state.snr_db is not None
@@ -232,6 +249,21 @@ class RadarAttenuation(WeatherTransform):
             found: NDArray[Any] = self(detections, self.draw(detections, seed=seed)).numpy()
         return found
 
+    def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
+        """What the chain takes: the detections before any stage; arguments as ``forward``."""
+        wrong = sorted(set(known) - set(KNOWN))
+        if wrong:
+            name = type(self).__name__
+            raise TypeError(f"{name}: besides points it takes {', '.join(KNOWN)}; got {', '.join(wrong)}.")
+        state = self._begin(points)
+        batch, count = points.shape[:-2], points.shape[-2]
+        flat: dict[str, Any] = {}
+        for name, value in known.items():
+            found = torch.as_tensor(value, device=points.device)
+            sizes = {"N": (count,), "T": found.shape[-1:], "": ()}[KNOWN[name]]
+            flat[name] = found.expand(*batch, *sizes).reshape(state.batch, *sizes)
+        return replace(state, **flat)
+
     # ---- the border --------------------------------------------------------------------------------------------
 
     def _begin(self, points: Tensor) -> RadarState:
@@ -254,6 +286,7 @@ class RadarAttenuation(WeatherTransform):
             detection_snr_db=flat.new_tensor(self.sensor.detection_snr_db),
             attenuation_db_per_km=per_sample,
             cover_loss_db=per_sample,
+            ego_speed_m_per_s=self.ego_speed_m_per_s,
         )
 
     def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None) -> RadarState:

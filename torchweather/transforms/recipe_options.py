@@ -108,7 +108,8 @@ def _radar_options(transform: RadarAttenuation) -> dict[str, Any]:
                 "clutter_points": stage.capacity,
                 "ego_speed_m_per_s": stage.ego_speed_m_per_s,
             }
-    return found
+    effects = [stage.to_dict() for stage in transform.chain.stages.values() if isinstance(stage, Effect)]
+    return found | ({"effects": effects} if effects else {})
 
 
 def _as_given(held: Tensor, default: float) -> float:
