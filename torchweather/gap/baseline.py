@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from torchweather.gap.statistics import TINY, Layout, Pool, Reduced
 from torchweather.gap.conditions import Condition
+from torchweather.gap.statistics import TINY, Layout, Pool, Reduced
 from torchweather.stages.effects import Effect
 
 __all__ = [
@@ -50,11 +50,31 @@ SHRINKAGE = 0.1  # of the correlations towards none
 class FrameModel(Protocol):
     """What the workflow needs of a kind of sensor: one file each."""
 
-    fit: Sequence[Condition]  # to be explained
-    holdout: Sequence[Condition]
-    clear_frames: Mapping[str, int]  # of each scene
-    catalogue: Sequence[str]  # ids of the effects that it can simulate
-    as_record: AbstractSet[str]  # those that do what an error of the record does: never named beside another
+    @property
+    def fit(self) -> Sequence[Condition]:
+        """Conditions to be explained."""
+        ...
+
+    @property
+    def holdout(self) -> Sequence[Condition]:
+        """Conditions held out."""
+        ...
+
+    @property
+    def clear_frames(self) -> Mapping[str, int]:
+        """Number of clear frames of each scene."""
+        ...
+
+    @property
+    def catalogue(self) -> Sequence[str]:
+        """Ids of the effects that it can simulate."""
+        ...
+
+    @property
+    def as_record(self) -> AbstractSet[str]:
+        """Those that do what an error of the record does: none of them is named beside another."""
+        ...
+
     layout: Layout
     effects: list[Effect]  # that it has already
     map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map

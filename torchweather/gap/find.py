@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from torchweather.errors import TorchweatherError
+from torchweather.gap.baseline import FrameModel
 from torchweather.gap.diagnosis import diagnose
 from torchweather.gap.gap_report import GapReport, gap_report
 from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.link import LinkFrames
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import find_gap_with
 from torchweather.stages.effects import Effect
@@ -29,8 +31,9 @@ def find_gap(
     """Find where a simulation and measured frames disagree, and which effect of the catalogue explains it.
 
     Args:
-        study: of a LiDAR, with clear frames and measured ones in weather, some conditions held out.
-        options: of ``LidarWeather``, the model that is put to the test.
+        study: of a LiDAR, with clear frames and measured ones in weather, some conditions held out; or of microwave
+            links, some of them held out.
+        options: of ``LidarWeather``, the model that is put to the test; links have none.
         model_effects: effects that the model has already.
         effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
         seed: of the simulation; the same seed gives the same answer but for ``seconds``.
@@ -51,16 +54,24 @@ def find_gap(
     References:
         GAP.md 3, 4.
     """
-    if study.kind != "lidar":
-        raise TorchweatherError(
-            f"find_gap: the search is built for LiDAR studies; this one is of kind {study.kind}. torchweather validate "
-            "holds any kind against its simulation."
-        )
     broken = [finding for finding in diagnose(study) if finding.level == "error"]
     if broken:
         raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
-        model = LidarFrames(study, options, model_effects)
-        result = find_gap_with(model, effects, seed, say)
+        result = find_gap_with(_model(study, options, model_effects), effects, seed, say)
     return gap_report(result, study.sha256, seed)
+
+
+def _model(study: Study, options: Mapping[str, Any] | None, effects: Sequence[Effect]) -> FrameModel:
+    """What simulates and reduces the frames of a study."""
+    if study.kind == "lidar":
+        return LidarFrames(study, options, effects)
+    if study.kind == "link":
+        if options:
+            raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
+        return LinkFrames(study, effects)
+    raise TorchweatherError(
+        f"find_gap: the search is built for LiDARs and microwave links; this study is of kind {study.kind}. "
+        "torchweather validate holds any kind against its simulation."
+    )

@@ -76,11 +76,10 @@ class LinkFrames:
         self.scatter = {name: Scatter.of(samples, self.cells[name][0]) for name, samples in self.samples.items()}
 
     def _check(self, held: NDArray[np.bool_]) -> None:
-        if held.size < 2 or held.all() or not held.any():
+        if held.all() or not held.any():
             raise TorchweatherError(
-                "find_gap: not enough data to decide: links: split: wanted links to fit to (0) and others held out (1), "
-                f"two of each or more; got {int((~held).sum())} and {int(held.sum())}. Half and half, drawn at random, "
-                "is usual."
+                "find_gap: not enough data to decide: links: split: wanted links to fit to (0) and others held out "
+                f"(1); got {int((~held).sum())} and {int(held.sum())}. Half and half, drawn at random, is usual."
             )
 
     def _samples(self, study: Study, split: str, chosen: NDArray[np.bool_]) -> tuple[LinkSamples, LinkSamples]:

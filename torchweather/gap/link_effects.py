@@ -1,7 +1,7 @@
 """What the radar's effects do to a microwave link: a link's two covers are what one cover is to a radar, both ways.
 
 References:
-    GAP.md 2.
+    GAP.md 2; ``physics/wet_cover.py``.
 """
 
 from __future__ import annotations
@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from torchweather.gap.link_samples import LinkSamples
+from torchweather.physics import wet_cover_loss_db
+from torchweather.stages import effects_radar
 from torchweather.stages.effects import Effect
 
 __all__ = ["LINK_EFFECTS", "attenuation_db"]
@@ -24,12 +27,16 @@ def _values(effect: Effect) -> dict[str, float]:
 
 
 def _wet_radome(effect: Effect, samples: LinkSamples, path_db: Floats) -> Floats:
-    """The covers at both ends: a loss while they are wet, and a film that grows with the rain; both dry."""
+    """The covers at both ends, over dry ones: what stays in dry air as well is in the baseline of a link.
+
+    The film is that of the last rain, and the constant dries as the film does.
+    """
     given = _values(effect)
-    drying = given["drying_min"]
-    wet = np.exp(-samples.since_min / drying) if drying > 0 else (samples.since_min == 0).astype(np.float64)
-    film: Floats = given["film_db"] * samples.wet_mm_per_h ** given["film_exponent"]
-    return wet * (given["loss_db"] + film)
+    rain, age = (torch.from_numpy(values)[:, None] for values in (samples.wet_mm_per_h, samples.since_min))
+    exponent, drying = given["film_exponent"], given["drying_min"]
+    film = wet_cover_loss_db(rain, age, 0.0, given["film_db"], exponent, drying).numpy()
+    found: Floats = film + given["loss_db"] * np.exp(-samples.since_min / drying)
+    return found
 
 
 def _path_loss_scale(effect: Effect, samples: LinkSamples, path_db: Floats) -> Floats:
@@ -37,8 +44,8 @@ def _path_loss_scale(effect: Effect, samples: LinkSamples, path_db: Floats) -> F
 
 
 LINK_EFFECTS: Mapping[str, Callable[[Effect, LinkSamples, Floats], Floats]] = {
-    "radar.wet_radome": _wet_radome,
-    "radar.path_loss_scale": _path_loss_scale,
+    effects_radar.RadarWetRadome.id: _wet_radome,
+    effects_radar.RadarPathLossScale.id: _path_loss_scale,
 }
 """Id to the attenuation that an effect adds, dB ``(S,)``."""
 

@@ -109,12 +109,14 @@ def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str)
                 f"{owner}: unknown key 'conditions[{place}].rel_sd'; in a file it is {' or '.join(known)}"
                 f"{'' if kind == 'link' else ' of weather'}."
             )
-        if kind == "link" and LINK_REL_SD in row:
-            row["rel_sd"] = row.pop(LINK_REL_SD)
     built = [
         # A key without a value counts as absent.
         {
-            **{key: value for key, value in row.items() if value is not None},
+            **{
+                "rel_sd" if (kind, key) == ("link", LINK_REL_SD) else key: value
+                for key, value in row.items()
+                if value is not None
+            },
             "frames": files.several(row.get("frames"), f"conditions[{place}].frames"),
         }
         for place, row in enumerate(rows)

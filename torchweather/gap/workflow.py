@@ -200,7 +200,7 @@ def _rounds(
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             nodes = _beside(search, screening)
-            pairs = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance)
+            pairs = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
             found = best_pairs(nodes, pairs, search.origin, best.gain + needed)
             proposed = proposed or (_best_on_top(best, rest) if found else [])
             proposed += found

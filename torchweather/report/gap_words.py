@@ -43,6 +43,7 @@ STATISTICS = {
     "particle_root": "Number of particle returns",
     "near_particle_root": "Number of near particle returns",
     "particles": "Map of the particle returns",
+    "attenuation_db": "Attenuation",
 }
 AXES = {
     "range_m": "range in clear air, m",
@@ -55,6 +56,9 @@ AXES = {
     "particle_range_m": "range of the particle, m",
     "isolated": "0 extended, 1 thin target",
     "every_beam": "every beam alike",
+    "length_km": "length of the link, km",
+    "frequency_ghz": "frequency, GHz",
+    "minutes_since_rain": "time since rain, min",
     "frame": "from frame to frame",
     "time": "over time",
     "place": "in one place of every frame",
@@ -78,6 +82,12 @@ TWINS = {
     "lidar.extinction_scale": (
         "a rate or visibility that is farther off than its stated uncertainty, with as many particle returns as now",
         "a second record of the weather: a disdrometer, a visibility meter",
+    ),
+}
+TWINS |= {
+    "radar.path_loss_scale": (
+        "a reference whose rain is off by a factor",
+        "gauges under the links, or the relative standard deviation of the reference's rain (rain_rel_sd)",
     ),
 }
 # Without intensities only.
