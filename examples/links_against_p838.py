@@ -39,7 +39,7 @@ MARGIN_MIN = 10
 GAP_MIN = 5  # longest that is interpolated
 NEAR_RAIN_STEPS = 3  # 15 min
 MEDIAN_STEPS, CARRIED_STEPS = 36, 72  # 3 h, 6 h
-MEDIAN_SAMPLES, DRY_SAMPLES = 4, 10  # dry ones at least: in those 3 h; on a link, to tell its noise
+MEDIAN_SAMPLES, DRY_SAMPLES = 5, 8  # dry ones at least: in those 3 h; on a link, to tell its noise
 NOISE_DB = 0.8
 BAND_GHZ = (10.0, 40.0)
 CELL_SAMPLES, HALVES = 30, 10  # a cell needs more
@@ -54,9 +54,11 @@ class Recording:
 
     loss_db: Array  # transmitted minus received level, (minutes, links)
     rain_mm_per_h: Array  # reference, mean along the path, (steps, links)
+    along_mm_per_h: Array  # the same in points along the path, (steps, links, points)
     model_db: Array  # its attenuation by P.838-3, (steps, links)
     frequency_ghz: Array  # (links,)
     length_km: Array  # (links,)
+    vertical: Array  # polarisation, 0 horizontal, 1 vertical, (links,)
 
 
 @dataclass(frozen=True)
@@ -97,9 +99,14 @@ def on_clock(samples: Array, times: Array, labels: Array) -> Array:
     return clock
 
 
+def vertical(polarisation: Array) -> Array:
+    """0 for ``"h"``, 1 for ``"v"``."""
+    return np.array([{"h": 0, "v": 1}[letter.lower()] for letter in polarisation])
+
+
 def specific_attenuation(rain_mm_per_h: Array, frequency_ghz: Array, polarisation: Array) -> Array:
     """P.838-3 in dB/km on level paths; polarisation ``"h"`` or ``"v"``; nan where the rain is."""
-    tilt_rad = np.array([{"h": 0.0, "v": np.pi / 2}[letter.lower()] for letter in polarisation])
+    tilt_rad = vertical(polarisation) * (np.pi / 2)
     rain, frequency, tilt = (torch.from_numpy(x) for x in (np.nan_to_num(rain_mm_per_h), frequency_ghz, tilt_rad))
     gamma = rain_attenuation_p838_db_per_km(rain, frequency, polarisation_tilt_rad=tilt).numpy()
     return np.where(np.isnan(rain_mm_per_h), np.nan, gamma)
@@ -112,9 +119,11 @@ def read_germany(folder: Path) -> Recording:
     loss_db = np.where(valid, transmitted_dbm - received_dbm, np.nan)
     frequency_ghz, length_km = values(links, "frequency")[:, 0] / 1e9, values(links, "length")
     rain_mm_per_h = values(reference, "rainfall_amount") * (60.0 / STEP_MIN)  # stored: mm in a step
-    model_db = specific_attenuation(rain_mm_per_h, frequency_ghz, values(links, "polarization")[:, 0]) * length_km
+    polarisation = values(links, "polarization")[:, 0]
+    model_db = specific_attenuation(rain_mm_per_h, frequency_ghz, polarisation) * length_km
     loss_db = on_clock(loss_db, values(links, "time"), values(reference, "time"))
-    return Recording(loss_db, rain_mm_per_h, model_db, frequency_ghz, length_km)
+    along = rain_mm_per_h[..., None]
+    return Recording(loss_db, rain_mm_per_h, along, model_db, frequency_ghz, length_km, vertical(polarisation))
 
 
 def radar_rain(path: Path, latitude: Array, longitude: Array) -> Array:
@@ -135,9 +144,11 @@ def read_gothenburg(folder: Path) -> Recording:
     along = (np.arange(PATH_POINTS)[:, None] + 0.5) / PATH_POINTS
     first, last = (np.stack([values(links, f"site_{end}_{axis}") for axis in ("lat", "lon")]) for end in (0, 1))
     rain_mm_per_h = radar_rain(radar, *(first[:, None] + along * (last - first)[:, None]))  # (steps, points, links)
-    gamma = specific_attenuation(rain_mm_per_h, frequency_ghz, values(links, "polarization")[0])
+    polarisation = values(links, "polarization")[0]
+    gamma = specific_attenuation(rain_mm_per_h, frequency_ghz, polarisation)
     loss_db = on_clock(loss_db, values(links, "time"), values(radar, "time"))
-    return Recording(loss_db, rain_mm_per_h.mean(1), gamma.mean(1) * length_km, frequency_ghz, length_km)
+    mean, model_db, along = rain_mm_per_h.mean(1), gamma.mean(1) * length_km, rain_mm_per_h.transpose(0, 2, 1)
+    return Recording(loss_db, mean, along, model_db, frequency_ghz, length_km, vertical(polarisation))
 
 
 def last_row(valid: Array) -> Array:
@@ -241,15 +252,21 @@ def scores(recording: Recording, error: Array, judged: Array, rules: Rules) -> t
     return root_mean_square(error[wet]), root_mean_square(hours[rain > WET_MM_PER_H]), conditional_bias_db(number, mean)
 
 
+def odd_days(steps: int) -> Array:
+    """``(steps, 1)``, the second day and every other one from there."""
+    return np.asarray(np.arange(steps)[:, None] // (24 * HOUR_STEPS) % 2 == 1)
+
+
+def held_out_links(chosen: Array, seed: int) -> Array:
+    """A random half of the chosen links, ``(links,)``."""
+    picked = np.random.default_rng(seed).permutation(np.flatnonzero(chosen))[: int(chosen.sum()) // 2]
+    return np.isin(np.arange(chosen.size), picked)
+
+
 def held_out_scores(recording: Recording, error: Array, known: Array, chosen: Array, rules: Rules) -> Array:
     """``scores`` of random halves of the chosen links, every other day where the rules say so, ``(HALVES, 3)``."""
-    odd_day = np.arange(len(error))[:, None] // (24 * HOUR_STEPS) % 2 == 1
-    judged = known & (odd_day | (not rules.alternate_days))
-    found = []
-    for seed in range(HALVES):
-        picked = np.random.default_rng(seed).permutation(np.flatnonzero(chosen))[: int(chosen.sum()) // 2]
-        found.append(scores(recording, error, judged & np.isin(np.arange(chosen.size), picked), rules))
-    return np.array(found)
+    judged = known & (odd_days(len(error)) | (not rules.alternate_days))
+    return np.array([scores(recording, error, judged & held_out_links(chosen, seed), rules) for seed in range(HALVES)])
 
 
 def table(head: list[str], lines: list[list[str]]) -> None:

@@ -53,6 +53,7 @@ MEASURED: dict[str, list[str]] = {
 ELSEWHERE = {
     "draw_lidar_effects.py": "test_docs_effects.py",
     "gap_d34_suspicions.py": "gap/test_hidden_study.py",
+    "gap_wet_antenna.py": "test_wet_antenna_example.py",
     "links_against_p838.py": "test_links_example.py",
 }
 

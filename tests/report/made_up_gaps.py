@@ -143,6 +143,8 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
         "format": "torchweather-gap/1",
         "verdict": verdict,
         "effects": found.get(verdict, []),
+        "catalogue": [name for name in EFFECTS if name.startswith("lidar.")],
+        "conditions": {split: [one.id for one in getattr(study, split) if one.weather] for split in ("fit", "holdout")},
         "where": [] if nothing else WHERE,
         "nuisance": {"rate_factor": 1.04, "by_condition": nuisance},
         "gap": {**gap, "interval_after": [0.94, 1.13]},

@@ -165,6 +165,11 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
         "format": FORMAT,
         "verdict": result.verdict,
         "effects": effects,
+        "conditions": {
+            "fit": [one.id for one in result.search.model.fit],
+            "holdout": [one.id for one in result.search.model.holdout],
+        },
+        "catalogue": list(result.search.model.catalogue),
         "where": _where(result.search, result.search.start),
         "nuisance": _nuisance(result),
         "gap": {

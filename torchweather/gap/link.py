@@ -100,13 +100,14 @@ class LinkFrames:
             inside = (samples.since_min == 0) & (samples.rain_mm_per_h >= low) & (samples.rain_mm_per_h < high)
             if inside.sum() >= FEWEST["mean"]:
                 label = f"{low:g} mm/h and more" if math.isinf(high) else f"{low:g} to {high:g} mm/h"
-                found.append(self._condition(f"{split}: {label}", split, samples.of(inside), self.rel_sd))
+                found.append(self._condition(label, split, samples.of(inside), self.rel_sd))
         later = samples.since_min > 0
         if later.sum() >= FEWEST["mean"]:
-            found.append(self._condition(f"{split}: {AFTER}", split, samples.of(later), 0.0))
+            found.append(self._condition(AFTER, split, samples.of(later), 0.0))
         return found
 
-    def _condition(self, name: str, split: str, samples: LinkSamples, rel_sd: float) -> Condition:
+    def _condition(self, label: str, split: str, samples: LinkSamples, rel_sd: float) -> Condition:
+        name = label if split == FIT else f"held out, {label}"
         self.samples[name] = samples
         rain = Rain(float(samples.wet_mm_per_h.mean()))
         return Condition(
@@ -207,7 +208,7 @@ def _layout(samples: LinkSamples) -> Layout:
     groups = (
         Group(ATTENUATION, "length_km", "mean", _quantiles(wet.length_km, LENGTHS)),
         Group(ATTENUATION, "frequency_ghz", "mean", _quantiles(wet.frequency_ghz, FREQUENCIES)),
-        Group(ATTENUATION, "minutes_since_rain", "mean", SINCE_MIN),
+        Group("attenuation_after_rain_db", "minutes_since_rain", "mean", SINCE_MIN),
     )
     return Layout(groups, (), (), ())
 

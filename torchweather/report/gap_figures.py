@@ -115,7 +115,9 @@ def residual_uri(residuals: ResidualMap) -> str:
     cell, row = max(0.55, 1.7 / columns), 0.235
     left = 0.2 + LETTER * max(map(len, labels), default=0)
     width = left + len(panels) * (columns * cell + 0.3)
-    height = 0.75 + row * len(labels)
+    longest = max(map(len, residuals.conditions), default=0)
+    slanted = longest * LETTER > cell  # names that would run into each other
+    height = 0.75 + row * len(labels) + (0.6 * LETTER * longest if slanted else 0.0)
     with mpl.rc_context({**STYLE, "font.size": 9.0}):
         figure = Figure(figsize=(width, height))
         for number, (title, values) in enumerate(panels):
@@ -131,6 +133,9 @@ def residual_uri(residuals: ResidualMap) -> str:
                 axes.text(x, y, text, ha="center", va="center", fontsize=8.0, color="white" if dark else INK)
             axes.set_xticks(range(columns), labels=residuals.conditions)
             axes.xaxis.tick_top()
+            if slanted:
+                for label in axes.get_xticklabels():
+                    label.set(rotation=40.0, ha="left", rotation_mode="anchor")
             axes.set_yticks(range(len(labels)), labels=labels if number == 0 else [""] * len(labels))
             axes.tick_params(length=0, labelcolor=INK)
             axes.set_title(title, fontsize=9.5, pad=6)

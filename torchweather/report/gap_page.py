@@ -70,7 +70,7 @@ def write_gap(
         What ``gap.json`` holds.
     """
     answer = report.to_dict()
-    searched = [name for name in EFFECTS if effects is None or name in effects]
+    searched = [name for name in answer["catalogue"] if effects is None or name in effects]
     page = html_page(
         "gap.html",
         answer=answer,
@@ -95,8 +95,8 @@ def write_gap(
         gap_picture=gap_uri(answer["gap"], added=answer["verdict"] != "none"),
         gap={name: number_text(answer["gap"][name]) for name in ("before", "after", "floor")},
         interval=[number_text(end) for end in answer["gap"]["interval_after"]],
-        held=[f"{one.id} ({weather_label(one.weather)})" for one in study.holdout if one.weather is not None],
-        fitted=[f"{one.id} ({weather_label(one.weather)})" for one in study.fit if one.weather is not None],
+        held=_named(study, answer["conditions"]["holdout"]),
+        fitted=_named(study, answer["conditions"]["fit"]),
         records=_records(study, answer["nuisance"]["by_condition"]),
         rate_factor=f"{100 * (answer['nuisance']['rate_factor'] - 1):+.1f} %".replace("-", "−"),
         findings=diagnose(study),
@@ -106,6 +106,12 @@ def write_gap(
         report.write(staging)
         (staging / "report.html").write_text(page, encoding="utf-8")
     return answer
+
+
+def _named(study: Study, conditions: Sequence[str]) -> list[str]:
+    """Conditions with their weather, where it is not their name."""
+    weather = {one.id: weather_label(one.weather) for one in study.conditions if one.weather is not None}
+    return [f"{name} ({weather[name]})" if name in weather else name for name in conditions]
 
 
 # ---- where -----------------------------------------------------------------------------------------------------------
@@ -217,6 +223,7 @@ def _found(
     name = effect["name"]
     declared = EFFECTS[name]
     rivals = dict.fromkeys([*effect["confusable_with"], *declared.confusable_with])
+    rivals = {rival: None for rival in rivals if rival in answer["catalogue"]}
     with_intensity = getattr(study.sensor, "intensity_unit", "none") != "none"
     return {
         "id": name,

@@ -44,6 +44,7 @@ STATISTICS = {
     "near_particle_root": "Number of near particle returns",
     "particles": "Map of the particle returns",
     "attenuation_db": "Attenuation",
+    "attenuation_after_rain_db": "Attenuation after rain",
 }
 AXES = {
     "range_m": "range in clear air, m",
@@ -83,8 +84,6 @@ TWINS = {
         "a rate or visibility that is farther off than its stated uncertainty, with as many particle returns as now",
         "a second record of the weather: a disdrometer, a visibility meter",
     ),
-}
-TWINS |= {
     "radar.path_loss_scale": (
         "a reference whose rain is off by a factor",
         "gauges under the links, or the relative standard deviation of the reference's rain (rain_rel_sd)",
