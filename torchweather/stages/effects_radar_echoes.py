@@ -173,6 +173,7 @@ class RadarVolumeClutter(_Appending):
         "radar.cfar_shift": "powers of the detections that are new, against range",
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor", "weathers", "rates_mm_per_h")
+    share: Tensor
 
     def own_variates(self) -> tuple[Variate, ...]:
         """Those of a ``VolumeClutter`` of rain and of one of snow."""

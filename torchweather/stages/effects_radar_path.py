@@ -191,17 +191,18 @@ class RadarWetRcs(Effect):
         "radar.pattern_tilt": "targets of one class at different azimuths",
     }
     needs: ClassVar[tuple[str, ...]] = ("target_class",)
+    gain_db: Tensor
 
     @property
     def at_identity(self) -> Tensor:
         """Whether no class changes, ``()`` or ``(B,)`` bool."""
-        none: Tensor = self.gain_db == 0
+        none = torch.eq(self.gain_db, 0.0)
         return none.all(-1) if none.ndim else none
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains by class."""
         assert state.target_class is not None
-        given: Tensor = self.gain_db.to(state.gain_db)
+        given = self.gain_db.to(state.gain_db)
         classes = state.target_class.long().expand(state.batch, -1)
         known = torch.where((classes >= 0) & (state.range_m > 0), 1.0, 0.0).to(given)
         if not given.ndim:
