@@ -148,7 +148,8 @@ class RadarPatternTilt(Effect):
         off = off - 2.0 * math.pi * (off / (2.0 * math.pi)).round()
         more_db = 2.0 * (state.sensor.gain_dbi(off, elevation) - state.sensor.gain_dbi(azimuth, elevation))
         tilt = self.value("angle_rad", state.cover_loss_db).expand(state.batch)
-        return {"gain_db": state.gain_db + more_db, "pattern_tilt_rad": plus(state.pattern_tilt_rad, tilt)}
+        gain_db = state.gain_db + torch.where(state.range_m > 0, more_db, 0.0)
+        return {"gain_db": gain_db, "pattern_tilt_rad": plus(state.pattern_tilt_rad, tilt)}
 
 
 @dataclass(frozen=True)
