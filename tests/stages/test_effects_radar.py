@@ -404,7 +404,7 @@ def test_ghosts_stand_before_the_clutter_that_was_there_and_count_as_clutter_in_
 
 def test_the_weather_is_detected_as_the_plain_stage_does_it() -> None:
     """Share 1 of the effect and the clutter of the transform: the same draws, the same rows."""
-    plain = RadarAttenuation(Rain(25.0), SENSOR, clutter=True, ego_speed_m_per_s=3.0)
+    plain = RadarAttenuation(Rain(25.0), SENSOR, clutter=True, clutter_points=256, ego_speed_m_per_s=3.0)
     effect = RadarAttenuation(
         Rain(25.0), SENSOR, ego_speed_m_per_s=3.0, effects=[EFFECTS["radar.volume_clutter"](share=1.0)]
     )
@@ -447,7 +447,7 @@ def test_half_the_share_is_half_the_reflectivity() -> None:
     """The same draws with half of eta as with half of the share: that of the plain stage."""
     state = rain().chain.stages["path_attenuation"](begin(rain()), {})
     effect = EFFECTS["radar.volume_clutter"](share=torch.tensor([0.5, 2.0, 0.0]))
-    stage = VolumeClutter(Rain(50.0), SENSOR)
+    stage = VolumeClutter(Rain(50.0), SENSOR, capacity=256)
     noise = effect.draw(state, seed=2)
     found = effect(state, noise)
     own = {key.removeprefix("rain_"): value for key, value in noise.items() if key.startswith("rain_")}

@@ -437,7 +437,7 @@ def test_all_effects_work_in_a_mixture_and_in_double_precision() -> None:
     result = transform.run(detections().double(), transform.draw(detections(), seed=1), **known())
     assert isinstance(result.points, Tensor)
     assert result.points.dtype == torch.float64
-    assert result.points.shape[-2] == 2 * TARGETS + 2 * 64
+    assert result.points.shape[-2] == 2 * TARGETS + 2 * 256
 
 
 @pytest.mark.gpu
