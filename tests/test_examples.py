@@ -52,6 +52,7 @@ MEASURED: dict[str, list[str]] = {
 # Tested in a file of their own.
 ELSEWHERE = {
     "draw_lidar_effects.py": "test_docs_effects.py",
+    "draw_radar_effects.py": "test_docs_effects_radar.py",
     "gap_d34_suspicions.py": "gap/test_hidden_study.py",
     "gap_wet_antenna.py": "test_wet_antenna_example.py",
     "links_against_p838.py": "test_links_example.py",

@@ -49,7 +49,7 @@ def wet_cover_loss_db(
         >>> wet_cover_loss_db(rain, age, 0.5, 1.0, 1.0 / 3.0, 10.0)
         tensor(1.2358)
     """
-    dry = torch.as_tensor(drying_min).to(rain_mm_per_h)[..., None]
+    dry = _over_time(drying_min, rain_mm_per_h)
     wet = torch.exp(_log_wetness(rain_mm_per_h, film_exponent) - age_min.to(rain_mm_per_h) / dry).amax(-1)
     return loss_db + film_db * wet
 
@@ -78,15 +78,20 @@ def wet_cover_series_db(
         tensor([0.0000, 2.0000, 2.0000, 0.7358, 0.2707])
     """
     # A running maximum of logarithms that grow with time: double precision, for series of many drying times.
-    dry = torch.as_tensor(drying_min).double().to(rain_mm_per_h.device)[..., None]
-    elapsed = (time_min - time_min[..., :1]).double() / dry
-    log_wet = (_log_wetness(rain_mm_per_h.double(), film_exponent) + elapsed).cummax(-1).values - elapsed
-    constant, film = (torch.as_tensor(value).to(rain_mm_per_h)[..., None] for value in (loss_db, film_db))
-    return constant + film * log_wet.exp().to(rain_mm_per_h.dtype)
+    rain = rain_mm_per_h.double()
+    elapsed = (time_min - time_min[..., :1]).double() / _over_time(drying_min, rain)
+    log_wet = (_log_wetness(rain, film_exponent) + elapsed).cummax(-1).values - elapsed
+    loss = _over_time(loss_db, rain) + _over_time(film_db, rain) * log_wet.exp()
+    return loss.to(rain_mm_per_h.dtype)
 
 
 def _log_wetness(rain_mm_per_h: Tensor, film_exponent: Value) -> Tensor:
     """``ln R^e`` of each rate, minus infinity without rain."""
     raining = rain_mm_per_h > 0
-    exponent = torch.as_tensor(film_exponent).to(rain_mm_per_h)[..., None]
-    return torch.where(raining, exponent * torch.where(raining, rain_mm_per_h, 1.0).log(), -torch.inf)
+    log_film = _over_time(film_exponent, rain_mm_per_h) * torch.where(raining, rain_mm_per_h, 1.0).log()
+    return torch.where(raining, log_film, -torch.inf)
+
+
+def _over_time(value: Value, like: Tensor) -> Tensor:
+    """A value shaped to broadcast over times ``(..., T)``."""
+    return torch.as_tensor(value, dtype=like.dtype, device=like.device)[..., None]

@@ -24,7 +24,7 @@ __all__ = ["RadarMultipath", "RadarVolumeClutter"]
 LOST = int(PointKind.LOST)
 SPEED, POWER, RCS = 3, 4, 5  # columns of a list
 
-CLUTTER_ROWS = 64  # that volume clutter appends for each of rain and snow; those of RadarAttenuation
+CLUTTER_ROWS = 256  # that volume clutter appends for each of rain and snow
 MAIN_LOBE_BINS = 2.0  # from the peak of a Hann window's response to its first zero
 FAINTEST = 1e-6  # of a power over another, so that logarithms of what cancels stay finite
 
@@ -152,8 +152,9 @@ class RadarVolumeClutter(_Appending):
         share: of the reflectivity, 0 to 10.
 
     Note:
-        It adds to what the chain has: with ``RadarAttenuation(clutter=True)`` there are ``1 + share``. At most 64
-        detections of each of rain and snow. Fog has none.
+        It adds to what the chain has: with ``RadarAttenuation(clutter=True)`` there are ``1 + share``. At most 256
+        rows for each of rain and snow, of which four fifths are filled where more cells exceed the threshold; a higher
+        share then shows in ranges and powers. Fog has none.
 
     References:
         PHYSICS.md 6.5.
@@ -162,8 +163,9 @@ class RadarVolumeClutter(_Appending):
     id: ClassVar[str] = "radar.volume_clutter"
     title: ClassVar[str] = "the weather itself is detected"
     term: ClassVar[str] = "volume (rain, weather) clutter"
-    # Whether a CFAR lists a cell of rain depends on the cells around it: a share below 1; order of magnitude.
-    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("share", "1", 0.0, 10.0, scale=0.5, identity=0.0),)
+    # A CFAR, which follows the clutter around a cell, lists some 26 detections in rain of 25 mm/h (docs/radar.md);
+    # the radar equation says as many at a share of 0.004 (AWR1843-like), and 6900 at 1.
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("share", "1", 0.0, 10.0, scale=0.01, identity=0.0),)
     percollect: ClassVar[str | None] = "Scattering by atm. particles"
     after: ClassVar[str] = "path_attenuation"
     rank: ClassVar[int] = 2
@@ -173,6 +175,7 @@ class RadarVolumeClutter(_Appending):
         "radar.cfar_shift": "powers of the detections that are new, against range",
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor", "weathers", "rates_mm_per_h")
+    share: Tensor
 
     def own_variates(self) -> tuple[Variate, ...]:
         """Those of a ``VolumeClutter`` of rain and of one of snow."""

@@ -148,7 +148,8 @@ class RadarPatternTilt(Effect):
         off = off - 2.0 * math.pi * (off / (2.0 * math.pi)).round()
         more_db = 2.0 * (state.sensor.gain_dbi(off, elevation) - state.sensor.gain_dbi(azimuth, elevation))
         tilt = self.value("angle_rad", state.cover_loss_db).expand(state.batch)
-        return {"gain_db": state.gain_db + more_db, "pattern_tilt_rad": plus(state.pattern_tilt_rad, tilt)}
+        gain_db = state.gain_db + torch.where(state.range_m > 0, more_db, 0.0)
+        return {"gain_db": gain_db, "pattern_tilt_rad": plus(state.pattern_tilt_rad, tilt)}
 
 
 @dataclass(frozen=True)
@@ -191,17 +192,18 @@ class RadarWetRcs(Effect):
         "radar.pattern_tilt": "targets of one class at different azimuths",
     }
     needs: ClassVar[tuple[str, ...]] = ("target_class",)
+    gain_db: Tensor
 
     @property
     def at_identity(self) -> Tensor:
         """Whether no class changes, ``()`` or ``(B,)`` bool."""
-        none: Tensor = self.gain_db == 0
+        none = torch.eq(self.gain_db, 0.0)
         return none.all(-1) if none.ndim else none
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains by class."""
         assert state.target_class is not None
-        given: Tensor = self.gain_db.to(state.gain_db)
+        given = self.gain_db.to(state.gain_db)
         classes = state.target_class.long().expand(state.batch, -1)
         known = torch.where((classes >= 0) & (state.range_m > 0), 1.0, 0.0).to(given)
         if not given.ndim:

@@ -182,14 +182,15 @@ class PathAttenuation(Stage):
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with weaker targets."""
         per_km = self.attenuation_db_per_km(state.batch).to(state.gain_db.dtype)
+        parts: dict[str, _PartAttenuation] = dict(self.parts.items())  # type: ignore[arg-type]
         return replace(
             state,
             gain_db=state.gain_db - self.two_way_db(state.range_m),
             attenuation_db_per_km=state.attenuation_db_per_km + per_km,
             sensor=self.sensor,
-            weathers=tuple(part.at_rest for part in self.parts.values()),
+            weathers=tuple(part.at_rest for part in parts.values()),
             rates_mm_per_h={
-                kind: part.knob.expand(state.batch) for kind, part in self.parts.items() if kind in ("rain", "snow")
+                kind: part.knob.expand(state.batch) for kind, part in parts.items() if not isinstance(part.weather, Fog)
             },
         )
 

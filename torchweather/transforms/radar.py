@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -251,22 +251,6 @@ class RadarAttenuation(WeatherTransform):
 
     def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
         """What the chain takes: the detections before any stage; arguments as ``forward``."""
-        wrong = sorted(set(known) - set(KNOWN))
-        if wrong:
-            name = type(self).__name__
-            raise TypeError(f"{name}: besides points it takes {', '.join(KNOWN)}; got {', '.join(wrong)}.")
-        state = self._begin(points)
-        batch, count = points.shape[:-2], points.shape[-2]
-        flat: dict[str, Any] = {}
-        for name, value in known.items():
-            found = torch.as_tensor(value, device=points.device)
-            sizes = {"N": (count,), "T": found.shape[-1:], "": ()}[KNOWN[name]]
-            flat[name] = found.expand(*batch, *sizes).reshape(state.batch, *sizes)
-        return replace(state, **flat)
-
-    # ---- the border --------------------------------------------------------------------------------------------
-
-    def _begin(self, points: Tensor) -> RadarState:
         check_detections(points, self.sensor, self)
         check_knobs(self.weather, points.shape[:-2], owner=self)
         flat = points.reshape(math.prod(points.shape[:-2]), *points.shape[-2:])
@@ -287,7 +271,23 @@ class RadarAttenuation(WeatherTransform):
             attenuation_db_per_km=per_sample,
             cover_loss_db=per_sample,
             ego_speed_m_per_s=self.ego_speed_m_per_s,
+            **self._known(points, known),
         )
+
+    # ---- the border --------------------------------------------------------------------------------------------
+
+    def _known(self, points: Tensor, known: Mapping[str, Tensor]) -> dict[str, Any]:
+        """What effects need besides, leading with the flattened batch."""
+        wrong = sorted(set(known) - set(KNOWN))
+        if wrong:
+            name = type(self).__name__
+            raise TypeError(f"{name}: besides points it takes {', '.join(KNOWN)}; got {', '.join(wrong)}.")
+        batch, found = points.shape[:-2], {}
+        for name, value in known.items():
+            tensor = torch.as_tensor(value, device=points.device)
+            sizes = {"N": points.shape[-2:-1], "T": tensor.shape[-1:], "": ()}[KNOWN[name]]
+            found[name] = tensor.expand(*batch, *sizes).reshape(math.prod(batch), *sizes)
+        return found
 
     def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None) -> RadarState:
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
