@@ -161,7 +161,7 @@ def test_a_list_without_what_an_effect_needs_is_refused(name: str, missing: str)
 
 
 def test_what_is_known_is_checked() -> None:
-    with pytest.raises(TypeError, match=r"besides points it takes target_class, .*; got target_clas"):
+    with pytest.raises(TypeError, match=r"unexpected keyword target_clas; besides points .* target_class, "):
         rain()(detections(), target_clas=torch.zeros(TARGETS))
     with pytest.raises(RuntimeError, match="expand"):
         rain()(detections(), target_class=torch.zeros(TARGETS + 1))

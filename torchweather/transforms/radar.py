@@ -280,8 +280,10 @@ class RadarAttenuation(WeatherTransform):
         """What effects need besides, leading with the flattened batch."""
         wrong = sorted(set(known) - set(KNOWN))
         if wrong:
-            name = type(self).__name__
-            raise TypeError(f"{name}: besides points it takes {', '.join(KNOWN)}; got {', '.join(wrong)}.")
+            raise TypeError(
+                f"{type(self).__name__}: unexpected keyword {', '.join(wrong)}; besides points and noise it takes "
+                f"{', '.join(KNOWN)}."
+            )
         batch, found = points.shape[:-2], {}
         for name, value in known.items():
             tensor = torch.as_tensor(value, device=points.device)
