@@ -70,7 +70,8 @@ def write_gap(
         What ``gap.json`` holds.
     """
     answer = report.to_dict()
-    searched = [name for name in EFFECTS if effects is None or name in effects]
+    of_sensor = [name for name in EFFECTS if name.startswith(f"{study.kind}.")]
+    searched = [name for name in of_sensor if effects is None or name in effects]
     page = html_page(
         "gap.html",
         answer=answer,

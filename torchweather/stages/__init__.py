@@ -3,7 +3,7 @@
 from torchweather.stages.camera import ExtinctionAndAirlight, Quantise
 from torchweather.stages.chain import Chain
 from torchweather.stages.effects import Effect, Parameter, effect_from_dict, register_effect, with_effects
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.stages.effects_camera import EFFECTS
 from torchweather.stages.empirical import Empirical
 from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.particle_veil import ParticleVeil
