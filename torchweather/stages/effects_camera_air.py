@@ -327,19 +327,20 @@ def _seen_along(state: CameraState, direction: Tensor) -> Tensor:
     """The picture in other directions ``(B, 3, H, W)``, each pixel from its own phase of the CFA."""
     assert state.camera is not None
     height, width = state.signal.shape[-2:]
-    x, y, z = direction.split(1, 1)
+    x, y, z = (direction[:, axis : axis + 1] for axis in range(3))
     # Behind the camera nothing is known: such rays end far outside of the picture, on their side of it.
     ahead = z.clamp_min(1e-2)
     x, y = state.camera.distort(x / ahead, y / ahead)
     fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(direction).unbind(-1))
     column = (x * fx + cx).clamp(0.0, width - 1.0).expand_as(state.signal)
     row = (y * fy + cy).clamp(0.0, height - 1.0).expand_as(state.signal)
-    found = []
-    for phase, plane in enumerate(phases(state.signal).split(1, 1)):
+    found, planes = [], phases(state.signal)
+    for phase in range(4):
         down, aside = divmod(phase, 2)
         own = (..., slice(down, None, 2), slice(aside, None, 2))
         across = (column[own] - aside) / max(width - 2, 1) * 2.0 - 1.0
         along = (row[own] - down) / max(height - 2, 1) * 2.0 - 1.0
         grid = torch.stack([across[:, 0], along[:, 0]], -1)
+        plane = planes[:, phase : phase + 1]
         found.append(torch.nn.functional.grid_sample(plane, grid, padding_mode="border", align_corners=True))
     return whole(torch.cat(found, 1))

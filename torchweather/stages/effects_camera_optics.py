@@ -85,14 +85,13 @@ class CameraAdherentDrops(Effect):
     def mask(self, state: CameraState, drops: Tensor) -> Tensor:
         """Share of each pixel's light that comes through drops, ``(B, 1, H, W)``, from uniforms ``(B, drops, 3)``."""
         height, width = state.signal.shape[-2:]
-        like = {"device": drops.device, "dtype": drops.dtype}
-        rows = torch.arange(height, **like)  # type: ignore[call-overload]
-        columns = torch.arange(width, **like)  # type: ignore[call-overload]
+        rows = torch.arange(height, device=drops.device).to(drops.dtype)
+        columns = torch.arange(width, device=drops.device).to(drops.dtype)
         area = LARGEST_TO_SMALLEST ** drops[..., 2]
         cover = self.value("cover", area)
         total = -torch.log1p(-cover) * (height * width)
         square = (total * area / area.sum(1, keepdim=True) / (math.pi * SOFT_AREA)).clamp_min(1e-6)  # radius, px^2
-        clear = torch.ones((), **like)  # type: ignore[call-overload]
+        clear = drops.new_ones(())
         for number in range(DROPS):
             u, v = drops[:, number, :1] * width, drops[:, number, 1:2] * height
             # The frame repeats: a drop that leaves it at one edge comes back at the other.
