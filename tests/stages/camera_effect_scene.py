@@ -20,7 +20,7 @@ CAMERA_EFFECTS = [name for name in EFFECTS if name.startswith("camera.")]
 # Settings at which each effect shows in the scene.
 ACTIVE: dict[str, dict[str, float]] = {
     "camera.exposure_gain": {"factor": 0.75},
-    "camera.airlight_scale": {"red": 0.5, "green": 0.75, "blue": 1.25},
+    "camera.airlight_scale": {"red": 0.5, "green": 0.75, "blue": 1.125},
     "camera.extinction_scale": {"factor": 2.0, "wavelength_exponent": 1.0},
     "camera.stray_light": {"offset": 0.0625, "share": 0.125},
     "camera.aerosol_glow": {"share_per_optical_depth": 0.5, "width_px_per_optical_depth": 4.0},

@@ -88,7 +88,7 @@ def alone(name: str, state: CameraState, noise: Mapping[str, Tensor] | None = No
 def clear_state(picture: Tensor, depth_m: float | Tensor = 20.0, **more: Any) -> CameraState:
     """A frame ``(H, W)`` in clear air."""
     depth_map = depth_m if isinstance(depth_m, Tensor) else torch.full((1, H, W), depth_m)
-    state = rain_in_fog(Fog(mor_m=inf)).state_of(picture.reshape(1, H, W), depth_map)
+    state = rain_in_fog(Fog(mor_m=inf)).state_of(picture.reshape(1, H, W).double(), depth_map)
     return replace(state, **more)
 
 
@@ -257,10 +257,9 @@ SMOOTH = {
     "camera.patchy_fog": {"log_std": 2.0**-8},
     "camera.height_fog": {"scale_height_m": 2.0**-6},
     "camera.streak_contrast": {"factor": 2.0**-7},
-    "camera.rolling_shutter": {"row_time_s": 2.0**-18},
 }
-# In single precision, and through the corners of streaks.
-ROUGH = {"camera.wind_slant", "camera.rolling_shutter"}
+# In single precision and through the corners of streaks; through the rims of drops.
+ROUGH = {"camera.wind_slant", "camera.adherent_drops"}
 
 
 @pytest.mark.parametrize(("name", "key"), [(name, key) for name, keys in SMOOTH.items() for key in keys])
@@ -289,6 +288,26 @@ def test_a_gradient_reaches_the_parameters_of_each_sample() -> None:
     transform(frame(), depth(), transform.draw(frame(), seed=1)).sum().backward()
     assert factor.grad is not None
     assert (factor.grad > 0).all()
+
+
+def test_the_gradient_of_a_row_s_time_is_that_of_finite_differences() -> None:
+    transform = rain_in_fog(Rain(50.0))
+    state = transform.state_of(frame(1), torch.full((1, H, W), 50.0))
+    veil = transform.chain.stages["particle_veil"]
+    noise, part = veil.draw(state, seed=3), veil.parts[0]
+    weight = torch.linspace(0.5, 1.5, H * W, dtype=torch.float64).reshape(H, W)
+
+    def response(row_time_s: Tensor) -> Tensor:
+        moved = replace(state, row_time_s=row_time_s.reshape(1))
+        total: Tensor = (weight * part.listed_depth(moved, noise, part.at_rate(1))[0].double()).sum()
+        return total
+
+    at, step = 1e-4, 4e-6
+    parameter = torch.tensor(at, requires_grad=True)
+    response(parameter).backward()
+    assert parameter.grad is not None
+    slope = float(response(torch.tensor(at + step)) - response(torch.tensor(at - step))) / (2.0 * step)
+    assert float(parameter.grad) == pytest.approx(slope, rel=0.01)
 
 
 def test_a_count_has_a_gradient_where_no_particle_joins() -> None:
@@ -357,7 +376,7 @@ def test_saturation_cuts_and_a_tone_curve_bends() -> None:
 
 
 def impulse(row: int = 16, column: int = 24) -> Tensor:
-    picture = torch.zeros(H, W)
+    picture = torch.zeros(H, W, dtype=torch.float64)
     picture[row, column] = 1.0
     return picture
 
@@ -371,24 +390,31 @@ def moments(found: Array, row: int = 16, column: int = 24) -> tuple[float, Array
 
 @pytest.mark.parametrize("radius_px", [0.5, 1.5, 4.0, 9.0])
 def test_defocus_has_the_variance_of_its_disk_and_stays_in_the_colour(radius_px: float) -> None:
-    found = (
-        alone("camera.defocus", clear_state(0.9 * impulse()), radius_px=radius_px).signal[0, 0].double().numpy() / 0.9
-    )
-    total, second = moments(found)
-    # Light below black is cut off: the cubic's lobes, some percent where the disk is small.
-    assert total == pytest.approx(1.0, abs=0.02)
-    assert not found[1::2].any()
-    assert not found[:, 1::2].any()
-    if radius_px < 2.0:  # lobes cut off are light that was negative: the wide ones weigh most
-        assert second[0] == pytest.approx(radius_px**2 / 4, rel=1.5)
-    else:
-        np.testing.assert_allclose(second, [radius_px**2 / 4, radius_px**2 / 4, 0.0], rtol=0.1, atol=0.05)
+    picture = 0.3 + 0.6 * impulse()
+    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).signal[0, 0].double().numpy()
+    total, second = moments((found - 0.3) / 0.6)
+    assert total == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(second, np.array([1.0, 1.0, 0.0]) * radius_px**2 / 4, rtol=1e-3, atol=1e-6)
+    for other in (found[1::2], found[:, 1::2]):
+        np.testing.assert_allclose(other, 0.3, atol=1e-6)
+
+
+def test_a_wide_defocus_is_an_even_disk() -> None:
+    radius_px = 9.0
+    picture = 0.3 + 0.6 * impulse()
+    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).signal[0, 0].double().numpy()
+    row, column = np.mgrid[:H, :W]
+    away_px = np.hypot(row - 16, column - 24)
+    same = (row % 2 == 0) & (column % 2 == 0)
+    even = 0.3 + 0.6 * 4.0 / (math.pi * radius_px**2)  # a pixel of a colour stands for 4 px^2
+    np.testing.assert_allclose(found[same & (away_px < radius_px - 2.5)], even, rtol=0.01)
+    np.testing.assert_allclose(found[same & (away_px > radius_px + 4.0)], 0.3, atol=1e-5)
 
 
 @pytest.mark.parametrize("radius_px", [0.25, 1.0, 3.0, 8.0])
 def test_defocus_of_a_parabola_adds_exactly_the_variance_of_the_disk(radius_px: float) -> None:
     """The mean of 0.2 + u^2 c over a disk around u is that at u plus c radius^2 / 4."""
-    u = torch.arange(W, dtype=torch.float32) - (W - 1) / 2
+    u = torch.arange(W, dtype=torch.float64) - (W - 1) / 2
     curve = 1e-3
     picture = (0.2 + curve * u.square()).expand(H, W)
     found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).signal[0, 0]
@@ -399,7 +425,7 @@ def test_defocus_of_a_parabola_adds_exactly_the_variance_of_the_disk(radius_px: 
 
 @pytest.mark.parametrize(("length_px", "angle_rad"), [(1.0, 0.3), (5.0, 0.0), (8.0, 0.7), (8.0, math.pi / 2)])
 def test_ego_blur_of_parabolas_adds_the_variance_of_its_line_along_it_alone(length_px: float, angle_rad: float) -> None:
-    row, column = torch.meshgrid(torch.arange(H) - 15.5, torch.arange(W) - 23.5, indexing="ij")
+    row, column = torch.meshgrid(torch.arange(H).double() - 15.5, torch.arange(W).double() - 23.5, indexing="ij")
     along = column * math.cos(angle_rad) + row * math.sin(angle_rad)
     across = row * math.cos(angle_rad) - column * math.sin(angle_rad)
     curve, inner = 5e-4, (slice(10, -10), slice(12, -12))
@@ -412,7 +438,7 @@ def test_ego_blur_of_parabolas_adds_the_variance_of_its_line_along_it_alone(leng
 
 def test_aerosol_glow_spreads_a_share_of_the_light_over_the_optical_depth_s_width() -> None:
     """An impulse seen by an even depth: what is taken from it lies around it with the wanted variance."""
-    share, width, tau = 0.7, 3.0, 1.3
+    share, width, tau = 0.7, 2.0, 1.3
     alpha = torch.full((1, 3), tau / 20.0)
     state = clear_state(0.9 * impulse(), 20.0, fog_extinction_per_m=alpha, ray_per_depth=torch.ones(1, 1, H, W))
     values = {"share_per_optical_depth": share, "width_px_per_optical_depth": width}
@@ -420,7 +446,7 @@ def test_aerosol_glow_spreads_a_share_of_the_light_over_the_optical_depth_s_widt
     total, second = moments(found)
     assert total == pytest.approx(1.0, abs=1e-4)
     moved = 1.0 - math.exp(-share * tau)
-    np.testing.assert_allclose(second, moved * (width * tau) ** 2 * np.array([1.0, 1.0, 0.0]), rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(second, moved * (width * tau) ** 2 * np.array([1.0, 1.0, 0.0]), rtol=5e-3, atol=1e-4)
     assert not found[1::2].any()
 
 
@@ -433,10 +459,12 @@ def test_aerosol_glow_softens_what_is_far_and_leaves_what_is_near_and_even_light
     state = transform.state_of(stripes, depth_m)
     before, after = transform.chain(state, {}).signal[0, 0], chain(state, {}).signal[0, 0]
     contrast = [
-        (one[:, part].amax() - one[:, part].amin()) for one in (before, after) for part in (slice(0, 20), slice(30, W))
+        float(one[::2, part].diff(dim=1).abs().mean())
+        for part in (slice(0, 20, 2), slice(30, W, 2))
+        for one in (before, after)
     ]
-    assert float(contrast[2] / contrast[0]) > 0.9
-    assert float(contrast[3] / contrast[1]) < 0.6
+    assert contrast[1] / contrast[0] > 0.9
+    assert contrast[3] / contrast[2] < 0.2
     even = clear_state(
         torch.full((H, W), 0.4), torch.rand(1, H, W) * 40.0, fog_extinction_per_m=torch.full((1, 3), 0.05)
     )
@@ -489,7 +517,7 @@ def test_airlight_scales_what_fog_adds_and_not_what_it_lets_through() -> None:
 def test_airlight_above_saturation_is_saturation_and_the_result_says_so() -> None:
     transform = rain_in_fog(Snow(2.0), effects=[active("camera.airlight_scale", red=5.0)])
     result = transform.run(frame(), depth(), transform.draw(frame(), seed=1))
-    assert result.airlight[0].tolist() == pytest.approx([1.0, 0.75 * LIGHT[1], 1.25 * LIGHT[2]])
+    assert result.airlight[0].tolist() == pytest.approx([1.0, 0.75 * LIGHT[1], 1.125 * LIGHT[2]])
 
 
 def test_extinction_scale_turns_the_slope_of_the_contrast_and_the_colours_apart() -> None:
@@ -561,7 +589,7 @@ def fresnel_reflectance(cosine: float, index: float = 1.33) -> float:
 
 def test_a_wet_road_is_darker_and_mirrors_the_picture_above_the_horizon() -> None:
     darkening, mirror = 0.4, 0.8
-    row = torch.arange(H, dtype=torch.float32)[:, None].expand(H, W)
+    row = torch.arange(H, dtype=torch.float64)[:, None].expand(H, W)
     picture = 0.8 - 0.015 * row  # a line in the row, which interpolation keeps
     state = clear_state(picture, normal=normals()[None])
     found = alone("camera.wet_surface", state, darkening=darkening, mirror=mirror).signal[0, 0]
@@ -590,13 +618,13 @@ def rain_only(**more: Any) -> BayerWeather:
     return rain_in_fog(Rain(50.0), **more)
 
 
-def marks_of(transform: BayerWeather, **fields: Tensor) -> Marks:
+def marks_of(transform: BayerWeather, seed: int = 2, **fields: Tensor) -> Marks:
     """All listed particles of a draw, sample 0."""
     state = replace(transform.state_of(frame(1), depth(1)), **fields)
     veil = transform.chain.stages["particle_veil"]
     assert isinstance(veil, ParticleVeil)
     part = veil.parts[0]
-    noise = veil.draw(state, seed=2)
+    noise = veil.draw(state, seed=seed)
     tables = part.at_rate(1, state.particle_count)
     portions = [m for number in range(len(part.tables.listed)) for m in part.marks(state, noise, tables, number)]
 
@@ -622,7 +650,7 @@ def test_wind_leans_every_streak_by_the_angle_and_leaves_its_fall(angle_rad: flo
     upright = marks_of(rain_only())
     slanted = marks_of(rain_only(), path_tangent=torch.tensor([math.tan(angle_rad)]))
     assert slanted.motion_u_px is not None
-    assert len(slanted) > 100
+    assert len(slanted) > 20
     lean = np.arctan2(slanted.motion_u_px.numpy(), slanted.motion_v_px.numpy())
     np.testing.assert_allclose(lean, angle_rad, atol=1e-5)
     torch.testing.assert_close(slanted.motion_v_px, upright.motion_v_px)
@@ -655,7 +683,7 @@ def test_streak_contrast_scales_what_particles_change(factor: float, plain: Baye
     change = (transform.chain(state, noise).signal - state.signal).numpy()
     found = chain(state, noise).signal.numpy()
     np.testing.assert_allclose(found, np.clip(state.signal.numpy() + factor * change, 0.0, 1.0), atol=2e-6)
-    assert np.abs(change).max() > 0.05
+    assert np.abs(change).max() > 0.01
 
 
 @pytest.mark.parametrize("factor", [0.5, 3.0, 8.0])
@@ -668,13 +696,16 @@ def test_the_optical_depth_of_the_veil_grows_with_the_count(factor: float) -> No
 
 def test_more_particles_than_slots_are_of_the_same_sizes_and_depths() -> None:
     """Eight times as many at 50 mm/h, for which the draw has no slots: from displaced copies."""
-    few, many = marks_of(rain_only()), marks_of(rain_only(), particle_count=torch.tensor([8.0]))
-    assert len(many) / len(few) == pytest.approx(8.0, rel=0.1)
+    transform = rain_only()
+    few = [marks_of(transform, seed) for seed in range(30)]
+    many = [marks_of(transform, seed, particle_count=torch.tensor([8.0])) for seed in range(30)]
+    number = sum(map(len, few))
+    assert sum(map(len, many)) / number == pytest.approx(8.0, abs=8.0 * 3.0 / math.sqrt(number))
     for name in ("depth_m", "width_px", "u_px", "v_px"):
-        ends = [np.quantile(getattr(marks, name).numpy(), [0.25, 0.5, 0.75]) for marks in (few, many)]
-        spread_of = ends[0][2] - ends[0][0]
-        # Quantiles of some hundred particles.
-        np.testing.assert_allclose(ends[1], ends[0], atol=0.12 * spread_of, err_msg=name)
+        own, other = (np.concatenate([getattr(one, name).numpy() for one in marks]) for marks in (few, many))
+        ends = [np.quantile(one, [0.25, 0.5, 0.75]) for one in (own, other)]
+        # Quantiles of a thousand particles.
+        np.testing.assert_allclose(ends[1], ends[0], atol=0.1 * (ends[0][2] - ends[0][0]), err_msg=name)
 
 
 def test_particles_that_end_at_a_depth_are_those_in_front_of_a_wall_there() -> None:
@@ -750,7 +781,7 @@ def test_every_transform_takes_effects_and_a_raw_frame_comes_back_in_its_format(
     raw = (frame() * 4095).to(torch.uint16)
     found = transform(raw)
     assert found.dtype == torch.uint16
-    assert found.float().mean() == pytest.approx(0.75 * raw.float().mean(), rel=0.05)
+    assert float(found.float().mean()) == pytest.approx(0.75 * float(raw.float().mean()), rel=0.05)
 
 
 def test_the_direct_way_of_fog_refuses_effects() -> None:
@@ -762,14 +793,18 @@ def test_the_direct_way_of_fog_refuses_effects() -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("weather", ["fog", "rain"])
 def test_effects_are_exported_with_the_chain(weather: str, tmp_path: Path) -> None:
-    """One graph with every effect that a graph can hold, at settings that show, at another size than the traced."""
+    """Every effect that a graph can hold, at settings that show, at another size than the traced.
+
+    Those of the particles with the rain, all others with the fog.
+    """
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    names = [name for name in CAMERA_EFFECTS if name not in NOT_IN_A_GRAPH]
+    falling = {"camera.wind_slant", "camera.streak_contrast", "camera.particle_count"}
+    names = [name for name in CAMERA_EFFECTS if name not in NOT_IN_A_GRAPH and (name in falling) == (weather == "rain")]
     effects = [active(name, **({"factor": 0.5} if name == "camera.particle_count" else {})) for name in names]
     made = Fog(mor_m=60.0) if weather == "fog" else Rain(25.0)
     own = camera()
-    transform = BayerWeather(made, own, airlight=LIGHT, near_m=2.0, far_m=4.0, effects=effects)
+    transform = BayerWeather(made, own, airlight=LIGHT, near_m=2.5, far_m=5.0, effects=effects)
     to_onnx(transform, tmp_path / "graph.onnx", height=24, width=40)
     session = onnxruntime.InferenceSession(tmp_path / "graph.onnx", providers=["CPUExecutionProvider"])
     feed = draw_feed(session, height=H, width=W, seed=5)
@@ -793,7 +828,7 @@ def test_effects_are_exported_with_the_chain(weather: str, tmp_path: Path) -> No
 @pytest.mark.parametrize("name", sorted(NOT_IN_A_GRAPH))
 def test_an_effect_that_cannot_be_exported_says_so(name: str, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
-    transform = BayerRain(Rain(25.0), camera(), airlight=LIGHT, near_m=2.0, far_m=4.0, effects=[active(name)])
+    transform = BayerFog(Fog(mor_m=60.0), camera(), airlight=LIGHT, effects=[active(name)])
     with pytest.raises(Exception, match=NOT_IN_A_GRAPH[name]):
         to_onnx(transform, tmp_path / "graph.onnx", height=24, width=40)
     assert not list(tmp_path.iterdir())

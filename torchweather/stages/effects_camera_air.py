@@ -312,12 +312,13 @@ class CameraWetSurface(Effect):
         assert state.camera is not None
         assert state.normal is not None
         x, y = rays(state)
-        turn = state.signal.new_tensor(state.camera.camera_from_vehicle())
-        normal = torch.einsum("ij,bjhw->bihw", turn, state.normal)  # in the camera's frame
+        upright = state.normal.to(state.signal)
+        turn = upright.new_tensor(state.camera.camera_from_vehicle())
+        normal = torch.einsum("ij,bjhw->bihw", turn, upright)  # in the camera's frame
         direction = torch.cat([x, y, torch.ones_like(x)], 1)
         direction = direction / torch.linalg.vector_norm(direction, dim=1, keepdim=True)
         cosine = -(direction * normal).sum(1, keepdim=True)
-        wet = state.normal[:, 2:].clamp_min(0.0)
+        wet = upright[:, 2:].clamp_min(0.0)
         share = self.value("mirror", state.signal) * wet * (1.0 - transmittance_into_water(cosine))
         own = state.signal * (1.0 - self.value("darkening", state.signal) * wet)
         return {"signal": torch.lerp(own, _seen_along(state, direction + 2.0 * cosine * normal), share)}

@@ -19,7 +19,7 @@ from torch import Tensor
 __all__ = ["blurred_along", "disk_points_px", "gaussian_blur", "line_points_px", "phases", "whole"]
 
 PHASE_PX = 2.0  # from a pixel to the next one of its phase
-PAIRS_OF_DISK, POINTS_OF_LINE = 128, 65
+POINTS_OF_QUARTER, POINTS_OF_LINE = 64, 65
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 FREQUENCIES = 512  # of the discrete Gaussian's transform; more than twice its longest kernel
 
@@ -35,16 +35,17 @@ def whole(planes: Tensor) -> Tensor:
 
 
 def disk_points_px(radius_px: Tensor) -> Tensor:
-    """Points that fill a disk evenly (Vogel 1979), in pairs opposite each other: ``(B,)`` to ``(B, K, 2)``."""
-    number = torch.arange(PAIRS_OF_DISK, device=radius_px.device, dtype=radius_px.dtype)
-    ring = torch.sqrt((number + 0.5) / PAIRS_OF_DISK)
-    one = torch.stack([ring * torch.cos(GOLDEN_ANGLE * number), ring * torch.sin(GOLDEN_ANGLE * number)], -1)
-    return radius_px[:, None, None] * torch.cat([one, -one])
+    """Points that fill a disk evenly (Vogel 1979), the same in all four quarters: ``(B,)`` to ``(B, K, 2)``."""
+    number = torch.arange(POINTS_OF_QUARTER, device=radius_px.device).to(radius_px.dtype)
+    ring = torch.sqrt((number + 0.5) / POINTS_OF_QUARTER)
+    u, v = ring * torch.cos(GOLDEN_ANGLE * number), ring * torch.sin(GOLDEN_ANGLE * number)
+    points = torch.stack([torch.cat([u, -v, -u, v]), torch.cat([v, u, -v, -u])], -1)
+    return radius_px[:, None, None] * points
 
 
 def line_points_px(length_px: Tensor, angle_rad: Tensor) -> Tensor:
     """Points along a line around the origin, ``(B,)`` each to ``(B, K, 2)``; the angle is from x to y."""
-    step = (torch.arange(POINTS_OF_LINE, device=length_px.device, dtype=length_px.dtype) + 0.5) / POINTS_OF_LINE - 0.5
+    step = (torch.arange(POINTS_OF_LINE, device=length_px.device).to(length_px.dtype) + 0.5) / POINTS_OF_LINE - 0.5
     along = torch.stack([torch.cos(angle_rad), torch.sin(angle_rad)], -1)
     return length_px[:, None, None] * step[:, None] * along[:, None]
 
@@ -68,7 +69,7 @@ def blurred_along(image: Tensor, points_px: Tensor, reach_px: float) -> Tensor:
     found = torch.nn.functional.conv2d(
         padded.reshape(1, batch * number, *padded.shape[-2:]), kernels, groups=batch * number
     )
-    # The cubic's lobes are negative, light is not.
+    # The cubic undershoots beside lone bright pixels; light ends at black.
     return whole(found.reshape(batch, number, height, width)).clamp_min(0.0)
 
 
