@@ -57,6 +57,7 @@ class _CameraGraph(nn.Module):
             ray_per_depth=ray,
             cfa_index=self.cfa_index,
             intrinsics=torch.stack([fx, fy, cx, cy])[None],
+            camera=self.camera,
         )
         named_noise = dict(zip(self.variates, noise, strict=True))
         named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))

@@ -45,7 +45,7 @@ from torchweather.report.gap_words import (
 )
 from torchweather.report.page import html_page
 from torchweather.report.tables import number_text
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.stages import EFFECTS
 
 __all__ = ["write_gap"]
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchweather.report.tables import number_text
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.stages import EFFECTS
 
 __all__ = [
     "axis_name",

@@ -1,10 +1,9 @@
 """Stages, the chains they form, and the states that pass through them."""
 
 from torchweather.stages.camera import ExtinctionAndAirlight, Quantise
+from torchweather.stages.catalogue import EFFECTS
 from torchweather.stages.chain import Chain
 from torchweather.stages.effects import Effect, Parameter, effect_from_dict, register_effect, with_effects
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.stages.effects_radar import EFFECTS as _WITH_RADAR  # noqa: F401  registers those of radar
 from torchweather.stages.empirical import Empirical
 from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.stages.particle_veil import ParticleVeil

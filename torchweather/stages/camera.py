@@ -31,6 +31,7 @@ OPAQUE_TRANSMISSION = 2.0 * math.exp(-OPAQUE)  # reported as 0
 FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
 SKY_STRIDE = 8  # the sky is estimated on every eighth CFA cell in each direction
+FADING_COLOUR = 1  # where one colour stands for all: green, or clear
 EXTINCTION_MODELS = ("mie", "koschmieder")
 
 
@@ -228,16 +229,20 @@ class ExtinctionAndAirlight(Stage):
     def forward(self, state: CameraState, noise: Mapping[str, Tensor], out: Tensor | None = None) -> CameraState:
         """The foggy frame."""
         extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
-        airlight = self.airlight(state)
+        airlight = scaled_airlight(self.airlight(state), state)
+        if state.extinction_scale is not None:
+            extinction = extinction * state.extinction_scale
+        density = state.fog_density
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
         # Zero extinction times infinite depth is zero, and so is its gradient.
-        clip = is_exporting() or extinction.requires_grad or bool((extinction == 0).any())
+        clip = is_exporting() or extinction.requires_grad or density is not None or bool((extinction == 0).any())
 
         def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))
             depth_m = state.depth_m[rows].clamp_max(FARTHEST_M) if clip else state.depth_m[rows]
-            clear = by_cells(depth_m * state.ray_per_depth[rows]) * alpha_rows
+            ray_m = depth_m * state.ray_per_depth[rows]
+            clear = by_cells(ray_m if density is None else ray_m * density[rows]) * alpha_rows
             clear = clear.clamp_min_(-OPAQUE).exp_()
             # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.
             ends = light_rows.expand_as(clear), by_cells(state.signal[rows])
@@ -255,6 +260,11 @@ class ExtinctionAndAirlight(Stage):
         return replace(
             state, signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
         )
+
+
+def scaled_airlight(airlight: Tensor, state: CameraState) -> Tensor:
+    """Airlight ``(B, 3)`` in the light that the state says, up to saturation."""
+    return airlight if state.airlight_scale is None else (airlight * state.airlight_scale).clamp_max(1.0)
 
 
 def three_colours(

@@ -18,7 +18,12 @@ from torchweather.stages.chain import Chain
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 
-__all__ = ["EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
+__all__ = ["CAMERA_PLACES", "EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
+
+
+CAMERA_PLACES = ("scene", "extinction_and_airlight", "particle_veil", "quantise")
+"""Where effects of a camera stand, in the order of the light: in front of all stages, behind the fog, behind the
+particles, behind the converter. What a chain lacks has its place behind the one before."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,8 @@ class Effect(Stage):
         title: what happens, in plain words.
         term: what the literature calls it.
         arguments: the parameters, in the order of the catalogue.
-        after: name of the stage of the ready-made chain that it follows.
+        after: name of the stage of the ready-made chain that it follows; of a camera's chain, which holds what its
+            weather asks for, one of ``CAMERA_PLACES``.
         rank: of several effects at one place, those of lower rank come first; those of one rank in the order of the
             catalogue.
         axes: along which it shows.
@@ -85,6 +91,7 @@ class Effect(Stage):
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
         needs: fields of the state without which it cannot work.
         cuts: whether it acts on all that lies within its parameter: half of what it does is no work of half of it.
+        each_frame_anew: whether its noise is another one in each frame of a sequence.
         unsaid: quantities that it changes although no parameter says by how much, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 
@@ -114,6 +121,7 @@ class Effect(Stage):
     percollect: ClassVar[str | None] = None
     needs: ClassVar[tuple[str, ...]] = ()
     cuts: ClassVar[bool] = False
+    each_frame_anew: ClassVar[bool] = False
     unsaid: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:
@@ -254,9 +262,22 @@ def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:
             f"with_effects: {', '.join(unknown)} not in the catalogue, which gives the order; use register_effect."
         )
     order = list(EFFECTS)
-    last: dict[str, str] = {}
-    for effect in sorted(effects, key=lambda one: (one.rank, order.index(one.id))):
-        anchor = last.get(effect.after, effect.after)
-        chain = chain.insert(effect, after=anchor)
-        last[effect.after] = effect.default_name
+    last: dict[str | None, str] = {}
+    for effect in sorted(effects, key=lambda one: (_place(one), one.rank, order.index(one.id))):
+        place = _followed(effect, chain)
+        anchor = last.get(place, place)
+        chain = chain.insert(effect, **({"before": next(iter(chain.stages))} if anchor is None else {"after": anchor}))
+        last[place] = effect.default_name
     return chain
+
+
+def _place(effect: Effect) -> int:
+    return CAMERA_PLACES.index(effect.after) if effect.after in CAMERA_PLACES else 0
+
+
+def _followed(effect: Effect, chain: Chain) -> str | None:
+    """Name of the stage of a chain that an effect follows; ``None`` in front of all."""
+    if effect.after not in CAMERA_PLACES:
+        return effect.after
+    there = [name for name in CAMERA_PLACES[: _place(effect) + 1] if name in chain.stages]
+    return there[-1] if there else None

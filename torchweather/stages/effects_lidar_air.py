@@ -192,13 +192,14 @@ class LidarWetTarget(Effect):
         if state.up is not None:
             wet = wet * 0.5 * (1.0 + state.up)
         if state.cos_incidence is not None:
-            through = _transmittance(state.cos_incidence) / _transmittance(torch.ones_like(state.cos_incidence))
+            facing = torch.ones_like(state.cos_incidence)
+            through = transmittance_into_water(state.cos_incidence) / transmittance_into_water(facing)
             wet = wet * (1.0 - WET_SHARE_FACING * through.square())
         gain = 1.0 - self.value("share", wet) * wet
         return {"signal": torch.where(state.kind == OBJECT, state.signal * gain[..., None], state.signal)}
 
 
-def _transmittance(cos_incidence: Tensor) -> Tensor:
+def transmittance_into_water(cos_incidence: Tensor) -> Tensor:
     """Fresnel's transmittance from air into water, unpolarised."""
     cos_in = cos_incidence.abs().clamp(1e-6, 1.0)
     cos_water = (1.0 - (1.0 - cos_in.square()) / WATER_INDEX**2).sqrt()

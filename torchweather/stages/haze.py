@@ -55,7 +55,10 @@ def haze_depth(
     intrinsics = state.intrinsics.float()
     focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1]).expand(b)
     scale = focal.view(-1, 1, 1, 1)
-    foot = state.depth_m[rows].float().expand(b, 1, last - first, width).clamp(1e-6, population.far_m) / scale
+    depth_m = state.depth_m[rows].float().expand(b, 1, last - first, width).clamp(1e-6, population.far_m)
+    if state.particle_reach_m is not None:
+        depth_m = torch.minimum(depth_m, state.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
+    foot = depth_m / scale
     read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
     mean, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
 

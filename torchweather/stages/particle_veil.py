@@ -13,7 +13,7 @@ from torchweather.errors import check_at_least, check_between, check_finite, che
 from torchweather.random import Variate
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import by_rows, is_exporting
-from torchweather.stages.camera import estimate_airlight, frame_mean
+from torchweather.stages.camera import FADING_COLOUR, estimate_airlight, frame_mean, scaled_airlight
 from torchweather.stages.haze import haze_depth
 from torchweather.stages.population import Population
 from torchweather.stages.registry import register
@@ -28,7 +28,6 @@ __all__ = ["ParticleVeil"]
 REFLECTED_SHARE = 0.06  # of the light of a drop comes from its outside: Garg & Nayar 2007, PHYSICS.md 4.1
 UPPER_SHARE = 0.6  # of the rows is the part of the frame seen through a drop in D3.4's code
 DROP_VIEWS = ("frame", "upper")
-FADING_COLOUR = 1  # fog fades the particles at the green band's extinction; the others follow as a power
 FAINTEST = 1e-20  # optical depth below which a colour does not matter
 
 
@@ -161,10 +160,12 @@ class ParticleVeil(Stage):
 
     def ambient(self, state: CameraState) -> Tensor:
         """Signal of the sky per colour, ``(B, 3)``."""
+        if self.given_ambient is None and state.airlight is not None:
+            return state.airlight  # the fog's stage has scaled it
         if self.given_ambient is None:
-            return state.airlight if state.airlight is not None else estimate_airlight(state, self)
+            return scaled_airlight(estimate_airlight(state, self), state)
         light = torch.as_tensor(self.given_ambient, device=state.signal.device, dtype=state.signal.dtype)
-        return light.expand(state.batch, 3)
+        return scaled_airlight(light.expand(state.batch, 3), state)
 
     def _colours(self, state: CameraState) -> list[Tensor]:
         ambient = self.ambient(state)
@@ -195,7 +196,8 @@ class ParticleVeil(Stage):
         for part in self.parts:
             part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
-        tables = [part.at_rate(state.batch) for part in self.parts]
+        tables = [part.at_rate(state.batch, state.particle_count) for part in self.parts]
+        contrast = state.particle_contrast
         fog = state.fog_extinction_per_m
         fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()
         listed = [
@@ -218,7 +220,10 @@ class ParticleVeil(Stage):
                 light = lights[0].expand_as(mask)
             else:
                 light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
-            signal = torch.lerp(by_cells(state.signal[rows]), light.to(mask.dtype), mask).flatten(2, 3)
+            weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
+            signal = torch.lerp(by_cells(state.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
+            if contrast is not None:  # more than the whole way to the particles' colour may leave what there is
+                signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
             return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
 
         results = by_rows(band, state.signal.shape, state.signal, apart=True)

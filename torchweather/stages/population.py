@@ -28,8 +28,27 @@ RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 SUMS = 4  # partial sums of the optical depth, filled side by side
 SLOTS_AT_ONCE = 1 << 18  # points whose arrays stay in the cache
+# By which a second use of the draw is displaced in column, row and depth: powers of the root of x^4 = x + 1.
+DISPLACED = (0.8191725134, 0.6710436067, 0.5497004779)
+STEEPEST = 1.6  # longest sideways path over the fall's, in an exported graph: the bound of camera.wind_slant
+SLOWEST = 0.1  # of a rolling shutter relative to a particle, in rows: beyond that its mark grows no longer
 # Columns of a point: image column and row, depth, level.
 COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Points ``(P, 4)`` that are rendered alike, and the sample of each (``None``: one sample).
+
+    Args:
+        slanted: whether paths lean although the camera stands upright in still air.
+        copy: number of the displaced copy; its levels begin there.
+    """
+
+    points: Tensor
+    sample: Tensor | None
+    slanted: bool = False
+    copy: int = 0
 
 
 @dataclass(frozen=True)
@@ -96,6 +115,7 @@ class Population(nn.Module):
         wind = torch.tensor(self.weather.wind_m_per_s, dtype=torch.float64)
         drift = rotation @ (wind - torch.tensor([ego_speed_m_per_s, 0.0, 0.0], dtype=torch.float64))
         self.down = self.camera.down_direction()
+        self.right: tuple[float, ...] = tuple((-rotation[:, 1]).tolist())  # horizontal, in the camera's frame
         self.drift_m_per_s: tuple[float, float, float] = tuple(drift.tolist())
         self.vertical = self.down == (0.0, 1.0, 0.0) and not bool(drift.any()) and not self.camera.distorted
         haze = [d * self.tables.haze_speed_m_per_s + v for d, v in zip(self.down, self.drift_m_per_s, strict=True)]
@@ -179,8 +199,8 @@ class Population(nn.Module):
 
     # ---- tables at a rate --------------------------------------------------------------------------------------
 
-    def at_rate(self, batch: int) -> AtRate:
-        """Interpolate every table in ln(rate), one row per sample."""
+    def at_rate(self, batch: int, count: Tensor | None = None) -> AtRate:
+        """Interpolate every table in ln(rate), one row per sample; ``count`` ``(B,)`` particles for each one."""
         rate = self.rate_mm_per_h.float().reshape(-1).expand(batch)
         falls = rate > 0
         safe = torch.where(falls, rate, torch.ones_like(rate))
@@ -194,6 +214,8 @@ class Population(nn.Module):
             return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
 
         amount = falls.to(rate.dtype)[:, None]
+        if count is not None:
+            amount = amount * count.to(rate.dtype)[:, None]
         # Linear tables (optical depth, variance) follow the rate's power law below the first node.
         low = torch.exp(share.clamp_max(0.0) * self.tables.log_rate_step)[:, None]
         held = share.clamp_min(0.0)
@@ -226,7 +248,8 @@ class Population(nn.Module):
         Absent particles are left out; while a graph is traced they stay, with opacity 0.
         """
         for _, points, sample in self._portions(state, noise, number):
-            yield self._marks(state, points, sample, tables, number, None)
+            for part in self._parts_of(state, points, sample, tables, number):
+                yield self._marks(state, part, tables, number, None)
 
     def _portions(
         self, state: CameraState, noise: Mapping[str, Tensor], number: int
@@ -250,16 +273,37 @@ class Population(nn.Module):
                 some = slice(start, start + SLOTS_AT_ONCE)
                 yield portion, flat[some], None if whose is None else whose[some]
 
+    def _parts_of(
+        self, state: CameraState, points: Tensor, sample: Tensor | None, tables: AtRate, number: int
+    ) -> Iterator[_Points]:
+        """Points that are rendered alike: samples with slanted paths apart, then what exceeds the slots.
+
+        A count above what the slots hold comes from displaced copies of the same points, whose levels go on.
+        """
+        parts = [_Points(points, sample)]
+        if state.path_tangent is not None and self.vertical:
+            slanted = state.path_tangent != 0
+            if is_exporting() or bool(slanted.all()):
+                parts = [_Points(points, sample, slanted=True)]
+            elif sample is not None and bool(slanted.any()):
+                which = slanted[sample]
+                kinds = [(chosen.nonzero().squeeze(1), own) for chosen, own in ((~which, False), (which, True))]
+                parts = [_Points(points[rows], sample[rows], own) for rows, own in kinds]
+        yield from parts
+        if state.particle_count is None or is_exporting():
+            return
+        most: Tensor = getattr(self, f"tail_most_{number}")
+        own = state.intrinsics.detach().float().expand(state.batch, 4)
+        room = torch.sqrt(own[:, 0] * own[:, 1]) / self.focal_px * (tables.bounds[number].detach() - most).amax(1).exp()
+        wanted = torch.where(state.particle_count > 1, state.particle_count.detach() * room, 0.0)
+        for copy in range(1, math.ceil(float(wanted.max()))):
+            for part in parts:
+                yield replace(part, points=_displaced(part.points, copy), copy=copy)
+
     def _marks(
-        self,
-        state: CameraState,
-        points: Tensor,
-        sample: Tensor | None,
-        tables: AtRate,
-        number: int,
-        blocks: DepthBlocks | None,
+        self, state: CameraState, part: _Points, tables: AtRate, number: int, blocks: DepthBlocks | None
     ) -> Marks:
-        t = self.tables
+        t, points, sample = self.tables, part.points, part.sample
         height, width = state.signal.shape[-2:]
         reach_u, reach_v = self.reach_px(number)
         # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
@@ -268,12 +312,16 @@ class Population(nn.Module):
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         focal_of = focal[0] if sample is None else focal[sample]
         thinning = math.log(self.focal_px * self.headroom()) - torch.log(focal_of)
+        if state.particle_count is not None:
+            count = state.particle_count.float()[0 if sample is None else sample]
+            thinning = thinning - torch.log(count.clamp_min(FLOOR))
+        level = points[:, COLUMN_LEVEL] + part.copy if part.copy else points[:, COLUMN_LEVEL]
         quantiles, most = getattr(self, f"footprint_{number}").float(), getattr(self, f"tail_most_{number}").float()
         cell, share = _cell(points[:, COLUMN_DEPTH] * (len(quantiles) - 1), len(quantiles))
         bound = tables.bounds[number]  # (B, nodes) ln of N_>(D_cut; R)
         cut_level = _read(bound, cell, share, sample)
         if not self.camera.distorted:
-            log_level = torch.log(points[:, COLUMN_LEVEL].clamp_min(FLOOR)) + _read(most, cell, share) + thinning
+            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share) + thinning
             shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
             if not is_exporting():
                 seen = shown.nonzero().squeeze(1)
@@ -286,7 +334,8 @@ class Population(nn.Module):
         own = intrinsics[0] if sample is None else intrinsics[sample]
         focal_of = focal[0] if sample is None else focal[sample]
         depth_m = foot * focal_of
-        if blocks is not None and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
+        stays = state.path_tangent is None and state.row_time_s is None
+        if blocks is not None and stays and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
             before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
             if len(before) < 0.9 * len(u):
                 u, v, foot, depth_m, log_level = u[before], v[before], foot[before], depth_m[before], log_level[before]
@@ -294,26 +343,32 @@ class Population(nn.Module):
                 if sample is not None:
                     sample, own, focal_of = sample[before], own[before], focal_of[before]
         x = y = scale = None
-        if not self.vertical:
+        if not self.vertical or part.slanted:
             x, y = self.undistorted(u, v, own)
             scale = self.camera.magnification(x, y)
         if self.camera.distorted and scale is not None:
-            log_level = torch.log(points[:, COLUMN_LEVEL].clamp_min(FLOOR)) + _read(most, cell, share)
+            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share)
             log_level = log_level + thinning + torch.log(scale)
             shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
         shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
-        shown = shown & (tables.falls[0] if sample is None else tables.falls[sample])
-        stop, part = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
-        outline_m = _read(tables.outline_m, stop, part, sample)
-        speed = _read(tables.fall_speed, stop, part, sample)
+        whose = 0 if sample is None else sample
+        if state.particle_reach_m is not None:
+            shown = shown & (depth_m <= state.particle_reach_m[whose])
+        if part.copy and state.particle_count is not None:
+            shown = shown & (state.particle_count > 1)[whose]
+        shown = shown & tables.falls[whose]
+        stop, above = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
+        outline_m = _read(tables.outline_m, stop, above, sample)
+        speed = _read(tables.fall_speed, stop, above, sample)
         diameter = outline_m / foot
         if x is None or y is None or scale is None:
             motion_u, motion_v = None, speed * (self.optics.exposure_s * own[..., 1] / focal_of) / foot
         else:
-            motion_u, motion_v = self._path_px(x, y, speed, depth_m, own)
+            tangent = None if state.path_tangent is None else state.path_tangent[whose]
+            motion_u, motion_v = self._path_px(x, y, speed, depth_m, own, tangent)
             diameter = diameter * torch.sqrt(scale) if self.camera.distorted else diameter
         width_px, opacity = self._blurred(diameter, foot, depth_m)
-        return Marks(
+        marks = Marks(
             sample=sample,
             u_px=u,
             v_px=v,
@@ -323,10 +378,37 @@ class Population(nn.Module):
             opacity=torch.where(shown, opacity, torch.zeros_like(opacity)),
             depth_m=depth_m,
         )
+        return marks if state.row_time_s is None else self._row_by_row(marks, state.row_time_s)
 
-    def _path_px(self, x: Tensor, y: Tensor, speed: Tensor, depth_m: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
+    def _row_by_row(self, marks: Marks, row_time_s: Tensor) -> Marks:
+        """Marks of a rolling shutter, which exposes each row later by ``row_time_s`` ``(B,)``.
+
+        A particle that falls q rows while the shutter goes on by one meets the rows at ``v / (1 - q)``, v being where
+        row 0's exposure finds it. Its path is longer by as much, and each of its pixels sees it as long as before.
+        """
+        row_s = row_time_s[0] if marks.sample is None else row_time_s[marks.sample]
+        stretch = 1.0 / (1.0 - marks.motion_v_px * (row_s / self.optics.exposure_s)).clamp_min(SLOWEST)
+        v_px = marks.v_px * stretch
+        u_px, motion_u = marks.u_px, marks.motion_u_px
+        if motion_u is not None:
+            u_px = u_px + motion_u * (v_px * (row_s / self.optics.exposure_s))
+            motion_u = motion_u * stretch
+        return replace(
+            marks,
+            u_px=u_px,
+            v_px=v_px,
+            motion_u_px=motion_u,
+            motion_v_px=marks.motion_v_px * stretch,
+            opacity=marks.opacity * stretch,
+        )
+
+    def _path_px(
+        self, x: Tensor, y: Tensor, speed: Tensor, depth_m: Tensor, own: Tensor, tangent: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Path of the exposure in pixels, from the velocity relative to the camera."""
         vx, vy, vz = (d * speed + w for d, w in zip(self.down, self.drift_m_per_s, strict=True))
+        if tangent is not None:
+            vx, vy, vz = (v + r * (speed * tangent) for v, r in zip((vx, vy, vz), self.right, strict=True))
         per_depth = self.optics.exposure_s / depth_m
         dx, dy = (vx - x * vz) * per_depth, (vy - y * vz) * per_depth
         if self.camera.distorted:
@@ -375,18 +457,21 @@ class Population(nn.Module):
                 for portion, points, sample in self._portions(state, noise, number):
                     if (number + portion) % sums != which:
                         continue
-                    marks = self._marks(state, points, sample, tables, number, blocks)
-                    if fog_per_m is not None:
-                        marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
-                    place = (marks, depth, (height, width))
-                    if is_exporting():
-                        footprint = self._footprint_px(number)
-                        totals[which], fadeds[which] = add_static(totals[which], fadeds[which], *place, footprint)
-                    else:
-                        totals[which], fadeds[which] = add_listed(totals[which], fadeds[which], *place, blocks)
+                    for part in self._parts_of(state, points, sample, tables, number):
+                        marks = self._marks(state, part, tables, number, blocks)
+                        if fog_per_m is not None:
+                            marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
+                        place = (marks, depth, (height, width))
+                        if is_exporting():
+                            footprint = self._footprint_px(number, slanted=part.slanted)
+                            totals[which], fadeds[which] = add_static(totals[which], fadeds[which], *place, footprint)
+                        else:
+                            totals[which], fadeds[which] = add_listed(totals[which], fadeds[which], *place, blocks)
 
         tasks = [partial(add, which) for which in range(sums)]
-        if is_exporting() or (torch.is_grad_enabled() and tables.outline_m.requires_grad):
+        moved = (tables.outline_m, state.particle_count, state.path_tangent, state.row_time_s)
+        learns = torch.is_grad_enabled() and any(value is not None and value.requires_grad for value in moved)
+        if is_exporting() or learns:
             for task in tasks:
                 task()
         else:
@@ -407,13 +492,23 @@ class Population(nn.Module):
         x, y = self.undistorted(marks.u_px, marks.v_px, own)
         return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
 
-    def _footprint_px(self, number: int) -> tuple[int, int]:
+    def _footprint_px(self, number: int, *, slanted: bool = False) -> tuple[int, int]:
         """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""
         shell = self.tables.listed[number]
         reach_u, reach_v = self.reach_px(number)
-        slanted = 0 if self.vertical else 2
-        along = math.ceil(2 * max(reach_u, reach_v)) if not self.vertical else math.ceil(2 * reach_v)
-        return along + 1, math.ceil(shell.width_max_px * math.sqrt(1.0 if self.vertical else 2.0)) + 2 + slanted
+        upright = self.vertical and not slanted
+        along = math.ceil(2 * reach_v) if upright else math.ceil(2 * max(reach_u, reach_v))
+        if slanted:
+            along = math.ceil(along * STEEPEST)
+        return along + 1, math.ceil(shell.width_max_px * math.sqrt(1.0 if upright else 2.0)) + (2 if upright else 4)
+
+
+def _displaced(points: Tensor, copy: int) -> Tensor:
+    """The same points elsewhere in the unit cube."""
+    shift = points.new_tensor([copy * step for step in DISPLACED])
+    columns = [COLUMN_U, COLUMN_V, COLUMN_DEPTH]
+    moved = (points[:, columns] + shift) % 1.0
+    return torch.cat([moved, points[:, COLUMN_LEVEL:]], 1)
 
 
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:

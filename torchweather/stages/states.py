@@ -9,7 +9,7 @@ from enum import IntEnum
 import torch
 from torch import Tensor
 
-from torchweather.sensors import Lidar, Radar
+from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.weather import Weather
 
 __all__ = ["CameraState", "LidarState", "PointKind", "RadarState"]
@@ -31,6 +31,18 @@ class CameraState:
             ``None`` where it is 1 or was not asked for.
         particle_mask: ``(B, 1, H, W)`` share of the exposure in which particles cover the pixel; ``None`` likewise.
         keep_truth: compute ``transmission`` and ``particle_mask`` although the signal needs neither.
+        camera: that took the frame; ``None`` where not known.
+        normal: ``(1 or B, 3, H, W)`` unit normals of the surfaces in the vehicle's frame, 0 where there is none;
+            ``None`` where not known.
+        airlight_scale: ``(B, 3)`` light of the sky over the modelled one, per colour; ``None`` is 1.
+        extinction_scale: ``(B, 3)`` extinction of fog over the modelled one, per colour; ``None`` is 1.
+        fog_density: ``(B, 1, H, W)`` density of fog, mean along each pixel's ray, over that of the weather; ``None``
+            is 1.
+        particle_count: ``(B,)`` falling particles in the air over those of the weather; ``None`` is 1.
+        particle_reach_m: ``(B,)`` depth from which on the air holds none; ``None`` is infinity.
+        particle_contrast: ``(B,)`` what particles change in the picture over the modelled; ``None`` is 1.
+        path_tangent: ``(B,)`` sideways over downward speed of falling particles, to the right; ``None`` is 0.
+        row_time_s: ``(B,)`` from the exposure of a row to that of the row below; ``None`` is 0.
     """
 
     signal: Tensor
@@ -43,6 +55,16 @@ class CameraState:
     transmission: Tensor | None = None
     particle_mask: Tensor | None = None
     keep_truth: bool = False
+    camera: Camera | None = None
+    normal: Tensor | None = None
+    airlight_scale: Tensor | None = None
+    extinction_scale: Tensor | None = None
+    fog_density: Tensor | None = None
+    particle_count: Tensor | None = None
+    particle_reach_m: Tensor | None = None
+    particle_contrast: Tensor | None = None
+    path_tangent: Tensor | None = None
+    row_time_s: Tensor | None = None
 
     @property
     def sizes(self) -> dict[str, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import torch
@@ -15,11 +15,21 @@ from torchweather.image.bayer import cfa_colour_index
 from torchweather.image.depth import as_depth_source, check_depth
 from torchweather.random import sample_seeds
 from torchweather.sensors import Camera
-from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Quantise, Stage
+from torchweather.stages import (
+    CameraState,
+    Chain,
+    Effect,
+    ExtinctionAndAirlight,
+    ParticleVeil,
+    Quantise,
+    Stage,
+    effect_from_dict,
+    with_effects,
+)
 from torchweather.stages.by_rows import is_exporting
-from torchweather.stages.camera import estimate_airlight, three_colours
+from torchweather.stages.camera import estimate_airlight, scaled_airlight, three_colours
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
-from torchweather.transforms.weather_transform import WeatherTransform
+from torchweather.transforms.weather_transform import Sizes, WeatherTransform
 from torchweather.weather import Fog, Rain, Snow, Weather, check_knobs
 
 __all__ = ["BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"]
@@ -61,6 +71,7 @@ class BayerWeather(WeatherTransform):
         drop_view: what a drop shows: the mean of the ``frame`` or of its ``upper`` three fifths.
         rate_capacity_mm_per_h: highest rate that one draw serves.
         variant: ``d3_4`` computes what the deliverable published (``PHYSICS.md`` 8) where that differs.
+        effects: of ``stages.EFFECTS`` for cameras, or their dictionaries; each goes to its place in the chain.
 
     Note:
         Single scattering; day and sky light only. Fog of a visibility below 20 m also blurs a real image.
@@ -91,6 +102,7 @@ class BayerWeather(WeatherTransform):
         drop_view: str = "frame",
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
+        effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
         super().__init__()
         self._check_weather(weather)
@@ -123,7 +135,8 @@ class BayerWeather(WeatherTransform):
                 variant=variant,
             )
         stages["quantise"] = Quantise()
-        self.chain = Chain(stages)
+        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
+        self.chain = with_effects(Chain(stages), built)
         self._rays: dict[tuple[Any, ...], Tensor] = {}
 
     def extra_repr(self) -> str:
@@ -141,6 +154,7 @@ class BayerWeather(WeatherTransform):
         depth: Tensor | None = None,
         noise: Mapping[str, Tensor] | None = None,
         *,
+        normal: Tensor | None = None,
         out: Tensor | None = None,
     ) -> Tensor:
         """The frame in this weather.
@@ -150,12 +164,14 @@ class BayerWeather(WeatherTransform):
             depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; ``None`` takes the
                 constructor's source.
             noise: what ``draw`` gave; ``None`` draws.
+            normal: ``(..., 3, H, W)`` unit normals of the surfaces in the vehicle's frame (x forward, y left, z up), 0
+                where there is none; for ``camera.wet_surface``.
             out: a float32 tensor of the frame's shape to write to, for fog alone; it gets linear light.
 
         Returns:
             ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
         """
-        state = self._state(bayer, depth)
+        state = self._state(bayer, depth, normal)
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
         if out is not None:
             self._run_into(state, out)
@@ -163,17 +179,25 @@ class BayerWeather(WeatherTransform):
         return self._raw(self.chain(state, drawn), state, bayer)
 
     def run(
-        self, bayer: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None
+        self,
+        bayer: Tensor,
+        depth: Tensor | None = None,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        normal: Tensor | None = None,
     ) -> CameraResult:
-        """The frame, and with it transmission, airlight and particle mask."""
-        state = self._state(bayer, depth, keep_truth=True)
+        """The frame, and with it transmission, airlight and particle mask; arguments as ``forward``."""
+        state = self._state(bayer, depth, normal, keep_truth=True)
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
         after: CameraState = self.chain(state, drawn)
         batch = bayer.shape[:-3]
         airlight = after.airlight
         if airlight is None:
-            veil = self.chain.stages.get("particle_veil")
-            airlight = veil.ambient(state) if isinstance(veil, ParticleVeil) else estimate_airlight(state, self)
+            veil, lit = self.chain.stages.get("particle_veil"), replace(state, airlight_scale=after.airlight_scale)
+            if isinstance(veil, ParticleVeil):
+                airlight = veil.ambient(lit)
+            else:
+                airlight = scaled_airlight(estimate_airlight(state, self), lit)
         one, zero = torch.ones_like(state.signal), torch.zeros_like(state.signal)
         transmission = one if after.transmission is None else after.transmission
         mask = zero if after.particle_mask is None else after.particle_mask
@@ -243,7 +267,8 @@ class BayerWeather(WeatherTransform):
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
         seeds = sample_seeds((math.prod(batch),), generator, flat_seed)
         height, width = bayer.shape[-2:]
-        noise = self._drawn((len(seeds),), {"H": height, "W": width}, None, torch.tensor(seeds))
+        sizes = Sizes(len(seeds), {"H": height, "W": width})
+        noise = self._drawn((len(seeds),), sizes.sizes, None, torch.tensor(seeds))
         for frame in range(int(frames)):
             if frame:
                 for name, stage in self.chain.stages.items():
@@ -251,11 +276,24 @@ class BayerWeather(WeatherTransform):
                         own = {k.removeprefix(f"{name}."): v for k, v in noise.items() if k.startswith(f"{name}.")}
                         moved = stage.next_frame(own, (height, width), frame_interval_s, seeds, name, frame)
                         noise = {**noise, **{f"{name}.{key}": value for key, value in moved.items()}}
+                    elif isinstance(stage, Effect) and stage.each_frame_anew:
+                        anew = stage.draw(sizes, seed=seeds, name=f"{name}.frame_{frame}")
+                        noise = {**noise, **{f"{name}.{key}": value for key, value in anew.items()}}
             yield {key: value.reshape(*batch, *value.shape[1:]) for key, value in noise.items()}
+
+    def state_of(self, bayer: Tensor, depth: Tensor | None = None, normal: Tensor | None = None) -> CameraState:
+        """What the chain takes: the frame before any stage.
+
+        Args:
+            bayer, depth, normal: as in ``forward``.
+        """
+        return self._state(bayer, depth, normal)
 
     # ---- the border --------------------------------------------------------------------------------------------
 
-    def _state(self, bayer: Tensor, depth: Tensor | None, *, keep_truth: bool = False) -> CameraState:
+    def _state(
+        self, bayer: Tensor, depth: Tensor | None, normal: Tensor | None = None, *, keep_truth: bool = False
+    ) -> CameraState:
         check_bayer(bayer, self.camera, self)
         check_knobs(self.weather, bayer.shape[:-3], owner=self)
         height, width = bayer.shape[-2:]
@@ -268,7 +306,20 @@ class BayerWeather(WeatherTransform):
             cfa_index=torch.tensor(cfa_colour_index(self.camera.bayer_pattern), device=linear.device),
             intrinsics=torch.tensor([self.camera.intrinsics], device=linear.device, dtype=linear.dtype),
             keep_truth=keep_truth,
+            camera=self.camera,
+            normal=None if normal is None else self._normal(normal, bayer, linear),
         )
+
+    def _normal(self, normal: Tensor, bayer: Tensor, linear: Tensor) -> Tensor:
+        batch, (height, width) = bayer.shape[:-3], linear.shape[-2:]
+        if not isinstance(normal, Tensor) or tuple(normal.shape[-3:]) != (3, height, width):
+            raise ValueError(
+                f"{type(self).__name__}: normal must be a tensor (..., 3, {height}, {width}) of unit normals in the "
+                f"vehicle's frame; got {tuple(normal.shape) if isinstance(normal, Tensor) else type(normal).__name__}."
+            )
+        shared = normal.ndim == 3 or normal.shape[:-3].numel() == 1
+        spread = normal if shared else normal.expand(*batch, 3, height, width)
+        return spread.reshape(-1, 3, height, width).to(linear)
 
     def _depth(self, bayer: Tensor, depth: Tensor | None, linear: Tensor) -> Tensor:
         height, width = linear.shape[-2:]

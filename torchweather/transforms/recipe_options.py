@@ -81,7 +81,7 @@ def _camera_options(transform: BayerWeather) -> dict[str, Any]:
             found |= {key: value for key, value in stage.options.items() if key in OPTIONS["camera"]}
     if transform.depth_source is not None:
         found["depth"] = _depth_option(transform.depth_source)
-    return found
+    return found | _effects(transform.chain)
 
 
 def _lidar_options(transform: LidarWeather) -> dict[str, Any]:
@@ -89,8 +89,12 @@ def _lidar_options(transform: LidarWeather) -> dict[str, Any]:
     for stage in transform.chain.stages.values():
         if isinstance(stage, (Extinction, ParticleReturns)):
             found |= stage.options
-    effects = [stage.to_dict() for stage in transform.chain.stages.values() if isinstance(stage, Effect)]
-    return found | ({"effects": effects} if effects else {})
+    return found | _effects(transform.chain)
+
+
+def _effects(chain: Chain) -> dict[str, Any]:
+    effects = [stage.to_dict() for stage in chain.stages.values() if isinstance(stage, Effect)]
+    return {"effects": effects} if effects else {}
 
 
 def _radar_options(transform: RadarAttenuation) -> dict[str, Any]:

@@ -16,11 +16,11 @@ from torchweather.stages import Chain
 from torchweather.stages.stage import State
 from torchweather.weather import Weather
 
-__all__ = ["WeatherTransform"]
+__all__ = ["Sizes", "WeatherTransform"]
 
 
 @dataclass(frozen=True)
-class _Sizes:
+class Sizes:
     """Just enough of a state for drawing."""
 
     batch: int
@@ -64,7 +64,7 @@ class WeatherTransform(nn.Module):
     ) -> dict[str, Tensor]:
         """Noise of the chain, leading with the batch shape."""
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
-        drawn = self.chain.draw(_Sizes(math.prod(batch), sizes), generator, flat_seed)
+        drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
 
     def _flat_noise(self, noise: Mapping[str, Tensor], state: State) -> dict[str, Tensor]:
