@@ -51,6 +51,7 @@ MEASURED: dict[str, list[str]] = {
 }
 # Tested in a file of their own.
 ELSEWHERE = {
+    "draw_camera_effects.py": "test_docs_effects_camera.py",
     "draw_lidar_effects.py": "test_docs_effects.py",
     "draw_radar_effects.py": "test_docs_effects_radar.py",
     "gap_d34_suspicions.py": "gap/test_hidden_study.py",

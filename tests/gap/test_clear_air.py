@@ -34,7 +34,9 @@ def frames(number: int, seed: int, drift: float = 0.0) -> Reduced:
 
 def found(seed: int = 0, **scenes: Reduced) -> list[ClearAir]:
     model: Any = SimpleNamespace(
-        layout=LAYOUT, study=SimpleNamespace(scenes=dict.fromkeys(scenes)), clear=lambda name: scenes[name]
+        layout=LAYOUT,
+        clear_frames={name: len(frames) for name, frames in scenes.items()},
+        clear=lambda name: scenes[name],
     )
     return clear_air(model, seed)
 

@@ -77,7 +77,8 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, whole: f
     start = base(whole=whole)
     measured = [Target(condition(name), start.mean[name] + departure, np.ones(SIZE, bool), 5) for name in CONDITIONS]
     weight = np.full((5, LAYOUT.bins), 200.0)
-    model = SimpleNamespace(layout=LAYOUT, measured=lambda _: SimpleNamespace(weight=weight))
+    shared = {"fit": (), "holdout": (), "catalogue": ["lidar.window_loss"]}
+    model = SimpleNamespace(layout=LAYOUT, measured=lambda _: SimpleNamespace(weight=weight), **shared)
     rest = departure if left is None else left
     whitened = np.concatenate([start.whitened(name, rest) for name in CONDITIONS])
     search = SimpleNamespace(

@@ -167,7 +167,7 @@ def further(
     monkeypatch.setattr(workflow, "fitted", lambda *given: [rounds.pop(0)])
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
     monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
-    search: Any = SimpleNamespace(origin=Setting(), seed=0)
+    search: Any = SimpleNamespace(origin=Setting(), seed=0, model=SimpleNamespace(as_record=frozenset()))
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
     given = {**vars(screening(excess=excess, rest_p=rest_p)), "best_null": np.full(100, threshold)}
     found = SimpleNamespace(**given, nodes=NODES)

@@ -71,6 +71,12 @@ class LinkFrames:
         self.clear_frames = {split: int(dry.hour.max(initial=0)) + 1 for split, dry in self.dry.items()}
         self.rel_sd = max(one.rel_sd for one in study.conditions)
         self.fit, self.holdout = (self._conditions(split, found[split][0]) for split in (FIT, HOLDOUT))
+        if not self.fit or not self.holdout:
+            raise TorchweatherError(
+                f"find_gap: not enough data to decide: wanted {FEWEST['mean']:.0f} samples or more in a class of rain "
+                f"or after it, of the links to fit to and of those held out; got {len(found[FIT][0])} and "
+                f"{len(found[HOLDOUT][0])} in rain and after it. Give a longer record."
+            )
         self._drawn: dict[tuple[str, int], Floats] = {}
         self.cells = {name: self._cells(samples) for name, samples in self.samples.items()}
         self.scatter = {name: Scatter.of(samples, self.cells[name][0]) for name, samples in self.samples.items()}

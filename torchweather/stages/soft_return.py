@@ -124,7 +124,7 @@ class SoftReturn(nn.Module):
             mor_m = torch.logspace(math.log10(low), math.log10(high), 32)
             beam = Beam(sensor)
             # Extinction at its least, the geometric optics of Koschmieder's law.
-            most = self._signal(beam, mor_m, 2.9 / mor_m, self.grid.quadrature_m).max() / beam.threshold
+            most = self._waveform(beam, mor_m, 2.9 / mor_m, self.grid.quadrature_m)[0].max() / beam.threshold
         photons = sensor.photons_at_threshold
         brightest = float(most) * photons
         self.root_low = math.sqrt(FEWEST_PHOTONS * photons)
@@ -142,9 +142,10 @@ class SoftReturn(nn.Module):
 
     def signal(self, beam: Beam, extinction_per_m: Tensor, range_m: Tensor) -> Tensor:
         """Expected soft return S over the system constant, ``(B, ...)``, at ranges ``(...)``, 1/(m^2 sr)."""
-        return self._signal(beam, self.mor_m.reshape(-1), extinction_per_m, range_m)
+        return self._waveform(beam, self.mor_m.reshape(-1), extinction_per_m, range_m)[0]
 
-    def _signal(self, beam: Beam, mor_m: Tensor, extinction_per_m: Tensor, range_m: Tensor) -> Tensor:
+    def _waveform(self, beam: Beam, mor_m: Tensor, extinction_per_m: Tensor, range_m: Tensor) -> tuple[Tensor, Tensor]:
+        """S and its change per metre: the pulse begins and ends with nothing, so that only its shape moves."""
         # Where in the fog the light comes from, (..., 2 PULSE_NODES): the part of the pulse that meets the rising
         # response and that which meets the full one. f is smooth in each: S has no ripples however short the rise.
         behind_m = range_m + self.pulse_length_m
@@ -155,14 +156,14 @@ class SoftReturn(nn.Module):
         lengths_m = torch.stack([full_m - begin_m, behind_m - full_m], -1)[..., None]
         source_m = torch.stack([begin_m, full_m], -1)[..., None] + lengths_m * place
         weight = 0.5 * self.pulse_weight * lengths_m / self.pulse_length_m
-        phase = (range_m[..., None, None] - source_m) * (0.5 * math.pi / self.pulse_length_m)
-        weight = (weight * phase.cos().square()).flatten(-2)
+        phase = (range_m[..., None, None] - source_m) * (math.pi / self.pulse_length_m)
         source_m = source_m.flatten(-2)
         extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
         response = beam.near_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * source_m)
-        spread = (response * weight).sum(-1)
-        beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim))
-        return beta * self.pulse_length_m * spread
+        beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
+        pulse = (weight * (0.5 + 0.5 * phase.cos())).flatten(-2)
+        changing = (weight * (-0.5 * math.pi / self.pulse_length_m) * phase.sin()).flatten(-2)
+        return beta * (response * pulse).sum(-1), beta * (response * changing).sum(-1)
 
     def between(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
         """Lambda from one node of the reading to the next up to each node of range, ``(B, E, P)``.
@@ -172,8 +173,8 @@ class SoftReturn(nn.Module):
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
         """
-        photons = self._photons(beam, extinction_per_m, density_scale)
-        steep = self._slope(photons).abs()
+        photons, slope = self._photons(beam, extinction_per_m, density_scale)
+        steep = slope.abs()
         chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
         per_m = self._read(self.mills_table, photons) * chance.clamp_min(0.0)[:, None]
         crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
@@ -181,27 +182,22 @@ class SoftReturn(nn.Module):
 
     def places(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
         """Weight of the places up to each node of range for a reading between two nodes, ``(B, E, P)``."""
-        photons = self._photons(beam, extinction_per_m, density_scale)
-        alike = torch.exp(-0.5 * self._slope(photons).square())
+        photons, slope = self._photons(beam, extinction_per_m, density_scale)
+        alike = torch.exp(-0.5 * slope.square())
         weight = self.grid.integrated(_apart(self._read(self.mills_table, photons) * alike[:, None]))
         return weight + RISING * self._risen(photons)
 
-    def _photons(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None) -> Tensor:
-        """Expected photons of a value at the nodes of the quadrature, ``(B, cells, G)``."""
-        signal = self.signal(beam, extinction_per_m, self.grid.quadrature_m)
-        if density_scale is not None:
-            signal = signal * density_scale.to(signal)[:, None, None]
-        return (signal * (self.photons_at_threshold / beam.threshold)).clamp_min(NO_PHOTONS)
+    def _photons(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Expected photons of a value at the nodes of the quadrature, and w there, ``(B, cells, G)`` each.
 
-    def _slope(self, photons: Tensor) -> Tensor:
-        """w, of the shape of ``photons``: dz/dr is that of -2 sqrt(photons), whose noise is of 1 everywhere."""
-        root, range_m = photons.flatten(1).sqrt(), self.grid.quadrature_m.flatten()
-        step_m = range_m.diff()
-        rise = root.diff(dim=1) / step_m
-        # The nearer neighbour counts more: second order on uneven nodes.
-        inner = torch.lerp(rise[:, :-1], rise[:, 1:], step_m[:-1] / (step_m[:-1] + step_m[1:]))
-        each = torch.cat([rise[:, :1], inner, rise[:, -1:]], 1)
-        return (each * (-2.0 / math.sqrt(SLOPE_SQUARE) * self.pulse_length_m)).reshape(photons.shape)
+        dz/dr is that of -2 sqrt(photons), whose noise is of 1 everywhere.
+        """
+        signal, per_m = self._waveform(beam, self.mor_m.reshape(-1), extinction_per_m, self.grid.quadrature_m)
+        scale = self.photons_at_threshold / beam.threshold
+        if density_scale is not None:
+            scale = scale * density_scale.to(signal)[:, None, None]
+        photons = (signal * scale).clamp_min(NO_PHOTONS)
+        return photons, per_m * scale / photons.sqrt() * (-self.pulse_length_m / math.sqrt(SLOPE_SQUARE))
 
     def _risen(self, photons: Tensor) -> Tensor:
         """-ln F of the largest expected value, from one node of the reading to the next, up to each node of range."""
