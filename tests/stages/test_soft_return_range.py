@@ -60,12 +60,13 @@ def returns_of(mor_m: float, lidar: Lidar) -> ParticleReturns:
     return found
 
 
-def drawn(mor_m: float, peak: float) -> Readings:
-    """What the library draws for beams without an object."""
+def drawn(mor_m: float, peak: float, object_m: float = 0.0) -> Readings:
+    """What the library draws for beams without an object, or in front of one."""
     lidar = sensor(mor_m, peak)
     fog = LidarFog(Fog(mor_m=mor_m), lidar)
     direction = torch.tensor([[1.0, 0.0, 0.0]]).expand(DRAWS, 3)
-    state: Any = fog.state_of(torch.zeros(1, DRAWS, 4), direction)
+    points = torch.tensor([object_m, 0.0, 0.0, 1.0 if object_m else 0.0]).expand(1, DRAWS, 4)
+    state: Any = fog.state_of(points, direction)
     noise = fog.chain.draw(state, seed=2)
     for name in ("to_energy", "extinction", "particle_returns"):
         own = {key.removeprefix(f"{name}."): value for key, value in noise.items() if key.startswith(f"{name}.")}
@@ -74,8 +75,8 @@ def drawn(mor_m: float, peak: float) -> Readings:
     return Readings(state.range_m[0, :, 1].double().numpy(), photons.double().numpy())
 
 
-def by_brute_force(mor_m: float, peak: float) -> Readings:
-    """Maxima of the waveform with noise that is correlated as the pulse."""
+def by_brute_force(mor_m: float, peak: float, object_m: float = math.inf) -> Readings:
+    """Maxima of the waveform, up to an object, with noise that is correlated as the pulse."""
     fog = LidarFog(Fog(mor_m=mor_m), OS1)
     target = SoftTarget(float(fog.extinction_per_m), float(fog.backscatter_per_m_sr))
     length_m = target.pulse_length_m
@@ -86,7 +87,7 @@ def by_brute_force(mor_m: float, peak: float) -> Readings:
     pulse = np.cos(0.5 * math.pi * place / length_m) ** 2
     white = np.random.default_rng(1).normal(size=(DRAWS, len(range_m) + len(pulse) - 1))
     noise = fftconvolve(white, pulse[None] / math.sqrt(float(pulse @ pulse)), mode="valid", axes=1)
-    reading = mean + np.sqrt(mean) * noise
+    reading = np.where(range_m < object_m, mean + np.sqrt(mean) * noise, -np.inf)
     top = reading.argmax(1)
     return Readings(range_m[top], reading[np.arange(DRAWS), top])
 
@@ -139,6 +140,17 @@ def test_the_readings_have_the_receiver_s_distribution(found: Found, case: tuple
         assert np.quantile(library.photons, tail) == pytest.approx(
             np.quantile(brute.photons, tail), abs=0.2 * deviation
         )
+
+
+@pytest.mark.parametrize("object_m", [2.8, 3.3, 3.9])
+def test_in_front_of_a_near_object_fog_is_read_where_its_waveform_ends(object_m: float) -> None:
+    """The waveform of fog of 100 m rises to 3.9 m: cut off before, it is largest at its end."""
+    library, brute = drawn(100.0, 1000.0, object_m), by_brute_force(100.0, 1000.0, object_m)
+    assert (library.range_m <= object_m).all()
+    # On the rising side the places are those at which the waveform comes within its noise of its end: 0.08 m at most.
+    assert library.range_m.mean() == pytest.approx(brute.range_m.mean(), abs=0.1)
+    # From the last step of the brute force to the object, 0.025 m, the waveform still rises: by 16 photons at 2.8 m.
+    assert library.photons.mean() == pytest.approx(brute.photons.mean(), abs=0.5 * math.sqrt(PHOTONS))
 
 
 def test_more_photons_are_detected_more_often(found: Found) -> None:

@@ -58,7 +58,7 @@ NO_PHOTONS = 1e-20
 # Mean square slope of white noise filtered with sin^2(pi r / 2 l), over its variance, times l^2.
 SLOPE_SQUARE = math.pi**2 / 3.0
 # Weight of "where the waveform rises" among the places, for a reach so short that its noise decides nothing.
-RISING = 1e-6
+RISING = 1e-3
 
 
 @lru_cache(maxsize=8)
