@@ -12,7 +12,6 @@ docs/effects-camera.md are made by this script.
 from __future__ import annotations
 
 import argparse
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -23,14 +22,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import torch
+from draw_lidar_effects import save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from PIL import Image
 
 import torchweather as tw
-from torchweather.io import atomic_write
 from torchweather.report.figures import STYLE, plain_axes
 from torchweather.scenes import SceneView, test_track
 from torchweather.stages import EFFECTS
@@ -470,15 +468,6 @@ def draw(
     show(figure.add_subplot(grid[0, 1]), shown[0], picture, f"{what}without")
     show(figure.add_subplot(grid[1, 1]), shown[1], picture, label.replace("\n", " "))
     return figure
-
-
-def save(figure: Figure, path: Path) -> None:
-    """A PNG of few colours, written under another name first."""
-    memory = io.BytesIO()
-    figure.savefig(memory, dpi=DPI)
-    image = Image.open(memory).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    with atomic_write(path) as unfinished:
-        image.save(unfinished, format="PNG", optimize=True)
 
 
 def main() -> None:

@@ -12,7 +12,6 @@ are made by this script.
 from __future__ import annotations
 
 import argparse
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -22,13 +21,12 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import torch
+from draw_lidar_effects import save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 
 import torchweather as tw
-from torchweather.io import atomic_write
 from torchweather.physics import wet_cover_series_db
 from torchweather.report.figures import STYLE, plain_axes
 from torchweather.stages import EFFECTS
@@ -515,15 +513,6 @@ def draw(
     number, place = picture.legend
     panels[number].legend(frameon=False, fontsize=8, loc=place)
     return figure
-
-
-def save(figure: Figure, path: Path) -> None:
-    """A PNG of few colours, written under another name first."""
-    memory = io.BytesIO()
-    figure.savefig(memory, dpi=DPI)
-    image = Image.open(memory).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    with atomic_write(path) as unfinished:
-        image.save(unfinished, format="PNG", optimize=True)
 
 
 def main() -> None:

@@ -63,10 +63,25 @@ def heading(effect: type[Effect]) -> str:
     return effect.title[0].upper() + effect.title[1:]
 
 
-def sections() -> dict[str, list[str]]:
+def sections_of(page: Path) -> dict[str, list[str]]:
     """Heading to the lines below it."""
-    parts = re.split(r"^## (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    parts = re.split(r"^## (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {title: body.strip().splitlines() for title, body in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def module_of(path: Path) -> ModuleType:
+    """An example as a module, which is quicker than a process of its own."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses ask for theirs
+    sys.path.insert(0, str(path.parent))  # as where a script runs: it may take something from its neighbour
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
 
 
 def picture(name: str) -> Path:
@@ -74,13 +89,13 @@ def picture(name: str) -> Path:
 
 
 def test_every_effect_has_its_section_in_the_order_of_the_catalogue() -> None:
-    assert list(sections()) == [heading(EFFECTS[name]) for name in LIDAR]
+    assert list(sections_of(PAGE)) == [heading(EFFECTS[name]) for name in LIDAR]
 
 
 @every_effect
 def test_a_section_says_what_the_class_says(name: str) -> None:
     effect = EFFECTS[name]
-    lines = sections()[heading(effect)]
+    lines = sections_of(PAGE)[heading(effect)]
     assert lines[0] == f"`{name}` · {effect.term}"
     assert [line for line in lines if line.startswith("|")] == table(effect)
     assert [line for line in lines if line.startswith("- ")] == facts(effect)
@@ -88,7 +103,7 @@ def test_a_section_says_what_the_class_says(name: str) -> None:
 
 @every_effect
 def test_a_section_shows_its_picture_and_says_what_is_seen(name: str) -> None:
-    lines = sections()[heading(EFFECTS[name])]
+    lines = sections_of(PAGE)[heading(EFFECTS[name])]
     (shown,) = [line for line in lines if line.startswith("![")]
     found = re.fullmatch(rf"!\[(.+)\]\(images/effects/{re.escape(name)}\.png\)", shown)
     assert found is not None
@@ -112,14 +127,7 @@ def test_the_recipe_on_the_page_holds_an_effect(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def example() -> ModuleType:
-    """The example as a module, which is quicker than a process of its own."""
-    spec = importlib.util.spec_from_file_location("draw_lidar_effects", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses ask for theirs
-    spec.loader.exec_module(module)
-    return module
+    return module_of(EXAMPLE)
 
 
 def test_the_example_has_two_settings_of_every_effect_at_which_it_acts(example: ModuleType) -> None:

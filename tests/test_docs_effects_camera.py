@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 import sys
@@ -12,19 +11,14 @@ from types import ModuleType
 import pytest
 from PIL import Image
 
+from tests.test_docs_effects import HEAD, MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, sections_of
 from torchweather.stages import EFFECTS, Effect, Parameter
 from torchweather.transforms.recipes import load_recipe
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-camera.md"
-PICTURES = ROOT / "docs" / "images" / "effects"
 EXAMPLE = ROOT / "examples" / "draw_camera_effects.py"
 CAMERA = [name for name in EFFECTS if name.startswith("camera.")]
-
-MOST_BYTES = 40_000  # of a picture: nineteen of them are on one page
-SIZE_PX = (720, 312)
-
-HEAD = ["| parameter | unit | bounds | does nothing at | typical size |", "| --- | --- | --- | --- | --- |"]
 every_effect = pytest.mark.parametrize("name", CAMERA)
 
 
@@ -53,24 +47,14 @@ def facts(effect: type[Effect]) -> list[str]:
     ]
 
 
-def heading(effect: type[Effect]) -> str:
-    return effect.title[0].upper() + effect.title[1:]
-
-
-def sections() -> dict[str, list[str]]:
-    """Heading to the lines below it."""
-    parts = re.split(r"^## (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    return {title: body.strip().splitlines() for title, body in zip(parts[1::2], parts[2::2], strict=True)}
-
-
 def test_every_effect_has_its_section_in_the_order_of_the_catalogue() -> None:
-    assert list(sections()) == [heading(EFFECTS[name]) for name in CAMERA]
+    assert list(sections_of(PAGE)) == [heading(EFFECTS[name]) for name in CAMERA]
 
 
 @every_effect
 def test_a_section_says_what_the_class_says(name: str) -> None:
     effect = EFFECTS[name]
-    lines = sections()[heading(effect)]
+    lines = sections_of(PAGE)[heading(effect)]
     assert lines[0] == f"`{name}` · {effect.term}"
     assert [line for line in lines if line.startswith("|")] == [*HEAD, *(row(one) for one in effect.arguments)]
     listed = [line for line in lines if line.startswith("- ")]
@@ -82,7 +66,7 @@ def test_a_section_says_what_the_class_says(name: str) -> None:
 
 @every_effect
 def test_a_section_shows_its_picture_and_says_what_is_seen(name: str) -> None:
-    lines = sections()[heading(EFFECTS[name])]
+    lines = sections_of(PAGE)[heading(EFFECTS[name])]
     (shown,) = [line for line in lines if line.startswith("![")]
     assert re.fullmatch(rf"!\[(.+)\]\(images/effects/{re.escape(name)}\.png\)", shown) is not None
     picture = PICTURES / f"{name}.png"
@@ -106,14 +90,7 @@ def test_the_recipe_on_the_page_holds_an_effect(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def example() -> ModuleType:
-    """The example as a module, which is quicker than a process of its own."""
-    spec = importlib.util.spec_from_file_location("draw_camera_effects", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses ask for theirs
-    spec.loader.exec_module(module)
-    return module
+    return module_of(EXAMPLE)
 
 
 def test_the_example_has_two_settings_of_every_effect_at_which_it_acts(example: ModuleType) -> None:

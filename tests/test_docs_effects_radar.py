@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 from pathlib import Path
@@ -11,7 +10,7 @@ from types import ModuleType
 import pytest
 from PIL import Image
 
-from tests.test_docs_effects import MOST_BYTES, PICTURES, SIZE_PX, heading, picture, table
+from tests.test_docs_effects import MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, picture, sections_of, table
 from torchweather.stages import EFFECTS, Effect
 from torchweather.transforms.recipes import load_recipe
 
@@ -38,20 +37,14 @@ def facts(effect: type[Effect]) -> list[str]:
     ]
 
 
-def sections() -> dict[str, list[str]]:
-    """Heading to the lines below it."""
-    parts = re.split(r"^## (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    return {title: body.strip().splitlines() for title, body in zip(parts[1::2], parts[2::2], strict=True)}
-
-
 def test_every_effect_has_its_section_in_the_order_of_the_catalogue() -> None:
-    assert list(sections()) == [heading(EFFECTS[name]) for name in RADAR]
+    assert list(sections_of(PAGE)) == [heading(EFFECTS[name]) for name in RADAR]
 
 
 @every_effect
 def test_a_section_says_what_the_class_says(name: str) -> None:
     effect = EFFECTS[name]
-    lines = sections()[heading(effect)]
+    lines = sections_of(PAGE)[heading(effect)]
     assert lines[0] == f"`{name}` · {effect.term}"
     assert [line for line in lines if line.startswith("|")] == table(effect)
     assert [line for line in lines if line.startswith("- ")] == facts(effect)
@@ -59,7 +52,7 @@ def test_a_section_says_what_the_class_says(name: str) -> None:
 
 @every_effect
 def test_a_section_shows_its_picture_and_says_what_is_seen(name: str) -> None:
-    lines = sections()[heading(EFFECTS[name])]
+    lines = sections_of(PAGE)[heading(EFFECTS[name])]
     (shown,) = [line for line in lines if line.startswith("![")]
     assert re.fullmatch(rf"!\[(.+)\]\(images/effects/{re.escape(name)}\.png\)", shown) is not None
     assert picture(name).stat().st_size < MOST_BYTES
@@ -82,14 +75,7 @@ def test_the_recipe_on_the_page_holds_an_effect(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def example() -> ModuleType:
-    """The example as a module, which is quicker than a process of its own."""
-    spec = importlib.util.spec_from_file_location("draw_radar_effects", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses ask for theirs
-    spec.loader.exec_module(module)
-    return module
+    return module_of(EXAMPLE)
 
 
 def test_the_example_has_two_settings_of_every_effect_at_which_it_acts(example: ModuleType) -> None:

@@ -20,7 +20,10 @@ from torchweather.gap.link import LinkFrames
 from torchweather.gap.link_effects import attenuation_db
 from torchweather.gap.link_samples import LinkSamples, Scatter, link_samples
 from torchweather.gap.simulation import rain_attenuation_db
+from torchweather.sensors import Radar
 from torchweather.stages.effects_radar import RadarNoiseFloor, RadarPathLossScale, RadarWetRadome
+from torchweather.transforms import RadarAttenuation
+from torchweather.weather import Rain
 
 LINKS, STEPS = 80, 600
 STEP_MIN = 5.0
@@ -259,3 +262,11 @@ def test_a_single_link_is_refused() -> None:
 def test_a_model_of_links_has_no_options() -> None:
     with pytest.raises(TorchweatherError, match="the model of links has none"):
         find_gap(study(), options={"variant": "d3_4"})
+
+
+def test_what_was_found_on_links_goes_into_no_lidar() -> None:
+    found = find_gap(study(film_db=1.2))
+    with pytest.raises(TypeError, match=r"wanted a LidarWeather; got RadarAttenuation"):
+        found.apply(RadarAttenuation(Rain(10.0), Radar.preset("imaging-77ghz")))  # type: ignore[arg-type]
+    repaired = RadarAttenuation(Rain(10.0), Radar.preset("imaging-77ghz"), effects=found.effects)
+    assert "wet_radome" in repaired.chain.stages

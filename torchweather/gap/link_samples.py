@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.frames import Frame
-from torchweather.gap.simulation import dry_samples, rain_attenuation_db
+from torchweather.gap.simulation import DRIZZLE_MM_PER_H, dry_samples, rain_attenuation_db
 from torchweather.physics import rain_attenuation_p838_db_per_km
 
 __all__ = ["AFTER_RAIN_MIN", "RAIN_EDGES_MM_PER_H", "Scatter", "LinkSamples", "link_samples"]
@@ -33,7 +33,7 @@ Whole = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 # Light, moderate and heavy rain, split further; the lowest is what the reference calls rain.
-RAIN_EDGES_MM_PER_H = (0.1, 0.5, 1.0, 2.0, 5.0, 20.0, math.inf)
+RAIN_EDGES_MM_PER_H = (DRIZZLE_MM_PER_H, 0.5, 1.0, 2.0, 5.0, 20.0, math.inf)
 AFTER_RAIN_MIN = 120.0  # how long after rain a cover may still be wet
 HOUR_S = 3600.0
 
@@ -75,7 +75,7 @@ class LinkSamples:
 
     @classmethod
     def joined(cls, parts: Sequence[LinkSamples]) -> LinkSamples:
-        """Those of several records; links and hours of each are its own."""
+        """Those of several records of the same links; the hours of each are its own."""
         found: dict[str, NDArray[Any]] = {}
         for field in fields(cls):
             arrays = [getattr(part, field.name) for part in parts]

@@ -54,6 +54,11 @@ class Additions(Sequence[Effect]):
             empirical: add the empirical stage as well; it is valid in the range, the weather and the scenes that it
                 was measured in.
         """
+        if not isinstance(model, LidarWeather):
+            raise TypeError(
+                f"Additions.apply: wanted a LidarWeather; got {type(model).__name__}. Other sensors take the "
+                "effects when they are built, as in RadarAttenuation(weather, sensor, effects=report.effects)."
+            )
         stages = model.chain.stages
         options = {**stages["extinction"].config(), **stages["particle_returns"].config()}
         present = [stage for stage in stages.values() if isinstance(stage, Effect)]
