@@ -36,7 +36,7 @@ from torchweather.weather import Weather
 
 Array = NDArray[Any]
 
-SIZE_INCH, DPI, COLOURS = (6.0, 2.6), 120, 96
+SIZE_INCH, COLOURS = (6.0, 2.6), 96
 WITHOUT, WEAK, STRONG = "#b3bcc5", "#4dabf7", "#0b4f8a"
 LEAST_VALUES = 40  # in a bin that is drawn; fewer say little
 GAMMA, GAIN = 2.2, 1.6  # of the display
@@ -503,7 +503,7 @@ def main() -> None:
     for name in arguments.effects or PICTURES:
         path = arguments.out / f"{name}.png"
         with mpl.rc_context({**STYLE, "font.size": 9.0}):
-            save(draw(name, view, frames), path)
+            save(draw(name, view, frames), path, COLOURS)
         print(f"{EFFECTS[name].title}: {path}")
 
 

@@ -636,11 +636,11 @@ def draw(name: str, beams: Beams, frames: Callable[[Weather, tuple[Mapping[str, 
     return figure
 
 
-def save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     """A PNG of few colours, written under another name first."""
     memory = io.BytesIO()
     figure.savefig(memory, dpi=DPI)
-    image = Image.open(memory).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    image = Image.open(memory).convert("RGB").quantize(colours, dither=Image.Dither.NONE)
     with atomic_write(path) as unfinished:
         image.save(unfinished, format="PNG", optimize=True)
 

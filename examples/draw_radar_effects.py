@@ -34,7 +34,7 @@ from torchweather.weather import Weather
 
 Array = NDArray[Any]
 
-SIZE_INCH, DPI, COLOURS = (6.0, 2.6), 120, 64
+SIZE_INCH, COLOURS = (6.0, 2.6), 64
 WITHOUT, WEAK, STRONG = "#b3bcc5", "#4dabf7", "#0b4f8a"
 MAP_TITLE: dict[str, Any] = {"fontsize": 8, "fontweight": "normal"}  # the setting that a map shows
 LEAST_VALUES = 20  # in a bin that is drawn; fewer say little
@@ -534,7 +534,7 @@ def main() -> None:
     for name in arguments.effects or PICTURES:
         path = arguments.out / f"{name}.png"
         with mpl.rc_context({**STYLE, "font.size": 9.0}):
-            save(draw(name, targets, frames), path)
+            save(draw(name, targets, frames), path, COLOURS)
         print(f"{EFFECTS[name].title}: {path}")
 
 
