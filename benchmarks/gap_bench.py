@@ -124,17 +124,24 @@ def known(arguments: argparse.Namespace) -> None:
 
 def report(arguments: argparse.Namespace) -> None:
     """Open the truth and set it against the answers."""
-    folder: Path = arguments.folder
-    seal, truths = read_json(folder / "seal.json"), truth_of(folder)
-    answers = read_lines(folder / "answers.jsonl")
-    strange = sorted({one["case"] for one in answers if one["sealed"] != seal["truth_sha256"]})
-    if strange:
-        raise SystemExit(f"answers.jsonl: {', '.join(strange)} were answered under another seal; answer them again.")
-    sensor = sensor_of(folder)
-    found = score(truths, answers, read_lines(folder / "known.jsonl"), sensor.floors)
-    out: Path = arguments.out or folder / "score"
+    folders: list[Path] = arguments.folders
+    seals, truths, answers, told = [], {}, [], []
+    for folder in folders:
+        seal, lines = read_json(folder / "seal.json"), read_lines(folder / "answers.jsonl")
+        strange = sorted({one["case"] for one in lines if one["sealed"] != seal["truth_sha256"]})
+        if strange:
+            raise SystemExit(f"{folder}: {', '.join(strange)} were answered under another seal; answer them again.")
+        if seals and seal["sensor"] != seals[0]["sensor"]:
+            raise SystemExit(f"{folder}: wanted a set of sensor {seals[0]['sensor']}; got {seal['sensor']}.")
+        seals.append(seal)
+        truths |= truth_of(folder)
+        answers += lines
+        told += read_lines(folder / "known.jsonl")
+    sensor = sensor_of(folders[0])
+    found = score(truths, answers, told, sensor.floors)
+    out: Path = arguments.out or folders[0] / "score"
     bars = against_bars(found["table"], sensor.bars)
-    write_json(out / "score.json", {**seal, **found, "bars": bars})
+    write_json(out / "score.json", {"sets": seals, **found, "bars": bars})
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
     tables = bars_table(found["table"], bars), further_table(found["table"]), missed_table(found["cases"])
@@ -182,8 +189,8 @@ def main(argv: list[str] | None = None) -> int:
         one.add_argument("--part", default=None, help="k/n: every n-th study from the k-th, for several processes")
         one.set_defaults(run=act)
     one = commands.add_parser("score", help="open the sealed truth and write the table and pictures")
-    one.add_argument("folder", type=Path)
-    one.add_argument("--out", type=Path, default=None, help="default: DIR/score")
+    one.add_argument("folders", type=Path, nargs="+", help="one set, or several of a sensor in one table")
+    one.add_argument("--out", type=Path, default=None, help="default: score in the first folder")
     one.set_defaults(run=report)
     arguments = parser.parse_args(argv)
     arguments.run(arguments)

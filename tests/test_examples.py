@@ -55,6 +55,7 @@ ELSEWHERE = {
     "draw_lidar_effects.py": "test_docs_effects.py",
     "draw_radar_effects.py": "test_docs_effects_radar.py",
     "gap_d34_suspicions.py": "gap/test_hidden_study.py",
+    "gap_wads_snow.py": "test_gap_wads_example.py",
     "gap_wet_antenna.py": "test_wet_antenna_example.py",
     "links_against_p838.py": "test_links_example.py",
 }
@@ -123,7 +124,7 @@ def test_an_image_without_its_cloud_is_refused(tmp_path: Path) -> None:
     assert "--image, --points and --calibration go together" in done.stderr
 
 
-def made_wads(folder: Path, rate_mm_per_h: float) -> None:
+def made_wads(folder: Path, rate_mm_per_h: float, seed: int = 99) -> None:
     """A frame in WADS' format: snow of a known rate over a plane, with a wall in a quarter of the turn."""
     sensor = tw.Lidar.preset("pandar64-wads")
     along = scan_directions(sensor)
@@ -132,18 +133,18 @@ def made_wads(folder: Path, rate_mm_per_h: float) -> None:
     # White, so that nothing weak stands on the threshold and is lost.
     cloud = torch.cat([along * range_m[:, None], torch.where(range_m > 0, 255.0, 0.0)[:, None]], 1)
     snow = tw.LidarSnow(tw.Snow(rate_mm_per_h=rate_mm_per_h), sensor)
-    result = snow.run(cloud, snow.draw(cloud, seed=99), directions=along)
+    result = snow.run(cloud, snow.draw(cloud, seed=seed), directions=along)
     parts: list[Any] = [result.points, result.kind, result.second, result.second_kind]
     strongest, kind, second, second_kind = (part for part in parts)
     there, twice = kind != tw.PointKind.LOST, second_kind != tw.PointKind.LOST
     last = torch.where(twice[:, None], second, strongest)[there]
     last_kind = torch.where(twice, second_kind, kind)[there]
     for name in ("velodyne", "labels"):
-        (folder / name).mkdir(parents=True)
-    torch.cat([last, strongest[there]]).numpy().astype("<f4").tofile(folder / "velodyne" / "000000.bin")
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    torch.cat([last, strongest[there]]).numpy().astype("<f4").tofile(folder / "velodyne" / f"{seed:06d}.bin")
     kinds = torch.cat([last_kind, kind[there]])
     classes = torch.where(kinds == tw.PointKind.PARTICLE, FALLING_SNOW, 40)
-    write_labels(folder / "labels" / "000000.label", PointLabels(classes, torch.zeros_like(classes)))
+    write_labels(folder / "labels" / f"{seed:06d}.label", PointLabels(classes, torch.zeros_like(classes)))
 
 
 def test_snow_of_a_known_rate_is_found_again_in_a_made_recording(tmp_path: Path) -> None:

@@ -56,10 +56,10 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
     outside = [row for row in rows if row["family"] == "outside"]
     decoys = [row for row in rows if row["family"] == "decoy"]
     named = [row for row in singles + several if row["exact"] and row["gap_after_over_floor"] is not None]
-    seconds = [row["seconds"] for row in rows if row["seconds"] is not None]
+    seconds = [row["seconds"] for row in rows if row["seconds"] is not None and not row["screen"]]
     table: Row = {
-        "answered": len(rows),
-        "made": len(truths),
+        "answered": sum(not row["screen"] for row in rows),
+        "made": sum(not truth["options"].get("screen") for truth in truths.values()),
         "errors": sorted(row["case"] for row in rows if row["error"]),
         "singles_exact": share(singles, _is("exact")),
         "singles_identifiable_exact": share(clear_cut, _is("exact")),

@@ -55,7 +55,9 @@ def folder(tmp_path):
 
 
 def _arguments(folder, **more):
-    return SimpleNamespace(**{"folder": folder, "seed": 0, "count": None, "part": None, "out": None, **more})
+    return SimpleNamespace(
+        **{"folder": folder, "seed": 0, "count": None, "part": None, "out": None, "folders": [folder], **more}
+    )
 
 
 def test_lines_of_two_processes_stay_whole(tmp_path):

@@ -21,15 +21,18 @@ from torchweather.gap.clear_air import ClearAir
 from torchweather.gap.empirical_fit import Departures
 from torchweather.gap.gap_report import _standard_error, gap_report, read_model, write_model
 from torchweather.gap.held_out import HeldOut
+from torchweather.gap.model_file import Additions
 from torchweather.gap.search import Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.unknown import log_chance, without_means
-from torchweather.sensors import Lidar
+from torchweather.sensors import Camera, Lidar
 from torchweather.stages import with_effects
 from torchweather.stages.effects import Parameter
+from torchweather.stages.effects_camera_optics import CameraDefocus
+from torchweather.stages.effects_camera_sensor import CameraExposureGain
 from torchweather.stages.effects_lidar import LidarRangeNoise, LidarWindowLoss
 from torchweather.stages.empirical import Empirical
-from torchweather.transforms import LidarWeather
+from torchweather.transforms import BayerRain, LidarWeather
 from torchweather.weather import Fog, Rain, Weather
 
 Floats = NDArray[np.float64]
@@ -279,6 +282,11 @@ def test_the_form_of_an_effect_leaves_a_share_of_its_strength_open(
     assert _standard_error(declared, value, variance) == pytest.approx(math.hypot(*expected), rel=1e-12)
 
 
+def test_a_width_is_a_matter_of_the_form_as_well() -> None:
+    declared = Parameter("width_rad", "rad", 0.0, 6.0, scale=2.0, default=0.5)
+    assert _standard_error(declared, 0.5, 0.04) == pytest.approx(math.hypot(1.5 * 0.2, 0.06 * 2.0, 0.2 * 0.5))
+
+
 def test_an_interval_is_ninety_percent_of_that_error_inside_the_bounds() -> None:
     (one,) = gap_report(result("named", ripple(0.01), **fitted()), "ab" * 32, 3).to_dict()["effects"]
     (declared,) = LidarWindowLoss.arguments
@@ -375,6 +383,28 @@ def test_applied_saved_and_loaded_it_simulates_the_same_bits(tmp_path: Path) -> 
     without = loaded.apply(plain)
     assert "empirical" not in without.chain.stages
     assert not torch.equal(without(points(), noise), repaired(points(), noise))
+
+
+def test_effects_go_beside_what_a_camera_was_built_with() -> None:
+    camera = Camera.from_intrinsics(60.0, 60.0, 15.5, 11.5, 32, 24)
+    options: dict[str, Any] = {"depth": 30.0, "airlight": 0.5, "ego_speed_m_per_s": 10.0}
+    defocus, gain = CameraDefocus(radius_px=1.0), CameraExposureGain(factor=1.2)
+    plain = BayerRain(Rain(20.0), camera, **options, effects=[defocus])
+    repaired = Additions((gain,)).apply(plain)
+    at_once = BayerRain(Rain(20.0), camera, **options, effects=[defocus, gain])
+    assert repaired.chain.to_dict() == at_once.chain.to_dict()
+    bayer = torch.rand(1, 24, 32, generator=torch.Generator().manual_seed(1))
+    assert type(repaired) is BayerRain
+    found, wanted, without = (one(bayer, noise=one.draw(bayer, seed=4)) for one in (repaired, at_once, plain))
+    assert torch.equal(found, wanted)  # depth and all
+    assert not torch.equal(found, without)
+
+
+def test_a_chain_that_was_changed_by_hand_is_not_built_anew() -> None:
+    changed = model()
+    changed.chain = changed.chain.insert(EMPIRICAL, before="to_points")
+    with pytest.raises(ValueError, match="the chain has the stages"):
+        Additions((WINDOW,)).apply(changed)
 
 
 def test_effects_of_a_file_go_into_a_transform_as_they_are(tmp_path: Path) -> None:

@@ -20,9 +20,9 @@ from torchweather.gap.link import LinkFrames
 from torchweather.gap.link_effects import attenuation_db
 from torchweather.gap.link_samples import LinkSamples, Scatter, link_samples
 from torchweather.gap.simulation import rain_attenuation_db
-from torchweather.sensors import Radar
+from torchweather.sensors import Lidar, Radar
 from torchweather.stages.effects_radar import RadarNoiseFloor, RadarPathLossScale, RadarWetRadome
-from torchweather.transforms import RadarAttenuation
+from torchweather.transforms import LidarWeather, RadarAttenuation
 from torchweather.weather import Rain
 
 LINKS, STEPS = 80, 600
@@ -264,9 +264,11 @@ def test_a_model_of_links_has_no_options() -> None:
         find_gap(study(), options={"variant": "d3_4"})
 
 
-def test_what_was_found_on_links_goes_into_no_lidar() -> None:
+def test_what_was_found_on_links_goes_into_a_radar_and_into_no_lidar() -> None:
     found = find_gap(study(film_db=1.2))
-    with pytest.raises(TypeError, match=r"wanted a LidarWeather; got RadarAttenuation"):
-        found.apply(RadarAttenuation(Rain(10.0), Radar.preset("imaging-77ghz")))  # type: ignore[arg-type]
-    repaired = RadarAttenuation(Rain(10.0), Radar.preset("imaging-77ghz"), effects=found.effects)
+    repaired = found.apply(RadarAttenuation(Rain(10.0), Radar.preset("imaging-77ghz")))
     assert "wet_radome" in repaired.chain.stages
+    with pytest.raises(ValueError, match=r"radar\.wet_radome"):
+        found.apply(LidarWeather(Rain(10.0), Lidar.preset("ouster-os1-128")))
+    with pytest.raises(TypeError, match="wanted a LidarWeather, a BayerWeather or a RadarAttenuation; got Rain"):
+        found.apply(Rain(10.0))  # type: ignore[type-var]

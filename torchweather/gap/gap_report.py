@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +23,21 @@ from torchweather.gap.workflow import GapResult
 from torchweather.io import atomic_write
 from torchweather.stages.effects import EFFECTS, Effect, Parameter
 from torchweather.stages.empirical import Empirical
-from torchweather.transforms import LidarWeather
+from torchweather.transforms.recipe_options import RecipeTransform
 from torchweather.weather import Fog
 
 __all__ = ["Curve", "GapReport", "ResidualMap", "Response", "gap_report", "read_model", "write_model"]
 
 Floats = NDArray[np.float64]
+T = TypeVar("T", bound=RecipeTransform)
 
 FORMAT = "torchweather-gap/1"
 CENTRAL_90 = 1.6449  # standard deviations of a normal law
 # Least squares knows the noise of the entries, not that of the scatter they are counted in, nor of the clear mean.
 WIDENED = 1.5
 # Standard deviations of what the form of an effect leaves open: of its strength, and of its parameter's typical size
-# where that is a strength and where it says which or where. Set on development studies.
+# where that is a strength and where it says which or where; of a width, a radius or a range also of itself. Set on
+# development studies.
 FORM, FORM_OF_SCALE = 0.2, (0.01, 0.06)
 STANDS_OUT = 4.0  # standard deviations, from which a bin is named
 CURVES = 4
@@ -137,7 +139,7 @@ class GapReport:
         found: dict[str, Any] = json.loads(json.dumps(self.answer))
         return found
 
-    def apply(self, model: LidarWeather, *, empirical: bool = False) -> LidarWeather:
+    def apply(self, model: T, *, empirical: bool = False) -> T:
         """The model with what was found, beside the effects that it has.
 
         Args:
@@ -269,7 +271,8 @@ def _standard_error(declared: Parameter, value: float, variance: float) -> float
     """Of a parameter: least squares, widened, and what two implementations of one effect differ by."""
     identity = declared.identity
     if identity is None:
-        other = FORM_OF_SCALE[1] * declared.scale
+        # The width of a soft edge, or where in a bin of range something stands, is a matter of the form as well.
+        other = math.hypot(FORM_OF_SCALE[1] * declared.scale, FORM * value if declared.low >= 0 else 0.0)
     elif math.isinf(identity):
         other = FORM * abs(value)
     else:

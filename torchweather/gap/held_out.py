@@ -40,6 +40,7 @@ def held_out(held: Search, fitted: Fit, seed: int) -> HeldOut:
     """The held-out departure at a setting of effects."""
     counted = max(screening_entries(held), 1)
     nulls = held.null_residuals(fitted.nuisance, DRAWS, seed)
-    floor = np.sqrt(np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls)) / counted)
+    left = np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls))
+    floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters
     gap = math.sqrt(max(fitted.misfit, 0.0) / counted)
     return HeldOut(gap, float(floor.mean()), float(floor.std()), fitted.misfit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import yaml
 
@@ -14,12 +14,12 @@ from torchweather.io import atomic_write
 from torchweather.stages.effects import Effect, effect_from_dict
 from torchweather.stages.empirical import Empirical
 from torchweather.transforms import LidarWeather
+from torchweather.transforms.recipe_options import RecipeTransform, with_more_effects
 
 __all__ = ["Additions", "read_model", "write_model"]
 
 MODEL_FORMAT = "torchweather-model/1"
-# Options of LidarWeather that its stages hold.
-OWN = {"q_eff", "q_back", "fog_extinction", "fog_backscatter"}
+T = TypeVar("T", bound=RecipeTransform)
 
 
 @dataclass(frozen=True)
@@ -46,34 +46,27 @@ class Additions(Sequence[Effect]):
         """One of the effects."""
         return self.effects[place]
 
-    def apply(self, model: LidarWeather, *, empirical: bool = False) -> LidarWeather:
+    def apply(self, model: T, *, empirical: bool = False) -> T:
         """The model with the effects, beside those that it has.
 
         Args:
             model: a transform for the sensor that they were found for.
-            empirical: add the empirical stage as well; it is valid in the range, the weather and the scenes that it
-                was measured in.
+            empirical: add the empirical stage of a LiDAR as well; it is valid in the range, the weather and the scenes
+                that it was measured in.
+
+        Raises:
+            TypeError: the model is no transform of the library.
+            ValueError: the effects are of another sensor, or there is no empirical stage.
         """
-        if not isinstance(model, LidarWeather):
+        if not isinstance(model, RecipeTransform):
             raise TypeError(
-                f"Additions.apply: wanted a LidarWeather; got {type(model).__name__}. Other sensors take the "
-                "effects when they are built, as in RadarAttenuation(weather, sensor, effects=report.effects)."
+                "Additions.apply: wanted a LidarWeather, a BayerWeather or a RadarAttenuation; got "
+                f"{type(model).__name__}."
             )
-        stages = model.chain.stages
-        options = {**stages["extinction"].config(), **stages["particle_returns"].config()}
-        present = [stage for stage in stages.values() if isinstance(stage, Effect)]
-        repaired = LidarWeather(
-            model.weather,
-            model.sensor,
-            lost=model.lost,
-            complete_scan=model.complete_scan,
-            variant=options["variant"],
-            effects=[*present, *self.effects],
-            **{name: value for name, value in options.items() if name in OWN},
-        )
+        repaired = with_more_effects(model, self.effects)
         if empirical:
-            if self.empirical is None:
-                raise ValueError("Additions.apply: there is no empirical stage; leave empirical=False.")
+            if self.empirical is None or not isinstance(model, LidarWeather):
+                raise ValueError("Additions.apply: there is no empirical stage for it; leave empirical=False.")
             repaired.chain = repaired.chain.insert(self.empirical, before="to_points")
         return repaired
 

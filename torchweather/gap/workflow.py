@@ -208,9 +208,19 @@ def _rounds(
             return rounds
         more = fitted(search, base, proposed, best.fit.misfit, say)
         kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
+        kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
         if not kept:
             return rounds
         rounds.append(kept)
+
+
+def _own_gain(search: Search, further: Candidate) -> float:
+    """Gain of a further effect over the others fitted again from where they stand beside it: a first effect that was
+    not at its best yet is no merit of the second."""
+    fit = further.fit
+    others = {name: values for name, values in fit.setting.values.items() if name != further.id}
+    alone = search.fit(replace(fit.setting, values=others), fit.nuisance, fit.base)
+    return alone.misfit - fit.misfit
 
 
 def _on_top(
@@ -237,6 +247,9 @@ def _on_top(
     elsewhere = fresh_gains(rest, left, nuisance, untouched(search, best.fit))
     fresh = {node.id: most for node, value in zip(rest, gain, strict=True) if value > most}
     fresh |= {name: sure for name, value in elsewhere.items() if value > sure}
+    # Another form of an effect than the stage's looks like what it is confused with.
+    found = best.fit.setting.values
+    fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}
     if not fresh and gain.max() < needed:
         return fresh, []
     return fresh, _best_on_top(best, rest, fresh.keys())
@@ -276,7 +289,7 @@ def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) ->
     """
     explained = screening.misfit - fit.misfit
     if explained < _threshold(screening):
-        return "unknown"
+        return "unknown" if screening.p_value < SURE_P else "none"
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
         return "unknown" if screening.p_value < SURE_P else "none"
     left = fit.nuisance.left(fit.residual)
@@ -286,6 +299,11 @@ def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) ->
     if share > UNKNOWN_SHARE or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):
         return "unknown"
     return "named_and_rest" if share > REST_SHARE or after.gap > REST_GAP * after.floor else "named"
+
+
+def _confusable(name: str, other: str) -> bool:
+    """Whether the catalogue says of either of two effects that it may be taken for the other."""
+    return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with
 
 
 def _threshold(screening: Screening) -> float:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -27,9 +27,18 @@ from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
 
-__all__ = ["GROUND", "OPTIONS", "RecipeTransform", "options_of", "sensor_of", "sensor_values"]
+__all__ = [
+    "GROUND",
+    "OPTIONS",
+    "RecipeTransform",
+    "options_of",
+    "sensor_of",
+    "sensor_values",
+    "with_more_effects",
+]
 
 RecipeTransform = BayerWeather | LidarWeather | RadarAttenuation
+T = TypeVar("T", bound=RecipeTransform)
 GROUND = "ground"
 # By the kind of the sensor: options of the transform and their defaults.
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -60,16 +69,46 @@ def sensor_values(sensor: Camera | Lidar | Radar) -> dict[str, Any]:
 
 def options_of(transform: RecipeTransform) -> dict[str, Any]:
     """The keyword arguments that the transform was built with, where they differ from the defaults."""
-    if isinstance(transform, BayerWeather):
-        known, found = OPTIONS["camera"], _camera_options(transform)
-    elif isinstance(transform, LidarWeather):
-        known, found = OPTIONS["lidar"], _lidar_options(transform)
-    else:
-        known, found = OPTIONS["radar"], _radar_options(transform)
+    known, found = _known_and_found(transform)
+    if found.get("depth") is not None:
+        found["depth"] = _depth_option(found["depth"])
     plain = {key: list(value) if isinstance(value, tuple) else value for key, value in found.items()}
     rebuilt = {key: value for key, value in plain.items() if value != known[key]}
-    _check_same_chain(transform, rebuilt)
+    changed = _changed(transform, rebuilt)
+    if changed:
+        raise ValueError(f"save_recipe: {changed}; a recipe cannot hold that. Use transform.chain.save(path).")
     return rebuilt
+
+
+def with_more_effects(transform: T, effects: Sequence[Effect]) -> T:
+    """A transform like another one, with effects beside those that it has.
+
+    Raises:
+        ValueError: an effect is of another sensor, or there already; or the other one's chain was changed after it was
+            built.
+    """
+    kind = sensor_of(transform).kind
+    strange = [effect.id for effect in effects if effect.id.partition(".")[0] != kind]
+    if strange:
+        raise ValueError(f"with_more_effects: wanted effects of a {kind}; got {', '.join(strange)}.")
+    _, found = _known_and_found(transform)
+    present = found.pop("effects", [])
+    changed = _changed(transform, {**found, "effects": present})
+    if changed:
+        raise ValueError(
+            f"with_more_effects: {changed}; it cannot be built anew. Use stages.with_effects(transform.chain, effects)."
+        )
+    again: T = type(transform)(transform.weather, sensor_of(transform), **found, effects=[*present, *effects])  # type: ignore[arg-type]
+    return again
+
+
+def _known_and_found(transform: RecipeTransform) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Options of a kind of transform with their defaults, and those that one was built with."""
+    if isinstance(transform, BayerWeather):
+        return OPTIONS["camera"], _camera_options(transform)
+    if isinstance(transform, LidarWeather):
+        return OPTIONS["lidar"], _lidar_options(transform)
+    return OPTIONS["radar"], _radar_options(transform)
 
 
 def _camera_options(transform: BayerWeather) -> dict[str, Any]:
@@ -80,7 +119,7 @@ def _camera_options(transform: BayerWeather) -> dict[str, Any]:
         elif isinstance(stage, ParticleVeil):
             found |= {key: value for key, value in stage.options.items() if key in OPTIONS["camera"]}
     if transform.depth_source is not None:
-        found["depth"] = _depth_option(transform.depth_source)
+        found["depth"] = transform.depth_source
     return found | _effects(transform.chain)
 
 
@@ -134,16 +173,15 @@ def _depth_option(source: object) -> float | str:
     )
 
 
-def _check_same_chain(transform: RecipeTransform, options: Mapping[str, Any]) -> None:
+def _changed(transform: RecipeTransform, options: Mapping[str, Any]) -> str:
+    """In words, what of a transform's chain is not what its options make; empty where it is the same."""
     arguments = {key: value for key, value in options.items() if key != "depth"}
     again: Chain = type(transform)(transform.weather, sensor_of(transform), **arguments).chain  # type: ignore[arg-type]
     if list(again.stages) != list(transform.chain.stages):
-        raise ValueError(
-            f"save_recipe: the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
-            f"{', '.join(again.stages)}; a recipe cannot hold that. Use transform.chain.save(path)."
+        return (
+            f"the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
+            f"{', '.join(again.stages)}"
         )
     if again.to_dict() != transform.chain.to_dict():
-        raise ValueError(
-            "save_recipe: a stage of the chain was changed after the transform was built; a recipe cannot hold that. "
-            "Use transform.chain.save(path)."
-        )
+        return "a stage of the chain was changed after the transform was built"
+    return ""
