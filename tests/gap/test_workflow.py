@@ -13,7 +13,7 @@ from tests.gap.tiny_study import tiny_study
 from torchweather.gap import screening as screening_module
 from torchweather.gap import workflow
 from torchweather.gap.baseline import targets
-from torchweather.gap.candidate_fits import LEAST_AMPLITUDE, Candidate, _start, best_nodes, best_pairs
+from torchweather.gap.candidate_fits import LEAST_AMPLITUDE, Candidate, _start, best_nodes, best_pairs, hidden_nodes
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.find import find_gap
 from torchweather.gap.held_out import HeldOut
@@ -91,10 +91,14 @@ def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, ve
     assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
 
 
-@pytest.mark.parametrize(("gain", "verdict"), [(29.0, "unknown"), (31.0, "named")])
-def test_what_noise_gains_is_no_name(gain: float, verdict: str) -> None:
-    """Although something is missing."""
-    assert _verdict(screening(misfit=1200.0), left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
+@pytest.mark.parametrize(
+    ("gain", "p_value", "verdict"),
+    [(29.0, 0.5 * SURE_P, "unknown"), (29.0, 2.0 * SURE_P, "none"), (31.0, 2.0 * SURE_P, "named")],
+)
+def test_what_noise_gains_is_no_name(gain: float, p_value: float, verdict: str) -> None:
+    """Although something is missing, if that is sure."""
+    found = screening(misfit=1200.0, p_value=p_value)
+    assert _verdict(found, left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
 
 
 @pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
@@ -146,13 +150,18 @@ def further(
     threshold: float = 0.0,
     excess: float = 0.0,
     rest_p: float = 1.0,
+    refitted: float = 0.0,
 ) -> int:
     """Number of effects that are kept where the best one leaves a misfit, and so much more than noise does, and another
-    one lowers it by a gain."""
+    one lowers it by a gain, of which the best one would gain a part by itself, fitted again."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
-            setting=Setting(values), misfit=misfit, nuisance=NOTHING, residual=np.array([0.0, 100.0, 100.0, 0.0])
+            setting=Setting(values),
+            misfit=misfit,
+            nuisance=NOTHING,
+            base=None,
+            residual=np.array([0.0, 100.0, 100.0, 0.0]),
         )
         return Candidate(list(values)[-1], fit, gain)
 
@@ -167,7 +176,12 @@ def further(
     monkeypatch.setattr(workflow, "fitted", lambda *given: [rounds.pop(0)])
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
     monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
-    search: Any = SimpleNamespace(origin=Setting(), seed=0, model=SimpleNamespace(as_record=frozenset()))
+
+    def fit(setting: Setting, nuisance: Any, base: Any) -> Any:
+        assert list(setting.values) == list(window)
+        return SimpleNamespace(misfit=misfit - refitted)
+
+    search: Any = SimpleNamespace(origin=Setting(), seed=0, model=SimpleNamespace(as_record=frozenset()), fit=fit)
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
     given = {**vars(screening(excess=excess, rest_p=rest_p)), "best_null": np.full(100, threshold)}
     found = SimpleNamespace(**given, nodes=NODES)
@@ -203,6 +217,27 @@ def test_what_explains_most_of_a_rest_that_is_no_noise_need_not_compare_with_the
     """Of 5,000 that is explained 3 % are 150; of an excess of 150 six tenths are 90."""
     for gain, number in ((needed - 1.0, 1), (needed + 1.0, 2)):
         assert further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=rest_p) == number
+
+
+def test_what_may_be_taken_for_the_first_compares_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workflow, "_confusable", lambda name, other: (name, other) == CONFUSED)
+    for gain, number in ((149.0, 1), (151.0, 2)):
+        assert further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=0.5 * REST_P) == number
+
+
+CONFUSED = ("lidar.range_noise", "lidar.window_loss")
+
+
+def test_the_catalogue_says_what_may_be_taken_for_what_in_either_place() -> None:
+    assert "lidar.wet_target" in EFFECTS["lidar.ring_gain"].confusable_with
+    assert workflow._confusable("lidar.ring_gain", "lidar.wet_target")
+    assert workflow._confusable("lidar.wet_target", "lidar.ring_gain")
+    assert not workflow._confusable(*CONFUSED)
+
+
+def test_a_first_effect_that_was_not_at_its_best_is_no_merit_of_the_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    for refitted, number in ((41.0, 1), (39.0, 2)):  # of 100; 60 are needed
+        assert further(monkeypatch, 300.0, 100.0, excess=100.0, refitted=refitted) == number
 
 
 @pytest.mark.parametrize(
@@ -341,6 +376,15 @@ def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
         ("lidar.range_noise", {"std_m": 0.1}),
     ]
     assert [amplitude for _, amplitude in found] == pytest.approx([5.15 / 9.25, 0.65], rel=1e-12)
+
+
+def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_done() -> None:
+    """The record stands 9 off, what is open -2: along (-2, 0, 2, 0), of which crosstalk explains 4."""
+    response = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]])
+    found = hidden_nodes(NODES, Nuisance(response, np.array([9.0, -2.0]), 2), slice(1, 2))
+    (first, amplitude), *others = found
+    assert (first.id, amplitude) == ("lidar.crosstalk", 1.35)  # twice its response, but no farther than that
+    assert [expected for _, expected in others] == [0.0, 0.0]  # a window would do the opposite
 
 
 def test_pairs_are_of_different_effects_each_once_best_first() -> None:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from torchweather.gap.candidates import lines
 from torchweather.gap.held_out import HeldOut
-from torchweather.gap.matched import Node, amplitudes, gains
+from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed
 from torchweather.gap.search import SETTLED, Fit, Search, Setting
 from torchweather.stages.effects import EFFECTS
 
-__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "stands_far"]
+__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "hidden_nodes", "stands_far"]
 
 Floats = NDArray[np.float64]
 
@@ -68,6 +68,26 @@ def best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[
     return [(nodes[place], float(amplitude[place])) for place in worth]
 
 
+def hidden_nodes(nodes: Sequence[Node], nuisance: Nuisance, open_ones: slice) -> list[tuple[Node, float]]:
+    """The node of each effect that looks most like what is left open has done, with its amplitude, best first.
+
+    Such an effect promises nothing while the nuisances stand in its place.
+
+    Args:
+        nodes: responses.
+        nuisance: where they stand.
+        open_ones: places of what is left open among the nuisances.
+    """
+    done = nuisance.response[:, open_ones] @ nuisance.offset[open_ones]
+    responses = np.stack([node.response for node in nodes])
+    norm = np.maximum((responses**2).sum(1), 1e-12)
+    along = np.maximum(responses @ done, 0.0)
+    best: dict[str, int] = {}
+    for place in np.argsort(-(along**2 / norm)):
+        best.setdefault(nodes[place].id, int(place))
+    return [(nodes[place], float(min(along[place] / norm[place], AMPLITUDES[1]))) for place in best.values()]
+
+
 def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: float) -> list[Proposal]:
     """Pairs of different effects whose responses explain more than ``least`` together, best first."""
     first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
@@ -87,9 +107,23 @@ def stands_far(setting: Setting) -> bool:
 
 
 def fitted(
-    search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
+    search: Search,
+    base: Fit,
+    proposed: Sequence[Proposal],
+    misfit: float,
+    say: Callable[[str], None],
+    beside: int = SETTLED_BESIDE,
 ) -> list[Candidate]:
-    """Effects fitted in the simulator, each on top of its setting; best first."""
+    """Effects fitted in the simulator, each on top of its setting; best first.
+
+    Args:
+        search: its simulator.
+        base: the fit without effects.
+        proposed: what is fitted.
+        misfit: without it.
+        say: told of every step.
+        beside: of the first so many the nuisances may be settled anew.
+    """
     found = []
     for place, (setting, node, amplitude) in enumerate(proposed):
         say("fitting " + " and ".join([*setting.values, node.id]))
@@ -97,7 +131,7 @@ def fitted(
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
         shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
-        if shadowed and place < SETTLED_BESIDE and not setting.values:
+        if shadowed and place < beside and not setting.values:
             # The nuisances have moved to look like the effect while it was not there: let them settle with it.
             starts.append(_settled_along(search, base, setting, node, misfit))
         fits = []

@@ -56,9 +56,7 @@ ROUNDS = 10  # of fitting the nuisances alone
 STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
 SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
 UNSAID = 0.5  # of what an effect does to a statistic of which its parameters say nothing
-# Standard deviations that the record may move, and what else is left open: where that stops short of what is missing,
-# others move in its place, and nothing looks like the effect any more.
-FARTHEST, FARTHEST_OPEN = 4.0, 8.0
+FARTHEST = 4.0  # standard deviations that a nuisance may move
 
 
 @dataclass(frozen=True)
@@ -291,9 +289,7 @@ class Search:
     def shifted(self, setting: Setting, step: Floats) -> Setting:
         """A setting with its nuisances moved by a step ``(K,)``."""
         sd, number = self.knob_sd(), len(self.measured)
-        farthest = np.full(len(step), FARTHEST)
-        farthest[number : number + len(self.open)] = FARTHEST_OPEN
-        place = np.clip(self.offset(setting) + step, -farthest, farthest)
+        place = np.clip(self.offset(setting) + step, -FARTHEST, FARTHEST)
         place[number : number + len(self.open)] = np.maximum(
             place[number : number + len(self.open)], list(self.open.values())
         )
@@ -344,7 +340,7 @@ class Search:
                 taken |= set(places[name])
                 strength = setting.open.get(name, 0.0)
                 # A short one would be noise alone.
-                steps[name] = OPEN_STEP if strength + OPEN_STEP <= FARTHEST_OPEN else -OPEN_STEP
+                steps[name] = OPEN_STEP if strength + OPEN_STEP <= FARTHEST else -OPEN_STEP
             moved = {name: setting.open.get(name, 0.0) + step for name, step in steps.items()}
             after = self.mean(replace(setting, open={**setting.open, **moved}), SCREEN_FRAMES)
             for name, step in steps.items():

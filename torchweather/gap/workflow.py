@@ -28,6 +28,7 @@ from torchweather.gap.candidate_fits import (
     best_nodes,
     best_pairs,
     fitted,
+    hidden_nodes,
     stands_far,
 )
 from torchweather.gap.clear_air import ClearAir, clear_air
@@ -44,7 +45,8 @@ Floats = NDArray[np.float64]
 
 # The numbers below were set on development studies of the bench.
 ALARM_P = 2e-4
-REFITTED, FURTHER_REFITTED = 4, 2  # candidates that are fitted: alone, further ones
+# Candidates that are fitted: alone, further ones, and such as what is left open may stand for.
+REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 2
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
@@ -156,10 +158,17 @@ def find_gap_with(
 def _singles(
     search: Search, base: Fit, screening: Screening, number: int, say: Callable[[str], None]
 ) -> list[Candidate]:
-    """So many single effects fitted in the simulator, best first."""
+    """So many single effects fitted in the simulator, best first; and those that something left open may stand for."""
     nuisance = base.nuisance
     best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
-    return fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
+    beside = SETTLED_BESIDE
+    if stands_far(base.setting):
+        known = {node.id for node, _ in best}
+        hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
+        best += [one for one in hidden if one[0].id not in known][:HIDDEN_REFITTED]
+        beside = len(best)
+    proposed = [(search.origin, node, amplitude) for node, amplitude in best]
+    return fitted(search, base, proposed, screening.misfit, say, beside)
 
 
 def _rounds(
