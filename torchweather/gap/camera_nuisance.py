@@ -1,0 +1,33 @@
+"""What the model of a camera's frames leaves open: how much particles stand out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchweather.stages.effects import Effect, Parameter
+from torchweather.stages.states import CameraState
+
+__all__ = ["ParticleContrast"]
+
+
+class ParticleContrast(Effect):
+    """How much drops and flakes stand out, as far as it is not known: what light they bend in, how blurred they are.
+
+    Args:
+        share: of what they change in the picture, more.
+    """
+
+    id: ClassVar[str] = "gap.particle_contrast"
+    title: ClassVar[str] = "drops and flakes stand out a little more or less"
+    term: ClassVar[str] = "photometry of rain streaks"
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("share", "1", -0.9, 4.0, scale=0.05, identity=0.0),)
+    after: ClassVar[str] = "scene"
+    axes: ClassVar[tuple[str, ...]] = ("streak_contrast",)
+
+    def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What particles change over the modelled."""
+        factor = (1.0 + self.share.to(state.signal)).expand(state.batch)
+        return {"particle_contrast": factor if state.particle_contrast is None else factor * state.particle_contrast}
