@@ -19,9 +19,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.gap.camera_nuisance import ParticleContrast
-from torchweather.gap.camera_particles import Rendered
-from torchweather.gap.camera_scene import CameraScene, camera_scene
+from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
+from torchweather.gap.camera_particles import LEAST_STEP, Rendered
+from torchweather.gap.camera_scene import COLOURS, CameraScene, camera_scene
 from torchweather.gap.camera_sums import CameraSums, camera_layout, colours_of
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
@@ -29,6 +29,7 @@ from torchweather.image.bayer import cfa_colour_index
 from torchweather.random import keyed_stream
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Stage
+from torchweather.stages.camera import estimate_airlight
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_camera import EFFECTS
 from torchweather.transforms import BayerWeather
@@ -38,7 +39,7 @@ __all__ = ["CameraFrames"]
 CONTRAST_SD = 0.03  # relative, of how much particles stand out; what two implementations of one physics differ by
 TOGETHER = 4  # frames: more do not fit into the processor's cache
 KEPT_FRAMES = 6000  # reduced ones
-CAPACITY_OVER_RATE = 1.6  # slots of a draw over the particles that fall: the record may be off by so much
+FARTHEST_SD = 5.0  # standard deviations of the record for which a draw has slots
 OF_THE_CONDITION = "adherent_drops"  # stages whose draw is one for all frames of a condition
 
 
@@ -85,6 +86,7 @@ class CameraFrames:
             name: CameraSums(scene, self.layout, pattern, colours, scene.reference)
             for name, scene in self.scenes.items()
         }
+        self._airlight = {name: self._sky(scene) for name, scene in self.scenes.items()}
         self._rendered: dict[str, Rendered] = {}
         self._kept: OrderedDict[object, Reduced] = OrderedDict()
         self._lock = threading.Lock()
@@ -111,18 +113,31 @@ class CameraFrames:
                 weather, options = condition.weather, dict(self.options)
                 assert weather is not None
                 if len(weather.parts) == 1 and weather.kind != "fog":
-                    options.setdefault("rate_capacity_mm_per_h", CAPACITY_OVER_RATE * float(weather.knob))
+                    highest = float(weather.knob) * math.exp(FARTHEST_SD * max(condition.rel_sd, LEAST_STEP))
+                    options.setdefault("rate_capacity_mm_per_h", highest)
                 options.setdefault("ego_speed_m_per_s", condition.ego_speed_m_per_s or 0.0)
                 camera = self.sensor
                 if condition.exposure_s is not None:
                     camera = replace(camera, exposure_s=condition.exposure_s)
+                airlight, _ = self._airlight[condition.scene]
+                if airlight is not None:  # of all clear frames, which knows it better than one
+                    options.setdefault("airlight", airlight)
                 self.transforms[condition.id] = BayerWeather(weather, camera, **options)
             return self.transforms[condition.id]
 
     def open(self, condition: Condition) -> dict[str, float]:
         """Names of what the model of a condition leaves open, with the least strength each can have."""
         assert condition.weather is not None
-        return {} if {part.kind for part in condition.weather.parts} == {"fog"} else {"particle contrast": -math.inf}
+        found = {f"airlight {colour} {condition.scene}": -math.inf for colour in self._airlight_sd(condition)}
+        if any(part.kind != "fog" for part in condition.weather.parts):
+            found["particle contrast"] = -math.inf
+        return found
+
+    def _airlight_sd(self, condition: Condition) -> dict[str, float]:
+        """Relative standard deviation of the airlight of each colour, where it is a matter of a noisy sky."""
+        _, sd = self._airlight[condition.scene]
+        fog = condition.weather is not None and any(part.kind == "fog" for part in condition.weather.parts)
+        return sd if fog and "airlight" not in self.options else {}
 
     def misplaced(self, condition: Condition) -> float:
         """No statistic has particles along their own range."""
@@ -130,8 +145,18 @@ class CameraFrames:
 
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""
-        strength = strengths.get("particle contrast", 0.0) if self.open(condition) else 0.0
-        return [] if strength == 0 else [ParticleContrast(share=min(max(strength * CONTRAST_SD, -0.9), 4.0))]
+        given = {name: strengths.get(name, 0.0) for name in self.open(condition)}
+        found: list[Effect] = []
+        contrast = given.get("particle contrast", 0.0) * CONTRAST_SD
+        if contrast != 0:
+            found.append(ParticleContrast(share=min(max(contrast, -0.9), 4.0)))
+        light = {
+            colour: min(max(given[f"airlight {colour} {condition.scene}"] * sd, -0.9), 4.0)
+            for colour, sd in self._airlight_sd(condition).items()
+        }
+        if any(value != 0 for value in light.values()):
+            found.append(AirlightError(**light))
+        return found
 
     def simulated(
         self,
@@ -194,13 +219,27 @@ class CameraFrames:
                 self._sums[condition.id] = found
         return found
 
+    def _sky(self, scene: CameraScene) -> tuple[tuple[float, float, float] | None, dict[str, float]]:
+        """Airlight per colour, from the sky of all clear frames, and the relative error of each by their noise."""
+        if not bool(scene.depth_m.isinf().any()):
+            return None, {}
+        index = torch.tensor(cfa_colour_index(self._pattern))
+        ones = torch.ones_like(scene.depth_m)[None]
+        state = CameraState(scene.clear, scene.depth_m[None], ones, index, torch.tensor([self.sensor.intrinsics]))
+        each = estimate_airlight(state, self).double()  # (K, 3)
+        mean = each.mean(0)
+        error = each.std(0) / math.sqrt(len(each)) / mean.clamp_min(1e-6)
+        red, green, blue = mean.clamp(0.0, 1.0).tolist()
+        known = {colour: float(error[COLOURS.index(colour)]) for colour in self._colours}
+        return (red, green, blue), {colour: sd for colour, sd in known.items() if sd > 0}
+
     def _chain(self, condition: Condition, effects: Sequence[Effect]) -> Chain:
         """The chain of a condition with effects, those of the catalogue and those of ``camera_nuisance.py``."""
         catalogue = [one for one in effects if one.id in EFFECTS]
         chain = with_effects(self.transform(condition).chain, [*self.effects, *catalogue])
         for one in effects:
-            if one.id not in EFFECTS:
-                chain = chain.insert(one, before="particle_veil")
+            if one.id not in EFFECTS:  # of camera_nuisance.py
+                chain = chain.insert(one, before=next(iter(chain.stages)))
         return chain
 
     def _through(

@@ -1,16 +1,17 @@
-"""What the model of a camera's frames leaves open: how much particles stand out."""
+"""What the model of a camera's frames leaves open: how much particles stand out, how bright the airlight is."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.states import CameraState
 
-__all__ = ["ParticleContrast"]
+__all__ = ["AirlightError", "ParticleContrast"]
 
 
 class ParticleContrast(Effect):
@@ -31,3 +32,26 @@ class ParticleContrast(Effect):
         """What particles change over the modelled."""
         factor = (1.0 + self.share.to(state.signal)).expand(state.batch)
         return {"particle_contrast": factor if state.particle_contrast is None else factor * state.particle_contrast}
+
+
+class AirlightError(Effect):
+    """The airlight as far as the sky of a few noisy frames does not tell it.
+
+    Args:
+        red, green, blue: of the airlight, more.
+    """
+
+    id: ClassVar[str] = "gap.airlight_error"
+    title: ClassVar[str] = "the airlight is a little brighter or darker than the noisy sky says"
+    term: ClassVar[str] = "airlight (atmospheric light)"
+    arguments: ClassVar[tuple[Parameter, ...]] = tuple(
+        Parameter(colour, "1", -0.9, 4.0, scale=0.005, identity=0.0) for colour in ("red", "green", "blue")
+    )
+    after: ClassVar[str] = "scene"
+    axes: ClassVar[tuple[str, ...]] = ("depth_m", "colour")
+
+    def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Light of the sky over the modelled one."""
+        more = torch.stack([getattr(self, colour).to(state.signal) for colour in ("red", "green", "blue")])
+        scale = (1.0 + more).expand(state.batch, 3)
+        return {"airlight_scale": scale if state.airlight_scale is None else scale * state.airlight_scale}

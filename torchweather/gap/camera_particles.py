@@ -20,7 +20,7 @@ from torch import Tensor
 from torchweather.gap.study import Condition
 from torchweather.stages import CameraState, ParticleVeil
 
-__all__ = ["Rendered"]
+__all__ = ["LEAST_STEP", "Rendered"]
 
 LEAST_STEP, MOST_STEP = 0.04, 0.12  # of the logarithm of the rate between two that are rendered
 COUNT_STEP = 0.2  # of that of the number of particles

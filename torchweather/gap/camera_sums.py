@@ -139,9 +139,12 @@ class CameraSums:
         self.scene, self.layout, self.pattern, self.colours = scene, layout, pattern, tuple(colours)
         self.green = self.colours.index("green")
         self._reference = cell_colours(scene.reference, pattern)  # (K + 1, C, h, w)
-        self._modelled = cell_colours(modelled, pattern)[:, self.green]  # (K + 1, h, w)
+        in_weather = cell_colours(modelled, pattern)
+        self._modelled = in_weather[:, self.green]  # (K + 1, h, w)
         self._log_reference = in_blocks(self._reference).clamp_min(DARKEST).log()
-        blocks = in_blocks(self._modelled[:, None])[:, 0]
+        blocks = in_blocks(in_weather)
+        self._expected = blocks.clamp_min(DARKEST).log() - self._log_reference
+        blocks = blocks[:, self.green]
         self._log_modelled = blocks.clamp_min(DARKEST).log()
         signal = place_in(blocks[-1], SIGNAL).where(scene.bins["off_axis_rad"] >= 0, -1)
         axes = {axis: (bins, len(scene.edges[axis]) - 1) for axis, bins in scene.bins.items()}
@@ -202,7 +205,7 @@ class CameraSums:
         ratio = in_blocks(cells).clamp_min(DARKEST).log_()  # (F, C, B)
         over = ratio[:, self.green] - self._log_modelled[row]
         ratio -= self._log_reference[row]
-        self._brightness(found, ratio, over, portion, portions)
+        self._brightness(found, ratio, over, row, portion, portions)
         residual = cells[:, self.green] - self._modelled[row]
         spread = self._texture(found, residual.flatten(1), portion, portions)
         self._sharpness(found, cells[:, self.green].flatten(1), row, portion, portions)
@@ -220,18 +223,21 @@ class CameraSums:
         found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
         ratio: Tensor,
         over: Tensor,
+        row: Tensor,
         portion: Tensor | None,
         portions: int,
     ) -> None:
         """Logarithm over the clear scene, and over the model, of blocks."""
         for number, colour in enumerate(self.colours):
             binned, own = self._blocks[colour], ratio[:, number]
-            rows = [torch.ones_like(own), own, own.square()]
+            apart = own - self._expected[row, number]
+            rows = [torch.ones_like(own), own, apart.square()]
             if colour == "green":
                 rows += [over, over.square()]
             sums = binned.sums(torch.stack(rows, 1), portion, portions)
             for axis, place in binned.place.items():
-                found[f"log_ratio_{colour}", axis] = (sums[:, 0, place], sums[:, 1, place], sums[:, 2, place])
+                number_of, total, square = (sums[:, which, place] for which in range(3))
+                found[f"log_ratio_{colour}", axis] = (number_of, total, _about(number_of, total, square))
             if colour == "green":
                 place = binned.place["depth_m"]
                 found["log_ratio_spread", "depth_m"] = (sums[:, 0, place], sums[:, 3, place], sums[:, 4, place])
@@ -265,15 +271,16 @@ class CameraSums:
         portions: int,
     ) -> None:
         """Regression of differences across edges on those of the clear scene, each weighed with its square."""
-        clear = self._reference[:, self.green].flatten(1)
+        clear, modelled = self._reference[:, self.green].flatten(1), self._modelled.flatten(1)
         for lag, pairs in self.scene.sharp.items():
             binned = self._sharp[lag]
             before = (clear[:, pairs.second] - clear[:, pairs.first])[row]
             after = green[:, pairs.second] - green[:, pairs.first]
             scale = SHARED_CELLS * before.square().mean(1, keepdim=True).clamp_min(1e-12)
-            rows = torch.stack([before.square() / scale, before * after / scale, after.square() / scale], 1)
-            sums = binned.sums(rows, self._of_cells(portion, pairs), portions)
-            found[f"edge_contrast_{lag_name(lag)}", "depth_m"] = (sums[:, 0], sums[:, 1], sums[:, 2])
+            apart = after - (modelled[:, pairs.second] - modelled[:, pairs.first])[row]
+            rows = torch.stack([before.square() / scale, before * after / scale, apart.square() / scale], 1)
+            number, total, square = binned.sums(rows, self._of_cells(portion, pairs), portions).unbind(1)
+            found[f"edge_contrast_{lag_name(lag)}", "depth_m"] = (number, total, _about(number, total, square))
 
     def _tail_shares(
         self,
@@ -343,6 +350,11 @@ class CameraSums:
 
     def _of_cells(self, portion: Tensor | None, pairs: Pairs) -> Tensor | None:
         return None if portion is None else self._cell_portion(portion).flatten()[pairs.first]
+
+
+def _about(number: Tensor, total: Tensor, apart: Tensor) -> Tensor:
+    """Sum of squares whose variance is that of departures from the model: how bins differ inside is no noise."""
+    return total.square() / number.clamp_min(1e-12) + apart
 
 
 def _beside(values: Tensor) -> Tensor:
