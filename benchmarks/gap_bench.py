@@ -1,6 +1,6 @@
-"""Bench of the gap workflow on LiDAR data in which an effect is hidden.
+"""Bench of the gap workflow on data in which an effect is hidden.
 
-    python benchmarks/gap_bench.py make DIR --set dev --seed 1 --cases singles nulls --count 20
+    python benchmarks/gap_bench.py make DIR --sensor lidar --set dev --seed 1 --cases singles nulls --count 20
     python benchmarks/gap_bench.py run DIR                  # resumable: one line of JSON a case
     python benchmarks/gap_bench.py known DIR                # opens the truth: how narrow intervals could be
     python benchmarks/gap_bench.py score DIR --out benchmarks/gap_bench
@@ -20,8 +20,7 @@ from typing import Any
 
 from hidden.answering import answer, draw_calibration, draw_confusion
 from hidden.bars import against_bars
-from hidden.cases import GROUPS, Streets, build, needed_strengths, plan
-from hidden.design import Size
+from hidden.bench_sensor import SENSORS, BenchSensor, bench_sensor
 from hidden.scoring import score
 from hidden.sealed import append_line, read_json, read_lines, sha256_of, write_json
 from hidden.table_text import bars_table, further_table, missed_table
@@ -34,25 +33,28 @@ def make(arguments: argparse.Namespace) -> None:
     folder: Path = arguments.folder
     if (folder / "answers.jsonl").exists():
         raise SystemExit(f"{folder}: has answers; its truth is sealed. Make further studies in another folder.")
-    size = Size().smaller_grid() if arguments.small else Size()
-    cases = list(plan(arguments.set, arguments.seed, arguments.cases, size))
+    sensor = bench_sensor(arguments.sensor)
+    groups = arguments.cases or list(sensor.usual)
+    strange = sorted(set(groups) - set(sensor.groups))
+    if strange:
+        raise SystemExit(f"--cases: wanted some of {', '.join(sensor.groups)}; got {', '.join(strange)}.")
+    cases = sensor.plan(arguments.set, arguments.seed, groups, arguments.small)
     cases = cases[arguments.skip :][: arguments.count]
     truth_path = folder / "sealed" / "truth.json"
     truths = read_json(truth_path) if truth_path.exists() else {}
-    needed = set().union(*(needed_strengths(case) for case in cases))
-    names = tuple(sorted(needed)) if arguments.few else None
-    streets = Streets(arguments.set, arguments.seed, folder / "sealed", names)
+    build = sensor.builder(arguments.set, arguments.seed, folder / "sealed", cases, arguments.few)
     for case in cases:
         if case.id in truths and (folder / "studies" / case.id / "study.yaml").exists():
             continue
         start = time.perf_counter()
-        study, truth = build(case, streets)
+        study, truth = build(case)
         study.write(folder / "studies" / case.id)
         truths[case.id] = truth
         write_json(truth_path, truths)
         print(f"{case.id}  {time.perf_counter() - start:.1f} s", flush=True)
     seal = sha256_of(truth_path)
-    write_json(folder / "seal.json", {"set": arguments.set, "seed": arguments.seed, "truth_sha256": seal})
+    about = {"sensor": arguments.sensor, "set": arguments.set, "seed": arguments.seed, "truth_sha256": seal}
+    write_json(folder / "seal.json", about)
     print(f"{len(truths)} studies; SHA-256 of the sealed truth: {seal}")
 
 
@@ -62,6 +64,7 @@ def run(arguments: argparse.Namespace) -> None:
     answers = folder / "answers.jsonl"
     seal = read_json(folder / "seal.json")
     cases = sorted(path.parent.name for path in (folder / "studies").glob("*/study.yaml"))
+    metrics = sensor_of(folder).other_metrics
     done = answered(answers)
     waiting = [case for case in part_of(cases, arguments.part) if case not in done][: arguments.count]
     print(f"set {seal['set']}, SHA-256 of the sealed truth: {seal['truth_sha256']}")
@@ -69,10 +72,15 @@ def run(arguments: argparse.Namespace) -> None:
     for case in waiting:
         if case in answered(answers):  # by another process
             continue
-        found = answer(folder / "studies" / case, arguments.seed)
+        found = answer(folder / "studies" / case, arguments.seed, other_metrics=metrics)
         append_line(answers, {"case": case, "seed": arguments.seed, "sealed": seal["truth_sha256"], **found})
         said = found.get("report", {}).get("verdict", "refused")
         print(f"{case}  {said}  {found['seconds']:.1f} s", flush=True)
+
+
+def sensor_of(folder: Path) -> BenchSensor:
+    """Of a set that was made."""
+    return bench_sensor(read_json(folder / "seal.json")["sensor"])
 
 
 def answered(answers: Path) -> set[str]:
@@ -122,9 +130,10 @@ def report(arguments: argparse.Namespace) -> None:
     strange = sorted({one["case"] for one in answers if one["sealed"] != seal["truth_sha256"]})
     if strange:
         raise SystemExit(f"answers.jsonl: {', '.join(strange)} were answered under another seal; answer them again.")
-    found = score(truths, answers, read_lines(folder / "known.jsonl"))
+    sensor = sensor_of(folder)
+    found = score(truths, answers, read_lines(folder / "known.jsonl"), sensor.floors)
     out: Path = arguments.out or folder / "score"
-    bars = against_bars(found["table"])
+    bars = against_bars(found["table"], sensor.bars)
     write_json(out / "score.json", {**seal, **found, "bars": bars})
     draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
@@ -151,18 +160,16 @@ def main(argv: list[str] | None = None) -> int:
     commands = parser.add_subparsers(required=True)
     one = commands.add_parser("make", help="write studies and the sealed truth")
     one.add_argument("folder", type=Path)
+    one.add_argument("--sensor", choices=SENSORS, default="lidar")
     one.add_argument("--set", default="dev", help="name of the set: dev... or blind...")
     one.add_argument("--seed", type=int, default=1)
-    one.add_argument(
-        "--cases",
-        nargs="+",
-        choices=sorted(GROUPS),
-        default=["singles", "nulls", "pairs", "triples", "outside", "decoys"],
-    )
+    one.add_argument("--cases", nargs="+", help="groups of cases; default: a full set, without the screen")
     one.add_argument("--count", type=int, default=None, help="no more than these")
     one.add_argument("--skip", type=int, default=0, help="leave these out first")
-    one.add_argument("--small", action="store_true", help="4,096 beams")
-    one.add_argument("--few", action="store_true", help="strengths of the needed effects only, no cosines: faster")
+    one.add_argument("--small", action="store_true", help="the size for tests")
+    one.add_argument(
+        "--few", action="store_true", help="compute what these cases need alone: faster, without confusions"
+    )
     one.set_defaults(run=make)
     for name, act, what in (
         ("run", run, "answer every study that has no answer yet"),

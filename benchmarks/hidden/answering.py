@@ -17,23 +17,27 @@ from torchweather.errors import TorchweatherError
 from torchweather.gap.study import Study
 from torchweather.threads import one_thread_an_operation
 
-from .other_metrics import other_metrics
+from .bench_sensor import OtherMetrics
+from .table_text import short_name
 
 __all__ = ["answer", "draw_calibration", "draw_confusion"]
 
 
-def answer(folder: Path, seed: int, effects: Sequence[str] | None = None) -> dict[str, Any]:
+def answer(
+    folder: Path, seed: int, effects: Sequence[str] | None = None, other_metrics: OtherMetrics | None = None
+) -> dict[str, Any]:
     """What the workflow says of a study.
 
     Args:
         folder: of the study.
         seed: of the workflow.
         effects: that may be named; ``None``: all.
+        other_metrics: of the sensor.
 
     Returns:
         ``seconds``, and ``report`` (as ``gap.json``), or ``error`` where the workflow refuses the study. Where an
-        effect is named also ``other_metrics``, whose time does not count. Any other exception is a fault of the
-        workflow: it breaks the run off and is no answer.
+        effect is named also ``other_metrics``, if the sensor has some; their time does not count. Any other exception
+        is a fault of the workflow: it breaks the run off and is no answer.
     """
     from torchweather.gap import find_gap
 
@@ -44,7 +48,7 @@ def answer(folder: Path, seed: int, effects: Sequence[str] | None = None) -> dic
     except TorchweatherError as error:
         return {"seconds": round(time.perf_counter() - start, 2), "error": str(error)}
     found = {"seconds": round(time.perf_counter() - start, 2), "report": report.to_dict()}
-    if found["report"]["effects"] and effects is None:
+    if found["report"]["effects"] and other_metrics is not None:
         with one_thread_an_operation():
             found["other_metrics"] = other_metrics(study, report, seed)
     return found
@@ -57,8 +61,8 @@ def draw_confusion(confusion: dict[str, dict[str, int]], path: Path) -> None:
     counts = np.array([[confusion[truth].get(one, 0) for one in answers] for truth in truths], dtype=float)
     figure, axes = plt.subplots(figsize=(0.32 * len(answers) + 4.0, 0.3 * len(truths) + 3.0), layout="constrained")
     axes.imshow(counts, cmap="Blues", aspect="auto")
-    axes.set_xticks(range(len(answers)), [one.replace("lidar.", "") for one in answers], rotation=90, fontsize=7)
-    axes.set_yticks(range(len(truths)), [one.replace("lidar.", "") for one in truths], fontsize=7)
+    axes.set_xticks(range(len(answers)), [short_name(one) for one in answers], rotation=90, fontsize=7)
+    axes.set_yticks(range(len(truths)), [short_name(one) for one in truths], fontsize=7)
     axes.set(xlabel="answered", ylabel="hidden")
     for (row, column), value in np.ndenumerate(counts):
         if value:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.stages.catalogue import EFFECTS
 
 __all__ = ["score", "wilson"]
 
@@ -37,7 +37,7 @@ def share(rows: Iterable[Row], holds: Callable[[Row], bool]) -> Row:
     }
 
 
-def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row] = ()) -> Row:
+def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row] = (), floors: float = 1.15) -> Row:
     """The table of a bench.
 
     Args:
@@ -45,6 +45,7 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
         answers: lines of ``run``: ``case``, and ``report`` (of ``gap.json``) or ``error``. Of several of a case the
             first counts.
         known: lines of ``known``: the same for a search that may name the true effects alone.
+        floors: held-out gap after over its floor, up to which it counts as near.
     """
     told = _first(known)
     rows = [_row(truths[case], one, told.get(case, {})) for case, one in _first(answers).items() if case in truths]
@@ -88,7 +89,10 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
         "parameter_off_over_departure": _offs(row for row in rows if row["exact"] and row["same_form"]),
         "interval_width_over_known": _widths(row for row in rows if row["exact"]),
         "other_metrics_after_over_before": _other(row for row in rows if row["exact"]),
-        "gap_after_within_1.15_floor": share(named, lambda row: row["gap_after_over_floor"] <= 1.15),
+        "gap_after_near_floor": {
+            **share(named, lambda row: row["gap_after_over_floor"] <= floors),
+            "floors": floors,
+        },
         "seconds": {"median": _median(seconds), "most": max(seconds, default=None)},
         "calibration": _calibration(rows),
         "confusion": _confusion(rows),
@@ -116,7 +120,7 @@ def _row(truth: Row, answer: Row, known: Row) -> Row:
     verdict = "refused" if answer.get("error") else report.get("verdict", "")
     effects = (report.get("effects") or []) if verdict in ("named", "named_and_rest") else []
     names = sorted(one["name"] for one in effects)
-    true = sorted(one["name"] for one in truth["effects"] if one["name"].startswith("lidar."))
+    true = sorted(one["name"] for one in truth["effects"] if one["name"] in EFFECTS)
     # Sets of the truth; what the answer itself says about confusion never makes a wrong name right.
     allowed = set(true)
     for one in truth["effects"]:
@@ -246,7 +250,7 @@ def _coverage(rows: Iterable[Row]) -> Row:
     return share((one for row in rows for one in row["intervals"]), _is("covers"))
 
 
-# Words by which an answer's axis is recognised.
+# Words by which an answer's axis is recognised; any other by its own.
 AXES = {
     "range": ("range", "depth", "distance"),
     "azimuth": ("azimuth", "column", "sector"),
@@ -266,7 +270,7 @@ def _right_axis(truth: Row, report: Row) -> bool:
         said.append(str(unknown.get("axis", "")))
     said += [str(one.get("axis", "")) for one in (report.get("where") or [])[:1]]
     first = said[:1]
-    return any(word in text for axis in axes for word in AXES[axis] for text in first)
+    return any(word in text for axis in axes for word in AXES.get(axis, (axis,)) for text in first)
 
 
 def _calibration(rows: list[Row], bins: int = 5) -> list[Row]:

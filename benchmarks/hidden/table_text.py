@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["bars_table", "further_table", "missed_table"]
+from torchweather.stages.catalogue import EFFECTS
+
+__all__ = ["bars_table", "further_table", "missed_table", "short_name"]
 
 Row = Mapping[str, Any]
 WORDS = {
@@ -19,7 +21,7 @@ WORDS = {
     "outside_unknown": "outside of the catalogue: called unknown",
     "coverage_90": "90 % intervals of parameters: hold the truth",
     "interval_width_over_known": "width of intervals over those of a fit that knows the effect, median",
-    "gap_after_within_1.15_floor": "exact answers: held-out gap after within 1.15 floors",
+    "gap_after_near_floor": "exact answers: held-out gap after within {floors:g} floors",
     "other_metrics_after_over_before": "exact answers: gap on metrics never used, after over before, median",
     "seconds": "seconds a study, median",
     "singles_exact": "single effects, all: exact name",
@@ -55,7 +57,8 @@ def bars_table(table: Row, bars: Sequence[Row]) -> str:
         bar = f"{'>=' if side == 'at_least' else '<='} {limit}"
         reached = _share(figure) if counts else _number(one["reached"])
         interval = _interval(figure) if counts else ""
-        lines.append(f"| {WORDS[one['figure']]} | {bar} | {reached} | {interval} | {HOLDS[one['holds']]} |")
+        words = WORDS[one["figure"]].format(floors=figure.get("floors", 1.0))
+        lines.append(f"| {words} | {bar} | {reached} | {interval} | {HOLDS[one['holds']]} |")
     return "\n".join(lines)
 
 
@@ -89,7 +92,12 @@ def missed_table(cases: Sequence[Row]) -> str:
 
 
 def _names(names: Sequence[str]) -> str:
-    return " + ".join(name.replace("lidar.", "").replace("_", " ") for name in names)
+    return " + ".join(short_name(name).replace("_", " ") for name in names)
+
+
+def short_name(name: str) -> str:
+    """Of an effect of the catalogue, without its sensor; others as they are."""
+    return name.partition(".")[2] if name in EFFECTS else name
 
 
 def _share(figure: Row) -> str:

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.hidden import cases, streets
-from benchmarks.hidden.cases import Streets, build, needed_strengths, plan
-from benchmarks.hidden.design import Size
+from benchmarks.hidden.lidar import cases, streets
+from benchmarks.hidden.lidar.cases import Streets, build, needed_strengths, plan
+from benchmarks.hidden.lidar.design import Size
 from benchmarks.hidden.scoring import score
 from benchmarks.hidden.sealed import append_line, read_lines, sha256_of, write_json
 from torchweather.gap.study import Study
@@ -50,7 +50,7 @@ def folder(tmp_path):
         (tmp_path / "studies" / case / "study.yaml").write_text("")
     write_json(tmp_path / "sealed" / "truth.json", {case: _truth(case) for case in "abc"})
     seal = sha256_of(tmp_path / "sealed" / "truth.json")
-    write_json(tmp_path / "seal.json", {"set": "dev", "seed": 1, "truth_sha256": seal})
+    write_json(tmp_path / "seal.json", {"sensor": "lidar", "set": "dev", "seed": 1, "truth_sha256": seal})
     return tmp_path
 
 
@@ -82,7 +82,7 @@ def test_a_line_after_one_that_was_cut_off_is_whole(tmp_path):
 
 
 def test_parts_never_overlap_whatever_is_done_already(bench, folder, monkeypatch, capsys):
-    monkeypatch.setattr(bench, "answer", lambda study, seed: _answer())
+    monkeypatch.setattr(bench, "answer", lambda study, seed, **more: _answer())
     assert bench.part_of(["a", "b", "c"], "1/2") == ["a", "c"]
     bench.run(_arguments(folder, part="1/2", count=1))
     bench.run(_arguments(folder, part="2/2"))
@@ -98,7 +98,7 @@ def test_parts_never_overlap_whatever_is_done_already(bench, folder, monkeypatch
 def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effects_alone(bench, folder, monkeypatch):
     asked = []
 
-    def answer(study, seed, effects=None):
+    def answer(study, seed, effects=None, **more):
         asked.append((study.name, effects))
         return _answer("lidar.spray" if study.name == "b" else LOSS, width=0.4 if effects is None else 0.2)
 

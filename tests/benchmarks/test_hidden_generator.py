@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.hidden.coarse_statistics import Tally
-from benchmarks.hidden.decoys import DECOYS
-from benchmarks.hidden.design import Size, draw_design, study_of, with_record
-from benchmarks.hidden.detectability import KINDS, Detector, brighter, cosine, independent, length
-from benchmarks.hidden.effects import CATALOGUE
-from benchmarks.hidden.lidar_sensor import PARTICLE, TARGET, View, Weather, shoot, study_sensor
-from benchmarks.hidden.particles import air_of, draw_drops
-from benchmarks.hidden.rays import Target, cast, scan_pattern
-from benchmarks.hidden.scene import SENSOR_HEIGHT_M, Box, Scene, draw_scene
+from benchmarks.hidden.lidar.coarse_statistics import Tally
+from benchmarks.hidden.lidar.decoys import DECOYS
+from benchmarks.hidden.lidar.design import Size, draw_design, study_of, with_record
+from benchmarks.hidden.lidar.detectability import KINDS, Detector, brighter, cosine, independent, length
+from benchmarks.hidden.lidar.effects import CATALOGUE
+from benchmarks.hidden.lidar.lidar_sensor import PARTICLE, TARGET, View, Weather, shoot, study_sensor
+from benchmarks.hidden.lidar.particles import air_of, draw_drops
+from benchmarks.hidden.lidar.rays import Target, cast, scan_pattern
+from benchmarks.hidden.lidar.scene import SENSOR_HEIGHT_M, Box, Scene, draw_scene
 from benchmarks.hidden.scoring import score, wilson
 from benchmarks.hidden.sealed import append_line, read_lines, sha256_of, write_json
 from torchweather.gap.study import Study

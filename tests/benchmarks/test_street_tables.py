@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.hidden.cases import Streets, needed_strengths, plan
-from benchmarks.hidden.design import Size
+from benchmarks.hidden.lidar.cases import Streets, needed_strengths, plan
+from benchmarks.hidden.lidar.design import Size
 
 HERE = Path(__file__).parent
 SMALL = Size().smaller_grid()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,18 @@ import numpy as np
 
 from torchweather.gap.study import Study
 
+from ..bars import LIDAR_BARS
+from ..bench_sensor import BenchSensor
 from .decoys import DECOYS, STRENGTHS_OF
 from .design import Condition, Design, Size, study_of, with_record
 from .detectability import KINDS
 from .effects import CATALOGUE, Known
 from .lidar_sensor import Effect
+from .other_metrics import other_metrics
 from .outside import OUTSIDE
 from .streets import LEVELS, Street, street
 
-__all__ = ["Case", "GROUPS", "Streets", "build", "needed_strengths", "plan"]
+__all__ = ["Case", "GROUPS", "SENSOR", "Streets", "build", "needed_strengths", "plan"]
 
 WEATHERS = ("rain", "fog", "snow")
 # Streets of each weather that the cases of a set share; scenes differ between them, records and noise between cases.
@@ -80,7 +83,7 @@ class Streets:
         return self._made[which]
 
 
-def plan(set_name: str, seed: int, groups: list[str], size: Size) -> Iterator[Case]:
+def plan(set_name: str, seed: int, groups: Sequence[str], size: Size) -> Iterator[Case]:
     """The cases of some groups, in an order that does not depend on which groups there are.
 
     Args:
@@ -308,3 +311,27 @@ def _where_it_shows(case: Case, streets: Streets, number: int) -> tuple[Street, 
                 if all(place.has(name, level) for name, level in zip(case.names, levels, strict=True)):
                     return place, levels
     raise ValueError(f"{case.id}: no street shows {', '.join(case.names)} at any level.")
+
+
+def _cases(set_name: str, seed: int, groups: Sequence[str], small: bool) -> list[Case]:
+    return list(plan(set_name, seed, groups, Size().smaller_grid() if small else Size()))
+
+
+def _builder(
+    set_name: str, seed: int, sealed: Path, cases: Sequence[Case], few: bool
+) -> Callable[[Case], tuple[Study, dict[str, Any]]]:
+    """What builds the cases, with the tables of their streets in the sealed folder."""
+    needed = set().union(*(needed_strengths(case) for case in cases))
+    streets = Streets(set_name, seed, sealed, tuple(sorted(needed)) if few else None)
+    return lambda case: build(case, streets)
+
+
+SENSOR = BenchSensor(
+    groups=tuple(GROUPS),
+    usual=("singles", "nulls", "pairs", "triples", "outside", "decoys"),
+    plan=_cases,
+    builder=_builder,
+    bars=LIDAR_BARS,
+    floors=1.15,
+    other_metrics=other_metrics,
+)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..sealed import plain, read_json, write_json
 from .design import Design, Size, draw_design
 from .detectability import IDENTIFIABLE_BELOW, KINDS, Curve, Detector, confusion
-from .sealed import plain, read_json, write_json
 
 __all__ = ["LEVELS", "Street", "street"]
 

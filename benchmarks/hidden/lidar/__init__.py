@@ -1,0 +1,1 @@
+"""LiDAR studies with a hidden effect: rays, particles and effects in code of their own."""
