@@ -1,7 +1,8 @@
 """Camera frames for the gap workflow: the conditions of a study simulated, and frames reduced to statistics.
 
 What is looked at is in ``camera_scene.py`` (what frames are compared with) and ``camera_sums.py`` (what is summed up along
-which axes). A simulated frame starts from a clear frame of its scene that its seed chooses. Particles are rendered once
+which axes). A simulated frame starts from a clear frame of its scene that its seed chooses: the mean of the others goes
+through the weather and the optics, and its own noise is added behind them, grown with the light. Particles are rendered once
 for each seed, at a few rates, and taken between them: what happens behind or in front of them does not move them.
 """
 
@@ -40,6 +41,8 @@ CONTRAST_SD = 0.03  # relative, of how much particles stand out; what two implem
 TOGETHER = 4  # frames: more do not fit into the processor's cache
 KEPT_FRAMES = 6000  # reduced ones
 FARTHEST_SD = 5.0  # standard deviations of the record for which a draw has slots
+# Stages in front of the first of which the noise of the clear frame comes in; the last of them is in every chain.
+BEHIND_THE_NOISE = ("sensor_noise", "saturation", "tone_curve", "quantise")
 OF_THE_CONDITION = "adherent_drops"  # stages whose draw is one for all frames of a condition
 
 
@@ -248,8 +251,12 @@ class CameraFrames:
         """Frames ``(F, 1, H, W)`` that come out of a chain."""
         scene = self.scenes[condition.scene]
         normal = None if scene.normal is None else scene.normal[None]
-        state = self.transform(condition).state_of(scene.clear[row], scene.depth_m[None], normal)
+        # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
+        state = self.transform(condition).state_of(scene.reference[row], scene.depth_m[None], normal)
+        noisy = False
         for name, stage in chain.stages.items():
+            if not noisy and name in BEHIND_THE_NOISE:
+                state, noisy = replace(state, signal=scene.with_noise(state.signal, row)), True
             if isinstance(stage, ParticleVeil):
                 state = self._veiled(stage, condition, state, log_knob, seeds)
             else:

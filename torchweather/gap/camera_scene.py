@@ -41,6 +41,7 @@ MOST_PAIRS = 12000  # of a lag; more tell no better
 FLAT, FLAT_SD = 0.06, 2.0  # of the level, and in standard deviations of the noise: differences of flat places are less
 EDGE, EDGE_SD = 0.12, 6.0  # and of edges more
 DARKEST = 2e-3  # of saturation; what is darker counts as that in logarithms
+MOST_GROWN = 1e4  # of a variance
 MOVED_SD = 6.0  # standard deviations of the noise by which a pixel departs that something moves in
 
 
@@ -88,6 +89,21 @@ class CameraScene:
     sharp: dict[tuple[int, int], Pairs]
     cells: tuple[int, int]
     block_depth_m: Tensor
+
+    def with_noise(self, signal: Tensor, row: Tensor) -> Tensor:
+        """Frames with the noise of clear frames: what each is over the mean of the others, at the light of now.
+
+        In clear air the clear frame itself comes out. The variance of the noise goes as ``c + v I``.
+
+        Args:
+            signal: ``(F, 1, H, W)`` without noise.
+            row: ``(F,)`` clear frame of each.
+        """
+        constant, growing = self.noise_variance
+        before = self.reference[row]
+        grown = (constant + growing * signal) / (constant + growing * before)
+        noise = (self.clear[row] - before) * grown.clamp(0.0, MOST_GROWN).sqrt()
+        return (signal + noise).clamp_(0.0, 1.0)
 
 
 def cell_colours(bayer: Tensor, pattern: str) -> Tensor:
