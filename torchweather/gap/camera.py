@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
 from torchweather.gap.camera_particles import LEAST_STEP, Rendered
-from torchweather.gap.camera_scene import COLOURS, CameraScene, camera_scene
+from torchweather.gap.camera_scene import COLOURS, CameraScene, camera_scene, cell_colours
 from torchweather.gap.camera_sums import CameraSums, camera_layout, colours_of
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
@@ -30,7 +30,6 @@ from torchweather.image.bayer import cfa_colour_index
 from torchweather.random import keyed_stream
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Stage
-from torchweather.stages.camera import estimate_airlight
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_camera import EFFECTS
 from torchweather.transforms import BayerWeather
@@ -226,10 +225,13 @@ class CameraFrames:
         """Airlight per colour, from the sky of all clear frames, and the relative error of each by their noise."""
         if not bool(scene.depth_m.isinf().any()):
             return None, {}
-        index = torch.tensor(cfa_colour_index(self._pattern))
-        ones = torch.ones_like(scene.depth_m)[None]
-        state = CameraState(scene.clear, scene.depth_m[None], ones, index, torch.tensor([self.sensor.intrinsics]))
-        each = estimate_airlight(state, self).double()  # (K, 3)
+        sky = torch.isinf(scene.depth_m[0])
+        cells = sky[0::2, 0::2] & sky[0::2, 1::2] & sky[1::2, 0::2] & sky[1::2, 1::2]
+        if not bool(cells.any()):
+            return None, {}
+        found = cell_colours(scene.clear, self._pattern)[:, :, cells].double().mean(2)  # (K, C)
+        each = torch.zeros(len(found), len(COLOURS), dtype=torch.float64)
+        each[:, [COLOURS.index(colour) for colour in self._colours]] = found
         mean = each.mean(0)
         error = each.std(0) / math.sqrt(len(each)) / mean.clamp_min(1e-6)
         red, green, blue = mean.clamp(0.0, 1.0).tolist()
@@ -253,10 +255,10 @@ class CameraFrames:
         normal = None if scene.normal is None else scene.normal[None]
         # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
         state = self.transform(condition).state_of(scene.reference[row], scene.depth_m[None], normal)
-        noisy = False
+        state, noisy = replace(state, keep_truth="extinction_and_airlight" in chain.stages), False
         for name, stage in chain.stages.items():
             if not noisy and name in BEHIND_THE_NOISE:
-                state, noisy = replace(state, signal=scene.with_noise(state.signal, row)), True
+                state, noisy = replace(state, signal=scene.with_noise(state.signal, state.transmission, row)), True
             if isinstance(stage, ParticleVeil):
                 state = self._veiled(stage, condition, state, log_knob, seeds)
             else:

@@ -41,7 +41,7 @@ MOST_PAIRS = 12000  # of a lag; more tell no better
 FLAT, FLAT_SD = 0.06, 2.0  # of the level, and in standard deviations of the noise: differences of flat places are less
 EDGE, EDGE_SD = 0.12, 6.0  # and of edges more
 DARKEST = 2e-3  # of saturation; what is darker counts as that in logarithms
-MOST_GROWN = 1e4  # of a variance
+MOST_GROWN, LEAST_VARIANCE = 1e4, 1e-12  # of a variance
 MOVED_SD = 6.0  # standard deviations of the noise by which a pixel departs that something moves in
 
 
@@ -90,19 +90,24 @@ class CameraScene:
     cells: tuple[int, int]
     block_depth_m: Tensor
 
-    def with_noise(self, signal: Tensor, row: Tensor) -> Tensor:
+    def with_noise(self, signal: Tensor, transmission: Tensor | None, row: Tensor) -> Tensor:
         """Frames with the noise of clear frames: what each is over the mean of the others, at the light of now.
 
-        In clear air the clear frame itself comes out. The variance of the noise goes as ``c + v I``.
+        In clear air the clear frame itself comes out. Its noise has a variance of ``c + v I``, and the mean of the other
+        clear frames a share of that, which fades with them: where nothing of them is seen, a difference between the two
+        is too much by that share.
 
         Args:
             signal: ``(F, 1, H, W)`` without noise.
+            transmission: share of the scene's light that is left, of the same shape; ``None`` is 1.
             row: ``(F,)`` clear frame of each.
         """
         constant, growing = self.noise_variance
-        before = self.reference[row]
-        grown = (constant + growing * signal) / (constant + growing * before)
-        noise = (self.clear[row] - before) * grown.clamp(0.0, MOST_GROWN).sqrt()
+        before, of_mean = self.reference[row], 1.0 / (len(self.clear) - 1)
+        grown = (constant + growing * signal) / (constant + growing * before).clamp_min(LEAST_VARIANCE)
+        left = 1.0 if transmission is None else transmission.square()
+        share = (grown + of_mean * left) / (1.0 + of_mean)
+        noise = (self.clear[row] - before) * share.clamp(0.0, MOST_GROWN).sqrt()
         return (signal + noise).clamp_(0.0, 1.0)
 
 

@@ -143,7 +143,10 @@ class CameraSums:
         self._modelled = in_weather[:, self.green]  # (K + 1, h, w)
         self._log_reference = in_blocks(self._reference).clamp_min(DARKEST).log()
         blocks = in_blocks(in_weather)
-        self._expected = blocks.clamp_min(DARKEST).log() - self._log_reference
+        self._noise = {
+            colour: _noise_of_logarithm(blocks[-1, number], scene.noise_variance, colour)
+            for number, colour in enumerate(self.colours)
+        }
         blocks = blocks[:, self.green]
         self._log_modelled = blocks.clamp_min(DARKEST).log()
         signal = place_in(blocks[-1], SIGNAL).where(scene.bins["off_axis_rad"] >= 0, -1)
@@ -205,7 +208,7 @@ class CameraSums:
         ratio = in_blocks(cells).clamp_min(DARKEST).log_()  # (F, C, B)
         over = ratio[:, self.green] - self._log_modelled[row]
         ratio -= self._log_reference[row]
-        self._brightness(found, ratio, over, row, portion, portions)
+        self._brightness(found, ratio, over, portion, portions)
         residual = cells[:, self.green] - self._modelled[row]
         spread = self._texture(found, residual.flatten(1), portion, portions)
         self._sharpness(found, cells[:, self.green].flatten(1), row, portion, portions)
@@ -223,15 +226,13 @@ class CameraSums:
         found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
         ratio: Tensor,
         over: Tensor,
-        row: Tensor,
         portion: Tensor | None,
         portions: int,
     ) -> None:
         """Logarithm over the clear scene, and over the model, of blocks."""
         for number, colour in enumerate(self.colours):
             binned, own = self._blocks[colour], ratio[:, number]
-            apart = own - self._expected[row, number]
-            rows = [torch.ones_like(own), own, apart.square()]
+            rows = [torch.ones_like(own), own, self._noise[colour].expand(own.shape)]
             if colour == "green":
                 rows += [over, over.square()]
             sums = binned.sums(torch.stack(rows, 1), portion, portions)
@@ -271,14 +272,15 @@ class CameraSums:
         portions: int,
     ) -> None:
         """Regression of differences across edges on those of the clear scene, each weighed with its square."""
-        clear, modelled = self._reference[:, self.green].flatten(1), self._modelled.flatten(1)
+        clear, modelled = self._reference[:, self.green].flatten(1), self._modelled[-1].flatten()
+        constant, growing = self.scene.noise_variance
         for lag, pairs in self.scene.sharp.items():
             binned = self._sharp[lag]
             before = (clear[:, pairs.second] - clear[:, pairs.first])[row]
             after = green[:, pairs.second] - green[:, pairs.first]
             scale = SHARED_CELLS * before.square().mean(1, keepdim=True).clamp_min(1e-12)
-            apart = after - (modelled[:, pairs.second] - modelled[:, pairs.first])[row]
-            rows = torch.stack([before.square() / scale, before * after / scale, apart.square() / scale], 1)
+            noise = (2.0 * constant + growing * (modelled[pairs.second] + modelled[pairs.first])).expand(after.shape)
+            rows = torch.stack([before.square() / scale, before * after / scale, noise / scale], 1)
             number, total, square = binned.sums(rows, self._of_cells(portion, pairs), portions).unbind(1)
             found[f"edge_contrast_{lag_name(lag)}", "depth_m"] = (number, total, _about(number, total, square))
 
@@ -352,9 +354,16 @@ class CameraSums:
         return None if portion is None else self._cell_portion(portion).flatten()[pairs.first]
 
 
-def _about(number: Tensor, total: Tensor, apart: Tensor) -> Tensor:
-    """Sum of squares whose variance is that of departures from the model: how bins differ inside is no noise."""
-    return total.square() / number.clamp_min(1e-12) + apart
+def _about(number: Tensor, total: Tensor, noise: Tensor) -> Tensor:
+    """Sum of squares whose variance is that of noise: how elements of a bin differ otherwise is no scatter."""
+    return total.square() / number.clamp_min(1e-12) + noise
+
+
+def _noise_of_logarithm(level: Tensor, variance: tuple[float, float], colour: str) -> Tensor:
+    """Variance of the logarithm of blocks ``(B,)`` by the noise of their pixels."""
+    pixels = BLOCK_CELLS**2 * (1.0 if colour == "green" else 0.5)  # in the unit of green, two in a cell
+    seen = level.clamp_min(DARKEST)
+    return (variance[0] + variance[1] * level) / (pixels * seen.square())
 
 
 def _beside(values: Tensor) -> Tensor:
