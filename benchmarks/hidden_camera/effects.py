@@ -85,7 +85,7 @@ class StrayLight(Known):
 class AerosolGlow(Known):
     """The glow of each optical depth is an exponential, not a Gaussian, of the same width."""
 
-    name, swept, weak, strong, same_form = "camera.aerosol_glow", "share_per_optical_depth", 0.004, 1.0, False
+    name, swept, weak, strong, same_form = "camera.aerosol_glow", "share_per_optical_depth", 2e-5, 1.0, False
     weathers, others = ("fog",), {"width_px_per_optical_depth": 4.0}
 
     def on_air(self, shot: Shot, light: FloatArray) -> FloatArray:
