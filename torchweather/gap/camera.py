@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.gap.camera_change import refuse_changed
 from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
 from torchweather.gap.camera_particles import LEAST_STEP, Rendered
 from torchweather.gap.camera_scene import COLOURS, CameraScene, camera_scene, cell_colours
@@ -37,6 +38,9 @@ from torchweather.transforms import BayerWeather
 __all__ = ["CameraFrames"]
 
 CONTRAST_SD = 0.03  # relative, of how much particles stand out; what two implementations of one physics differ by
+# Of the standard deviation of the sky's light from place to place, by which the airlight may be off; order of magnitude.
+UNEVEN_SHARE = 0.25
+LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
 TOGETHER = 4  # frames: more do not fit into the processor's cache
 KEPT_FRAMES = 6000  # reduced ones
 FARTHEST_SD = 5.0  # standard deviations of the record for which a draw has slots
@@ -54,7 +58,7 @@ class CameraFrames:
         effects: that the model has already.
 
     Raises:
-        TorchweatherError: a scene has a single clear frame.
+        TorchweatherError: a scene has a single clear frame, or is another one in weather.
     """
 
     def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
@@ -92,15 +96,16 @@ class CameraFrames:
         self._rendered: dict[str, Rendered] = {}
         self._kept: OrderedDict[object, Reduced] = OrderedDict()
         self._lock = threading.Lock()
+        for name in self.scenes:
+            self._refuse_changed(name)
 
     # ---- frames --------------------------------------------------------------------------------------------------
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""
-        frames = [condition.frames[number]["bayer"] for number in range(len(condition.frames))]
-        bayer = torch.stack([torch.from_numpy(np.array(frame, dtype=np.float32)) for frame in frames])[:, None]
+        bayer = _frames(condition)
         # Compared with all clear frames but one, as simulated frames are.
-        row = torch.arange(len(frames)) % len(self.scenes[condition.scene].clear)
+        row = torch.arange(len(bayer)) % len(self.scenes[condition.scene].clear)
         return self._of(condition)(bayer, row)
 
     def clear(self, scene_id: str, portions: int = 1) -> Reduced:
@@ -203,6 +208,15 @@ class CameraFrames:
                     self._keep((setting, seed), found[seed])
         return Reduced.joined([found[seed] for seed in wanted])
 
+    def _refuse_changed(self, scene_id: str) -> None:
+        """Raise where the scene is another one in weather (``camera_change.py``)."""
+        scene = self.scenes[scene_id]
+        own = [one for one in (*self.fit, *self.holdout) if one.scene == scene_id]
+        measured = {one.id: self._of(one).mean_level(_frames(one)) for one in own}
+        modelled = {one.id: self._of(one).modelled_level for one in own}
+        level = None if scene.normal is None else scene.level_ground
+        refuse_changed(scene_id, measured, modelled, level)
+
     # ---- the chain -----------------------------------------------------------------------------------------------
 
     def _of(self, condition: Condition) -> CameraSums:
@@ -233,7 +247,13 @@ class CameraFrames:
         each = torch.zeros(len(found), len(COLOURS), dtype=torch.float64)
         each[:, [COLOURS.index(colour) for colour in self._colours]] = found
         mean = each.mean(0)
-        error = each.std(0) / math.sqrt(len(each)) / mean.clamp_min(1e-6)
+        # Which part of an uneven sky lights the air is not known.
+        uneven = torch.zeros(len(COLOURS), dtype=torch.float64)
+        place = cell_colours(scene.clear, self._pattern)[:, :, cells].double()
+        pixels = place.var(0).mean(1) / len(each)  # noise of the mean frame
+        uneven[[COLOURS.index(colour) for colour in self._colours]] = (place.mean(0).var(1) - pixels).clamp_min(0.0)
+        square = each.var(0) / len(each) + UNEVEN_SHARE**2 * uneven.where(uneven > LEAST_UNEVEN * pixels.max(), 0.0)
+        error = square.sqrt() / mean.clamp_min(1e-6)
         red, green, blue = mean.clamp(0.0, 1.0).tolist()
         known = {colour: float(error[COLOURS.index(colour)]) for colour in self._colours}
         return (red, green, blue), {colour: sd for colour, sd in known.items() if sd > 0}
@@ -298,6 +318,12 @@ class CameraFrames:
             self._kept[key] = reduced
             while len(self._kept) > KEPT_FRAMES:
                 self._kept.popitem(last=False)
+
+
+def _frames(condition: Condition) -> Tensor:
+    """Frames of a condition ``(F, 1, H, W)``."""
+    frames = [condition.frames[number]["bayer"] for number in range(len(condition.frames))]
+    return torch.stack([torch.from_numpy(np.array(frame, dtype=np.float32)) for frame in frames])[:, None]
 
 
 def _at_visibility(stage: Stage, factor: float) -> ExtinctionAndAirlight:

@@ -90,6 +90,13 @@ class CameraScene:
     cells: tuple[int, int]
     block_depth_m: Tensor
 
+    @property
+    def level_ground(self) -> Tensor:
+        """Which blocks lie on level ground ``(h, w)``."""
+        assert self.normal is not None
+        up = torch.nn.functional.avg_pool2d(self.normal[None, 2:], 2 * BLOCK_CELLS)[0, 0]
+        return up > LEVEL_GROUND
+
     def with_noise(self, signal: Tensor, transmission: Tensor | None, row: Tensor) -> Tensor:
         """Frames with the noise of clear frames: what each is over the mean of the others, at the light of now.
 

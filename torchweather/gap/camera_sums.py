@@ -3,7 +3,8 @@
 Of blocks of 4 x 4 px the logarithm of each colour over the clear scene's (``log_ratio``); of pairs of 2 x 2 px cells at
 several lags the scatter of the difference, on flat places (``difference_spread``: noise, and streaks by their
 direction, width and length), and its regression on the clear one across edges (``edge_contrast``: sharpness); of cells
-the share that stands out of its neighbours beside it (``bright_share``, ``dark_share``: how many streaks, how bright).
+the share that stands out of its neighbours beside it (``bright_share``, ``dark_share``: how many streaks, how bright),
+and the mean product with others at several lags (``streak_correlation``: which way streaks run, how far).
 What is left over the model as it is, in parts of the picture, makes a map, of which what stays in its place counts.
 
 References:
@@ -47,7 +48,10 @@ BY_SIGNAL = ((0, 1), (1, 0))  # lags whose spread is looked at along the signal 
 ASIDE = 2  # cells to either side with whose mean a cell is compared for the tails
 TAILS_SD = (2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 1e4)
 TAIL_TEXTURE = 0.05  # of the modelled difference, which counts as noise
-TAIL_FROM_M = (0.0, 30.0, 1e7)  # depths of the scene: in front of what is near there are few particles
+# Rows and columns, in cells, between the two of which the product says how streaks run.
+STREAK_LAGS = ((1, 0), (2, 0), (4, 0), (8, 0), (1, 1), (1, -1), (2, 1), (2, -1), (4, 1), (4, -1), (4, 2), (4, -2))
+HIGHEST = 12.0  # standard deviations of a single cell that count in those
+TAIL_FROM_M = (0.0, 30.0, 1e6)  # depths of the scene: in front of what is near there are few particles
 SHARED_CELLS = 4.0  # neighbouring cells that one streak or one blurred edge makes depend on each other
 SCALARS = ("near_log_ratio", "far_log_ratio", "sky_log_ratio", "log_difference_spread")
 STEADY = (1e-3, 1e-3, 1e-3, 5e-3)  # of these, scatter below which frames are called alike
@@ -84,6 +88,9 @@ def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
         if lag in BY_SIGNAL:
             groups.append(Group(f"difference_spread_{lag_name(lag)}", "modelled_signal", "spread", NOISE_SIGNAL))
     groups += [Group(f"edge_contrast_{lag_name(lag)}", "depth_m", "mean", DEPTH_CLASSES_M) for lag in scene.sharp]
+    groups += [
+        Group(f"streak_correlation_{lag_name(lag)}", "depth_m", "mean", tuple(TAIL_FROM_M)) for lag in STREAK_LAGS
+    ]
     for side in ("bright", "dark"):
         groups += [Group(f"{side}_share_{where}", "residual_sd", "share", TAILS_SD) for where in ("near", "far")]
     return Layout(tuple(groups), SCALARS, STEADY, MAPS)
@@ -160,6 +167,8 @@ class CameraSums:
         self._flat = {lag: self._pairs(lag, pairs, by_signal=lag in BY_SIGNAL) for lag, pairs in scene.flat.items()}
         self._sharp = {lag: self._pairs(lag, pairs, by_signal=False) for lag, pairs in scene.sharp.items()}
         self._tail_noise, self._tail_class = self._tails()
+        self._streak_bins = {lag: self._streak(lag) for lag in STREAK_LAGS}
+        self._streak_count: dict[tuple[tuple[int, int], int], Tensor] = {}
         self._map_cells = self._map()
 
     def _pairs(self, lag: tuple[int, int], pairs: Pairs, *, by_signal: bool) -> _Binned:
@@ -168,6 +177,16 @@ class CameraSums:
             level = self._modelled[-1].flatten()[pairs.first]
             axes["modelled_signal"] = (place_in(level, NOISE_SIGNAL), len(NOISE_SIGNAL) - 1)
         return _Binned(axes)
+
+    def _streak(self, lag: tuple[int, int]) -> _Binned:
+        """Pairs of cells at a lag by the class of depth that they share."""
+        height, width = self.scene.cells
+        down, aside = lag
+        left, right = max(-aside, 0), width - max(aside, 0)
+        first = self._tail_class[: height - down, left:right]
+        second = self._tail_class[down:, left + aside : right + aside]
+        classes = first.where(first == second, -1).flatten()
+        return _Binned({"depth_m": (classes, len(TAIL_FROM_M) - 1)})
 
     def _tails(self) -> tuple[Tensor, Tensor]:
         """Standard deviation of what the tails are told from ``(h, w)``, and class of depth ``(h, w)``, -1 for none."""
@@ -193,6 +212,16 @@ class CameraSums:
         down, across = torch.arange(rows) // MAP_BLOCKS, torch.arange(columns) // MAP_BLOCKS
         return (down[:, None] * (int(across[-1]) + 1) + across).flatten()
 
+    @property
+    def modelled_level(self) -> Tensor:
+        """Logarithm of the green of blocks of the clear scene in this weather, ``(h, w)``."""
+        return self._log_modelled[-1].view(self._block_size)
+
+    def mean_level(self, bayer: Tensor) -> Tensor:
+        """That of frames ``(F, 1, H, W)``, their mean."""
+        green = in_blocks(cell_colours(bayer, self.pattern))[:, self.green]
+        return green.clamp_min(DARKEST).log().mean(0).view(self._block_size)
+
     def __call__(self, bayer: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, 1, H, W)``.
 
@@ -212,7 +241,9 @@ class CameraSums:
         residual = cells[:, self.green] - self._modelled[row]
         spread = self._texture(found, residual.flatten(1), portion, portions)
         self._sharpness(found, cells[:, self.green].flatten(1), row, portion, portions)
-        self._tail_shares(found, residual, portion, portions)
+        relative = _beside(residual) / self._tail_noise
+        self._tail_shares(found, relative, portion, portions)
+        self._streaks(found, relative.clamp(-HIGHEST, HIGHEST), portion, portions)
         weight, value, square = (
             torch.cat([found[group.statistic, group.axis][which] for group in self.layout.binned], 1).numpy()
             for which in range(3)
@@ -287,27 +318,51 @@ class CameraSums:
     def _tail_shares(
         self,
         found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
-        residual: Tensor,
+        relative: Tensor,
         portion: Tensor | None,
         portions: int,
     ) -> None:
         """Shares of the cells that stand out of those beside them by so many standard deviations."""
-        relative = _beside(residual) / self._tail_noise
         bins, classes = len(TAILS_SD) - 1, len(TAIL_FROM_M) - 1
         inner = torch.tensor(TAILS_SD[:-1])
         height = torch.bucketize(relative.abs(), inner, right=True)  # 0 is none
         kind = 2 * self._tail_class + (relative < 0)  # (F, h, w), negative where not looked at
         kind = kind.where(self._tail_class >= 0, 2 * classes)
         of = torch.zeros(self.scene.cells, dtype=torch.long) if portion is None else self._cell_portion(portion)
-        slot = torch.arange(len(residual))[:, None, None] * portions + of
+        slot = torch.arange(len(relative))[:, None, None] * portions + of
         index = (slot * (2 * classes + 1) + kind) * (bins + 1) + height
-        counts = torch.bincount(index.flatten(), minlength=len(residual) * portions * (2 * classes + 1) * (bins + 1))
+        counts = torch.bincount(index.flatten(), minlength=len(relative) * portions * (2 * classes + 1) * (bins + 1))
         counts = counts.double().view(-1, 2 * classes + 1, bins + 1) / SHARED_CELLS
         for number, where in enumerate(("near", "far")):
             total = counts[:, 2 * number : 2 * number + 2].sum((1, 2))[:, None].expand(-1, bins)
             for side, sign in (("bright", 0), ("dark", 1)):
                 share = counts[:, 2 * number + sign, 1:]
                 found[f"{side}_share_{where}", "residual_sd"] = (total, share, share)
+
+    def _streaks(
+        self,
+        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
+        relative: Tensor,
+        portion: Tensor | None,
+        portions: int,
+    ) -> None:
+        """Mean products of cells at several lags: in which direction, how wide and how long streaks are."""
+        height, width = relative.shape[-2:]
+        owner = None if portion is None else self._cell_portion(portion)
+        for lag in STREAK_LAGS:
+            down, aside = lag
+            left, right = max(-aside, 0), width - max(aside, 0)
+            first = (..., slice(0, height - down), slice(left, right))
+            product = relative[first] * relative[..., down:, left + aside : right + aside] / SHARED_CELLS
+            own = None if owner is None else owner[first].flatten()
+            total = self._streak_bins[lag].sums(product.flatten(1)[:, None], own, portions)[:, 0]
+            key = portions
+            if (lag, key) not in self._streak_count:
+                one = torch.full((1, 1, product[0].numel()), 1.0 / SHARED_CELLS)
+                self._streak_count[lag, key] = self._streak_bins[lag].sums(one, own, portions)[:, 0]
+            number = self._streak_count[lag, key].repeat(len(relative), 1)
+            # Products of independent normal values have a variance of 1.
+            found[f"streak_correlation_{lag_name(lag)}", "depth_m"] = (number, total, _about(number, total, number))
 
     def _means(self, ratio: Tensor) -> Tensor:
         """Mean logarithm of near, of far blocks and of the sky, ``(F, 3)``."""
