@@ -168,7 +168,9 @@ def _frame(shot: Shot, effects: tuple[Effect, ...]) -> FloatArray:
     for effect in effects:
         light = effect.on_light(shot, light)
     signal = mosaic(light)
-    electrons = shot.rng.poisson(np.clip(signal, 0.0, 4.0) * ELECTRONS) + shot.rng.normal(0, READ_ELECTRONS, signal.shape)
+    electrons = shot.rng.poisson(np.clip(signal, 0.0, 4.0) * ELECTRONS) + shot.rng.normal(
+        0, READ_ELECTRONS, signal.shape
+    )
     signal = np.clip(electrons / ELECTRONS, 0.0, 1.0)
     for effect in effects:
         signal = effect.on_electrons(shot, signal)

@@ -91,7 +91,7 @@ class Places:
         Raises:
             ValueError: no strength has that d'.
         """
-        detector, table = self.table(weather, size, name)
+        _, table = self.table(weather, size, name)
         strength = table.strength_for(level)
         if strength is None:
             raise ValueError(f"{name} in {weather}: d' of {level:g} cannot be met: {np.round(table.lengths, 1)}.")

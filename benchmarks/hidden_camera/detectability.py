@@ -160,7 +160,9 @@ class Detector:
         """Of both seed sets ``(2, K)``, without what the record can explain."""
         sides = []
         for side in (0, 1):
-            change = [after - before for after, before in zip(self._means(effects, side), self._base[side], strict=True)]
+            change = [
+                after - before for after, before in zip(self._means(effects, side), self._base[side], strict=True)
+            ]
             free = [one - (one @ along) * along for one, along in zip(change, self._rates, strict=True)]
             sides.append(np.concatenate(free))
         return np.stack(sides)

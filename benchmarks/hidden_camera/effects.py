@@ -1,4 +1,4 @@
-"""The nineteen effects of the catalogue, each written anew; ``same_form`` says where the form is the catalogue's own."""
+"""The nineteen effects of the catalogue, each written anew; ``same_form`` says where the form is the catalogue's."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class AdherentDrops(Known):
             aside = np.abs(columns - u * width)
             along = np.abs(rows - v * height)
             aside, along = np.minimum(aside, width - aside), np.minimum(along, height - along)
-            clear *= 1.0 - np.exp(-((aside**2 + along**2) / square) ** 2 * np.pi / 4.0)
+            clear *= 1.0 - np.exp(-(((aside**2 + along**2) / square) ** 2) * np.pi / 4.0)
         return light + (1.0 - clear)[..., None] * (light.mean((0, 1)) - light)
 
 
@@ -371,4 +371,3 @@ OUTSIDE: dict[str, type[Known]] = {
     kind.name: kind for kind in (LensFlare, HotPixels, Flicker, ChromaticShift, RowNoise, ColourCast, HeadLamp)
 }
 KINDS: dict[str, type[Known]] = {**CATALOGUE, **OUTSIDE}
-

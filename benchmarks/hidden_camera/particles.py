@@ -1,8 +1,9 @@
 """Drops and flakes in front of the camera: drawn from the size distribution, each with the streak of its exposure.
 
-A particle of diameter D at depth z covers a disk of ``f D / z`` px that moves ``f v t / z`` px while the shutter is open;
-the lens blurs it. Wide streaks are drawn one by one from the convolution of disk and path, narrow ones as boxes. Where a class of size and depth has very many, their numbers are drawn
-pixel by pixel. What peaks below a share of the exposure is a smooth veil of the mean optical depth.
+A particle of diameter D at depth z covers a disk of ``f D / z`` px that moves ``f v t / z`` px while the shutter is
+open. Wide streaks are drawn one by one from the convolution of disk and path, narrow ones as boxes. Where a class of
+size and depth has very many, their numbers are drawn pixel by pixel. What peaks below a share of the exposure is a
+smooth veil of the mean optical depth.
 """
 
 from __future__ import annotations
@@ -150,7 +151,9 @@ def draw(
     diameter = 1e-3 * found.diameter_mm[size]
     down = found.speed_m_per_s[size] * EXPOSURE_S * focal / depth
     width_px = diameter * focal / depth
-    return Streaks(column, row, depth, width_px, np.zeros_like(down), down, np.ones_like(down), crowds, 0.0, veil, edges)
+    return Streaks(
+        column, row, depth, width_px, np.zeros_like(down), down, np.ones_like(down), crowds, 0.0, veil, edges
+    )
 
 
 def _crowds(per_px: FloatArray, width: FloatArray, path: FloatArray, depth_m: FloatArray) -> list[Crowd]:
@@ -200,7 +203,7 @@ def _counted(crowd: Crowd, street: Street, slant: float, rng: np.random.Generato
         return np.asarray(ndimage.correlate1d(counts, along, axis=0, mode="wrap"))
     found = np.zeros(shape)
     for step, share in enumerate(along):
-        found += share * np.roll(counts, (step, int(round((step - 0.5 * len(along)) * slant))), (0, 1))
+        found += share * np.roll(counts, (step, round((step - 0.5 * len(along)) * slant)), (0, 1))
     return found
 
 
@@ -255,7 +258,10 @@ def _one(total: FloatArray, depth_m: FloatArray, streaks: Streaks, place: int) -
     du, dv = streaks.aside_px[place], streaks.down_px[place]
     left, right = int(np.floor(u - 0.5 * (b + abs(du)))), int(np.ceil(u + 0.5 * (b + abs(du))))
     top, bottom = int(np.floor(v - 0.5 * (b + abs(dv)))), int(np.ceil(v + 0.5 * (b + abs(dv))))
-    rows, columns = np.arange(max(top, 0), min(bottom, height - 1) + 1), np.arange(max(left, 0), min(right, width - 1) + 1)
+    rows, columns = (
+        np.arange(max(top, 0), min(bottom, height - 1) + 1),
+        np.arange(max(left, 0), min(right, width - 1) + 1),
+    )
     if not len(rows) or not len(columns):
         return
     length = max(np.hypot(du, dv), 0.05)

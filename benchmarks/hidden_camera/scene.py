@@ -118,7 +118,9 @@ def _cast(eye: Eye, seed: int, boxes: tuple[tuple[float, ...], ...]) -> Street:
     return Street(eye, depth, normal, label, _painted(seed, x, y, depth, label, part), (seed, boxes))
 
 
-def _box(x: FloatArray, y: FloatArray, low: tuple[float, ...], high: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+def _box(
+    x: FloatArray, y: FloatArray, low: tuple[float, ...], high: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
     """Depth at which rays enter a box, infinity where they do not, and the axis of the face."""
     direction = np.stack([x, y, np.ones_like(x)])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Camera frames for the search: sums against plain loops, what each effect moves, small studies of the library's own."""
+"""Camera frames for the search: sums against plain loops, what effects move, small studies of the library's own."""
 
 from __future__ import annotations
 
@@ -371,7 +371,7 @@ def test_nothing_held_out_is_refused() -> None:
     given = values_of()
     for one in given["conditions"]:
         one["split"] = "fit"
-    with pytest.raises(TorchweatherError, match="held out|holdout"):
+    with pytest.raises(TorchweatherError, match=r"held out|holdout"):
         find_gap(Study.from_arrays(**given))
 
 

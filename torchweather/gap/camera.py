@@ -1,9 +1,10 @@
 """Camera frames for the gap workflow: the conditions of a study simulated, and frames reduced to statistics.
 
-What is looked at is in ``camera_scene.py`` (what frames are compared with) and ``camera_sums.py`` (what is summed up along
-which axes). A simulated frame starts from a clear frame of its scene that its seed chooses: the mean of the others goes
-through the weather and the optics, and its own noise is added behind them, grown with the light. Particles are rendered once
-for each seed, at a few rates, and taken between them: what happens behind or in front of them does not move them.
+What is looked at is in ``camera_scene.py`` (what frames are compared with) and ``camera_sums.py`` (what is summed up
+along which axes). A simulated frame starts from a clear frame of its scene that its seed chooses: the mean of the
+others goes through the weather and the optics, and its own noise is added behind them, grown with the light. Particles
+are rendered once for each seed, at a few rates, and taken between them: what happens behind or in front of them does
+not move them.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from torchweather.transforms import BayerWeather
 __all__ = ["CameraFrames"]
 
 CONTRAST_SD = 0.03  # relative, of how much particles stand out; what two implementations of one physics differ by
-# Of the standard deviation of the sky's light from place to place, by which the airlight may be off; order of magnitude.
+# Of the scatter of the sky's light from place to place, by which the airlight may be off; order of magnitude.
 UNEVEN_SHARE = 0.25
 LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
 TOGETHER = 4  # frames: more do not fit into the processor's cache
@@ -225,7 +226,9 @@ class CameraFrames:
         if found is None:
             scene, transform = self.scenes[condition.scene], self.transform(condition)
             fog = {
-                name: stage for name, stage in transform.chain.stages.items() if isinstance(stage, ExtinctionAndAirlight)
+                name: stage
+                for name, stage in transform.chain.stages.items()
+                if isinstance(stage, ExtinctionAndAirlight)
             }
             with torch.no_grad():
                 state = transform.state_of(scene.reference, scene.depth_m[None])
@@ -267,9 +270,7 @@ class CameraFrames:
                 chain = chain.insert(one, before=next(iter(chain.stages)))
         return chain
 
-    def _through(
-        self, chain: Chain, condition: Condition, row: Tensor, log_knob: float, seeds: list[int]
-    ) -> Tensor:
+    def _through(self, chain: Chain, condition: Condition, row: Tensor, log_knob: float, seeds: list[int]) -> Tensor:
         """Frames ``(F, 1, H, W)`` that come out of a chain."""
         scene = self.scenes[condition.scene]
         normal = None if scene.normal is None else scene.normal[None]

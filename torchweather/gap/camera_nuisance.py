@@ -30,7 +30,8 @@ class ParticleContrast(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What particles change over the modelled."""
-        factor = (1.0 + self.share.to(state.signal)).expand(state.batch)
+        share: Tensor = self.get_buffer("share")
+        factor = (1.0 + share.to(state.signal)).expand(state.batch)
         return {"particle_contrast": factor if state.particle_contrast is None else factor * state.particle_contrast}
 
 
@@ -52,6 +53,6 @@ class AirlightError(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Light of the sky over the modelled one."""
-        more = torch.stack([getattr(self, colour).to(state.signal) for colour in ("red", "green", "blue")])
+        more = torch.stack([self.get_buffer(colour).to(state.signal) for colour in ("red", "green", "blue")])
         scale = (1.0 + more).expand(state.batch, 3)
         return {"airlight_scale": scale if state.airlight_scale is None else scale * state.airlight_scale}

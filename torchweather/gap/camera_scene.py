@@ -1,8 +1,8 @@
 """What frames of a camera scene are compared with: its clear frames, and the bins that pixels are put into.
 
-Pixels are looked at in cells of the colour filter array (2 x 2 px: one value per colour) and in blocks of 2 x 2 cells. A
-simulated frame starts from one clear frame and is compared with the mean of the others, a measured one with the mean of
-all but one too: both differ from what they are compared with by the noise of a frame of their own.
+Pixels are looked at in cells of the colour filter array (2 x 2 px: one value per colour) and in blocks of 2 x 2 cells.
+A simulated frame starts from one clear frame and is compared with the mean of the others, a measured one with the mean
+of all but one too: both differ from what they are compared with by the noise of a frame of their own.
 
 References:
     GAP.md 3 (1, 2).
@@ -100,9 +100,9 @@ class CameraScene:
     def with_noise(self, signal: Tensor, transmission: Tensor | None, row: Tensor) -> Tensor:
         """Frames with the noise of clear frames: what each is over the mean of the others, at the light of now.
 
-        In clear air the clear frame itself comes out. Its noise has a variance of ``c + v I``, and the mean of the other
-        clear frames a share of that, which fades with them: where nothing of them is seen, a difference between the two
-        is too much by that share.
+        In clear air the clear frame itself comes out. Its noise has a variance of ``c + v I``, and the mean of the
+        other clear frames a share of that, which fades with them: where nothing of them is seen, a difference between
+        the two is too much by that share.
 
         Args:
             signal: ``(F, 1, H, W)`` without noise.
@@ -276,7 +276,8 @@ def _pairs(
     classes, level = place_in(depth_m, DEPTH_CLASSES_M), green.flatten()
     cell = torch.arange(height * width).view(height, width)
     generator = np.random.default_rng(5081)
-    flat, sharp = {}, {}
+    flat: dict[tuple[int, int], Pairs] = {}
+    sharp: dict[tuple[int, int], Pairs] = {}
     for down, aside in LAGS:
         left, right = max(-aside, 0), width - max(aside, 0)
         first = cell[: height - down, left:right].flatten()
