@@ -42,7 +42,7 @@ CONTRAST_SD = 0.03  # relative, of how much particles stand out; what two implem
 # Of the scatter of the sky's light from place to place, by which the airlight may be off; order of magnitude.
 UNEVEN_SHARE = 0.25
 LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
-TOGETHER = 4  # frames: more do not fit into the processor's cache
+TOGETHER = 6  # frames: those of a response; particles of several are rendered faster
 KEPT_FRAMES = 6000  # reduced ones
 FARTHEST_SD = 5.0  # standard deviations of the record for which a draw has slots
 # Stages in front of the first of which the noise of the clear frame comes in; the last of them is in every chain.

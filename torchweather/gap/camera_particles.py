@@ -25,7 +25,8 @@ __all__ = ["LEAST_STEP", "Rendered"]
 LEAST_STEP, MOST_STEP = 0.04, 0.12  # of the logarithm of the rate between two that are rendered
 COUNT_STEP = 0.2  # of that of the number of particles
 LEAST_COUNT = math.exp(-10 * COUNT_STEP)  # fewer are those, fainter
-KEPT_BYTES = 500e6  # of optical depths, of all conditions together about
+KEPT_BYTES = 100e6  # of optical depths, of a condition
+ON_THEIR_WAY = ("particle_reach_m", "path_tangent", "row_time_s")  # fields of the state that move particles
 ALIKE = 1e-6  # of a step: a rate that is one of those rendered
 
 
@@ -56,8 +57,7 @@ class Rendered:
         if not self.alone or state.fog_extinction_per_m is not None:
             noise = self.stage.draw(state, seed=torch.tensor(seeds), name=self.stage.default_name)
             return self._at(log_knob)(state, noise)  # type: ignore[no-any-return]
-        optical = torch.stack([self._optical(state, row, log_knob, seed) for row, seed in enumerate(seeds)])
-        return self.stage.behind(state, -torch.expm1(-optical))
+        return self.stage.behind(state, -torch.expm1(-self._optical(state, log_knob, seeds)))
 
     def _at(self, log_knob: float) -> ParticleVeil:
         """The stage at another rate."""
@@ -71,49 +71,48 @@ class Rendered:
         found._modules["populations"] = populations
         return found
 
-    def _optical(self, state: CameraState, row: int, log_knob: float, seed: int) -> Tensor:
-        """Optical depth of the particles of one frame, ``(1, H, W)``."""
-        count = 1.0 if state.particle_count is None else float(state.particle_count[row])
+    def _optical(self, state: CameraState, log_knob: float, seeds: list[int]) -> Tensor:
+        """Optical depth of the particles of each frame, ``(F, 1, H, W)``; all frames have the same effects."""
+        count = 1.0 if state.particle_count is None else float(state.particle_count[0])
+        total = torch.zeros_like(state.signal)
         if count == 0.0:
-            return torch.zeros_like(state.signal[row])
+            return total
         more = max(count, LEAST_COUNT)
-        total = torch.zeros_like(state.signal[row])
-        rates = _between(log_knob, self.step)
-        counts = _between(math.log(more), COUNT_STEP)
+        rates, counts = _between(log_knob, self.step), _between(math.log(more), COUNT_STEP)
         for (rate, share), (number, part) in itertools.product(rates, counts):
-            total = total + share * part * self._node(state, row, rate, number, seed).float()
+            nodes = self._nodes(state, rate, number, seeds)
+            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part)
         return total * (count / more)
 
-    def _node(self, state: CameraState, row: int, rate: int, number: int, seed: int) -> Tensor:
-        """Optical depth at one of the rates and numbers that are rendered, as float16."""
-        fields = ("particle_reach_m", "path_tangent", "row_time_s")
-        given = {name: value[row : row + 1] for name in fields if (value := getattr(state, name)) is not None}
-        key = (rate, number, seed, *((name, float(value)) for name, value in given.items()))
+    def _nodes(self, state: CameraState, rate: int, number: int, seeds: list[int]) -> dict[int, Tensor]:
+        """Optical depth ``(1, H, W)`` of each seed at one of the rates and numbers that are rendered, as float16."""
+        given = {name: value[:1] for name in ON_THEIR_WAY if (value := getattr(state, name)) is not None}
+        setting = (rate, number, *((name, float(value)) for name, value in given.items()))
+        found: dict[int, Tensor] = {}
         with self._lock:
-            found = self._kept.get(key)
-            if found is not None:
-                self._kept.move_to_end(key)
-                return found
-        count = None if number == 0 else torch.full((1,), math.exp(number * COUNT_STEP))
-        one = replace(
+            for seed in dict.fromkeys(seeds):
+                if (setting, seed) in self._kept:
+                    found[seed] = self._kept[setting, seed]
+                    self._kept.move_to_end((setting, seed))
+        missing = [seed for seed in dict.fromkeys(seeds) if seed not in found]
+        if not missing:
+            return found
+        bare = replace(
             state,
-            signal=state.signal[row : row + 1],
-            depth_m=state.depth_m if len(state.depth_m) == 1 else state.depth_m[row : row + 1],
+            signal=state.signal[: len(missing)],
             keep_truth=True,
             normal=None,
-            particle_count=count,
+            particle_count=None if number == 0 else torch.full((len(missing),), math.exp(number * COUNT_STEP)),
             particle_contrast=None,
             airlight_scale=None,
-            particle_reach_m=given.get("particle_reach_m"),
-            path_tangent=given.get("path_tangent"),
-            row_time_s=given.get("row_time_s"),
+            **{name: None if name not in given else given[name].expand(len(missing)) for name in ON_THEIR_WAY},
         )
-        noise = self.stage.draw(one, seed=torch.tensor([seed]), name=self.stage.default_name)
-        mask = self._at(rate * self.step)(one, noise).particle_mask
-        found = (-torch.log1p(-mask[0])).half()
+        noise = self.stage.draw(bare, seed=torch.tensor(missing), name=self.stage.default_name)
+        mask = self._at(rate * self.step)(bare, noise).particle_mask
         with self._lock:
-            self._kept[key] = found
-            while sum(1 for _ in self._kept) * found.numel() * 2 > KEPT_BYTES / 6:
+            for seed, optical in zip(missing, (-torch.log1p(-mask)).half().unbind(0), strict=True):
+                found[seed] = self._kept[setting, seed] = optical.clone()
+            while len(self._kept) * optical.numel() * 2 > KEPT_BYTES:
                 self._kept.popitem(last=False)
         return found
 
