@@ -57,7 +57,8 @@ def _duplicated(design: Design, rng: np.random.Generator) -> Decoy:
 
 
 def _in_clear_too(design: Design, rng: np.random.Generator) -> Decoy:
-    effect = CATALOGUE["camera.defocus"]({"radius_px": 1.0})
+    # A blur or a vignetting of particles and airlight would not be in the clear frames.
+    effect = CATALOGUE["camera.exposure_gain"]({"factor": 0.9})
     return Decoy(("none",), (), (effect,), (effect,))
 
 
