@@ -97,6 +97,7 @@ class Rendered:
         missing = [seed for seed in dict.fromkeys(seeds) if seed not in found]
         if not missing:
             return found
+        moved = {name: value.expand(len(missing)) for name, value in given.items()}
         bare = replace(
             state,
             signal=state.signal[: len(missing)],
@@ -105,7 +106,9 @@ class Rendered:
             particle_count=None if number == 0 else torch.full((len(missing),), math.exp(number * COUNT_STEP)),
             particle_contrast=None,
             airlight_scale=None,
-            **{name: None if name not in given else given[name].expand(len(missing)) for name in ON_THEIR_WAY},
+            particle_reach_m=moved.get("particle_reach_m"),
+            path_tangent=moved.get("path_tangent"),
+            row_time_s=moved.get("row_time_s"),
         )
         noise = self.stage.draw(bare, seed=torch.tensor(missing), name=self.stage.default_name)
         mask = self._at(rate * self.step)(bare, noise).particle_mask
