@@ -72,6 +72,16 @@ class CameraAdherentDrops(Effect):
         "camera.defocus": "sharpness against the place in the image: between the drops edges stay sharp",
         "camera.stray_light": "the place in the image: stray light is everywhere",
     }
+    # What they hide is a matter of where they sit.
+    unsaid: ClassVar[tuple[str, ...]] = (
+        *(f"log_ratio_{what}" for what in ("red", "green", "blue", "spread")),
+        *(f"difference_spread_{lag}_px" for lag in ("0_2", "2_0", "2_2", "2_-2", "0_4", "4_0", "8_0", "16_0", "16_4")),
+        "difference_spread_16_-4_px",
+        *(f"streak_correlation_{lag}_px" for lag in ("2_0", "4_0", "8_0", "16_0", "2_2", "2_-2")),
+        *(f"streak_correlation_{lag}_px" for lag in ("4_2", "4_-2", "8_2", "8_-2", "8_4", "8_-4")),
+        *(f"edge_contrast_{lag}_px" for lag in ("0_2", "2_0", "2_2", "2_-2", "0_4", "4_0")),
+        *(f"{side}_share_{where}" for side in ("bright", "dark") for where in ("near", "far")),
+    )
 
     def variates(self) -> tuple[Variate, ...]:
         """Column, row and size of each drop."""

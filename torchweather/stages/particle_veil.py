@@ -183,6 +183,23 @@ class ParticleVeil(Stage):
         rows = max(2, int(state.signal.shape[-2] * UPPER_SHARE) // 2 * 2)
         return frame_mean(replace(state, signal=state.signal[..., :rows, :]))
 
+    def behind(self, state: CameraState, particle_mask: Tensor) -> CameraState:
+        """The frame behind particles of one kind, without fog, whose share of the exposure is known.
+
+        Args:
+            state: the frame.
+            particle_mask: ``(B, 1, H, W)``, as ``forward`` gives it.
+        """
+        if len(self.parts) != 1 or state.fog_extinction_per_m is not None:
+            raise ValueError("ParticleVeil.behind: one kind of particles, and no fog, has one colour; use forward.")
+        colour, contrast = state.per_pixel(self._colours(state)[0]), state.particle_contrast
+        mask = by_cells(particle_mask)
+        weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
+        signal = torch.lerp(by_cells(state.signal), colour.expand_as(mask), weight).flatten(2, 3)
+        if contrast is not None:
+            signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
+        return replace(state, signal=signal, particle_mask=particle_mask if state.keep_truth else None)
+
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The frame behind its particles."""
         if is_exporting():

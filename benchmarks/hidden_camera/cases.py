@@ -1,0 +1,282 @@
+"""Plans of the camera's bench: which studies a set holds, and how each is made from its seed."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchweather.gap.study import Study
+
+from .decoys import DECOYS
+from .design import Design, Size, draw_design, study_of, with_record
+from .detectability import Detector, Table, confusable
+from .effects import CATALOGUE, KINDS, OUTSIDE, Known
+
+# The harness lies beside this package, whether that is imported from the folder of the benchmarks or from above it.
+_ABOVE = (__package__ or "hidden_camera").removesuffix("hidden_camera")
+other_bars = import_module(f"{_ABOVE}hidden.bars").other_bars
+BenchSensor = import_module(f"{_ABOVE}hidden.bench_sensor").BenchSensor
+
+__all__ = ["GROUPS", "SENSOR", "Case", "Places", "build", "plan"]
+
+WEATHERS = ("rain", "fog", "snow")
+LEVELS = (5.0, 10.0, 30.0)
+SECONDS = 120.0
+FLOORS = 1.2
+
+
+@dataclass(frozen=True)
+class Case:
+    """One study to be made.
+
+    Args:
+        id: of its folder; says nothing about what is hidden.
+        family: ``single``, ``pair``, ``null``, ``outside`` or ``decoy``.
+        weather: ``rain``, ``fog`` or ``snow``.
+        names: hidden effects.
+        levels: d' of each.
+        size: amount of data.
+        seed: from which all draws follow.
+        options: what else is special.
+    """
+
+    id: str
+    family: str
+    weather: str
+    names: tuple[str, ...]
+    levels: tuple[float, ...]
+    size: Size
+    seed: tuple[int, ...]
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+class Places:
+    """Streets of a set and what effects do there, made when they are first asked for.
+
+    Args:
+        seed: of the set.
+        few: leaves out what confusions need.
+    """
+
+    def __init__(self, seed: tuple[int, ...], few: bool) -> None:
+        self.seed, self.few = seed, few
+        self._designs: dict[tuple[str, Size], Design] = {}
+        self._detectors: dict[tuple[str, Size], Detector] = {}
+        self._tables: dict[tuple[str, Size, str], Table] = {}
+
+    def design(self, weather: str, size: Size) -> Design:
+        """The streets of a weather."""
+        grid = Size(width=size.width, height=size.height)
+        key = (weather, grid)
+        if key not in self._designs:
+            rng = np.random.default_rng([*self.seed, WEATHERS.index(weather), size.width])
+            self._designs[key] = draw_design(rng, weather, grid)
+        return self._designs[key]
+
+    def table(self, weather: str, size: Size, name: str) -> tuple[Detector, Table]:
+        """What an effect does there, and what tells it."""
+        design = self.design(weather, size)
+        key = (weather, design.size)
+        if key not in self._detectors:
+            self._detectors[key] = Detector(design, 7 + WEATHERS.index(weather))
+        if (*key, name) not in self._tables:
+            self._tables[*key, name] = self._detectors[key].table(name)
+        return self._detectors[key], self._tables[*key, name]
+
+    def strength(self, weather: str, size: Size, name: str, level: float) -> tuple[Known, dict[str, float] | None]:
+        """An effect at a d', and with what it can be confused (``None``: not looked at).
+
+        Raises:
+            ValueError: no strength has that d'.
+        """
+        _, table = self.table(weather, size, name)
+        strength = table.strength_for(level)
+        if strength is None:
+            raise ValueError(f"{name} in {weather}: d' of {level:g} cannot be met: {np.round(table.lengths, 1)}.")
+        confused = None
+        if not self.few and name in CATALOGUE:
+            tables = [self.table(weather, size, other)[1] for other in CATALOGUE if weather in KINDS[other].weathers]
+            confused = confusable(tables, name, strength)
+        return KINDS[name].at(strength), confused
+
+
+def _key(label: str) -> int:
+    return zlib.crc32(label.encode())
+
+
+Row = tuple[str, tuple[str, ...], tuple[float, ...], Size | None, dict[str, Any]]
+
+
+def _weather_for(name: str, number: int) -> str:
+    shown = KINDS[name].weathers
+    return shown[number % len(shown)]
+
+
+def _singles(seed: int) -> Iterator[Row]:
+    """Every effect at every level, and some once more in another weather."""
+    for number, level in enumerate(LEVELS):
+        for place, name in enumerate(CATALOGUE):
+            yield _weather_for(name, place + number + seed), (name,), (level,), None, {}
+    for place, name in enumerate(("camera.exposure_gain", "camera.defocus", "camera.streak_contrast")):
+        yield _weather_for(name, place + seed + 1), (name,), (30.0,), None, {}
+
+
+def _nulls(seed: int) -> Iterator[Row]:
+    """Nothing hidden: 40 as all others, 10 with the record off by two standard deviations, 10 with the least data."""
+    for number in range(60):
+        weather = WEATHERS[number % 3]
+        if number % 6 == 4:
+            yield weather, (), (), None, {"record_sd": 2.0}
+        elif number % 6 == 5:
+            yield weather, (), (), Size(clear_frames=2, frames=2), {}
+        else:
+            yield weather, (), (), None, {}
+
+
+PAIRS = (
+    *(("fog", "exposure_gain", "sensor_noise"), ("fog", "extinction_scale", "defocus")),
+    *(("rain", "streak_contrast", "vignetting"), ("rain", "wet_surface", "ego_blur")),
+    *(("snow", "particle_count", "tone_curve"), ("snow", "wind_slant", "stray_light")),
+    *(("fog", "airlight_scale", "exposure_gain"), ("rain", "streak_contrast", "particle_count")),
+)
+
+
+def _pairs(seed: int) -> Iterator[Row]:
+    """Two effects; the last two pairs are nearly degenerate."""
+    for weather, first, second in PAIRS:
+        yield weather, (f"camera.{first}", f"camera.{second}"), (30.0, 30.0), None, {}
+
+
+def _outside(seed: int) -> Iterator[Row]:
+    for number, name in enumerate(OUTSIDE):
+        yield WEATHERS[(number + seed) % 3], (name,), (30.0,), None, {}
+
+
+def _decoys(seed: int) -> Iterator[Row]:
+    for number, name in enumerate((*DECOYS, *DECOYS)):
+        yield WEATHERS[(number + number // len(DECOYS) + seed) % 3], (), (), None, {"decoy": name}
+
+
+def _screen(seed: int) -> Iterator[Row]:
+    """400 small nulls for the first stage of the search."""
+    for number in range(400):
+        yield WEATHERS[number % 3], (), (), Size().smaller(), {"screen": True}
+
+
+def _reduced(seed: int) -> Iterator[Row]:
+    """Eight studies for continuous integration."""
+    yield "fog", ("camera.exposure_gain",), (30.0,), None, {}
+    yield "fog", ("camera.height_fog",), (30.0,), None, {}
+    yield "fog", ("camera.sensor_noise",), (30.0,), None, {}
+    yield "fog", ("camera.tone_curve",), (30.0,), None, {}
+    yield "fog", ("camera.airlight_scale",), (30.0,), None, {}
+    yield "fog", (), (), None, {}
+    yield "fog", (), (), None, {"record_sd": 2.0}
+    yield "fog", ("outside.row_noise",), (30.0,), None, {}
+
+
+GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
+    "singles": _singles,
+    "nulls": _nulls,
+    "pairs": _pairs,
+    "outside": _outside,
+    "decoys": _decoys,
+    "screen": _screen,
+    "reduced": _reduced,
+}
+
+
+def plan(set_name: str, seed: int, groups: Sequence[str], size: Size) -> Iterator[Case]:
+    """The cases of some groups, in an order that does not depend on which groups there are."""
+    for group in groups:
+        for number, (weather, names, levels, given, options) in enumerate(GROUPS[group](seed)):
+            label = f"camera-{set_name}-{seed}-{group}-{number}"
+            least = given and replace(given, width=size.width, height=size.height)
+            yield Case(
+                f"{set_name}-{seed}-{_key(label):08x}",
+                _family(names, options),
+                weather,
+                names,
+                levels,
+                least or size,
+                (_key(label), seed, number),
+                options,
+            )
+
+
+def _family(names: tuple[str, ...], options: dict[str, Any]) -> str:
+    if "decoy" in options:
+        return "decoy"
+    if names and names[0] in OUTSIDE:
+        return "outside"
+    return ("null", "single", "pair")[len(names)]
+
+
+def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
+    """The study of a case, and its truth."""
+    rng = np.random.default_rng(list(case.seed))
+    streets = replace(places.design(case.weather, case.size), size=case.size)
+    design = with_record(streets, rng, record_sd=case.options.get("record_sd"))
+    truth: dict[str, Any] = {**asdict(case), "record": design.record, "effects": []}
+    effects = []
+    for name, level in zip(case.names, case.levels, strict=True):
+        effect, confused = places.strength(case.weather, case.size, name, level)
+        effects.append(effect)
+        truth["effects"].append(
+            {
+                "name": name,
+                "parameters": effect.parameters,
+                "same_form": KINDS[name].same_form,
+                "level": level,
+                "confusable_with": confused,
+                "identifiable": None if confused is None else not confused,
+                "axes": KINDS[name].shows_along if name in OUTSIDE else None,
+            }
+        )
+    if "decoy" in case.options:
+        decoy = DECOYS[case.options["decoy"]](design, rng)
+        truth["right"] = {"verdicts": decoy.verdicts, "names": decoy.names}
+        study = study_of(
+            design,
+            decoy.effects,
+            rng,
+            clear_effects=decoy.clear_effects,
+            acts=decoy.acts,
+            seen=decoy.seen,
+            repeated=decoy.repeated,
+        )
+    else:
+        study = study_of(design, tuple(effects), rng)
+    truth["conditions"] = [
+        {"id": one.id, "recorded": one.recorded, "true": one.weather.amount, "split": one.split}
+        for one in design.conditions
+    ]
+    return study, truth
+
+
+def _cases(set_name: str, seed: int, groups: Sequence[str], small: bool) -> list[Case]:
+    return list(plan(set_name, seed, groups, Size().smaller() if small else Size()))
+
+
+def _builder(
+    set_name: str, seed: int, sealed: Path, cases: Sequence[Case], few: bool
+) -> Callable[[Case], tuple[Study, dict[str, Any]]]:
+    """What builds the cases."""
+    places = Places((_key(set_name), seed), few)
+    return lambda case: build(case, places)
+
+
+SENSOR = BenchSensor(
+    groups=tuple(GROUPS),
+    usual=("singles", "nulls", "pairs", "outside", "decoys"),
+    plan=_cases,
+    builder=_builder,
+    bars=other_bars(SECONDS),
+    floors=FLOORS,
+)

@@ -1,0 +1,416 @@
+"""Camera frames for the search: sums against plain loops, what effects move, small studies of the library's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from torchweather.errors import TorchweatherError
+from torchweather.gap import Study, find_gap
+from torchweather.gap.baseline import FrameModel
+from torchweather.gap.camera import CameraFrames
+from torchweather.gap.camera_particles import LEAST_STEP
+from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, cell_colours, in_blocks
+from torchweather.gap.camera_sums import ASIDE, SHARED_CELLS, TAILS_SD, lag_name
+from torchweather.gap.statistics import Pool, Reduced
+from torchweather.scenes import SCENES
+from torchweather.sensors import Camera
+from torchweather.stages.effects import Effect
+from torchweather.stages.effects_camera import EFFECTS
+from torchweather.transforms import BayerWeather
+from torchweather.weather import Fog, Rain, Snow, Weather
+
+WIDTH, HEIGHT = 128, 96
+ELECTRONS = 9000.0
+CAMERA = replace(Camera.preset("lucid-triton").resized(WIDTH, HEIGHT), response_knots=None, exposure_s=0.1)
+WEATHERS: dict[str, tuple[Weather, ...]] = {
+    "fog": (Fog(mor_m=250.0), Fog(mor_m=100.0), Fog(mor_m=150.0)),
+    "rain": (Rain(12.0), Rain(40.0), Rain(25.0)),
+    "snow": (Snow(0.7), Snow(2.5), Snow(1.5)),
+}
+SPLITS = ("fit", "fit", "holdout")
+CLEAR, FRAMES = 5, 3
+
+
+@lru_cache
+def view() -> Any:
+    return SCENES["test-track"]().view(CAMERA)
+
+
+def noisy(bayer: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Shot noise of the light that arrives."""
+    return np.clip(rng.poisson(np.clip(bayer, 0, 2) * ELECTRONS) / ELECTRONS, 0.0, 1.0).astype(np.float32)
+
+
+def values_of(
+    effects: Sequence[Effect] = (), kind: str = "fog", seed: int = 0, clear: int = CLEAR, frames: int = FRAMES
+) -> dict[str, Any]:
+    """Arguments of a study: the light of the library's own chain, with noise of the pixels behind it."""
+    rng = np.random.default_rng(seed)
+    seen = view()
+    conditions = []
+    for weather, split in zip(WEATHERS[kind], SPLITS, strict=True):
+        true = replace(weather, **{weather.knob_name: weather.knob * float(np.exp(0.07 * rng.normal()))})
+        transform = BayerWeather(true, CAMERA, effects=effects)
+        made = []
+        for _ in range(frames):
+            noise = transform.draw(seen.bayer[None], seed=int(rng.integers(2**60)))
+            with torch.no_grad():
+                light = transform(seen.bayer[None], seen.depth_m[None], noise, normal=seen.normal[None])
+            made.append({"bayer": noisy(light[0, 0].numpy(), rng)})
+        name = f"{kind} {weather.knob:g}"
+        conditions.append(
+            {"id": name, "scene": "s0", "weather": weather, "frames": made, "split": split, "rel_sd": 0.1}
+        )
+    geometry = {
+        "depth_m": seen.depth_m[0].numpy(),
+        "normal": seen.normal.movedim(0, -1).numpy(),
+        "label": seen.label[0].numpy(),
+    }
+    still = [{"bayer": noisy(seen.bayer[0].numpy(), rng)} for _ in range(clear)]
+    scene = {"id": "s0", "clear": still, "geometry": geometry}
+    return {"kind": "camera", "sensor": CAMERA, "scenes": [scene], "conditions": conditions}
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return Study.from_arrays(**values_of())
+
+
+@pytest.fixture(scope="module")
+def model(study: Study) -> CameraFrames:
+    return CameraFrames(study)
+
+
+@pytest.fixture(scope="module")
+def models(model: CameraFrames) -> dict[str, CameraFrames]:
+    return {
+        "fog": model,
+        "rain": CameraFrames(Study.from_arrays(**values_of(kind="rain"))),
+        "snow": CameraFrames(Study.from_arrays(**values_of(kind="snow"))),
+    }
+
+
+def group(model: CameraFrames, frames: Reduced, statistic: str, axis: str, what: str = "value") -> np.ndarray:
+    """Sums ``(F, bins)`` of one group."""
+    for one, part in zip(model.layout.binned, model.layout.slices, strict=False):
+        if (one.statistic, one.axis) == (statistic, axis):
+            return np.asarray(getattr(frames, what)[:, part])
+    raise AssertionError(f"no {statistic} along {axis}")
+
+
+# ---- what a frame is compared with -----------------------------------------------------------------------------------
+
+
+def test_it_is_a_model_of_frames(model: CameraFrames) -> None:
+    checked: FrameModel = model
+    assert len(checked.catalogue) == 19
+    assert [one.split for one in (*checked.fit, *checked.holdout)] == list(SPLITS)
+
+
+def test_references_leave_one_clear_frame_out(study: Study, model: CameraFrames) -> None:
+    clear = np.stack([frame["bayer"] for frame in study.scenes["s0"].clear])
+    for row in range(CLEAR + 1):
+        others = [k for k in range(CLEAR) if k != row]
+        np.testing.assert_allclose(model.scenes["s0"].reference[row, 0], clear[others].mean(0), atol=1e-6)
+
+
+def test_a_clear_frame_comes_out_where_its_own_noise_goes_in(model: CameraFrames) -> None:
+    scene, row = model.scenes["s0"], torch.arange(CLEAR)
+    found = scene.with_noise(scene.reference[row], None, row)
+    torch.testing.assert_close(found, scene.clear, atol=1e-6, rtol=0)
+
+
+def test_noise_of_other_light_is_that_of_the_pixels(model: CameraFrames) -> None:
+    """Where nothing is left of the scene a frame has the shot noise of the light that is there."""
+    scene, row = model.scenes["s0"], torch.arange(CLEAR)
+    light = torch.full_like(scene.clear, 0.5)
+    found = scene.with_noise(light, torch.zeros_like(light), row)
+    # The variance of the pixels is taken from medians of few frames: to some ten percent.
+    assert float((found - 0.5).std()) == pytest.approx(np.sqrt(0.5 / ELECTRONS), rel=0.2)
+
+
+def test_catalogue_without_normals_has_no_wet_surface() -> None:
+    given = values_of(frames=1)
+    del given["scenes"][0]["geometry"]["normal"]
+    assert "camera.wet_surface" not in CameraFrames(Study.from_arrays(**given)).catalogue
+
+
+# ---- sums against plain loops ----------------------------------------------------------------------------------------
+
+
+def planes(bayer: np.ndarray) -> np.ndarray:
+    """Red, mean green and blue of each cell of an RGGB mosaic."""
+    assert CAMERA.bayer_pattern == "RGGB"
+    found = np.zeros((3, HEIGHT // 2, WIDTH // 2))
+    for row in range(HEIGHT // 2):
+        for column in range(WIDTH // 2):
+            cell = bayer[2 * row : 2 * row + 2, 2 * column : 2 * column + 2]
+            found[:, row, column] = cell[0, 0], 0.5 * (cell[0, 1] + cell[1, 0]), cell[1, 1]
+    return found
+
+
+@pytest.fixture(scope="module")
+def frame(study: Study) -> np.ndarray:
+    return planes(np.asarray(study.conditions[0].frames[0]["bayer"], dtype=np.float64))
+
+
+@pytest.fixture(scope="module")
+def reference(model: CameraFrames) -> np.ndarray:
+    return planes(model.scenes["s0"].reference[0, 0].double().numpy())
+
+
+def test_cells_and_blocks_are_means(study: Study, frame: np.ndarray) -> None:
+    bayer = torch.from_numpy(np.array(study.conditions[0].frames[0]["bayer"]))[None, None]
+    cells = cell_colours(bayer, "RGGB")
+    np.testing.assert_allclose(cells[0], frame, atol=1e-6)
+    np.testing.assert_allclose(in_blocks(cells)[0, 1, 0], frame[1, :2, :2].mean(), atol=1e-6)
+
+
+def test_brightness_is_summed_over_blocks_of_one_depth(
+    model: CameraFrames, frame: np.ndarray, reference: np.ndarray
+) -> None:
+    measured = model.measured(model.fit[0])
+    depth_m = view().depth_m[0].numpy()
+    weight, value = np.zeros((3, len(DEPTH_M) - 1)), np.zeros((3, len(DEPTH_M) - 1))
+    for row in range(HEIGHT // 4):
+        for column in range(WIDTH // 4):
+            seen = np.minimum(depth_m[4 * row : 4 * row + 4, 4 * column : 4 * column + 4], 1e5)
+            known = model.scenes["s0"].bins["off_axis_rad"][row * (WIDTH // 4) + column] >= 0
+            if seen.max() > 1.3 * seen.min() or not known:
+                continue
+            place = np.searchsorted(DEPTH_M, 0.5 * (seen.max() + seen.min()), side="right") - 1
+            for colour in range(3):
+                own, before = (
+                    max(one[colour, 2 * row : 2 * row + 2, 2 * column : 2 * column + 2].mean(), DARKEST)
+                    for one in (frame, reference)
+                )
+                weight[colour, place] += 1
+                value[colour, place] += np.log(own / before)
+    for colour, name in enumerate(("red", "green", "blue")):
+        np.testing.assert_allclose(group(model, measured, f"log_ratio_{name}", "depth_m", "weight")[0], weight[colour])
+        np.testing.assert_allclose(
+            group(model, measured, f"log_ratio_{name}", "depth_m")[0], value[colour], rtol=1e-4, atol=1e-4
+        )
+
+
+def test_sharpness_is_a_regression_across_edges(model: CameraFrames, frame: np.ndarray, reference: np.ndarray) -> None:
+    measured, scene = model.measured(model.fit[0]), model.scenes["s0"]
+    for lag, pairs in scene.sharp.items():
+        products, squares = np.zeros(len(DEPTH_CLASSES_M) - 1), np.zeros(len(DEPTH_CLASSES_M) - 1)
+        for first, second, kind in zip(
+            pairs.first.tolist(), pairs.second.tolist(), pairs.depth_class.tolist(), strict=True
+        ):
+            assert second - first == lag[0] * (WIDTH // 2) + lag[1]
+            before = reference[1].flat[second] - reference[1].flat[first]
+            products[kind] += before * (frame[1].flat[second] - frame[1].flat[first])
+            squares[kind] += before**2
+        name = f"edge_contrast_{lag_name(lag)}"
+        there = squares > 0
+        found = group(model, measured, name, "depth_m")[0] / np.maximum(
+            group(model, measured, name, "depth_m", "weight")[0], 1e-9
+        )
+        np.testing.assert_allclose(found[there], (products / np.maximum(squares, 1e-12))[there], rtol=1e-3, atol=1e-4)
+
+
+def test_texture_and_tails_of_a_clear_frame(model: CameraFrames) -> None:
+    """Without weather what is expected is the mean of the other clear frames."""
+    clear, scene = model.clear("s0"), model.scenes["s0"]
+    apart = planes(scene.clear[0, 0].double().numpy())[1] - planes(scene.reference[0, 0].double().numpy())[1]
+    for lag, pairs in scene.flat.items():
+        squares = np.zeros(len(DEPTH_CLASSES_M) - 1)
+        for first, second, kind in zip(
+            pairs.first.tolist(), pairs.second.tolist(), pairs.depth_class.tolist(), strict=True
+        ):
+            squares[kind] += (apart.flat[second] - apart.flat[first]) ** 2
+        name = f"difference_spread_{lag_name(lag)}"
+        np.testing.assert_allclose(
+            group(model, clear, name, "depth_m", "square")[0] * SHARED_CELLS, squares, rtol=1e-3, atol=1e-7
+        )
+    relative = np.zeros_like(apart)
+    relative[:, ASIDE:-ASIDE] = apart[:, ASIDE:-ASIDE] - 0.5 * (apart[:, : -2 * ASIDE] + apart[:, 2 * ASIDE :])
+    sums = model._clear_sums["s0"]
+    relative /= sums._tail_noise.numpy()
+    for side, sign in (("bright", 1.0), ("dark", -1.0)):
+        counted = np.zeros((2, len(TAILS_SD) - 1))
+        for kind in (0, 1):
+            values = sign * relative[sums._tail_class.numpy() == kind]
+            counted[kind] = np.histogram(values, TAILS_SD)[0]
+        for kind, where in enumerate(("near", "far")):
+            found = group(model, clear, f"{side}_share_{where}", "residual_sd")[0] * SHARED_CELLS
+            np.testing.assert_allclose(found, counted[kind], atol=1.0)  # one on an edge of a bin
+
+
+def test_portions_add_up(model: CameraFrames) -> None:
+    whole, parts = model.clear("s0"), model.clear("s0", 16)
+    for name in ("weight", "value"):
+        summed = getattr(parts, name).reshape(CLEAR, 16, -1).sum(1)
+        kinds = model.layout.each(lambda one: one.kind)[: model.layout.bins]
+        kept = np.isin(kinds, ("mean", "spread", "share"))
+        np.testing.assert_allclose(summed[:, kept], getattr(whole, name)[:, kept], rtol=1e-4, atol=1e-4)
+
+
+# ---- simulated frames ------------------------------------------------------------------------------------------------
+
+SEEDS = tuple(range(10, 10 + 2 * CLEAR))
+MOVED: dict[str, tuple[str, dict[str, float], str]] = {
+    "exposure_gain": ("fog", {"factor": 1.02}, "log_ratio_green"),
+    "airlight_scale": ("fog", {"blue": 1.02}, "log_ratio_blue"),
+    "extinction_scale": ("fog", {"wavelength_exponent": 0.3}, "log_ratio_red"),
+    "stray_light": ("fog", {"offset": 0.01}, "log_ratio_green"),
+    "aerosol_glow": ("fog", {"share_per_optical_depth": 0.3, "width_px_per_optical_depth": 4.0}, "edge_contrast"),
+    "defocus": ("fog", {"radius_px": 1.0}, "edge_contrast"),
+    "ego_blur": ("fog", {"length_px": 3.0}, "edge_contrast_0_2_px"),
+    "adherent_drops": ("fog", {"cover": 0.05}, "log_ratio_map"),
+    "vignetting": ("fog", {"strength": 0.2}, "log_ratio_green"),
+    "wind_slant": ("snow", {"angle_rad": 0.8}, "streak_correlation"),
+    "wet_surface": ("fog", {"darkening": 0.2}, "log_ratio_green"),
+    "sensor_noise": ("fog", {"electrons_per_unit": 3000.0}, "difference_spread_0_2_px"),
+    "tone_curve": ("fog", {"gamma": 1.05}, "log_ratio_green"),
+    "saturation": ("fog", {"level": 0.3}, "log_ratio_green"),
+    "patchy_fog": ("fog", {"log_std": 0.3}, "log_ratio_spread"),
+    "height_fog": ("fog", {"scale_height_m": 15.0}, "log_ratio_green"),
+    "streak_contrast": ("snow", {"factor": 2.0}, "bright_share"),
+    "particle_count": ("snow", {"factor": 2.0}, "bright_share"),
+    "rolling_shutter": ("snow", {"row_time_s": 1e-3}, "streak_correlation"),
+}
+
+
+def test_every_effect_of_the_catalogue_is_tried(model: CameraFrames) -> None:
+    assert {f"camera.{name}" for name in MOVED} == set(model.catalogue)
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_an_effect_moves_the_statistics_that_it_should(models: dict[str, CameraFrames], name: str) -> None:
+    kind, parameters, statistic = MOVED[name]
+    model = models[kind]
+    condition = model.fit[1]
+    effect = EFFECTS[f"camera.{name}"](**parameters)
+    before = Pool(model.layout, model.simulated(condition, [], 0.0, SEEDS))
+    after = Pool(model.layout, model.simulated(condition, [effect], 0.0, SEEDS))
+    index = np.arange(len(SEEDS))[None]
+    change = (after.vectors(index) - before.vectors(index))[0] / before.least_scatter(len(SEEDS))
+    own = model.layout.each(lambda one: one.statistic.startswith(statistic))
+    moved = np.abs(change[own & before.enough(len(SEEDS))])
+    print(name, moved.max())
+    assert moved.max() > 5.0  # standard deviations that noise has at least
+
+
+@pytest.mark.parametrize("kind", WEATHERS)
+def test_frames_do_not_depend_on_how_they_are_asked_for(models: dict[str, CameraFrames], kind: str) -> None:
+    model = models[kind]
+    condition = model.fit[0]
+    together = model.simulated(condition, [], 0.05, SEEDS[:3])
+    alone = Reduced.joined([model.simulated(condition, [], 0.05, [seed]) for seed in SEEDS[:3]])
+    fresh = CameraFrames(Study.from_arrays(**values_of(kind=kind)))
+    anew = Reduced.joined([fresh.simulated(fresh.fit[0], [], 0.05, [seed]) for seed in reversed(SEEDS[:3])][::-1])
+    for field in fields(Reduced):
+        np.testing.assert_array_equal(getattr(together, field.name), getattr(alone, field.name))
+        # Products of several rows may round otherwise than those of one.
+        np.testing.assert_allclose(getattr(anew, field.name), getattr(alone, field.name), rtol=1e-3, atol=1e-3)
+
+
+def test_between_two_rates_particles_are_taken_along_a_line(models: dict[str, CameraFrames]) -> None:
+    model = models["rain"]
+    condition = model.fit[1]
+    step = max(condition.rel_sd, LEAST_STEP)
+    means = [
+        group(model, model.simulated(condition, [], knob, SEEDS), "log_ratio_green", "depth_m").sum()
+        for knob in (0.0, 0.5 * step, step)
+    ]
+    low, middle, high = means
+    assert min(low, high) < middle < max(low, high)
+    assert middle == pytest.approx(0.5 * (low + high), rel=0.05)
+
+
+def test_drops_on_the_window_stay_over_the_frames_of_a_condition(model: CameraFrames) -> None:
+    effect = EFFECTS["camera.adherent_drops"](cover=0.1)
+    condition, other = model.fit[:2]
+    maps = model.simulated(condition, [effect], 0.0, SEEDS[:4]).maps[:, 0]
+    elsewhere = model.simulated(other, [effect], 0.0, SEEDS[:4]).maps[:, 0]
+    assert np.corrcoef(maps[0], maps[1])[0, 1] > 0.9
+    assert abs(np.corrcoef(maps[0], elsewhere[0])[0, 1]) < 0.6
+
+
+# ---- whole studies ---------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_found_where_nothing_is_missing(study: Study) -> None:
+    assert find_gap(study).to_dict()["verdict"] == "none"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [("exposure_gain", {"factor": 1.03}), ("sensor_noise", {"electrons_per_unit": 4000.0})],
+)
+def test_own_data_recover_an_effect(name: str, parameters: dict[str, float]) -> None:
+    effect = EFFECTS[f"camera.{name}"](**parameters)
+    found = find_gap(Study.from_arrays(**values_of([effect], seed=3))).to_dict()
+    assert [one["name"] for one in found["effects"]] == [f"camera.{name}"]
+    for parameter, value in parameters.items():
+        # Noise is known to some percent; a gain far better.
+        assert found["effects"][0]["parameters"][parameter] == pytest.approx(value, rel=0.25)
+    assert found["gap"]["after"] < found["gap"]["before"]
+
+
+# ---- bad input -------------------------------------------------------------------------------------------------------
+
+
+def test_a_single_clear_frame_is_refused() -> None:
+    with pytest.raises(TorchweatherError, match="one clear frame"):
+        find_gap(Study.from_arrays(**values_of(clear=1)))
+
+
+def test_nothing_held_out_is_refused() -> None:
+    given = values_of()
+    for one in given["conditions"]:
+        one["split"] = "fit"
+    with pytest.raises(TorchweatherError, match=r"held out|holdout"):
+        find_gap(Study.from_arrays(**given))
+
+
+def test_frames_of_nan_are_refused() -> None:
+    given = values_of()
+    given["conditions"][0]["frames"][0]["bayer"][:] = np.nan
+    with pytest.raises(TorchweatherError, match=r"(?i)nan|finite"):
+        find_gap(Study.from_arrays(**given))
+
+
+def test_frames_of_another_size_are_refused() -> None:
+    given = values_of()
+    given["conditions"][0]["frames"][0]["bayer"] = np.zeros((HEIGHT, WIDTH - 2), np.float32)
+    with pytest.raises(TorchweatherError, match="bayer"):
+        find_gap(Study.from_arrays(**given))
+
+
+def test_a_scene_without_depth_is_refused() -> None:
+    given = values_of()
+    del given["scenes"][0]["geometry"]["depth_m"]
+    with pytest.raises(TorchweatherError, match="depth_m"):
+        find_gap(Study.from_arrays(**given))
+
+
+@pytest.mark.parametrize("kind", ["fog", "rain"])
+def test_a_scene_that_moved_is_named(kind: str) -> None:
+    given = values_of(kind=kind)
+    for one in given["conditions"]:
+        for frame in one["frames"]:
+            frame["bayer"] = np.ascontiguousarray(np.roll(frame["bayer"], 14, 1))
+    with pytest.raises(TorchweatherError, match="scene changed"):
+        find_gap(Study.from_arrays(**given))
+
+
+def test_effects_of_the_catalogue_are_no_change_of_the_scene() -> None:
+    """Drops on the window hide parts of it, a defocus takes edges away, saturation the brightest."""
+    effects = [
+        EFFECTS["camera.adherent_drops"](cover=0.2),
+        EFFECTS["camera.defocus"](radius_px=2.0),
+        EFFECTS["camera.saturation"](level=0.5),
+    ]
+    CameraFrames(Study.from_arrays(**values_of(effects)))

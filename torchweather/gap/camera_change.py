@@ -1,0 +1,89 @@
+"""Whether the scene of a camera study is another one in weather than in clear air.
+
+What stands elsewhere has edges that the clear frames lack, the same ones in every condition. Drops on the window are
+elsewhere in each condition, streaks in each frame; fog and blur take edges away; wet roads mirror, and are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import torch
+from torch import Tensor
+
+from torchweather.errors import TorchweatherError
+
+__all__ = ["refuse_changed"]
+
+WINDOW = 8  # blocks that a part of the picture is high and wide
+FEWEST_WINDOWS = 3
+UNEXPLAINED = 0.6  # of the energy of edges, that the clear scene does not explain
+TOGETHER = 0.7  # correlation of what is not explained in two conditions
+STRONG = 0.03  # root mean square of the unexplained logarithm of neighbouring blocks' ratio
+MOSTLY = 0.5
+
+
+def refuse_changed(
+    scene: str, measured: Mapping[str, Tensor], modelled: Mapping[str, Tensor], level: Tensor | None
+) -> None:
+    """Raise where parts of the picture show, in two conditions alike, what the clear scene does not have.
+
+    Args:
+        scene: id.
+        measured: condition to the mean logarithm of blocks ``(h, w)`` over its frames.
+        modelled: condition to the same of the clear scene in its weather.
+        level: ``(h, w)`` which blocks lie on level ground; ``None``: not known.
+
+    Raises:
+        TorchweatherError: the scene changed.
+    """
+    names = list(measured)
+    if len(names) < 2:
+        return
+    left, share = {}, {}
+    for name in names:
+        after, before = _edges(measured[name]), _edges(modelled[name])
+        energy = _windows(after.square()).clamp_min(1e-12)
+        slope = _windows(after * before) / _windows(before.square()).clamp_min(1e-12)
+        left[name] = after - _spread(slope, after.shape[-2:]) * before
+        share[name] = _windows(left[name].square()) / energy
+    standing = torch.ones_like(share[names[0]], dtype=torch.bool)
+    if level is not None:
+        # Of both differences alike.
+        standing = _windows(level[None, :-1, :-1].float().expand(2, -1, -1)) / (2 * WINDOW**2) < MOSTLY
+    changed = torch.zeros_like(standing)
+    for one, other in combinations(names, 2):
+        own, its = (_windows(left[name].square()) for name in (one, other))
+        together = _windows(left[one] * left[other]) / (own * its).clamp_min(1e-24).sqrt()
+        strong = torch.minimum(own, its) / (2 * WINDOW**2) > STRONG**2
+        changed |= standing & strong & (together > TOGETHER) & (torch.minimum(share[one], share[other]) > UNEXPLAINED)
+    number = int(changed.sum())
+    if number >= FEWEST_WINDOWS:
+        row, column = changed.nonzero()[0].tolist()
+        raise TorchweatherError(
+            f"find_gap: scene changed: in weather {number} of {changed.numel()} parts of the picture of scene {scene} "
+            f"show edges that its clear frames do not have, the same in several conditions (the first one at row "
+            f"{4 * WINDOW * row}, column {4 * WINDOW * column}). Something moved, or the camera did. Take clear frames "
+            "of the scene as it is in weather, or leave these conditions out."
+        )
+
+
+def _edges(level: Tensor) -> Tensor:
+    """Differences of neighbouring blocks, across and down, ``(2, h - 1, w - 1)``."""
+    return torch.stack([level[:-1, 1:] - level[:-1, :-1], level[1:, :-1] - level[:-1, :-1]])
+
+
+def _windows(values: Tensor) -> Tensor:
+    """Sums over windows and both differences ``(H, W)``; what is left at the ends is left out."""
+    rows, columns = (size // WINDOW for size in values.shape[-2:])
+    cut = values[:, : rows * WINDOW, : columns * WINDOW]
+    return cut.reshape(2, rows, WINDOW, columns, WINDOW).sum((0, 2, 4))
+
+
+def _spread(values: Tensor, size: Sequence[int]) -> Tensor:
+    """A value of each window for its blocks ``(h, w)``, 0 outside of all."""
+    found = torch.zeros(*size)
+    whole = values.repeat_interleave(WINDOW, 0).repeat_interleave(WINDOW, 1)
+    found[: whole.shape[0], : whole.shape[1]] = whole
+    return found
