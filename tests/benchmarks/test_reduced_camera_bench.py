@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from benchmarks.hidden.bench_sensor import bench_sensor
-from benchmarks.hidden_camera.cases import SENSOR, Case, Places, build, plan
-from benchmarks.hidden_camera.design import Size
-from benchmarks.hidden_camera.effects import CATALOGUE, OUTSIDE
+from benchmarks.hidden.camera.cases import SENSOR, Case, Places, build, plan
+from benchmarks.hidden.camera.design import Size
+from benchmarks.hidden.camera.effects import CATALOGUE, OUTSIDE
 from torchweather.gap import find_gap
 from torchweather.stages.effects_camera import EFFECTS
 
