@@ -11,6 +11,7 @@ from torchweather.gap.diagnosis import diagnose
 from torchweather.gap.gap_report import GapReport, gap_report
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.link import LinkFrames
+from torchweather.gap.radar import RadarFrames
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import find_gap_with
 from torchweather.stages.effects import Effect
@@ -31,9 +32,9 @@ def find_gap(
     """Find where a simulation and measured frames disagree, and which effect of the catalogue explains it.
 
     Args:
-        study: of a LiDAR, with clear frames and measured ones in weather, some conditions held out; or of microwave
-            links, some of them held out.
-        options: of ``LidarWeather``, the model that is put to the test; links have none.
+        study: of a LiDAR or a radar, with clear frames and measured ones in weather, some conditions held out; or of
+            microwave links, some of them held out.
+        options: of ``LidarWeather`` or ``RadarAttenuation``, the model that is put to the test; links have none.
         model_effects: effects that the model has already.
         effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
         seed: of the simulation; the same seed gives the same answer but for ``seconds``.
@@ -67,11 +68,13 @@ def _model(study: Study, options: Mapping[str, Any] | None, effects: Sequence[Ef
     """What simulates and reduces the frames of a study."""
     if study.kind == "lidar":
         return LidarFrames(study, options, effects)
+    if study.kind == "radar":
+        return RadarFrames(study, options, effects)
     if study.kind == "link":
         if options:
             raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
         return LinkFrames(study, effects)
     raise TorchweatherError(
-        f"find_gap: the search is built for LiDARs and microwave links; this study is of kind {study.kind}. "
+        f"find_gap: the search is built for LiDARs, radars and microwave links; this study is of kind {study.kind}. "
         "torchweather validate holds any kind against its simulation."
     )

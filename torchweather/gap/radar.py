@@ -1,0 +1,276 @@
+"""Radar frames for the gap workflow: the conditions of a study simulated, and frames reduced to statistics.
+
+What is looked at is in ``radar_scene.py`` (what frames are compared with) and ``radar_sums.py`` (what is counted along
+which axes). A simulated frame starts from a clear frame of its scene that its seed chooses. The k-th frame that is
+simulated in one call stands for the k-th of the condition, modulo their number: ranges that drift do so over frames.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchweather.gap.conditions import Condition
+from torchweather.gap.radar_nuisance import ReceiverNoise
+from torchweather.gap.radar_scene import Detections, RadarScene, detections_of, radar_edges, radar_scene
+from torchweather.gap.radar_sums import RadarSums, radar_layout
+from torchweather.gap.statistics import Reduced
+from torchweather.gap.study import Study
+from torchweather.sensors import Radar
+from torchweather.stages import Chain, PathAttenuation, PointKind, RadarState, VolumeClutter, WetRadome
+from torchweather.stages.effects import Effect, with_effects
+from torchweather.stages.effects_radar import EFFECTS
+from torchweather.transforms import RadarAttenuation
+
+__all__ = ["RadarFrames"]
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+SPEED, POWER = 3, 4  # columns of a list
+DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
+LOST = int(PointKind.LOST)
+
+
+class RadarFrames:
+    """Simulates frames of a study's conditions and reduces frames to statistics.
+
+    Args:
+        study: of kind ``radar``.
+        options: of ``RadarAttenuation`` (the model under test).
+        effects: that the model has already.
+
+    Raises:
+        TorchweatherError: the clear frames do not tell how much they differ.
+    """
+
+    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+        assert isinstance(study.sensor, Radar)
+        self.options, self.effects = dict(options or {}), list(effects)
+        self.fit, self.holdout = (
+            [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
+        )
+        self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
+        self.catalogue = [name for name in EFFECTS if name.startswith("radar.")]
+        self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}
+        self.scenes: dict[str, RadarScene] = {
+            name: radar_scene(scene, study.sensor) for name, scene in study.scenes.items()
+        }
+        floor_db = float(np.mean([scene.clear.floor_db.mean() for scene in self.scenes.values()]))
+        self.sensor = replace(study.sensor, noise_floor_db=floor_db)
+        self.open_shifts: AbstractSet[str] = frozenset()
+        self.layout = radar_layout(radar_edges(list(self.scenes.values())))
+        self._sums = {name: RadarSums(scene, self.layout) for name, scene in self.scenes.items()}
+        self.map_cells: list[tuple[float, float]] = []
+        most = max(int((~np.isnan(scene.clear.power_db)).sum(1).max()) for scene in self.scenes.values())
+        self.sizes: Mapping[str, float] = {"max_count": float(max(most, 2)) / 2.0}
+        self.transforms: dict[str, RadarAttenuation] = {}
+        self._drawn: dict[object, dict[str, Tensor]] = {}
+        self._lock = threading.RLock()
+
+    # ---- frames --------------------------------------------------------------------------------------------------
+
+    def measured(self, condition: Condition) -> Reduced:
+        """The condition's own frames."""
+        frames = detections_of([condition.frames[number] for number in range(len(condition.frames))])
+        # Compared with all clear frames but one, as simulated frames are.
+        row = np.arange(len(frames)) % self.clear_frames[condition.scene]
+        return self.reduce(condition.scene, frames, row, self._loss_db(condition), _lever(len(frames)))
+
+    def clear(self, scene_id: str, portions: int = 1) -> Reduced:
+        """The clear frames of a scene, each compared with the others; ``portions`` as in ``reduce``."""
+        frames = self.scenes[scene_id].clear
+        none = np.zeros(frames.power_db.shape[1])
+        return self.reduce(scene_id, frames, np.arange(len(frames)), none, _lever(len(frames)), portions)
+
+    def transform(self, condition: Condition) -> RadarAttenuation:
+        """The ready-made chain of a condition's weather."""
+        if condition.id not in self.transforms:
+            assert condition.weather is not None
+            options = dict(self.options)
+            if condition.ego_speed_m_per_s is not None:
+                options.setdefault("ego_speed_m_per_s", condition.ego_speed_m_per_s)
+            self.transforms[condition.id] = RadarAttenuation(condition.weather, self.sensor, **options)
+        return self.transforms[condition.id]
+
+    def _loss_db(self, condition: Condition) -> Floats:
+        """Loss ``(N,)`` on the way to each target and back in the recorded weather."""
+        per_km = float(self.transform(condition).attenuation_db_per_km)
+        return 2e-3 * per_km * self.scenes[condition.scene].geometry["range_m"]
+
+    def open(self, condition: Condition) -> dict[str, float]:
+        """Names of what the model of a condition leaves open, with the least strength each can have."""
+        return {"noise": 0.0}
+
+    def misplaced(self, condition: Condition) -> float:
+        """No particles that a model could misplace."""
+        return 0.0
+
+    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+        """Stages of what is left open, at strengths in standard deviations; none at 0."""
+        share = strengths.get("noise", 0.0)
+        if share <= 0:
+            return []
+        spread = self.scenes[condition.scene].spread
+        noise = ReceiverNoise(share=min(share, 16.0))
+        return [noise.with_errors(*(torch.from_numpy(spread[name]) for name in ("range_m", "speed_m_per_s")))]
+
+    def simulated(
+        self,
+        condition: Condition,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: Sequence[int],
+        portions: int = 1,
+    ) -> Reduced:
+        """Frames of a condition, one for each seed, each from the clear frame that its seed is, modulo their number.
+
+        Args:
+            condition: its scene and weather.
+            effects: put into the chain, beside those that the model has.
+            log_knob: logarithm of the weather's knob over its record.
+            seeds: of the frames, the first one of the condition's first frame and so on; the same seeds give the same
+                clear frames and random numbers for every effect.
+            portions: as in ``reduce``.
+        """
+        row = np.array([seed % self.clear_frames[condition.scene] for seed in seeds])
+        place = np.arange(len(seeds)) % len(condition.frames)
+        with torch.no_grad():
+            frames = self._through(condition, row, place, effects, log_knob, list(seeds))
+        lever = _lever(len(condition.frames))[place]
+        return self.reduce(condition.scene, frames, row, self._loss_db(condition), lever, portions)
+
+    def _through(
+        self,
+        condition: Condition,
+        row: Whole,
+        place: Whole,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: list[int],
+    ) -> Detections:
+        """What comes out of the chain for clear frames ``(F,)`` at their places in the recording ``(F,)``."""
+        scene, transform = self.scenes[condition.scene], self.transform(condition)
+        chain = with_effects(transform.chain, [*self.effects, *(one for one in effects if one.id in EFFECTS)])
+        for one in effects:
+            if one.id not in EFFECTS:  # of radar_nuisance.py
+                chain = chain.insert(one, before="radar_detection")
+        state = self._state(transform, scene, row, place)
+        noise = {
+            f"{name}.{variate}": drawn.to(state.gain_db)
+            for name in chain.stages
+            for variate, drawn in self._noise(chain, name, condition, state, seeds).items()
+        }
+        # Conditions run side by side, and stages that are kept for all of them hold their share while they run.
+        with self._lock, _knob(chain, log_knob):
+            out: RadarState = chain(state, noise)
+        return _detections(out, scene.clear, row)
+
+    def _state(self, transform: RadarAttenuation, scene: RadarScene, row: Whole, place: Whole) -> RadarState:
+        """Clear frames as the chain takes them; a target that a frame does not have is at the origin."""
+        clear, known = scene.clear, scene.geometry
+        seen = ~np.isnan(clear.power_db[row])
+        flat = np.cos(known["elevation_rad"])
+        towards = np.stack(
+            [flat * np.cos(known["azimuth_rad"]), flat * np.sin(known["azimuth_rad"]), np.sin(known["elevation_rad"])],
+            -1,
+        )
+        points = np.zeros((*seen.shape, 6))
+        points[..., :3] = np.where(seen, clear.range_m[row], 0.0)[..., None] * towards
+        points[..., SPEED] = np.where(seen, clear.speed_m_per_s[row], 0.0)
+        points[..., POWER] = np.where(seen, clear.power_db[row], clear.floor_db[row, None])
+        state = transform.state_of(
+            torch.from_numpy(points),
+            target_class=torch.from_numpy(known["target_class"].astype(np.int64)),
+            frame_number=torch.from_numpy(place),
+        )
+        return replace(state, noise_floor_db=torch.from_numpy(clear.floor_db[row]))
+
+    def _noise(
+        self, chain: Chain, name: str, condition: Condition, state: RadarState, seeds: list[int]
+    ) -> dict[str, Tensor]:
+        """Random numbers of a stage for the frames of some seeds, kept: they depend on its name alone."""
+        stage = chain.stages[name]
+        key = (condition.id, name, len(stage.variates()), tuple(seeds))
+        drawn = self._drawn.get(key)
+        if drawn is None:
+            drawn = stage.draw(state, seed=torch.tensor(seeds), name=name)
+            with self._lock:
+                while len(self._drawn) >= DRAWN:
+                    self._drawn.pop(next(iter(self._drawn)))
+                self._drawn[key] = drawn
+        return drawn
+
+    def reduce(
+        self, scene_id: str, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, portions: int = 1
+    ) -> Reduced:
+        """Sums of frames of a scene; arguments as ``RadarSums``."""
+        return self._sums[scene_id](frames, row, loss_db, lever, portions)
+
+
+def _lever(frames: int) -> Floats:
+    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of a single one."""
+    place: Floats = np.arange(frames, dtype=np.float64) - 0.5 * (frames - 1)
+    found: Floats = place / max(math.sqrt(float((place**2).mean())), 1e-9)
+    return found
+
+
+def _detections(out: RadarState, clear: Detections, row: Whole) -> Detections:
+    """The list that comes out of a chain, beside the further detections of the clear frames that it began with."""
+    assert out.points is not None
+    count = clear.power_db.shape[1]
+    points, there = out.points.numpy().astype(np.float64), (out.kind != LOST).numpy()
+    range_m = np.sqrt((points[..., :3] ** 2).sum(-1))
+
+    def of_targets(values: Floats) -> Floats:
+        return np.where(there[:, :count], values[:, :count], np.nan)
+
+    frame, place = there[:, count:].nonzero()
+    rows = points[frame, count + place]
+    own = range_m[frame, count + place]
+    azimuth = np.arctan2(rows[:, 1], rows[:, 0])
+    elevation = np.arcsin(np.clip(rows[:, 2] / np.maximum(own, 1e-9), -1.0, 1.0))
+    made = np.stack([own, azimuth, elevation, rows[:, SPEED], rows[:, POWER]], 1)
+    kept = [np.flatnonzero(clear.clutter_frame == number) for number in row]
+    before = clear.clutter[np.concatenate(kept)] if len(clear.clutter) else made[:0]
+    before_frame = np.repeat(np.arange(len(row)), [len(one) for one in kept])
+    return Detections(
+        of_targets(points[..., POWER]),
+        of_targets(range_m),
+        of_targets(points[..., SPEED]),
+        out.floor_db.numpy().astype(np.float64),
+        np.concatenate([before, made]),
+        np.concatenate([before_frame, frame]),
+    )
+
+
+@contextmanager
+def _knob(chain: Chain, log_knob: float) -> Iterator[None]:
+    """The weather's knob times ``exp(log_knob)`` in all stages of a chain, while the block lasts."""
+    changed: list[tuple[torch.nn.Module, str, Tensor]] = []
+    for stage in chain.stages.values():
+        if isinstance(stage, PathAttenuation):
+            for part in stage.parts.values():
+                name = str(part.weather.knob_name)  # type: ignore[union-attr]
+                changed.append((part, name, getattr(part, name)))
+        elif isinstance(stage, VolumeClutter):
+            changed.append((stage.falling, "rate_mm_per_h", stage.falling.rate_mm_per_h))
+        elif isinstance(stage, WetRadome):
+            changed.append((stage, "rate_mm_per_h", stage.rate_mm_per_h))
+    try:
+        for owner, name, before in changed:
+            setattr(owner, name, before * math.exp(log_knob))
+        yield
+    finally:
+        for owner, name, before in changed:
+            setattr(owner, name, before)
