@@ -21,15 +21,23 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.gap.conditions import Condition
+from torchweather.gap.radar_forms import wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
-from torchweather.gap.radar_scene import Detections, RadarScene, detections_of, radar_edges, radar_scene
+from torchweather.gap.radar_scene import (
+    Detections,
+    RadarScene,
+    detection_count,
+    detections_of,
+    radar_edges,
+    radar_scene,
+)
 from torchweather.gap.radar_sums import RadarSums, radar_layout
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Study
 from torchweather.sensors import Radar
 from torchweather.stages import Chain, PathAttenuation, PointKind, RadarState, VolumeClutter, WetRadome
 from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_radar import EFFECTS
+from torchweather.stages.effects_radar import EFFECTS, RadarInterference
 from torchweather.transforms import RadarAttenuation
 
 __all__ = ["RadarFrames"]
@@ -70,10 +78,15 @@ class RadarFrames:
         self.sensor = replace(study.sensor, noise_floor_db=floor_db)
         self.open_shifts: AbstractSet[str] = frozenset()
         self.layout = radar_layout(radar_edges(list(self.scenes.values())))
+        classes = np.unique(np.concatenate([one.geometry["target_class"][one.seen] for one in self.scenes.values()]))
+        known = [int(one) for one in classes if one >= 0]
+        self.forms: Mapping[str, type[Effect]] = {"radar.wet_rcs": wet_rcs_form(known)} if known else {}
+        if not known:
+            self.catalogue.remove("radar.wet_rcs")
         self._sums = {name: RadarSums(scene, self.layout) for name, scene in self.scenes.items()}
         self.map_cells: list[tuple[float, float]] = []
-        most = max(int((~np.isnan(scene.clear.power_db)).sum(1).max()) for scene in self.scenes.values())
-        self.sizes: Mapping[str, float] = {"max_count": float(max(most, 2)) / 2.0}
+        most = max((detection_count(detections_of(list(one.frames))).max() for one in self.fit), default=2)
+        self.sizes: Mapping[str, float] = {"max_count": float(max(most, 2))}
         self.transforms: dict[str, RadarAttenuation] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
         self._lock = threading.RLock()
@@ -82,7 +95,7 @@ class RadarFrames:
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""
-        frames = detections_of([condition.frames[number] for number in range(len(condition.frames))])
+        frames = detections_of(list(condition.frames))
         # Compared with all clear frames but one, as simulated frames are.
         row = np.arange(len(frames)) % self.clear_frames[condition.scene]
         return self.reduce(condition.scene, frames, row, self._loss_db(condition), _lever(len(frames)))
@@ -143,6 +156,14 @@ class RadarFrames:
                 clear frames and random numbers for every effect.
             portions: as in ``reduce``.
         """
+        struck = next((one for one in effects if isinstance(one, RadarInterference)), None)
+        if struck is not None and struck.config()["probability"] < 1.0:
+            others = [one for one in effects if one is not struck]
+            always = RadarInterference(**{**struck.config(), "probability": 1.0})
+            with_, without = (
+                self.simulated(condition, some, log_knob, seeds, portions) for some in ([*others, always], others)
+            )
+            return _mixed(with_, without, np.repeat(_struck(struck.config()["probability"], seeds), portions))
         row = np.array([seed % self.clear_frames[condition.scene] for seed in seeds])
         place = np.arange(len(seeds)) % len(condition.frames)
         with torch.no_grad():
@@ -216,6 +237,34 @@ class RadarFrames:
     ) -> Reduced:
         """Sums of frames of a scene; arguments as ``RadarSums``."""
         return self._sums[scene_id](frames, row, loss_db, lever, portions)
+
+
+def _struck(probability: float, seeds: Sequence[int]) -> Floats:
+    """Share ``(F,)`` of each frame that an interferer strikes, 0 or 1 but for one of them: of so many frames as many as
+    the probability says, in an order that the seeds draw."""
+    drawn = np.array([np.random.default_rng([seed, 49979687]).random() for seed in seeds])
+    order = drawn.argsort().argsort()
+    return np.asarray(np.clip(probability * len(seeds) - order, 0.0, 1.0), dtype=np.float64)
+
+
+def _mixed(one: Reduced, other: Reduced, share: Floats) -> Reduced:
+    """Frames ``(F,)`` each a share of one and the rest of another.
+
+    A frame that is struck by half moves every sum by half, so that a probability is felt by a few frames already.
+    """
+
+    def mixed(first: Floats, second: Floats) -> Floats:
+        part = share.reshape(-1, *(1,) * (first.ndim - 1))
+        found: Floats = part * first + (1.0 - part) * second
+        return found
+
+    return Reduced(
+        mixed(one.weight, other.weight),
+        mixed(one.value, other.value),
+        mixed(one.square, other.square),
+        mixed(one.scalar, other.scalar),
+        mixed(one.maps, other.maps),
+    )
 
 
 def _lever(frames: int) -> Floats:

@@ -17,7 +17,15 @@ from torchweather.gap.frames import Frame
 from torchweather.gap.study import StudyScene
 from torchweather.sensors import Radar
 
-__all__ = ["CLUTTER_COLUMNS", "Detections", "RadarScene", "detections_of", "radar_edges", "radar_scene"]
+__all__ = [
+    "CLUTTER_COLUMNS",
+    "Detections",
+    "RadarScene",
+    "detection_count",
+    "detections_of",
+    "radar_edges",
+    "radar_scene",
+]
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -70,6 +78,12 @@ def detections_of(frames: Sequence[Frame]) -> Detections:
     )
 
 
+def detection_count(frames: Detections) -> Whole:
+    """Number of detections ``(F,)`` of each frame, targets and others."""
+    others = np.bincount(frames.clutter_frame, minlength=len(frames))
+    return np.asarray((~np.isnan(frames.power_db)).sum(1) + others)
+
+
 @dataclass(frozen=True)
 class RadarScene:
     """Targets in clear air.
@@ -110,7 +124,7 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     Raises:
         TorchweatherError: no target was detected in two clear frames.
     """
-    clear = detections_of([scene.clear[number] for number in range(len(scene.clear))])
+    clear = detections_of(list(scene.clear))
     geometry = {
         name: np.asarray(scene.geometry[name], dtype=np.float64)
         for name in ("range_m", "azimuth_rad", "elevation_rad", "speed_m_per_s", "target_class")

@@ -27,12 +27,16 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 CLUTTER_RANGE_M = (0.0, 2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 1e4)
-GHOST_DELAY_M = (0.3, 1.0, 2.0, 3.5, 6.0, 10.0, 17.0, 30.0, 100.0)
+# A delay counts in the two bins whose middles (on a logarithmic axis) it lies between, by how near it is to each: so
+# that a simulation at another delay tells which way to go.
+GHOST_DELAY_M = tuple(0.2 * 2.0**step for step in range(11))
 # A floor is looked at in steps that it fills one after the other: the first tells 0.01 dB, the last ones interference.
 FLOOR_STEPS_DB = (-20.0, -10.0, -5.0, -2.0, -0.8, -0.3, 0.3, 0.8, 2.0, 5.0, 10.0, 20.0, 40.0)
 FLOOR_WEIGHT = 40.0  # of a frame's floor, which is the mean of very many cells
 # Within which a detection follows a target: a degree or two of direction, a few bins of speed (orders of magnitude).
 SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S = 0.02, 0.4
+# By which the logarithm of a delay, and the power of a ghost in dB, scatter at least: no two paths are known better.
+READ_TO = {"log_ghost_delay": 0.1, "ghost_power_db": 1.0}
 EVERYWHERE = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class")
 # Weight, value and square of each statistic.
 SUMS = {
@@ -46,9 +50,9 @@ SUMS = {
     "range_drift_m": ("lever", "drift", "apart2"),
 }
 VALUES = tuple(dict.fromkeys(name for names in SUMS.values() for name in names))
-SCALARS = ("detections_root", "power_residual_db", "noise_floor_db", "clutter_root")
+SCALARS = ("detections_root", "power_residual_db", "clutter_root")
 # Scatter from frame to frame below which frames are called alike: of 0.5 of a stabilised count, and in dB.
-STEADY = (0.1, 0.02, 0.02, 0.35)
+STEADY = (0.1, 0.02, 0.35)
 ANSCOMBE = 3.0 / 8.0
 
 
@@ -130,18 +134,20 @@ class RadarSums:
             sums |= {(name, axis): summed[:, place] for place, name in enumerate(VALUES)}
         rows = len(frames) * portions
         parts: list[tuple[Floats, Floats, Floats]] = []
-        further = self._further(frames, row, portions)
+        further = self._further(frames, portions)
         for group in self.layout.binned:
             if group.statistic in SUMS:
                 weight, value, square = (sums[name, group.axis] for name in SUMS[group.statistic])
             elif group.statistic == "noise_floor_share":
                 weight, value, square = self._floor(frames, row, portions)
+            elif group.statistic == "ghost_count":
+                weight, value, square = _shared_out(further["ghost_count"][0], further["row"][1].astype(np.int64), rows)
             else:
                 place, own = further[group.statistic]
                 weight, value, square = _binned(group, place, own, further["row"][1].astype(np.int64), rows)
             parts.append((weight, value, square))
         weight, value, square = (np.concatenate(each, 1) for each in zip(*parts, strict=True))
-        return Reduced(weight, value, square, self._scalars(frames, row, values, portions), np.zeros((rows, 0, 0)))
+        return Reduced(weight, value, square, self._scalars(frames, values, portions), np.zeros((rows, 0, 0)))
 
     def _of_targets(self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats) -> dict[str, Floats]:
         """What is summed of each target, ``(F, N)``; 0 where it does not count."""
@@ -201,7 +207,7 @@ class RadarSums:
         weight[::portions], value[::portions] = FLOOR_WEIGHT, FLOOR_WEIGHT * filled
         return weight, value, value
 
-    def _further(self, frames: Detections, row: Whole, portions: int) -> dict[str, tuple[Floats, Floats]]:
+    def _further(self, frames: Detections, portions: int) -> dict[str, tuple[Floats, Floats]]:
         """Where each further detection lies along the axis of each statistic, and its value; NaN where it has none."""
         range_m, _, _, speed, power_db = frames.clutter.T
         frame = frames.clutter_frame
@@ -240,16 +246,15 @@ class RadarSums:
         fainter = power_db[:, 0] - frames.power_db[frame, best]
         return np.where(follows, delay[each, best], np.nan), np.where(follows, fainter, np.nan)
 
-    def _scalars(self, frames: Detections, row: Whole, values: Mapping[str, Floats], portions: int) -> Floats:
+    def _scalars(self, frames: Detections, values: Mapping[str, Floats], portions: int) -> Floats:
         seen = self.scene.seen
-        detected = (seen & ~np.isnan(frames.power_db)).sum(1)
         further = np.bincount(frames.clutter_frame, minlength=len(frames))
+        detected = (seen & ~np.isnan(frames.power_db)).sum(1) + further
         power = (values["power"] * seen).sum(1) / np.maximum((values["steady"] * seen).sum(1), 1e-9)
         found = np.stack(
             [
                 np.sqrt(detected + ANSCOMBE),
                 power,
-                frames.floor_db - self.scene.reference_floor_db[row],
                 np.sqrt(further + ANSCOMBE),
             ],
             1,
@@ -264,15 +269,30 @@ class RadarSums:
         return self._portion[portions]
 
 
+def _shared_out(delay_m: Floats, row: Whole, rows: int) -> tuple[Floats, Floats, Floats]:
+    """Counts ``(rows, bins)`` of delays, each shared out to two bins; NaN to none."""
+    edges = np.log(np.asarray(GHOST_DELAY_M))
+    bins = len(edges) - 1
+    there = ~np.isnan(delay_m)
+    step = edges[1] - edges[0]
+    place = np.clip((np.log(delay_m[there]) - edges[0]) / step - 0.5, 0.0, bins - 1.0)
+    low = np.minimum(place.astype(np.int64), bins - 2)
+    found = np.zeros((rows, bins))
+    for own, share in ((low, 1.0 - (place - low)), (low + 1, place - low)):
+        np.add.at(found, (row[there], own), share)
+    return np.ones((rows, bins)), found, found
+
+
 def _binned(group: Group, place: Floats, values: Floats, row: Whole, rows: int) -> tuple[Floats, Floats, Floats]:
     """Number, sum and sum of squares ``(rows, bins)`` of values in the bins of a group; of counts the number of frames
     is the weight."""
     bins = np.searchsorted(np.asarray(group.edges), place, side="right") - 1
     inside = (bins >= 0) & (bins < group.bins) & ~np.isnan(place)
     cell = (row * group.bins + bins)[inside]
+    least = READ_TO.get(group.statistic, 0.0) ** 2
     sums: list[Floats] = [
-        np.bincount(cell, values[inside] ** power, rows * group.bins).reshape(rows, group.bins).astype(np.float64)
-        for power in (0, 1, 2)
+        np.bincount(cell, each, rows * group.bins).reshape(rows, group.bins).astype(np.float64)
+        for each in (np.ones(len(cell)), values[inside], values[inside] ** 2 + least)
     ]
     if group.kind == "count":
         return np.ones((rows, group.bins)), sums[1], sums[2]
