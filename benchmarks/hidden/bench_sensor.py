@@ -66,7 +66,7 @@ class BenchSensor:
 
 
 # The module of each, which has it under the name SENSOR.
-SENSORS = {"lidar": "hidden.lidar.cases", "radar": "hidden_radar.cases", "camera": "hidden_camera.cases"}
+SENSORS = {"lidar": "hidden.lidar.cases", "radar": "hidden.radar.cases", "camera": "hidden_camera.cases"}
 
 
 def bench_sensor(name: str) -> BenchSensor:

@@ -31,7 +31,7 @@ CLUTTER_RANGE_M = (0.0, 2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 1e4)
 # that a simulation at another delay tells which way to go.
 GHOST_DELAY_M = tuple(0.2 * 2.0**step for step in range(11))
 # A floor is looked at in steps that it fills one after the other: the first tells 0.01 dB, the last ones interference.
-FLOOR_STEPS_DB = (-20.0, -10.0, -5.0, -2.0, -0.8, -0.3, 0.3, 0.8, 2.0, 5.0, 10.0, 20.0, 40.0)
+FLOOR_STEPS_DB = (-20.0, -10.0, -5.0, -2.0, -0.8, -0.3, 0.3, 0.8, 2.0, 3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0)
 FLOOR_WEIGHT = 40.0  # of a frame's floor, which is the mean of very many cells
 # Within which a detection follows a target: a degree or two of direction, a few bins of speed (orders of magnitude).
 SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S = 0.02, 0.4
