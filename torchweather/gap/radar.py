@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.gap.conditions import Condition
-from torchweather.gap.radar_forms import wet_rcs_form
+from torchweather.gap.radar_forms import InterferenceByLevel, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
 from torchweather.gap.radar_scene import (
     Detections,
@@ -80,9 +80,12 @@ class RadarFrames:
         self.layout = radar_layout(radar_edges(list(self.scenes.values())))
         classes = np.unique(np.concatenate([one.geometry["target_class"][one.seen] for one in self.scenes.values()]))
         known = [int(one) for one in classes if one >= 0]
-        self.forms: Mapping[str, type[Effect]] = {"radar.wet_rcs": wet_rcs_form(known)} if known else {}
-        if not known:
+        forms: dict[str, type[Effect]] = {"radar.interference": InterferenceByLevel}
+        if known:
+            forms["radar.wet_rcs"] = wet_rcs_form(known)
+        else:
             self.catalogue.remove("radar.wet_rcs")
+        self.forms: Mapping[str, type[Effect]] = forms
         self._sums = {name: RadarSums(scene, self.layout) for name, scene in self.scenes.items()}
         self.map_cells: list[tuple[float, float]] = []
         most = max((detection_count(detections_of(list(one.frames))).max() for one in self.fit), default=2)

@@ -1,4 +1,4 @@
-"""Effects of radar in the form in which they are searched for.
+"""Effects of radar in the form in which they are searched for: cross sections by class, interference by its level.
 
 References:
     ``effect_forms.py``.
@@ -14,12 +14,12 @@ from torch import Tensor
 
 from torchweather.gap.effect_forms import SearchForm
 from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_radar import RadarWetRcs
+from torchweather.stages.effects_radar import RadarInterference, RadarWetRcs
 from torchweather.stages.states import RadarState
 
-__all__ = ["wet_rcs_form"]
+__all__ = ["InterferenceByLevel", "wet_rcs_form"]
 
-A_CLASS = 5.0  # misfit that a further class must be worth: 97 % of the squares of a parameter that explains nothing
+A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
 GAIN = RadarWetRcs.arguments[0]
 
 
@@ -47,7 +47,7 @@ def wet_rcs_form(classes: Sequence[int]) -> type[Effect]:
         after: ClassVar[str] = RadarWetRcs.after
         axes: ClassVar[tuple[str, ...]] = RadarWetRcs.axes
         confusable_with: ClassVar[Mapping[str, str]] = RadarWetRcs.confusable_with
-        handicap: ClassVar[float] = A_CLASS * (len(classes) - 1)
+        handicap: ClassVar[float] = A_PARAMETER * (len(classes) - 1)
 
         def to_dict(self) -> dict[str, Any]:
             """As the catalogue's effect."""
@@ -62,3 +62,17 @@ def wet_rcs_form(classes: Sequence[int]) -> type[Effect]:
             return RadarWetRcs(gain_db=torch.tensor(gains)).changes(state, noise)
 
     return WetRcsByClass
+
+
+class InterferenceByLevel(RadarInterference, SearchForm):
+    """``radar.interference`` that grows from a level of 0 dB.
+
+    A floor that is a little higher in some frames is nearer to none than one that is much higher in a few. At a
+    probability of 1 it is ``radar.noise_floor``.
+    """
+
+    arguments: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("probability", "1", 0.0, 1.0, scale=0.2, default=0.3),
+        Parameter("level_db", "dB", 0.0, 40.0, scale=3.0, identity=0.0),
+    )
+    handicap: ClassVar[float] = A_PARAMETER

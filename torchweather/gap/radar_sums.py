@@ -27,11 +27,32 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 CLUTTER_RANGE_M = (0.0, 2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 1e4)
-# A delay counts in the two bins whose middles (on a logarithmic axis) it lies between, by how near it is to each: so
+# A delay counts in all bins by how near it is to their middles (on a logarithmic axis, by a bell of so many bins): so
 # that a simulation at another delay tells which way to go.
+GHOST_BELL = 0.8
 GHOST_DELAY_M = tuple(0.2 * 2.0**step for step in range(11))
 # A floor is looked at in steps that it fills one after the other: the first tells 0.01 dB, the last ones interference.
-FLOOR_STEPS_DB = (-20.0, -10.0, -5.0, -2.0, -0.8, -0.3, 0.3, 0.8, 2.0, 3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0)
+FLOOR_STEPS_DB = (
+    -20.0,
+    -10.0,
+    -5.0,
+    -2.0,
+    -0.8,
+    -0.3,
+    -0.1,
+    0.1,
+    0.3,
+    0.8,
+    2.0,
+    3.5,
+    5.0,
+    7.0,
+    10.0,
+    14.0,
+    20.0,
+    28.0,
+    40.0,
+)
 FLOOR_WEIGHT = 40.0  # of a frame's floor, which is the mean of very many cells
 # Within which a detection follows a target: a degree or two of direction, a few bins of speed (orders of magnitude).
 SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S = 0.02, 0.4
@@ -270,16 +291,15 @@ class RadarSums:
 
 
 def _shared_out(delay_m: Floats, row: Whole, rows: int) -> tuple[Floats, Floats, Floats]:
-    """Counts ``(rows, bins)`` of delays, each shared out to two bins; NaN to none."""
+    """Counts ``(rows, bins)`` of delays, each shared out to bins; NaN to none."""
     edges = np.log(np.asarray(GHOST_DELAY_M))
     bins = len(edges) - 1
     there = ~np.isnan(delay_m)
     step = edges[1] - edges[0]
     place = np.clip((np.log(delay_m[there]) - edges[0]) / step - 0.5, 0.0, bins - 1.0)
-    low = np.minimum(place.astype(np.int64), bins - 2)
+    near = np.exp(-0.5 * ((place[:, None] - np.arange(bins)) / GHOST_BELL) ** 2)
     found = np.zeros((rows, bins))
-    for own, share in ((low, 1.0 - (place - low)), (low + 1, place - low)):
-        np.add.at(found, (row[there], own), share)
+    np.add.at(found, row[there], near / near.sum(1, keepdims=True))
     return np.ones((rows, bins)), found, found
 
 

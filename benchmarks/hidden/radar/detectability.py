@@ -189,7 +189,6 @@ class Detector:
     def _projection(self) -> Floats:
         """``(C K, C K)``: takes out of a signature what errors of the rates do, half of them common to all."""
         change = (self._whitened((), 2, RATE_STEP) - self._whitened((), 2)) * REL_SD / np.log(RATE_STEP)
-        change = np.where(np.abs(change) > NOISE_CUT / np.sqrt(RECORDINGS), change, 0.0)
         count, size = change.shape
         each = np.zeros((count + 1, count, size))
         each[np.arange(count), np.arange(count)] = change * np.sqrt(0.5)
