@@ -78,7 +78,7 @@ class RadarFrames:
         self.sensor = replace(study.sensor, noise_floor_db=floor_db)
         self.open_shifts: AbstractSet[str] = frozenset()
         self.layout = radar_layout(radar_edges(list(self.scenes.values())))
-        classes = np.unique(np.concatenate([one.geometry["target_class"][one.seen] for one in self.scenes.values()]))
+        classes = np.unique(np.concatenate([one.axes["target_class"][one.counted] for one in self.scenes.values()]))
         known = [int(one) for one in classes if one >= 0]
         forms: dict[str, type[Effect]] = {"radar.interference": InterferenceByLevel}
         if known:
@@ -139,7 +139,8 @@ class RadarFrames:
             return []
         spread = self.scenes[condition.scene].spread
         noise = ReceiverNoise(share=min(share, 16.0))
-        return [noise.with_errors(*(torch.from_numpy(spread[name]) for name in ("range_m", "speed_m_per_s")))]
+        errors = (torch.from_numpy(np.sqrt((spread[name] ** 2).mean(0))) for name in ("range_m", "speed_m_per_s"))
+        return [noise.with_errors(*errors)]
 
     def simulated(
         self,

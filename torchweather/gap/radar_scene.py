@@ -1,7 +1,9 @@
 """A radar scene in clear air: what each target is compared with, how much it fluctuates, and where it lies.
 
-A frame is compared with the mean of all clear frames of its scene but one, as simulated frames are: the one that they
-start from. Powers are compared in dB.
+A frame is compared with all clear frames of its scene but one, as simulated frames are: the one that they start from.
+Only targets count that half of those others have. Were the frame itself among them, what is strong in it by chance
+would be taken for a target that is strong, and measured frames, which are not among them, would fall behind. Powers
+are compared in dB.
 """
 
 from __future__ import annotations
@@ -93,10 +95,10 @@ class RadarScene:
         geometry: ``range_m, azimuth_rad, elevation_rad, speed_m_per_s, target_class (N,)``.
         reference: of each measured quantity ``(K, N)``, the mean of all clear frames but one; NaN where none has it.
         reference_floor_db: ``(K,)``.
-        spread: of each measured quantity ``(N,)``, standard deviation of a target from clear frame to clear frame,
-            drawn towards that of all targets; of ranges and speeds at an SNR of 0 dB (see ``at_unit_snr``).
-        margin_db: ``(N,)`` by which a target exceeds the detection threshold in the mean of the clear frames.
-        seen: ``(N,)`` targets that some clear frame has.
+        spread: of each measured quantity ``(K, N)``, standard deviation of a target over all clear frames but one,
+            drawn towards that of all targets.
+        margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
+        counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
     """
 
     clear: Detections
@@ -105,13 +107,13 @@ class RadarScene:
     reference_floor_db: Floats
     spread: Mapping[str, Floats]
     margin_db: Floats
-    seen: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
 
     @property
     def axes(self) -> dict[str, Floats]:
-        """Where each target lies along each axis, ``(N,)``; NaN for those that no clear frame has."""
+        """Where each target lies along each axis, ``(K, N)``; NaN for those that do not count."""
         known = {**self.geometry, "margin_db": self.margin_db}
-        return {name: np.where(self.seen, known[name], np.nan) for name in (*AXES, "target_class")}
+        return {name: np.where(self.counted, known[name], np.nan) for name in (*AXES, "target_class")}
 
 
 def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
@@ -132,16 +134,17 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     seen = ~np.isnan(clear.power_db)
     if not (seen.sum(0) >= 2).any():
         raise TorchweatherError(
-            f"find_gap: not enough data to decide: {scene.clear}: power_db: wanted targets that two clear frames or "
-            "more detect; got none. How much clear frames differ from each other is then unknown."
+            f"find_gap: not enough data to decide: {scene.clear.name}: power_db: wanted targets that two clear frames "
+            "or more detect; got none. How much clear frames differ from each other is then unknown."
         )
     reference = {name: _others_mean(getattr(clear, name)) for name in MEASURED}
     count = len(clear)
     floor = (clear.floor_db.sum() - clear.floor_db) / max(count - 1, 1)
-    snr_db = _mean(clear.power_db) - clear.floor_db.mean()
-    spread = {name: _spread(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
-    some = np.asarray(seen.any(0))
-    return RadarScene(clear, geometry, reference, floor, spread, snr_db - radar.detection_snr_db, some)
+    margin_db = reference["power_db"] - floor[:, None] - radar.detection_snr_db
+    spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
+    others = seen.sum(0) - seen
+    counted = others >= max(0.5 * (count - 1), 1.0)
+    return RadarScene(clear, geometry, reference, floor, spread, margin_db, counted)
 
 
 def _mean(values: Floats) -> Floats:
@@ -159,15 +162,23 @@ def _others_mean(values: Floats) -> Floats:
     return found
 
 
-def _spread(values: Floats, least: float) -> Floats:
-    """Standard deviation ``(N,)`` of each target, drawn towards the median one's."""
+def _spreads(values: Floats, least: float) -> Floats:
+    """Standard deviation ``(K, N)`` of each target over all frames but one, drawn towards the median one's of all."""
+    squares, degrees = _squares(values)
+    known = degrees > 0
+    median = float(np.median(squares[known] / degrees[known])) if known.any() else 0.0
+    found = []
+    for row in range(len(values)):
+        squares, degrees = _squares(np.delete(values, row, 0))
+        found.append((squares + PRIOR_DEGREES * median) / (degrees + PRIOR_DEGREES) + least**2)
+    return np.sqrt(np.stack(found))
+
+
+def _squares(values: Floats) -> tuple[Floats, Whole]:
+    """Squares about each target's mean, summed, and their degrees of freedom, ``(N,)``."""
     there = ~np.isnan(values)
-    degrees = np.maximum(there.sum(0) - 1, 0)
     squares = np.where(there, (values - _mean(values)) ** 2, 0.0).sum(0)
-    own = squares[degrees > 0] / degrees[degrees > 0]
-    median = float(np.median(own)) if len(own) else 0.0
-    found: Floats = np.sqrt((squares + PRIOR_DEGREES * median) / (degrees + PRIOR_DEGREES) + least**2)
-    return found
+    return squares, np.maximum(there.sum(0) - 1, 0)
 
 
 def radar_edges(scenes: Sequence[RadarScene]) -> dict[str, tuple[float, ...]]:
@@ -177,13 +188,13 @@ def radar_edges(scenes: Sequence[RadarScene]) -> dict[str, tuple[float, ...]]:
     """
     found = {}
     for name in AXES:
-        values = np.concatenate([scene.axes[name][scene.seen] for scene in scenes])
+        values = np.concatenate([scene.axes[name][scene.counted] for scene in scenes])
         low, high = float(values.min()), float(values.max())
         inner = np.unique(np.quantile(values, np.arange(1, BINS) / BINS))
         edges = [float(one) for one in inner if low < one < high]
         if edges:
             found[name] = (low, *edges, float(np.nextafter(high, np.inf)))
-    classes = np.unique(np.concatenate([scene.axes["target_class"][scene.seen] for scene in scenes]))
+    classes = np.unique(np.concatenate([scene.axes["target_class"][scene.counted] for scene in scenes]))
     middles = 0.5 * (classes[1:] + classes[:-1])
     found["target_class"] = (float(classes[0]) - 0.5, *(float(one) for one in middles), float(classes[-1]) + 0.5)
     return found

@@ -70,7 +70,9 @@ SUMS = {
     "range_spread": ("there", "wide", "wide2"),
     "range_drift_m": ("lever", "drift", "apart2"),
 }
-VALUES = tuple(dict.fromkeys(name for names in SUMS.values() for name in names))
+# Of a class of targets that all fluctuate none would be left if they counted for less.
+BY_CLASS = ("there", "plain", "plain2")
+VALUES = tuple(dict.fromkeys(name for names in (*SUMS.values(), BY_CLASS) for name in names))
 SCALARS = ("detections_root", "power_residual_db", "clutter_root")
 # Scatter from frame to frame below which frames are called alike: of 0.5 of a stabilised count, and in dB.
 STEADY = (0.1, 0.02, 0.35)
@@ -124,14 +126,14 @@ class RadarSums:
     def __init__(self, scene: RadarScene, layout: Layout) -> None:
         self.scene, self.layout = scene, layout
         axes = scene.axes
-        self._hot: dict[str, Floats] = {}
+        self._hot: dict[str, Floats] = {}  # (K, N, bins): 1 in the bin of each target
         for group in layout.binned:
             if group.axis in axes and group.axis not in self._hot:
                 place = np.searchsorted(np.asarray(group.edges), axes[group.axis], side="right") - 1
-                place = np.where(scene.seen, place, -1)
-                self._hot[group.axis] = (place[:, None] == np.arange(group.bins)).astype(np.float64)
-        self._hot["frame"] = scene.seen[:, None].astype(np.float64)
-        usual = float(np.median(scene.spread["power_db"][scene.seen]))
+                place = np.where(scene.counted, np.minimum(place, group.bins - 1), -1)
+                self._hot[group.axis] = (place[..., None] == np.arange(group.bins)).astype(np.float64)
+        self._hot["frame"] = scene.counted[..., None].astype(np.float64)
+        usual = float(np.median(scene.spread["power_db"][scene.counted]))
         # What fluctuates tells less of a mean; most targets count as one.
         self._weight = np.minimum(2.0 / (1.0 + (scene.spread["power_db"] / usual) ** 2), 1.0)
         self._portion: dict[int, Whole] = {}
@@ -151,14 +153,16 @@ class RadarSums:
         stacked = np.stack([values[name] for name in VALUES], 1)  # (F, V, N)
         sums: dict[tuple[str, str], Floats] = {}
         for axis, hot in self._hot.items():
-            summed = self._summed(stacked, hot, portions)  # (F portions, V, bins)
+            summed = self._summed(stacked, hot[row], portions)  # (F portions, V, bins)
             sums |= {(name, axis): summed[:, place] for place, name in enumerate(VALUES)}
         rows = len(frames) * portions
         parts: list[tuple[Floats, Floats, Floats]] = []
         further = self._further(frames, portions)
         for group in self.layout.binned:
             if group.statistic in SUMS:
-                weight, value, square = (sums[name, group.axis] for name in SUMS[group.statistic])
+                by_class = (group.statistic, group.axis) == ("power_residual_db", "target_class")
+                names = BY_CLASS if by_class else SUMS[group.statistic]
+                weight, value, square = (sums[name, group.axis] for name in names)
             elif group.statistic == "noise_floor_share":
                 weight, value, square = self._floor(frames, row, portions)
             elif group.statistic == "ghost_count":
@@ -174,7 +178,8 @@ class RadarSums:
         """What is summed of each target, ``(F, N)``; 0 where it does not count."""
         scene = self.scene
         reference = {name: values[row] for name, values in scene.reference.items()}
-        there = ~np.isnan(frames.power_db) & ~np.isnan(reference["power_db"]) & scene.seen
+        counted = scene.counted[row]
+        there = ~np.isnan(frames.power_db) & counted
         weight = there.astype(np.float64)
 
         def residual(name: str) -> Floats:
@@ -182,13 +187,15 @@ class RadarSums:
 
         power = np.where(there, residual("power_db") + loss_db, 0.0)
         speed, apart = residual("speed_m_per_s"), residual("range_m")
-        steady = weight * self._weight
+        steady = weight * self._weight[row]
         found = {
-            "target": np.broadcast_to(scene.seen, there.shape).astype(np.float64),
-            "lost": (scene.seen & np.isnan(frames.power_db)).astype(np.float64),
+            "target": counted.astype(np.float64),
+            "lost": (counted & np.isnan(frames.power_db)).astype(np.float64),
             "steady": steady,
             "power": steady * power,
             "power2": steady * power**2,
+            "plain": power,
+            "plain2": power**2,
             "there": weight,
             "speed": speed,
             "speed2": speed**2,
@@ -204,19 +211,19 @@ class RadarSums:
         ):
             common = (kept * of).sum(1, keepdims=True) / np.maximum(kept.sum(1, keepdims=True), 1e-9)
             # Grows with the spread, and hardly with what lies far out.
-            found[name] = weight * np.log1p(((of - common) / scene.spread[least]) ** 2)
+            found[name] = weight * np.log1p(((of - common) / scene.spread[least][row]) ** 2)
             found[f"{name}2"] = found[name] ** 2
         return found
 
     def _summed(self, values: Floats, hot: Floats, portions: int) -> Floats:
-        """Sums ``(F * portions, V, bins)`` of values ``(F, V, N)``."""
+        """Sums ``(F * portions, V, bins)`` of values ``(F, V, N)`` over bins ``(F, N, bins)``."""
         if portions == 1:
             found: Floats = values @ hot
             return found
         own = (self._portions(portions)[:, None] == np.arange(portions)).astype(np.float64)
-        apart = (values[..., None] * hot).swapaxes(-1, -2) @ own  # (F, V, bins, portions)
+        apart = (values[..., None] * hot[:, None]).swapaxes(-1, -2) @ own  # (F, V, bins, portions)
         count = len(values) * portions
-        return np.asarray(np.moveaxis(apart, -1, 1).reshape(count, values.shape[1], hot.shape[1]), dtype=np.float64)
+        return np.asarray(np.moveaxis(apart, -1, 1).reshape(count, values.shape[1], hot.shape[-1]), dtype=np.float64)
 
     def _floor(self, frames: Detections, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
         """By how much each frame's floor fills the steps above that of clear air; all of it in the first portion."""
@@ -268,10 +275,9 @@ class RadarSums:
         return np.where(follows, delay[each, best], np.nan), np.where(follows, fainter, np.nan)
 
     def _scalars(self, frames: Detections, values: Mapping[str, Floats], portions: int) -> Floats:
-        seen = self.scene.seen
         further = np.bincount(frames.clutter_frame, minlength=len(frames))
-        detected = (seen & ~np.isnan(frames.power_db)).sum(1) + further
-        power = (values["power"] * seen).sum(1) / np.maximum((values["steady"] * seen).sum(1), 1e-9)
+        detected = (~np.isnan(frames.power_db)).sum(1) + further
+        power = values["power"].sum(1) / np.maximum(values["steady"].sum(1), 1e-9)
         found = np.stack(
             [
                 np.sqrt(detected + ANSCOMBE),
@@ -285,7 +291,7 @@ class RadarSums:
     def _portions(self, portions: int) -> Whole:
         """Portion of each target ``(N,)``."""
         if portions not in self._portion:
-            number = len(self.scene.seen)
+            number = self.scene.counted.shape[1]
             self._portion[portions] = np.random.default_rng(0).permutation(number) * portions // number
         return self._portion[portions]
 
