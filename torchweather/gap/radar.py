@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
 from torchweather.gap.radar_forms import InterferenceByLevel, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
@@ -32,7 +33,7 @@ from torchweather.gap.radar_scene import (
     radar_scene,
 )
 from torchweather.gap.radar_sums import RadarSums, radar_layout
-from torchweather.gap.statistics import Reduced
+from torchweather.gap.statistics import FEWEST, Reduced
 from torchweather.gap.study import Study
 from torchweather.sensors import Radar
 from torchweather.stages import Chain, PathAttenuation, PointKind, RadarState, VolumeClutter, WetRadome
@@ -76,6 +77,7 @@ class RadarFrames:
         }
         floor_db = float(np.mean([scene.clear.floor_db.mean() for scene in self.scenes.values()]))
         self.sensor = replace(study.sensor, noise_floor_db=floor_db)
+        self._check()
         self.open_shifts: AbstractSet[str] = frozenset()
         self.layout = radar_layout(radar_edges(list(self.scenes.values())))
         classes = np.unique(np.concatenate([one.axes["target_class"][one.counted] for one in self.scenes.values()]))
@@ -93,6 +95,19 @@ class RadarFrames:
         self.transforms: dict[str, RadarAttenuation] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
         self._lock = threading.RLock()
+
+    def _check(self) -> None:
+        """Refuse a study whose conditions hold too few targets for any statistic of them."""
+        most = 0
+        for condition in self.fit:
+            targets = int(self.scenes[condition.scene].counted.sum(1).max())
+            most = max(most, targets * len(condition.frames))
+        if self.fit and most < FEWEST["share"]:
+            raise TorchweatherError(
+                "find_gap: not enough data to decide: scenes[].clear: power_db: wanted targets that most clear frames "
+                f"have, {FEWEST['share']:.0f} or more times the frames of a condition; got at most {most}. Record more "
+                "frames, or a scene with more targets."
+            )
 
     # ---- frames --------------------------------------------------------------------------------------------------
 
