@@ -17,7 +17,7 @@ from torchweather.gap.gap_report import GapReport
 from torchweather.gap.radar import RadarFrames
 from torchweather.gap.radar_forms import wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
-from torchweather.gap.radar_scene import LEAST_SPREAD, PRIOR_DEGREES, detections_of
+from torchweather.gap.radar_scene import FLICKERS, LEAST_SPREAD, PRIOR_DEGREES, detections_of
 from torchweather.gap.radar_sums import FLOOR_STEPS_DB, FLOOR_WEIGHT, SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.stages import RadarState
@@ -103,12 +103,13 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
                     continue
                 floor = np.delete(scene.clear.floor_db, row).mean()
                 margin = np.nanmean(others) - floor - SENSOR.detection_snr_db
+                steady = np.isfinite(others).all() and margin > FLICKERS * scene.spread["power_db"][row, n]
                 own = {"margin_db": margin}.get(axis) or scene.geometry[axis][n]
                 inner = edges[axis][1:-1]
                 place = sum(own >= edge - 1e-9 for edge in inner)  # sums of dB in another order
-                wanted["number"][k, place] += 1
+                wanted["number"][k, place] += steady
                 if math.isnan(frame["power_db"][n]):
-                    wanted["lost"][k, place] += 1
+                    wanted["lost"][k, place] += steady
                 else:
                     weight = min(2.0 / (1.0 + (scene.spread["power_db"][row, n] / usual) ** 2), 1.0)
                     weight = 1.0 if axis == "target_class" else weight
@@ -141,10 +142,12 @@ def test_a_floor_fills_its_steps_one_after_the_other(model: RadarFrames) -> None
     higher = replace(clear, floor_db=model.scenes["s0"].reference_floor_db + 2.75)
     found = model.reduce("s0", higher, np.arange(CLEAR), np.zeros(NUMBER), np.zeros(CLEAR))
     filled = group(model, found, "noise_floor_share", "noise_floor_db") / FLOOR_WEIGHT
-    steps = np.asarray(FLOOR_STEPS_DB)
-    wanted = np.clip((2.75 - steps[:-1]) / np.diff(steps), 0.0, 1.0)
-    np.testing.assert_allclose(filled, np.tile(wanted, (CLEAR, 1)), atol=1e-9)
-    assert ((wanted > 0) & (wanted < 1)).sum() == 1
+    steps = FLOOR_STEPS_DB
+    for place in range(1, len(steps) - 2):
+        low, high = steps[place - 1], steps[place + 2]
+        wanted = min(max((2.75 - low) / (high - low), 0.0), 1.0)
+        np.testing.assert_allclose(filled[:, place], wanted, atol=1e-9)
+    assert ((filled > 0) & (filled < 1)).sum() == 3 * CLEAR
 
 
 def test_further_detections_are_counted_by_range_and_ghosts_behind_their_targets(
@@ -197,7 +200,7 @@ def test_simulated_frames_are_the_ready_made_chain_on_clear_frames(study: Study,
         floor = float(clear["noise_floor_db"])
         loss = 2e-3 * float(transform.attenuation_db_per_km) * clear["range_m"]
         kept = clear["power_db"] - loss >= floor + SENSOR.detection_snr_db  # NaN is false
-        assert found[k] == (model.scenes["s0"].counted[seed % CLEAR] & ~kept).sum()
+        assert found[k] == (model.scenes["s0"].steady[seed % CLEAR] & ~kept).sum()
 
 
 def test_the_same_seeds_give_the_same_frames(model: RadarFrames) -> None:
@@ -230,7 +233,7 @@ def test_interference_strikes_as_many_frames_as_its_probability_says(model: Rada
     seeds = list(range(12))
     one = EFFECTS["radar.interference"](probability=0.375, level_db=12.0)
     found = model.simulated(model.fit[0], [one], 0.0, seeds)
-    step = FLOOR_STEPS_DB.index(7.0)  # filled where a frame is struck
+    step = FLOOR_STEPS_DB.index(5.0)  # full where a frame is struck
     struck = group(model, found, "noise_floor_share", "noise_floor_db")[:, step] / FLOOR_WEIGHT
     assert struck.sum() == pytest.approx(0.375 * 12, abs=1e-6)
     assert sorted(struck)[-4:] == [1.0] * 4

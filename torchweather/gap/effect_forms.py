@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
 
-__all__ = ["SearchForm", "catalogue_effect", "effect_class", "handicap"]
+__all__ = ["SearchForm", "catalogue_effect", "effect_class", "handicap", "tried_values"]
 
 
 class SearchForm(Effect):
@@ -20,15 +20,22 @@ class SearchForm(Effect):
 
     Class attributes:
         handicap: by how much it must lower the misfit more than others do, as it has more parameters.
+        tried: values of parameters that say which or where, at which response curves begin.
     """
 
     handicap: ClassVar[float] = 0.0
+    tried: ClassVar[Mapping[str, tuple[float, ...]]] = {}
 
 
 def effect_class(model: object, name: str) -> type[Effect]:
     """The class of an effect as a model of frames is searched with it."""
     forms: Mapping[str, type[Effect]] = getattr(model, "forms", {})
     return forms.get(name, EFFECTS[name])
+
+
+def tried_values(effect: type[Effect], name: str) -> tuple[float, ...]:
+    """Values of a parameter that a form of an effect wants tried; none: the usual ones."""
+    return effect.tried.get(name, ()) if issubclass(effect, SearchForm) else ()
 
 
 def handicap(model: object, name: str) -> float:

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
-from torchweather.gap.radar_forms import InterferenceByLevel, wet_rcs_form
+from torchweather.gap.radar_forms import InterferenceForm, volume_clutter_form, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
 from torchweather.gap.radar_scene import (
     Detections,
@@ -38,7 +38,7 @@ from torchweather.gap.study import Study
 from torchweather.sensors import Radar
 from torchweather.stages import Chain, PathAttenuation, PointKind, RadarState, VolumeClutter, WetRadome
 from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_radar import EFFECTS, RadarInterference
+from torchweather.stages.effects_radar import EFFECTS, RadarInterference, RadarVolumeClutter
 from torchweather.transforms import RadarAttenuation
 
 __all__ = ["RadarFrames"]
@@ -47,6 +47,9 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 SPEED, POWER = 3, 4  # columns of a list
+CLUTTER_SHARES = tuple(1e-4 * 2.0**step for step in range(17))  # tried, up to 6.6
+CLUTTER_FRAMES, CLUTTER_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
+FALSE_ALARM_MOVED = 0.3  # standard deviation of the logarithm of their range: about a bin
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 LOST = int(PointKind.LOST)
 
@@ -82,7 +85,7 @@ class RadarFrames:
         self.layout = radar_layout(radar_edges(list(self.scenes.values())))
         classes = np.unique(np.concatenate([one.axes["target_class"][one.counted] for one in self.scenes.values()]))
         known = [int(one) for one in classes if one >= 0]
-        forms: dict[str, type[Effect]] = {"radar.interference": InterferenceByLevel}
+        forms: dict[str, type[Effect]] = {"radar.interference": InterferenceForm}
         if known:
             forms["radar.wet_rcs"] = wet_rcs_form(known)
         else:
@@ -95,6 +98,21 @@ class RadarFrames:
         self.transforms: dict[str, RadarAttenuation] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
         self._lock = threading.RLock()
+        forms["radar.volume_clutter"] = volume_clutter_form(self._clutter_share())
+
+    def _clutter_share(self) -> float:
+        """Least share of the reflectivity of rain and snow with which some of it is detected in every frame of some
+        condition; the catalogue's typical one where none does."""
+        for share in CLUTTER_SHARES:
+            effect = RadarVolumeClutter(share=share)
+            for condition in self.fit:
+                row = np.arange(CLUTTER_FRAMES) % self.clear_frames[condition.scene]
+                with torch.no_grad():
+                    frames = self._through(condition, row, row, [effect], 0.0, list(range(CLUTTER_FRAMES)))
+                before = len(self._further(condition.scene, range(CLUTTER_FRAMES))[1])
+                if len(frames.clutter) - before >= CLUTTER_COUNT * CLUTTER_FRAMES:
+                    return share
+        return RadarVolumeClutter.arguments[0].scale
 
     def _check(self) -> None:
         """Refuse a study whose conditions hold too few targets for any statistic of them."""
@@ -214,7 +232,23 @@ class RadarFrames:
         # Conditions run side by side, and stages that are kept for all of them hold their share while they run.
         with self._lock, _knob(chain, log_knob):
             out: RadarState = chain(state, noise)
-        return _detections(out, scene.clear, row)
+        return _detections(out, self._further(condition.scene, seeds))
+
+    def _further(self, scene_id: str, seeds: Sequence[int]) -> tuple[Floats, Whole]:
+        """Further detections ``(M, 5)`` in clear air and the frame of each: so many of those of all clear frames, drawn
+        for each seed by Poisson's law, a little moved in range.
+
+        A handful of clear frames knows where false alarms were, not how their number varies nor where else they can be.
+        """
+        rows = self.scenes[scene_id].clear.clutter
+        rate = 1.0 / self.clear_frames[scene_id]
+        parts = []
+        for seed in seeds:
+            drawn = np.random.default_rng([seed, 86028121])
+            chosen = rows[np.repeat(np.arange(len(rows)), drawn.poisson(rate, len(rows)))].copy()
+            chosen[:, 0] *= np.exp(FALSE_ALARM_MOVED * drawn.standard_normal(len(chosen)))
+            parts.append(chosen)
+        return np.concatenate(parts), np.repeat(np.arange(len(seeds)), [len(one) for one in parts])
 
     def _state(self, transform: RadarAttenuation, scene: RadarScene, row: Whole, place: Whole) -> RadarState:
         """Clear frames as the chain takes them; a target that a frame does not have is at the origin."""
@@ -293,10 +327,10 @@ def _lever(frames: int) -> Floats:
     return found
 
 
-def _detections(out: RadarState, clear: Detections, row: Whole) -> Detections:
-    """The list that comes out of a chain, beside the further detections of the clear frames that it began with."""
+def _detections(out: RadarState, further: tuple[Floats, Whole]) -> Detections:
+    """The list that comes out of a chain, beside further detections and their frames."""
     assert out.points is not None
-    count = clear.power_db.shape[1]
+    count = out.points_in.shape[1]
     points, there = out.points.numpy().astype(np.float64), (out.kind != LOST).numpy()
     range_m = np.sqrt((points[..., :3] ** 2).sum(-1))
 
@@ -309,16 +343,13 @@ def _detections(out: RadarState, clear: Detections, row: Whole) -> Detections:
     azimuth = np.arctan2(rows[:, 1], rows[:, 0])
     elevation = np.arcsin(np.clip(rows[:, 2] / np.maximum(own, 1e-9), -1.0, 1.0))
     made = np.stack([own, azimuth, elevation, rows[:, SPEED], rows[:, POWER]], 1)
-    kept = [np.flatnonzero(clear.clutter_frame == number) for number in row]
-    before = clear.clutter[np.concatenate(kept)] if len(clear.clutter) else made[:0]
-    before_frame = np.repeat(np.arange(len(row)), [len(one) for one in kept])
     return Detections(
         of_targets(points[..., POWER]),
         of_targets(range_m),
         of_targets(points[..., SPEED]),
         out.floor_db.numpy().astype(np.float64),
-        np.concatenate([before, made]),
-        np.concatenate([before_frame, frame]),
+        np.concatenate([further[0], made]),
+        np.concatenate([further[1], frame]),
     )
 
 

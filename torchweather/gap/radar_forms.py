@@ -1,4 +1,5 @@
-"""Effects of radar in the form in which they are searched for: cross sections by class, interference by its level.
+"""Effects of radar in the form in which they are searched for: cross sections by class, interference at many
+levels, clutter in steps that fit the radar.
 
 References:
     ``effect_forms.py``.
@@ -7,6 +8,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -14,10 +16,10 @@ from torch import Tensor
 
 from torchweather.gap.effect_forms import SearchForm
 from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_radar import RadarInterference, RadarWetRcs
+from torchweather.stages.effects_radar import RadarInterference, RadarVolumeClutter, RadarWetRcs
 from torchweather.stages.states import RadarState
 
-__all__ = ["InterferenceByLevel", "wet_rcs_form"]
+__all__ = ["InterferenceForm", "volume_clutter_form", "wet_rcs_form"]
 
 A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
 GAIN = RadarWetRcs.arguments[0]
@@ -64,15 +66,25 @@ def wet_rcs_form(classes: Sequence[int]) -> type[Effect]:
     return WetRcsByClass
 
 
-class InterferenceByLevel(RadarInterference, SearchForm):
-    """``radar.interference`` that grows from a level of 0 dB.
+def volume_clutter_form(size: float) -> type[Effect]:
+    """``radar.volume_clutter`` whose typical share is a matter of the study: what its radar detects depends steeply on
+    how far its noise floor lies below the echoes of the rain.
 
-    A floor that is a little higher in some frames is nearer to none than one that is much higher in a few. At a
-    probability of 1 it is ``radar.noise_floor``.
+    Args:
+        size: typical share.
     """
+    share = RadarVolumeClutter.arguments[0]
 
-    arguments: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("probability", "1", 0.0, 1.0, scale=0.2, default=0.3),
-        Parameter("level_db", "dB", 0.0, 40.0, scale=3.0, identity=0.0),
-    )
+    class VolumeClutterForm(RadarVolumeClutter, SearchForm):
+        """The same, moved by other steps."""
+
+        arguments: ClassVar[tuple[Parameter, ...]] = (replace(share, scale=size),)
+
+    return VolumeClutterForm
+
+
+class InterferenceForm(RadarInterference, SearchForm):
+    """``radar.interference``, tried at levels of all sizes. At a probability of 1 it is ``radar.noise_floor``."""
+
     handicap: ClassVar[float] = A_PARAMETER
+    tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"level_db": (0.2, 0.6, 2.0, 6.0, 18.0)}

@@ -38,6 +38,7 @@ AXES = ("range_m", "azimuth_rad", "elevation_rad", "margin_db")
 PRIOR_DEGREES = 2.0  # of freedom, that the median spread of all targets counts beside a target's own
 # No list is read finer (quantisation of series radars, order of magnitude): dB, m, m/s.
 LEAST_SPREAD = {"power_db": 0.05, "range_m": 1e-3, "speed_m_per_s": 1e-3}
+FLICKERS = 3.0  # spreads above the threshold, up to which a target is lost in clear air now and then
 MEASURED = ("power_db", "range_m", "speed_m_per_s")
 
 
@@ -99,6 +100,9 @@ class RadarScene:
             drawn towards that of all targets.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
         counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
+        steady: ``(K, N)`` those that stand above the threshold by several times their spread: what flickers in clear
+            air is lost in weather by chance, and how often it does so a handful of clear frames tells badly, and
+            equally badly for all conditions.
     """
 
     clear: Detections
@@ -108,6 +112,7 @@ class RadarScene:
     spread: Mapping[str, Floats]
     margin_db: Floats
     counted: NDArray[np.bool_]
+    steady: NDArray[np.bool_]
 
     @property
     def axes(self) -> dict[str, Floats]:
@@ -144,7 +149,8 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
     others = seen.sum(0) - seen
     counted = others >= max(0.5 * (count - 1), 1.0)
-    return RadarScene(clear, geometry, reference, floor, spread, margin_db, counted)
+    steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
+    return RadarScene(clear, geometry, reference, floor, spread, margin_db, counted, steady)
 
 
 def _mean(values: Floats) -> Floats:

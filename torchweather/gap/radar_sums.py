@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torchweather.gap.radar_scene import Detections, RadarScene
 from torchweather.gap.statistics import PARTICLE_AXIS, Group, Layout, Reduced
 
-__all__ = ["FLOOR_STEPS_DB", "GHOST_DELAY_M", "RadarSums", "radar_layout"]
+__all__ = ["FLOOR_STEPS_DB", "GHOST_DELAY_M", "RadarSums", "floor_ramps", "radar_layout"]
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -31,7 +31,8 @@ CLUTTER_RANGE_M = (0.0, 2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 1e4)
 # that a simulation at another delay tells which way to go.
 GHOST_BELL = 0.8
 GHOST_DELAY_M = tuple(0.2 * 2.0**step for step in range(11))
-# A floor is looked at in steps that it fills one after the other: the first tells 0.01 dB, the last ones interference.
+# A floor is looked at in steps that it fills one after the other, each together with its neighbours, so that a
+# simulation at another level tells which way to go: those near 0 tell 0.01 dB, the last ones interference.
 FLOOR_STEPS_DB = (
     -20.0,
     -10.0,
@@ -53,7 +54,7 @@ FLOOR_STEPS_DB = (
     28.0,
     40.0,
 )
-FLOOR_WEIGHT = 40.0  # of a frame's floor, which is the mean of very many cells
+FLOOR_WEIGHT = 20.0  # of a frame's floor, which is the mean of very many cells
 # Within which a detection follows a target: a degree or two of direction, a few bins of speed (orders of magnitude).
 SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S = 0.02, 0.4
 # By which the logarithm of a delay, and the power of a ghost in dB, scatter at least: no two paths are known better.
@@ -189,8 +190,8 @@ class RadarSums:
         speed, apart = residual("speed_m_per_s"), residual("range_m")
         steady = weight * self._weight[row]
         found = {
-            "target": counted.astype(np.float64),
-            "lost": (counted & np.isnan(frames.power_db)).astype(np.float64),
+            "target": scene.steady[row].astype(np.float64),
+            "lost": (scene.steady[row] & np.isnan(frames.power_db)).astype(np.float64),
             "steady": steady,
             "power": steady * power,
             "power2": steady * power**2,
@@ -228,7 +229,7 @@ class RadarSums:
     def _floor(self, frames: Detections, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
         """By how much each frame's floor fills the steps above that of clear air; all of it in the first portion."""
         above = frames.floor_db - self.scene.reference_floor_db[row]
-        low, high = (np.asarray(ends) for ends in (FLOOR_STEPS_DB[:-1], FLOOR_STEPS_DB[1:]))
+        low, high = floor_ramps()
         filled = np.clip((above[:, None] - low) / (high - low), 0.0, 1.0)
         weight = np.zeros((len(frames) * portions, len(low)))
         value = np.zeros_like(weight)
@@ -294,6 +295,13 @@ class RadarSums:
             number = self.scene.counted.shape[1]
             self._portion[portions] = np.random.default_rng(0).permutation(number) * portions // number
         return self._portion[portions]
+
+
+def floor_ramps() -> tuple[Floats, Floats]:
+    """Levels ``(steps,)`` over those of clear air, dB, at which each step begins to fill and is full."""
+    steps = np.asarray(FLOOR_STEPS_DB)
+    padded = np.concatenate([steps[:1], steps, steps[-1:]])
+    return padded[:-3], padded[3:]
 
 
 def _shared_out(delay_m: Floats, row: Whole, rows: int) -> tuple[Floats, Floats, Floats]:
