@@ -117,8 +117,8 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
                     wanted["power"][k, place] += weight * (frame["power_db"][n] + loss - reference["power_db"][n])
                     wanted["weight"][k, place] += weight
                     drift[k] += lever[k] ** 2, lever[k] * (frame["range_m"][n] - reference["range_m"][n])
-        np.testing.assert_allclose(group(model, found, "lost_share", axis), wanted["lost"])
-        np.testing.assert_allclose(group(model, found, "lost_share", axis, "weight"), wanted["number"])
+        np.testing.assert_allclose(group(model, found, "lost_target_share", axis), wanted["lost"])
+        np.testing.assert_allclose(group(model, found, "lost_target_share", axis, "weight"), wanted["number"])
         np.testing.assert_allclose(group(model, found, "power_residual_db", axis), wanted["power"], atol=1e-9)
         np.testing.assert_allclose(group(model, found, "power_residual_db", axis, "weight"), wanted["weight"])
         np.testing.assert_allclose(group(model, found, "range_drift_m", "frame", "weight")[:, 0], drift[:, 0])
@@ -193,7 +193,7 @@ def test_portions_of_the_targets_add_up(model: RadarFrames) -> None:
 
 def test_simulated_frames_are_the_ready_made_chain_on_clear_frames(study: Study, model: RadarFrames) -> None:
     condition = model.fit[1]
-    found = group(model, model.simulated(condition, [], 0.0, SEEDS), "lost_share", "target_class").sum(1)
+    found = group(model, model.simulated(condition, [], 0.0, SEEDS), "lost_target_share", "target_class").sum(1)
     transform = RadarAttenuation(WEATHERS[1], replace(SENSOR, noise_floor_db=model.sensor.noise_floor_db))
     for k, seed in enumerate(SEEDS):
         clear = study.scenes["s0"].clear[seed % CLEAR]
@@ -222,10 +222,10 @@ def test_more_rain_than_recorded_loses_more_and_leaves_the_transform_as_it_was(m
 def test_ranges_drift_over_the_frames_of_the_condition(model: RadarFrames) -> None:
     effect = EFFECTS["radar.range_migration"](m_per_frame=0.5)
     found = model.simulated(model.fit[0], [effect], 0.0, [CLEAR * k for k in range(2 * FRAMES)])
-    apart = group(model, found, "range_residual_m", "range_m").sum(1)
-    number = group(model, found, "range_residual_m", "range_m", "weight").sum(1)
+    apart = group(model, found, "range_error_m", "range_m").sum(1)
+    number = group(model, found, "range_error_m", "range_m", "weight").sum(1)
     base = model.simulated(model.fit[0], [], 0.0, [CLEAR * k for k in range(2 * FRAMES)])
-    at_rest = group(model, base, "range_residual_m", "range_m").sum(1) / number
+    at_rest = group(model, base, "range_error_m", "range_m").sum(1) / number
     np.testing.assert_allclose(apart / number - at_rest, 0.5 * np.tile(np.arange(FRAMES), 2), atol=1e-4)
 
 
@@ -244,7 +244,7 @@ MOVED: list[tuple[str, dict[str, Any], str, str]] = [
     ("radar.wet_radome", {"loss_db": 2.0}, "power_residual_db", "range_m"),
     ("radar.volume_clutter", {"share": 0.01}, "clutter_count", "particle_range_m"),
     ("radar.noise_floor", {"shift_db": 2.0}, "noise_floor_share", "noise_floor_db"),
-    ("radar.cfar_shift", {"shift_db": 4.0}, "lost_share", "margin_db"),
+    ("radar.cfar_shift", {"shift_db": 4.0}, "lost_target_share", "margin_db"),
     ("radar.path_loss_scale", {"factor": 2.0}, "power_residual_db", "range_m"),
     ("radar.multipath", {"amplitude": 0.4, "delay_m": 6.0}, "ghost_count", "ghost_delay_m"),
     ("radar.doppler_spread", {"std_m_per_s": 0.5}, "speed_spread", "range_m"),
@@ -253,7 +253,7 @@ MOVED: list[tuple[str, dict[str, Any], str, str]] = [
     ("radar.range_migration", {"m_per_frame": 0.1}, "range_drift_m", "frame"),
     ("radar.pattern_tilt", {"angle_rad": 0.1}, "power_residual_db", "azimuth_rad"),
     ("radar.fluctuation", {"log_std_db": 3.0}, "power_spread", "margin_db"),
-    ("radar.detection_limit", {"max_count": 15.0}, "lost_share", "margin_db"),
+    ("radar.detection_limit", {"max_count": 15.0}, "lost_target_share", "margin_db"),
 ]
 
 

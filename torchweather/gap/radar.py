@@ -200,7 +200,9 @@ class RadarFrames:
             with_, without = (
                 self.simulated(condition, some, log_knob, seeds, portions) for some in ([*others, always], others)
             )
-            return _mixed(with_, without, np.repeat(_struck(struck.config()["probability"], seeds), portions))
+            floors = np.repeat(_struck(struck.config()["probability"], seeds), portions)
+            share = self._struck_share(condition, struck.config()["level_db"])
+            return self._mixed(with_, without, floors, np.repeat(_struck(share, seeds), portions), share)
         row = np.array([seed % self.clear_frames[condition.scene] for seed in seeds])
         place = np.arange(len(seeds)) % len(condition.frames)
         with torch.no_grad():
@@ -224,6 +226,7 @@ class RadarFrames:
             if one.id not in EFFECTS:  # of radar_nuisance.py
                 chain = chain.insert(one, before="radar_detection")
         state = self._state(transform, scene, row, place)
+        state = _with_further(state, *self._further(condition.scene, seeds))
         noise = {
             f"{name}.{variate}": drawn.to(state.gain_db)
             for name in chain.stages
@@ -232,7 +235,40 @@ class RadarFrames:
         # Conditions run side by side, and stages that are kept for all of them hold their share while they run.
         with self._lock, _knob(chain, log_knob):
             out: RadarState = chain(state, noise)
-        return _detections(out, self._further(condition.scene, seeds))
+        return _detections(out)
+
+    def _struck_share(self, condition: Condition, level_db: float) -> float:
+        """Share of a condition's own frames whose floor is higher by about a level, or more.
+
+        Floors are known so well that they say which frames were struck: what became of the targets is simulated for as
+        many. Were it left to chance, an interferer that strikes seldom would explain any loss by its scatter.
+        """
+        if level_db <= 0:
+            return 0.0
+        scene = self.scenes[condition.scene]
+        floor_db = np.array([float(np.asarray(frame["noise_floor_db"])) for frame in condition.frames])
+        above = (floor_db - scene.clear.floor_db.mean()) / level_db
+        return float(np.clip(2.0 * above - 0.5, 0.0, 1.0).mean())
+
+    def _mixed(self, struck: Reduced, spared: Reduced, floors: Floats, scalars: Floats, share: float) -> Reduced:
+        """Frames each a share of a struck one and the rest of one that is not, as sums: a frame that is struck by half
+        moves every sum by half, so that a probability is felt by a few frames already.
+
+        Args:
+            struck, spared: the same frames.
+            floors, scalars: ``(F,)`` share of each frame, of its floor and of its scalars.
+            share: of all frames, of everything else.
+        """
+        of_floor = np.concatenate(
+            [np.full(one.bins, one.statistic == "noise_floor_share") for one in self.layout.binned]
+        )
+        each = np.where(of_floor, floors[:, None], share)
+        weight, value, square = (
+            each * getattr(struck, name) + (1.0 - each) * getattr(spared, name)
+            for name in ("weight", "value", "square")
+        )
+        scalar = scalars[:, None] * struck.scalar + (1.0 - scalars[:, None]) * spared.scalar
+        return Reduced(weight, value, square, scalar, spared.maps)
 
     def _further(self, scene_id: str, seeds: Sequence[int]) -> tuple[Floats, Whole]:
         """Further detections ``(M, 5)`` in clear air and the frame of each: so many of those of all clear frames, drawn
@@ -254,11 +290,7 @@ class RadarFrames:
         """Clear frames as the chain takes them; a target that a frame does not have is at the origin."""
         clear, known = scene.clear, scene.geometry
         seen = ~np.isnan(clear.power_db[row])
-        flat = np.cos(known["elevation_rad"])
-        towards = np.stack(
-            [flat * np.cos(known["azimuth_rad"]), flat * np.sin(known["azimuth_rad"]), np.sin(known["elevation_rad"])],
-            -1,
-        )
+        towards = _towards(known["azimuth_rad"], known["elevation_rad"])
         points = np.zeros((*seen.shape, 6))
         points[..., :3] = np.where(seen, clear.range_m[row], 0.0)[..., None] * towards
         points[..., SPEED] = np.where(seen, clear.speed_m_per_s[row], 0.0)
@@ -300,26 +332,6 @@ def _struck(probability: float, seeds: Sequence[int]) -> Floats:
     return np.asarray(np.clip(probability * len(seeds) - order, 0.0, 1.0), dtype=np.float64)
 
 
-def _mixed(one: Reduced, other: Reduced, share: Floats) -> Reduced:
-    """Frames ``(F,)`` each a share of one and the rest of another.
-
-    A frame that is struck by half moves every sum by half, so that a probability is felt by a few frames already.
-    """
-
-    def mixed(first: Floats, second: Floats) -> Floats:
-        part = share.reshape(-1, *(1,) * (first.ndim - 1))
-        found: Floats = part * first + (1.0 - part) * second
-        return found
-
-    return Reduced(
-        mixed(one.weight, other.weight),
-        mixed(one.value, other.value),
-        mixed(one.square, other.square),
-        mixed(one.scalar, other.scalar),
-        mixed(one.maps, other.maps),
-    )
-
-
 def _lever(frames: int) -> Floats:
     """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of a single one."""
     place: Floats = np.arange(frames, dtype=np.float64) - 0.5 * (frames - 1)
@@ -327,8 +339,28 @@ def _lever(frames: int) -> Floats:
     return found
 
 
-def _detections(out: RadarState, further: tuple[Floats, Whole]) -> Detections:
-    """The list that comes out of a chain, beside further detections and their frames."""
+def _towards(azimuth_rad: Floats, elevation_rad: Floats) -> Floats:
+    """Unit vectors ``(..., 3)``."""
+    flat = np.cos(elevation_rad)
+    found: Floats = np.stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)], -1)
+    return found
+
+
+def _with_further(state: RadarState, further: Floats, frame: Whole) -> RadarState:
+    """A state with further detections ``(M, 5)`` of its frames, which a list that is full may drop."""
+    if not len(further):
+        return state
+    place = np.arange(len(frame)) - np.searchsorted(frame, frame)  # of each within its frame
+    rows = np.zeros((state.batch, int(place.max()) + 1, 6))
+    rows[frame, place, :3] = further[:, :1] * _towards(further[:, 1], further[:, 2])
+    rows[frame, place, SPEED], rows[frame, place, POWER] = further[:, 3], further[:, 4]
+    there = np.zeros(rows.shape[:2], dtype=bool)
+    there[frame, place] = True
+    return replace(state, clutter=torch.from_numpy(rows), clutter_valid=torch.from_numpy(there))
+
+
+def _detections(out: RadarState) -> Detections:
+    """The list that comes out of a chain."""
     assert out.points is not None
     count = out.points_in.shape[1]
     points, there = out.points.numpy().astype(np.float64), (out.kind != LOST).numpy()
@@ -348,8 +380,8 @@ def _detections(out: RadarState, further: tuple[Floats, Whole]) -> Detections:
         of_targets(range_m),
         of_targets(points[..., SPEED]),
         out.floor_db.numpy().astype(np.float64),
-        np.concatenate([further[0], made]),
-        np.concatenate([further[1], frame]),
+        made,
+        frame,
     )
 
 

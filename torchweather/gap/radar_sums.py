@@ -62,12 +62,12 @@ READ_TO = {"log_ghost_delay": 0.1, "ghost_power_db": 1.0}
 EVERYWHERE = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class")
 # Weight, value and square of each statistic.
 SUMS = {
-    "lost_share": ("target", "lost", "lost"),
+    "lost_target_share": ("target", "lost", "lost"),
     "power_residual_db": ("steady", "power", "power2"),
     "power_spread": ("there", "fluctuation", "fluctuation2"),
     "speed_residual_m_per_s": ("there", "speed", "speed2"),
     "speed_spread": ("there", "speed_wide", "speed_wide2"),
-    "range_residual_m": ("there", "apart", "apart2"),
+    "range_error_m": ("there", "apart", "apart2"),
     "range_spread": ("there", "wide", "wide2"),
     "range_drift_m": ("lever", "drift", "apart2"),
 }
@@ -91,12 +91,12 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     def add(statistic: str, kind: str, *axes: str) -> None:
         groups.extend(Group(statistic, axis, kind, edges[axis]) for axis in axes if axis in edges)
 
-    add("lost_share", "share", *EVERYWHERE)
+    add("lost_target_share", "share", *EVERYWHERE)
     add("power_residual_db", "mean", *EVERYWHERE)
     add("power_spread", "mean", "range_m", "margin_db", "target_class")
     add("speed_residual_m_per_s", "mean", "range_m")
     add("speed_spread", "mean", "range_m", "margin_db", "target_class")
-    add("range_residual_m", "mean", "range_m")
+    add("range_error_m", "mean", "range_m")
     add("range_spread", "mean", "range_m", "margin_db")
     groups.append(Group("range_drift_m", "frame", "mean", (0.0, 1.0)))
     groups.append(Group("noise_floor_share", "noise_floor_db", "share", FLOOR_STEPS_DB))
