@@ -47,6 +47,7 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 SPEED, POWER = 3, 4  # columns of a list
+FEWEST_TARGETS = 2.0 * FEWEST["share"]  # targets times frames of a condition: two bins along an axis that count
 CLUTTER_SHARES = tuple(1e-4 * 2.0**step for step in range(17))  # tried, up to 6.6
 CLUTTER_FRAMES, CLUTTER_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
 FALSE_ALARM_MOVED = 0.3  # standard deviation of the logarithm of their range: about a bin
@@ -120,10 +121,10 @@ class RadarFrames:
         for condition in self.fit:
             targets = int(self.scenes[condition.scene].counted.sum(1).max())
             most = max(most, targets * len(condition.frames))
-        if self.fit and most < FEWEST["share"]:
+        if self.fit and most < FEWEST_TARGETS:
             raise TorchweatherError(
                 "find_gap: not enough data to decide: scenes[].clear: power_db: wanted targets that most clear frames "
-                f"have, {FEWEST['share']:.0f} or more times the frames of a condition; got at most {most}. Record more "
+                f"have, {FEWEST_TARGETS:.0f} or more times the frames of a condition; got at most {most}. Record more "
                 "frames, or a scene with more targets."
             )
 
