@@ -79,6 +79,7 @@ def volume_clutter_form(size: float) -> type[Effect]:
         """The same, moved by other steps."""
 
         arguments: ClassVar[tuple[Parameter, ...]] = (replace(share, scale=size),)
+        cuts: ClassVar[bool] = True  # of half the echo nothing may be left above the threshold
 
     return VolumeClutterForm
 

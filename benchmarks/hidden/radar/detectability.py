@@ -93,8 +93,7 @@ class Statistics:
 
 
 def _binned(values: Floats, edges: tuple[float, ...], some: Floats) -> list[Floats]:
-    found = [some & (values >= low) & (values < high) for low, high in itertools.pairwise(edges)]
-    return [one for one in found if one.sum() >= 3]
+    return [some & (values >= low) & (values < high) for low, high in itertools.pairwise(edges)]
 
 
 def _mean(values: Floats, weight: Floats) -> Floats:
