@@ -65,13 +65,11 @@ class BenchSensor:
     other_metrics: OtherMetrics | None = None
 
 
-# The module of each, which has it under the name SENSOR.
-SENSORS = {"lidar": "hidden.lidar.cases", "radar": "hidden_radar.cases", "camera": "hidden_camera.cases"}
+SENSORS = ("lidar", "camera", "radar")
+"""Names of the folders beside this module; ``cases.py`` in each has its ``SENSOR``."""
 
 
 def bench_sensor(name: str) -> BenchSensor:
     """The sensor of a bench by its name; its modules are loaded when it is asked for."""
-    package = __package__ or "hidden"
-    found = importlib.import_module(package[: -len("hidden")] + SENSORS[name])
-    sensor: BenchSensor = found.SENSOR
+    sensor: BenchSensor = importlib.import_module(f".{name}.cases", __package__).SENSOR
     return sensor

@@ -19,7 +19,6 @@ from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed
 from torchweather.gap.search import SETTLED, Fit, Search, Setting
-from torchweather.stages.effects import EFFECTS
 
 __all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "hidden_nodes", "stands_far"]
 
@@ -178,8 +177,8 @@ def _settled_along(search: Search, base: Fit, setting: Setting, node: Node, misf
         values = _start(replace(node, values=values), 1.0)
         return search.settle_beside(Setting({**setting.values, node.id: values}), base, SETTLED_ROUNDS)
 
-    (name,) = [one.name for one in EFFECTS[node.id].arguments if one.identity is not None and one.name in node.values]
-    declared = next(one for one in EFFECTS[node.id].arguments if one.name == name)
+    (name,) = [one.name for one in node.line.effect.arguments if one.identity is not None and one.name in node.values]
+    declared = next(one for one in node.line.effect.arguments if one.name == name)
     # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
     curves = lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)], search.model.sizes)
     curves = [one for one in curves if name in one.settings[0]]
@@ -215,7 +214,7 @@ def _least(place: Floats, value: Floats) -> float:
 
 def _start(node: Node, amplitude: float) -> dict[str, float]:
     """All parameters where an effect of so many times a node's response is expected."""
-    found, effect = {}, EFFECTS[node.id]
+    found, effect = {}, node.line.effect
     amplitude = 1.0 if effect.cuts else amplitude
     for one in effect.arguments:
         value = node.values.get(one.name, one.value)

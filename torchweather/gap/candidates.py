@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from torchweather.gap.effect_forms import tried_values
 from torchweather.stages.effects import Effect, Parameter
 
 __all__ = ["Line", "lines"]
@@ -81,6 +82,8 @@ def lines(effect: type[Effect], places: Sequence[float], sizes: Mapping[str, flo
     for parameter in telling:
         if parameter.name in PLACES:
             values = list(places)
+        elif tried := tried_values(effect, parameter.name):
+            values = list(tried)
         else:
             around = parameter.value
             values = [around] if around * 3.0 > parameter.high else [around, min(3.0 * around, parameter.high)]

@@ -12,6 +12,7 @@ from torchweather.gap.diagnosis import diagnose
 from torchweather.gap.gap_report import GapReport, gap_report
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.link import LinkFrames
+from torchweather.gap.radar import RadarFrames
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import find_gap_with
 from torchweather.stages.effects import Effect
@@ -32,9 +33,10 @@ def find_gap(
     """Find where a simulation and measured frames disagree, and which effect of the catalogue explains it.
 
     Args:
-        study: of a LiDAR or a camera, with clear frames and measured ones in weather, some conditions held out; or of
-            microwave links, some of them held out.
-        options: of ``LidarWeather`` or ``BayerWeather``, the model that is put to the test; links have none.
+        study: of a LiDAR, a camera or a radar, with clear frames and measured ones in weather, some conditions held
+            out; or of microwave links, some of them held out.
+        options: of ``LidarWeather``, ``BayerWeather`` or ``RadarAttenuation``, the model that is put to the test; links
+            have none.
         model_effects: effects that the model has already.
         effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
         seed: of the simulation; the same seed gives the same answer but for ``seconds``.
@@ -70,11 +72,8 @@ def _model(study: Study, options: Mapping[str, Any] | None, effects: Sequence[Ef
         return LidarFrames(study, options, effects)
     if study.kind == "camera":
         return CameraFrames(study, options, effects)
-    if study.kind == "link":
-        if options:
-            raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
-        return LinkFrames(study, effects)
-    raise TorchweatherError(
-        f"find_gap: the search is built for LiDARs, cameras and microwave links; this study is of kind {study.kind}. "
-        "torchweather validate holds any kind against its simulation."
-    )
+    if study.kind == "radar":
+        return RadarFrames(study, options, effects)
+    if options:
+        raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
+    return LinkFrames(study, effects)

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from torchweather import __version__
 from torchweather.gap.baseline import Baseline
 from torchweather.gap.candidate_fits import Candidate
+from torchweather.gap.effect_forms import effect_class
 from torchweather.gap.model_file import Additions, read_model, write_model
 from torchweather.gap.search import Fit, Search
 from torchweather.gap.statistics import Group
 from torchweather.gap.unknown import unknown
 from torchweather.gap.workflow import GapResult
 from torchweather.io import atomic_write
-from torchweather.stages.effects import EFFECTS, Effect, Parameter
+from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.empirical import Empirical
 from torchweather.transforms.recipe_options import RecipeTransform
 from torchweather.weather import Fog
@@ -204,7 +205,7 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     }
     return GapReport(
         _plain(answer),
-        () if found is None else tuple(found.setting.effects()),
+        () if found is None else tuple(result.search.catalogue_effects(found.setting)),
         tuple(_curves(result)),
         study_sha256,
         None if rest is None else rest.empirical,
@@ -246,7 +247,7 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
     interval = {}
     for place, (effect, parameter) in enumerate(fit.names):
         if effect == name:
-            declared = next(one for one in EFFECTS[name].arguments if one.name == parameter)
+            declared = next(one for one in effect_class(result.search.model, name).arguments if one.name == parameter)
             value = values[parameter]
             half = CENTRAL_90 * _standard_error(declared, value, float(fit.covariance[place, place]))
             interval[parameter] = [max(declared.low, value - half), min(declared.high, value + half)]

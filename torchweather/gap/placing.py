@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from torchweather.gap.candidates import Line
+from torchweather.gap.effect_forms import effect_class
 from torchweather.gap.search import Fit, Search, Setting
-from torchweather.stages.effects import EFFECTS, Effect
+from torchweather.stages.effects import Effect
 
 __all__ = ["placed", "standing_lines"]
 
@@ -57,7 +58,7 @@ def placed(search: Search, setting: Setting, name: str, base: Fit) -> Setting:
     """
     if "azimuth_rad" not in setting.values[name]:
         return setting
-    bounds = {one.name: (one.low, one.high) for one in EFFECTS[name].arguments}
+    bounds = {one.name: (one.low, one.high) for one in effect_class(search.model, name).arguments}
     width = setting.values[name].get("width_rad", WIDTHS_RAD[-1])
     steps = {one: width if one == "azimuth_rad" else 0.5 * abs(setting.values[name][one]) for one in bounds}
 

@@ -29,11 +29,12 @@ from torchweather.gap.baseline import (
     element_noise,
 )
 from torchweather.gap.candidates import Line
+from torchweather.gap.effect_forms import catalogue_effect, effect_class, handicap
 from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance, together
 from torchweather.gap.statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
 from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
-from torchweather.stages.effects import EFFECTS, Effect
+from torchweather.stages.effects import Effect
 from torchweather.threads import side_by_side
 
 __all__ = ["Fit", "Search", "Setting"]
@@ -72,10 +73,6 @@ class Setting:
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     log_knob: Mapping[str, float] = field(default_factory=dict)
     open: Mapping[str, float] = field(default_factory=dict)
-
-    def effects(self) -> list[Effect]:
-        """The stages."""
-        return [EFFECTS[name](**values) for name, values in self.values.items()]
 
 
 @dataclass(frozen=True)
@@ -133,6 +130,14 @@ class Search:
         self.start, self.origin = settled.base, settled.setting
         return replace(settled, misfit=settled.nuisance.misfit(settled.residual))
 
+    def effects(self, setting: Setting) -> list[Effect]:
+        """The stages of a setting, in the form in which they are searched for."""
+        return [effect_class(self.model, name)(**values) for name, values in setting.values.items()]
+
+    def catalogue_effects(self, setting: Setting) -> list[Effect]:
+        """The same as the catalogue has them."""
+        return [catalogue_effect(effect) for effect in self.effects(setting)]
+
     # ---- the simulator ---------------------------------------------------------------------------------------------
 
     def seeds(self, condition: int, number: int) -> list[int]:
@@ -149,7 +154,7 @@ class Search:
 
     def pools(self, setting: Setting, number: int, portions: int = 1) -> dict[str, Pool]:
         """Simulated frames of all conditions, in portions of their elements."""
-        effects = setting.effects()
+        effects = self.effects(setting)
         found: dict[str, Pool] = {}
 
         def simulate(place: int, target: Target) -> None:
@@ -168,7 +173,7 @@ class Search:
         """The distribution of the vectors at a setting; whitened as the model without effects is."""
         pools = self.pools(setting, self.pool_frames)
         found = baseline(pools, self.measured, self.noise, getattr(self, "start", None), self.seed)
-        unsaid = {name for effect in setting.values for name in EFFECTS[effect].unsaid}
+        unsaid = {name for effect in setting.values for name in effect_class(self.model, effect).unsaid}
         return self._loosened(found, unsaid) if unsaid else found
 
     def _loosened(self, base: Baseline, unsaid: AbstractSet[str]) -> Baseline:
@@ -442,7 +447,7 @@ class Search:
         names = [
             (effect, parameter.name)
             for effect, values in start.values.items()
-            for parameter in EFFECTS[effect].arguments
+            for parameter in effect_class(self.model, effect).arguments
             if math.isfinite(values[parameter.name])
         ]
         setting = start
@@ -480,6 +485,7 @@ class Search:
         residual = self.residual(final)
         here = self._nuisance_at(here.moved(self.offset(setting)), base, final)
         misfit = here.misfit(residual) + self._wider(final)
+        misfit += sum(handicap(self.model, name) for name in setting.values)
         return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
 
     def _along(
@@ -535,7 +541,7 @@ class Search:
     def _derivative(self, setting: Setting, name: tuple[str, str], mean: Sequence[Floats], base: Baseline) -> Floats:
         """Whitened change per unit of a parameter, by a step away from the nearer bound."""
         effect, parameter = name
-        declared = next(one for one in EFFECTS[effect].arguments if one.name == parameter)
+        declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
         value = setting.values[effect][parameter]
         step = STEP * (max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale)
         if declared.identity is not None and math.isfinite(declared.identity):
@@ -553,7 +559,7 @@ class Search:
     def _moved(self, setting: Setting, names: Sequence[tuple[str, str]], step: Floats) -> Setting:
         values = {effect: dict(given) for effect, given in setting.values.items()}
         for (effect, parameter), change in zip(names, step, strict=True):
-            declared = next(one for one in EFFECTS[effect].arguments if one.name == parameter)
+            declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
             # Not further than twice the typical size at once.
             limited = float(np.clip(change, -2.0 * declared.scale, 2.0 * declared.scale))
             moved = values[effect][parameter] + limited

@@ -32,6 +32,7 @@ from torchweather.gap.candidate_fits import (
     stands_far,
 )
 from torchweather.gap.clear_air import ClearAir, clear_air
+from torchweather.gap.effect_forms import effect_class
 from torchweather.gap.held_out import HeldOut, held_out
 from torchweather.gap.matched import Node, gains, pair_gains
 from torchweather.gap.screening import Screening, placed_nodes, screen, screening_entries
@@ -109,7 +110,7 @@ def find_gap_with(
     for name in effects or ():
         check_one_of("effect", name, model.catalogue, owner="find_gap")
     present = {effect.id for effect in model.effects}
-    chosen = [EFFECTS[name] for name in (effects or model.catalogue) if name not in present]
+    chosen = [effect_class(model, name) for name in (effects or model.catalogue) if name not in present]
     if not chosen:
         raise TorchweatherError(
             f"find_gap: effects: the model under test has {', '.join(sorted(present))} already; none is left that may "

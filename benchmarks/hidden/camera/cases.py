@@ -5,7 +5,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,12 @@ import numpy as np
 
 from torchweather.gap.study import Study
 
+from ..bars import other_bars
+from ..bench_sensor import BenchSensor
 from .decoys import DECOYS
 from .design import Design, Size, draw_design, study_of, with_record
 from .detectability import Detector, Table, confusable
 from .effects import CATALOGUE, KINDS, OUTSIDE, Known
-
-# The harness lies beside this package, whether that is imported from the folder of the benchmarks or from above it.
-_ABOVE = (__package__ or "hidden_camera").removesuffix("hidden_camera")
-other_bars = import_module(f"{_ABOVE}hidden.bars").other_bars
-BenchSensor = import_module(f"{_ABOVE}hidden.bench_sensor").BenchSensor
 
 __all__ = ["GROUPS", "SENSOR", "Case", "Places", "build", "plan"]
 

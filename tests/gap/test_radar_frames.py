@@ -1,0 +1,480 @@
+"""Radar frames: what became of each target against plain loops, what each effect moves, and what a search names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.gap.tiny_radar_study import CLASSES, EFFECTS, SENSOR, WEATHERS, tiny_radar_study
+from torchweather.errors import TorchweatherError
+from torchweather.gap import Study, find_gap
+from torchweather.gap.gap_report import GapReport
+from torchweather.gap.radar import RadarFrames
+from torchweather.gap.radar_forms import wet_rcs_form
+from torchweather.gap.radar_nuisance import ReceiverNoise
+from torchweather.gap.radar_scene import FLICKERS, LEAST_SPREAD, PRIOR_DEGREES, detections_of
+from torchweather.gap.radar_sums import FLOOR_STEPS_DB, FLOOR_WEIGHT, SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S
+from torchweather.gap.statistics import Pool, Reduced
+from torchweather.stages import RadarState
+from torchweather.stages.effects import Effect
+from torchweather.transforms import RadarAttenuation
+from torchweather.weather import Fog, Rain
+
+NUMBER, CLEAR, FRAMES = 40, 4, 3
+SEEDS = (11, 2**40 + 5, 17)
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    effects = [EFFECTS["radar.multipath"](amplitude=0.4, delay_m=6.0), EFFECTS["radar.volume_clutter"](share=0.001)]
+    return tiny_radar_study(effects, seed=3, number=NUMBER, clear=CLEAR, frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def model(study: Study) -> RadarFrames:
+    return RadarFrames(study)
+
+
+def group(model: RadarFrames, frames: Reduced, statistic: str, axis: str, what: str = "value") -> Any:
+    """Sums ``(F, bins)`` of one group."""
+    for one, part in zip(model.layout.binned, model.layout.slices, strict=False):
+        if (one.statistic, one.axis) == (statistic, axis):
+            return getattr(frames, what)[:, part]
+    raise AssertionError(f"no {statistic} along {axis}")
+
+
+def assert_same(found: Reduced, expected: Reduced, tolerance: float = 0.0) -> None:
+    for field in fields(Reduced):
+        np.testing.assert_allclose(
+            getattr(found, field.name), getattr(expected, field.name), rtol=tolerance, atol=tolerance
+        )
+
+
+# ---- what a frame is compared with -----------------------------------------------------------------------------------
+
+
+def test_references_leave_one_clear_frame_out(study: Study, model: RadarFrames) -> None:
+    power = np.stack([frame["power_db"] for frame in study.scenes["s0"].clear])
+    for row in range(CLEAR):
+        for target in range(NUMBER):
+            others = [power[k, target] for k in range(CLEAR) if k != row and not math.isnan(power[k, target])]
+            found = model.scenes["s0"].reference["power_db"][row, target]
+            assert math.isnan(found) if not others else found == pytest.approx(sum(others) / len(others), abs=1e-9)
+
+
+def test_spreads_are_drawn_towards_the_median_one(study: Study, model: RadarFrames) -> None:
+    power = np.stack([frame["power_db"] for frame in study.scenes["s0"].clear])
+    own = [power[~np.isnan(power[:, n]), n] for n in range(NUMBER)]
+    median = np.median([values.var(ddof=1) for values in own if len(values) > 1])
+    for n in range(NUMBER):
+        others = np.delete(power[:, n], 1)
+        values = others[~np.isnan(others)]
+        squares = ((values - values.mean()) ** 2).sum() if len(values) else 0.0
+        degrees = max(len(values) - 1, 0)
+        wanted = (squares + PRIOR_DEGREES * median) / (degrees + PRIOR_DEGREES) + LEAST_SPREAD["power_db"] ** 2
+        assert model.scenes["s0"].spread["power_db"][1, n] == pytest.approx(math.sqrt(wanted), rel=1e-9)
+
+
+# ---- what became of each target --------------------------------------------------------------------------------------
+
+
+def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -> None:
+    condition, scene = model.fit[1], model.scenes["s0"]
+    found = model.measured(condition)
+    per_km = float(RadarAttenuation(WEATHERS[1], SENSOR).attenuation_db_per_km)
+    edges = {one.axis: one.edges for one in model.layout.binned}
+    usual = float(np.median(scene.spread["power_db"][scene.counted]))
+    clear_power = np.stack([frame["power_db"] for frame in study.scenes["s0"].clear])
+    lever = (np.arange(FRAMES) - 1.0) / math.sqrt(2.0 / 3.0)
+    for axis in ("range_m", "target_class", "azimuth_rad", "margin_db"):
+        wanted = {name: np.zeros((FRAMES, len(edges[axis]) - 1)) for name in ("lost", "number", "power", "weight")}
+        drift = np.zeros((FRAMES, 2))
+        for k, frame in enumerate(condition.frames):
+            row = k % CLEAR
+            reference = {name: scene.reference[name][row] for name in ("power_db", "range_m")}
+            for n in range(NUMBER):
+                others = np.delete(clear_power[:, n], row)
+                if np.isfinite(others).sum() < 2:  # of three
+                    continue
+                floor = np.delete(scene.clear.floor_db, row).mean()
+                margin = np.nanmean(others) - floor - SENSOR.detection_snr_db
+                steady = np.isfinite(others).all() and margin > FLICKERS * scene.spread["power_db"][row, n]
+                own = {"margin_db": margin}.get(axis) or scene.geometry[axis][n]
+                inner = edges[axis][1:-1]
+                place = sum(own >= edge - 1e-9 for edge in inner)  # sums of dB in another order
+                wanted["number"][k, place] += steady
+                if math.isnan(frame["power_db"][n]):
+                    wanted["lost"][k, place] += steady
+                else:
+                    weight = min(2.0 / (1.0 + (scene.spread["power_db"][row, n] / usual) ** 2), 1.0)
+                    weight = 1.0 if axis == "target_class" else weight
+                    loss = 2e-3 * per_km * scene.geometry["range_m"][n]
+                    wanted["power"][k, place] += weight * (frame["power_db"][n] + loss - reference["power_db"][n])
+                    wanted["weight"][k, place] += weight
+                    drift[k] += lever[k] ** 2, lever[k] * (frame["range_m"][n] - reference["range_m"][n])
+        np.testing.assert_allclose(group(model, found, "lost_target_share", axis), wanted["lost"])
+        np.testing.assert_allclose(group(model, found, "lost_target_share", axis, "weight"), wanted["number"])
+        np.testing.assert_allclose(group(model, found, "power_residual_db", axis), wanted["power"], atol=1e-9)
+        np.testing.assert_allclose(group(model, found, "power_residual_db", axis, "weight"), wanted["weight"])
+        np.testing.assert_allclose(group(model, found, "range_drift_m", "frame", "weight")[:, 0], drift[:, 0])
+        np.testing.assert_allclose(group(model, found, "range_drift_m", "frame")[:, 0], drift[:, 1], atol=1e-9)
+
+
+def test_spreads_are_about_the_frame_s_own_mean_in_units_of_the_target_s(study: Study, model: RadarFrames) -> None:
+    condition, scene = model.fit[0], model.scenes["s0"]
+    found = group(model, model.measured(condition), "speed_spread", "target_class")
+    frame = condition.frames[0]
+    apart = frame["speed_m_per_s"] - scene.reference["speed_m_per_s"][0]
+    there = scene.counted[0] & np.isfinite(frame["power_db"])
+    values = np.log1p(((apart - apart[there].mean()) / scene.spread["speed_m_per_s"][0]) ** 2)
+    for one in range(CLASSES):
+        of_class = there & (scene.geometry["target_class"] == one)
+        assert found[0, one] == pytest.approx(values[of_class].sum(), rel=1e-9)
+
+
+def test_a_floor_fills_its_steps_one_after_the_other(model: RadarFrames) -> None:
+    clear = model.scenes["s0"].clear
+    higher = replace(clear, floor_db=model.scenes["s0"].reference_floor_db + 2.75)
+    found = model.reduce("s0", higher, np.arange(CLEAR), np.zeros(NUMBER), np.zeros(CLEAR))
+    filled = group(model, found, "noise_floor_share", "noise_floor_db") / FLOOR_WEIGHT
+    steps = FLOOR_STEPS_DB
+    for place in range(1, len(steps) - 2):
+        low, high = steps[place - 1], steps[place + 2]
+        wanted = min(max((2.75 - low) / (high - low), 0.0), 1.0)
+        np.testing.assert_allclose(filled[:, place], wanted, atol=1e-9)
+    assert ((filled > 0) & (filled < 1)).sum() == 3 * CLEAR
+
+
+def test_further_detections_are_counted_by_range_and_ghosts_behind_their_targets(
+    study: Study, model: RadarFrames
+) -> None:
+    condition, scene = model.fit[0], model.scenes["s0"]
+    found = model.measured(condition)
+    edges = next(one.edges for one in model.layout.binned if one.statistic == "clutter_count")
+    ghosts = 0
+    for k, frame in enumerate(condition.frames):
+        counts = np.histogram(frame["clutter"][:, 0], edges)[0]
+        np.testing.assert_array_equal(group(model, found, "clutter_count", "particle_range_m")[k], counts)
+        own = 0
+        for range_m, azimuth, elevation, speed, _, _ in frame["clutter"]:
+            follows = [
+                n
+                for n in range(NUMBER)
+                if np.isfinite(frame["power_db"][n])
+                and range_m - frame["range_m"][n] >= 0.2
+                and ((azimuth - scene.geometry["azimuth_rad"][n]) / SAME_DIRECTION_RAD) ** 2
+                + ((elevation - scene.geometry["elevation_rad"][n]) / SAME_DIRECTION_RAD) ** 2
+                + ((speed - frame["speed_m_per_s"][n]) / SAME_SPEED_M_PER_S) ** 2
+                < 1.0
+            ]
+            own += bool(follows)
+        assert group(model, found, "ghost_count", "ghost_delay_m")[k].sum() == pytest.approx(own)
+        ghosts += own
+    assert ghosts > 10
+
+
+def test_portions_of_the_targets_add_up(model: RadarFrames) -> None:
+    condition = model.fit[0]
+    whole = model.simulated(condition, [], 0.1, SEEDS)
+    apart = model.simulated(condition, [], 0.1, SEEDS, portions=16)
+    for name in ("value", "square"):
+        summed = getattr(apart, name).reshape(len(SEEDS), 16, -1).sum(1)
+        np.testing.assert_allclose(summed, getattr(whole, name), atol=1e-9)
+    assert apart.scalar.shape == (16 * len(SEEDS), len(model.layout.scalars))
+
+
+# ---- what is simulated -----------------------------------------------------------------------------------------------
+
+
+def test_simulated_frames_are_the_ready_made_chain_on_clear_frames(study: Study, model: RadarFrames) -> None:
+    condition = model.fit[1]
+    found = group(model, model.simulated(condition, [], 0.0, SEEDS), "lost_target_share", "target_class").sum(1)
+    transform = RadarAttenuation(WEATHERS[1], replace(SENSOR, noise_floor_db=model.sensor.noise_floor_db))
+    for k, seed in enumerate(SEEDS):
+        clear = study.scenes["s0"].clear[seed % CLEAR]
+        floor = float(clear["noise_floor_db"])
+        loss = 2e-3 * float(transform.attenuation_db_per_km) * clear["range_m"]
+        kept = clear["power_db"] - loss >= floor + SENSOR.detection_snr_db  # NaN is false
+        assert found[k] == (model.scenes["s0"].steady[seed % CLEAR] & ~kept).sum()
+
+
+def test_the_same_seeds_give_the_same_frames(model: RadarFrames) -> None:
+    effect = EFFECTS["radar.fluctuation"](log_std_db=2.0)
+    assert_same(
+        model.simulated(model.fit[0], [effect], 0.0, SEEDS), model.simulated(model.fit[0], [effect], 0.0, SEEDS)
+    )
+
+
+def test_more_rain_than_recorded_loses_more_and_leaves_the_transform_as_it_was(model: RadarFrames) -> None:
+    condition = model.fit[1]
+    before = model.simulated(condition, [], 0.0, SEEDS)
+    more = model.simulated(condition, [], 0.3, SEEDS)
+    power = [group(model, one, "power_residual_db", "range_m").sum() for one in (before, more)]
+    assert power[1] < power[0] - 1.0
+    assert_same(model.simulated(condition, [], 0.0, SEEDS), before)
+
+
+def test_ranges_drift_over_the_frames_of_the_condition(model: RadarFrames) -> None:
+    effect = EFFECTS["radar.range_migration"](m_per_frame=0.5)
+    found = model.simulated(model.fit[0], [effect], 0.0, [CLEAR * k for k in range(2 * FRAMES)])
+    apart = group(model, found, "range_error_m", "range_m").sum(1)
+    number = group(model, found, "range_error_m", "range_m", "weight").sum(1)
+    base = model.simulated(model.fit[0], [], 0.0, [CLEAR * k for k in range(2 * FRAMES)])
+    at_rest = group(model, base, "range_error_m", "range_m").sum(1) / number
+    np.testing.assert_allclose(apart / number - at_rest, 0.5 * np.tile(np.arange(FRAMES), 2), atol=1e-4)
+
+
+def test_interference_strikes_as_many_frames_as_its_probability_says(model: RadarFrames) -> None:
+    seeds = list(range(12))
+    one = EFFECTS["radar.interference"](probability=0.375, level_db=12.0)
+    found = model.simulated(model.fit[0], [one], 0.0, seeds)
+    step = FLOOR_STEPS_DB.index(5.0)  # full where a frame is struck
+    struck = group(model, found, "noise_floor_share", "noise_floor_db")[:, step] / FLOOR_WEIGHT
+    assert struck.sum() == pytest.approx(0.375 * 12, abs=1e-6)
+    assert sorted(struck)[-4:] == [1.0] * 4
+    assert sum(0.0 < value < 1.0 for value in struck) == 1
+
+
+MOVED: list[tuple[str, dict[str, Any], str, str]] = [
+    ("radar.wet_radome", {"loss_db": 2.0}, "power_residual_db", "range_m"),
+    ("radar.volume_clutter", {"share": 0.01}, "clutter_count", "particle_range_m"),
+    ("radar.noise_floor", {"shift_db": 2.0}, "noise_floor_share", "noise_floor_db"),
+    ("radar.cfar_shift", {"shift_db": 4.0}, "lost_target_share", "margin_db"),
+    ("radar.path_loss_scale", {"factor": 2.0}, "power_residual_db", "range_m"),
+    ("radar.multipath", {"amplitude": 0.4, "delay_m": 6.0}, "ghost_count", "ghost_delay_m"),
+    ("radar.doppler_spread", {"std_m_per_s": 0.5}, "speed_spread", "range_m"),
+    ("radar.wet_rcs", {"gain_db": [0.0, 3.0, -3.0]}, "power_residual_db", "target_class"),
+    ("radar.interference", {"probability": 0.5, "level_db": 10.0}, "noise_floor_share", "noise_floor_db"),
+    ("radar.range_migration", {"m_per_frame": 0.1}, "range_drift_m", "frame"),
+    ("radar.pattern_tilt", {"angle_rad": 0.1}, "power_residual_db", "azimuth_rad"),
+    ("radar.fluctuation", {"log_std_db": 3.0}, "power_spread", "margin_db"),
+    ("radar.detection_limit", {"max_count": 15.0}, "lost_target_share", "margin_db"),
+]
+
+
+@pytest.mark.parametrize(("name", "values", "statistic", "axis"), MOVED, ids=[one[0] for one in MOVED])
+def test_every_effect_moves_its_statistic(
+    model: RadarFrames, name: str, values: dict[str, Any], statistic: str, axis: str
+) -> None:
+    """By more than ten times the least scatter that the entry has."""
+    condition, seeds = model.fit[1], list(range(24))
+    pools = [
+        Pool(model.layout, model.simulated(condition, some, 0.0, seeds)) for some in ([], [EFFECTS[name](**values)])
+    ]
+    index = np.arange(24)[None]
+    part = next(
+        part
+        for one, part in zip(model.layout.groups, model.layout.slices, strict=True)
+        if (one.statistic, one.axis) == (statistic, axis)
+    )
+    change = (pools[1].vectors(index) - pools[0].vectors(index))[0, part]
+    assert (np.abs(change) / pools[0].least_scatter(24)[part]).max() > 10.0
+
+
+def test_the_catalogue_is_all_that_is_moved(model: RadarFrames) -> None:
+    assert [one[0] for one in MOVED] == model.catalogue
+
+
+# ---- what is left open -----------------------------------------------------------------------------------------------
+
+
+def state(power_db: float, loss_db: float, number: int) -> RadarState:
+    points = torch.zeros(1, number, 6, dtype=torch.float64)
+    points[..., 0], points[..., 4] = 50.0, power_db
+    found = RadarAttenuation(Fog(math.inf), SENSOR).state_of(points)
+    return replace(
+        found, gain_db=torch.full((1, number), -loss_db, dtype=torch.float64), noise_floor_db=torch.zeros(1).double()
+    )
+
+
+def test_a_weakened_target_is_as_noisy_as_one_that_was_weak_from_the_start() -> None:
+    """Power of amplitude and noise: mean S + N, variance N^2 + 2 S N, of 20,000 draws known to 1 and 3 %."""
+    snr, loss, number = 10.0**2.5, 10.0**1.5, 20_000
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(2, number)) * math.sqrt(0.5)
+    clear = (math.sqrt(snr) + noise[0]) ** 2 + noise[1] ** 2
+    before = state(0.0, 10.0 * math.log10(loss), number)
+    points = before.points_in.clone()
+    points[0, :, 4] = torch.from_numpy(10.0 * np.log10(clear))
+    before = replace(before, points_in=points)
+    stage = ReceiverNoise(share=1.0)
+    drawn = {k: v.double() for k, v in stage.draw(before, seed=torch.tensor([5])).items()}
+    gain = stage(before, drawn).gain_db[0].numpy()
+    weak = clear * 10.0 ** (0.1 * gain)
+    signal = snr / loss
+    assert weak.mean() == pytest.approx(signal + 1.0, rel=0.01)
+    assert weak.var() == pytest.approx(1.0 + 2.0 * signal, rel=0.05)
+
+
+def test_ranges_and_speeds_grow_noisier_with_the_loss() -> None:
+    """A variance of share (1 / g - 1) times that in clear air is added; the power's own noise is small at 60 dB."""
+    before = state(60.0, 10.0, 5000)
+    stage = ReceiverNoise(share=0.5).with_errors(torch.tensor(0.01), torch.tensor(0.03))
+    drawn = {k: v.double() for k, v in stage.draw(before, seed=torch.tensor([5])).items()}
+    points = stage(before, drawn).points_in[0]
+    for values, one in ((points[:, 0] - 50.0, 0.01), (points[:, 3], 0.03)):
+        assert float(values.std()) == pytest.approx(one * math.sqrt(0.5 * 9.0), rel=0.05)
+
+
+def test_without_a_strength_nothing_is_left_open(model: RadarFrames) -> None:
+    condition = model.fit[0]
+    assert set(model.open(condition)) == {"noise"}
+    assert model.open_stages(condition, {}) == []
+    (noise,) = model.open_stages(condition, {"noise": 1.5})
+    assert noise.config() == {"share": 1.5}
+    assert model.misplaced(condition) == 0.0
+
+
+# ---- forms -----------------------------------------------------------------------------------------------------------
+
+
+def test_cross_sections_by_class_are_those_of_the_catalogue(model: RadarFrames) -> None:
+    form = wet_rcs_form([0, 1, 2])
+    one, other = form(gain_db_1=3.0, gain_db_2=-2.0), EFFECTS["radar.wet_rcs"](gain_db=[0.0, 3.0, -2.0])
+    assert one.to_dict() == other.to_dict()
+    assert_same(*(model.simulated(model.fit[0], [some], 0.0, SEEDS) for some in (one, other)))
+
+
+# ---- what is found ---------------------------------------------------------------------------------------------------
+
+
+def named(report: GapReport) -> dict[str, dict[str, float]]:
+    return {one["name"]: one["parameters"] for one in report.answer["effects"]}
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_radars_that_lose_what_the_rain_takes_lack_nothing(seed: int) -> None:
+    found = find_gap(tiny_radar_study(seed=seed))
+    assert found.verdict == "none"
+    assert found.answer["p_value"] > 1e-3
+
+
+# Without radar.cfar_shift: with as many targets in every frame it is not told from radar.detection_limit.
+FOUND: list[tuple[Effect, dict[str, float]]] = [
+    (EFFECTS["radar.wet_radome"](loss_db=1.5), {"loss_db": 1.5}),
+    (EFFECTS["radar.noise_floor"](shift_db=1.5), {"shift_db": 1.5}),
+    (EFFECTS["radar.doppler_spread"](std_m_per_s=0.1), {"std_m_per_s": 0.1}),
+    (EFFECTS["radar.wet_rcs"](gain_db=[0.0, -2.0, 1.0]), {"gain_db_0": 0.0, "gain_db_1": -2.0, "gain_db_2": 1.0}),
+    (EFFECTS["radar.range_migration"](m_per_frame=0.02), {"m_per_frame": 0.02}),
+    (EFFECTS["radar.detection_limit"](max_count=60.0), {"max_count": 60.0}),
+]
+
+
+@pytest.mark.parametrize(("effect", "parameters"), FOUND, ids=[one[0].id for one in FOUND])
+def test_what_the_library_hides_is_found(effect: Effect, parameters: dict[str, float]) -> None:
+    found = find_gap(tiny_radar_study([effect]))
+    assert found.verdict == "named"
+    assert list(named(found)) == [effect.id]
+    intervals = found.answer["effects"][0]["interval"]
+    for name, value in parameters.items():
+        low, high = intervals[name]
+        assert low <= value <= high
+    gap = found.answer["gap"]
+    assert gap["after"] < 1.2 * gap["floor"] < gap["before"]
+    # What is handed out is the catalogue's, and goes into a model.
+    (handed_out,) = found.effects
+    repaired = RadarAttenuation(Rain(10.0), SENSOR, effects=found.effects)
+    assert handed_out.to_dict()["effect"] == effect.id
+    assert effect.default_name in repaired.chain.stages
+
+
+def test_a_model_that_has_the_effect_lacks_nothing() -> None:
+    effect = EFFECTS["radar.wet_radome"](loss_db=1.5)
+    assert find_gap(tiny_radar_study([effect]), model_effects=[effect]).verdict == "none"
+
+
+def test_the_same_seed_gives_the_same_answer() -> None:
+    made = tiny_radar_study([EFFECTS["radar.doppler_spread"](std_m_per_s=0.1)])
+    one, other = (find_gap(made, seed=2).to_dict() for _ in range(2))
+    assert {**one, "seconds": 0} == {**other, "seconds": 0}
+
+
+# ---- what cannot be answered -----------------------------------------------------------------------------------------
+
+
+def changed(**more: Any) -> Study:
+    """The study, its first scene and first condition changed."""
+    made = tiny_radar_study(number=24, clear=3, frames=2)
+    scene, conditions = made.scenes["s0"], made.conditions
+    given = {"id": "s0", "clear": list(scene.clear), "geometry": scene.geometry, **more.pop("scene", {})}
+    rows = [
+        {"id": one.id, "scene": "s0", "weather": one.weather, "frames": list(one.frames), "split": one.split}
+        for one in conditions
+    ]
+    rows[0] |= more.pop("condition", {})
+    if "split" in more:
+        rows = [{**row, "split": more["split"]} for row in rows]
+    return Study.from_arrays(sensor=SENSOR, scenes=[given], conditions=rows)
+
+
+def nothing(frame: Any) -> dict[str, Any]:
+    gone = {name: np.full_like(frame[name], np.nan) for name in ("power_db", "range_m", "speed_m_per_s")}
+    return {**frame, **gone}
+
+
+def test_one_clear_frame_is_refused() -> None:
+    made = tiny_radar_study(number=24, clear=3, frames=2)
+    one = changed(scene={"clear": list(made.scenes["s0"].clear)[:1]})
+    with pytest.raises(TorchweatherError, match=r"one clear frame \(Study.from_arrays: scenes\[0\].clear\)"):
+        find_gap(one)
+
+
+def test_clear_frames_without_a_detection_are_refused() -> None:
+    made = tiny_radar_study(number=24, clear=3, frames=2)
+    empty = [
+        {**nothing(frame), "noise_floor_db": np.array(-100.0 + k)} for k, frame in enumerate(made.scenes["s0"].clear)
+    ]
+    with pytest.raises(TorchweatherError, match=r"not enough data to decide: The clear frames of s0 have no detection"):
+        find_gap(changed(scene={"clear": empty}))
+
+
+def test_targets_that_no_two_clear_frames_have_are_refused() -> None:
+    made = tiny_radar_study(number=24, clear=3, frames=2)
+    frames = []
+    for k, frame in enumerate(made.scenes["s0"].clear):
+        mine = np.arange(24) % 3 == k
+        frames.append(
+            {**frame, **{n: np.where(mine, frame[n], np.nan) for n in ("power_db", "range_m", "speed_m_per_s")}}
+        )
+    with pytest.raises(TorchweatherError, match=r"scenes\[0\].clear.*power_db: wanted targets that two clear frames"):
+        RadarFrames(changed(scene={"clear": frames}))
+
+
+def test_nothing_held_out_is_refused() -> None:
+    with pytest.raises(TorchweatherError, match=r"conditions\[\]\.split: wanted conditions in weather to fit to"):
+        find_gap(changed(split="fit"))
+
+
+def test_too_few_targets_are_refused() -> None:
+    with pytest.raises(TorchweatherError, match=r"scenes\[\]\.clear: power_db: wanted targets"):
+        find_gap(tiny_radar_study(number=2, clear=2, frames=1))
+
+
+def test_a_frame_of_another_size_is_refused_with_its_key() -> None:
+    made = tiny_radar_study(number=24, clear=3, frames=2)
+    short = [{**frame, "power_db": frame["power_db"][:5]} for frame in made.conditions[0].frames]
+    with pytest.raises(TorchweatherError, match=r"conditions\[0\].*power_db must have shape \(N,\)"):
+        changed(condition={"frames": short})
+
+
+def test_conditions_that_lost_everything_are_answered() -> None:
+    """That all is lost can be compared: nothing is undefined, and something is missing."""
+    made = tiny_radar_study(number=48, clear=4, frames=3)
+    gone = [
+        {**nothing(frame), "noise_floor_db": np.asarray(frame["noise_floor_db"]) + 0.001 * k}
+        for k, frame in enumerate(made.conditions[0].frames)
+    ]
+    conditions = [
+        {"id": one.id, "scene": "s0", "weather": one.weather, "split": one.split, "rel_sd": 0.05}
+        | {"frames": gone if one.id == "c0" else list(one.frames)}
+        for one in made.conditions
+    ]
+    scene = {"id": "s0", "clear": list(made.scenes["s0"].clear), "geometry": made.scenes["s0"].geometry}
+    found = find_gap(Study.from_arrays(sensor=SENSOR, scenes=[scene], conditions=conditions))
+    assert found.verdict != "none"
+    assert detections_of(gone).clutter.shape[1] == 5

@@ -1,0 +1,49 @@
+"""Effects in the form in which they are searched for.
+
+The search moves single numbers. An effect of the catalogue that takes one number for each of so many classes is
+searched for in a form of its own, which a model of a sensor's frames may have under ``forms``: id to the class, with
+one parameter for each number. What is handed out is the catalogue's effect again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
+
+__all__ = ["SearchForm", "catalogue_effect", "effect_class", "handicap", "tried_values"]
+
+
+class SearchForm(Effect):
+    """An effect of the catalogue with other parameters; its ``to_dict`` is that of the catalogue's.
+
+    Class attributes:
+        handicap: by how much it must lower the misfit more than others do, as it has more parameters.
+        tried: values of parameters that say which or where, at which response curves begin.
+    """
+
+    handicap: ClassVar[float] = 0.0
+    tried: ClassVar[Mapping[str, tuple[float, ...]]] = {}
+
+
+def effect_class(model: object, name: str) -> type[Effect]:
+    """The class of an effect as a model of frames is searched with it."""
+    forms: Mapping[str, type[Effect]] = getattr(model, "forms", {})
+    return forms.get(name, EFFECTS[name])
+
+
+def tried_values(effect: type[Effect], name: str) -> tuple[float, ...]:
+    """Values of a parameter that a form of an effect wants tried; none: the usual ones."""
+    return effect.tried.get(name, ()) if issubclass(effect, SearchForm) else ()
+
+
+def handicap(model: object, name: str) -> float:
+    """By how much an effect must lower the misfit more than others."""
+    found = effect_class(model, name)
+    return found.handicap if issubclass(found, SearchForm) else 0.0
+
+
+def catalogue_effect(effect: Effect) -> Effect:
+    """The effect as the catalogue has it."""
+    return effect_from_dict(effect.to_dict()) if isinstance(effect, SearchForm) else effect
