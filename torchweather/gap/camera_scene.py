@@ -27,6 +27,7 @@ __all__ = ["COLOURS", "LAGS", "CameraScene", "Pairs", "camera_scene", "cell_colo
 COLOURS = ("red", "green", "blue")  # of the colour filter array; green is the clear pixel's where there is one
 GREEN = 1
 BLOCK_CELLS = 2  # a block is so many cells high and wide
+LEAST_PX = 48  # of a frame, either way: a hundred blocks
 SKY_M = 1e5  # stands for an infinite depth
 DEPTH_M = (0.0, 6.0, 9.0, 13.0, 19.0, 28.0, 42.0, 65.0, 110.0, 300.0, 1e4, 1e6)
 DEPTH_CLASSES_M = (0.0, 12.0, 30.0, 80.0, 1e4, 1e6)
@@ -149,9 +150,15 @@ def camera_scene(scene: StudyScene, camera: Camera) -> CameraScene:
         camera: that took the frames.
 
     Raises:
-        TorchweatherError: there is a single clear frame.
+        TorchweatherError: there is a single clear frame, or the frames are too small.
     """
     number = len(scene.clear)
+    height, width = scene.geometry["depth_m"].shape
+    if min(height, width) < LEAST_PX:
+        raise TorchweatherError(
+            f"find_gap: not enough data to decide: the frames of scene {scene.id} have {width} x {height} pixels; wanted "
+            f"{LEAST_PX} or more either way, better 160 x 120: light is compared block by block, along depth and place."
+        )
     if number < 2:
         raise TorchweatherError(
             f"find_gap: not enough data to decide: the scene {scene.id} has one clear frame; the noise of a frame is "
