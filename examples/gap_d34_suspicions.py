@@ -1,6 +1,6 @@
-"""Four effects that D3.4 suspects behind its LiDAR results, each hidden in a study, searched for, and added.
+"""Five effects that D3.4 suspects behind its results, each hidden in a study, searched for, and added.
 
-    python examples/gap_d34_suspicions.py                              # all four
+    python examples/gap_d34_suspicions.py                              # all five
     python examples/gap_d34_suspicions.py --only filter extent
     python examples/gap_d34_suspicions.py --columns 256                # 16,384 beams instead of 8,192
 
@@ -8,6 +8,7 @@
     extinction  5.3.2    the extinction of fog is simulated too high      in fog
     extent      7.4.2    it rains in part of the space only               in rain
     sprinkler   7.4.2.1  sprinklers stand in the measured scene alone     in rain
+    exposure    7.4.1.1  the camera exposes longer in rain than in clear  in rain, of a camera
 
 The frames that stand for measured ones are made from the embedded scene, so that the truth is known; the search is told
 neither what is hidden nor where, and the weather record that it gets is off by a draw from its uncertainty of 10 %.
@@ -20,16 +21,18 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+from numpy.typing import NDArray
 
+import torchweather as tw
 from torchweather.explain import aligned
-from torchweather.gap import GapReport, find_gap
-from torchweather.gap.hidden_study import WEATHERS, hidden_study
+from torchweather.gap import GapReport, Study, find_gap
+from torchweather.gap.hidden_study import WEATHERS, HiddenStudy, hidden_study
 from torchweather.io import atomic_write
 from torchweather.report.gap_page import write_gap
 from torchweather.report.gap_words import (
@@ -40,7 +43,9 @@ from torchweather.report.gap_words import (
     statistic_name,
     verdict_sentence,
 )
+from torchweather.scenes import SCENES
 from torchweather.stages import Effect
+from torchweather.stages.effects_camera import CameraExposureGain
 from torchweather.stages.effects_lidar import (
     LidarExtinctionScale,
     LidarIsolatedReturnFilter,
@@ -75,12 +80,21 @@ SUSPICIONS = {
         LidarStaticStructure(azimuth_rad=0.52, range_m=8.0, width_rad=0.06),
         "rain",
     ),
+    "exposure": Suspicion("7.4.1.1", "the camera exposes longer in rain", CameraExposureGain(factor=1.1), "rain"),
 }
+# Of the camera's study: a small frame, and the electrons of a saturated pixel and of its readout (orders of magnitude).
+CAMERA_PX = (240, 180)
+FULL_WELL_ELECTRONS, READ_ELECTRONS = 10_000.0, 5.0
+CLEAR_FRAMES, FRAMES, REL_SD = 8, 5, 0.1
+RATES_MM_PER_H = {10.0: "fit", 25.0: "fit", 40.0: "holdout", 60.0: "fit"}
 
 
 def searched(suspicion: Suspicion, columns: int, seed: int, out: Path) -> tuple[GapReport, dict[str, Any]]:
     """The search's report and a row of the table; writes the page."""
-    hidden = hidden_study([suspicion.effect], WEATHERS[suspicion.weather], columns=columns, seed=seed)
+    if suspicion.effect.id.startswith("camera."):
+        hidden = camera_study(suspicion.effect, seed)
+    else:
+        hidden = hidden_study([suspicion.effect], WEATHERS[suspicion.weather], columns=columns, seed=seed)
     report = find_gap(hidden.study)
     answer = write_gap(out, hidden.study, report)
     row = {
@@ -93,6 +107,36 @@ def searched(suspicion: Suspicion, columns: int, seed: int, out: Path) -> tuple[
         "seconds": answer["seconds"],
     }
     return report, row
+
+
+def camera_study(effect: Effect, seed: int) -> HiddenStudy:
+    """Raw frames of the test track in rain, with an effect in the weather frames; shot and readout noise come last."""
+    rng = np.random.default_rng(seed)
+    camera = replace(tw.Camera.preset("lucid-triton").resized(*CAMERA_PX), response_knots=None)
+    view = SCENES["test-track"]().view(camera)
+
+    def noisy(bayer: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        electrons = rng.poisson(bayer * FULL_WELL_ELECTRONS) + READ_ELECTRONS * rng.standard_normal(bayer.shape)
+        return {"bayer": np.clip(electrons / FULL_WELL_ELECTRONS, 0.0, 1.0).astype(np.float32)}
+
+    geometry = {"depth_m": view.depth_m[0].numpy(), "normal": view.normal.movedim(0, -1).numpy()}
+    clear = [noisy(view.bayer[0].numpy()) for _ in range(CLEAR_FRAMES)]
+    conditions, factors = [], {}
+    for rate, split in RATES_MM_PER_H.items():
+        name = f"rain-{rate:g}"
+        factors[name] = float(np.exp(REL_SD * rng.standard_normal()))
+        rain = tw.BayerRain(tw.Rain(rate * factors[name]), camera, effects=[effect])
+        seeds = rng.integers(2**62, size=FRAMES)
+        made = [rain(view.bayer, view.depth_m, rain.draw(view.bayer, seed=int(one)))[0].numpy() for one in seeds]
+        weather = {"kind": "rain", "rate_mm_per_h": rate, "rate_rel_sd": REL_SD}
+        frames = [noisy(one) for one in made]
+        conditions.append({"id": name, "scene": "test-track", "weather": weather, "frames": frames, "split": split})
+    study = Study.from_arrays(
+        sensor=camera,
+        scenes=[{"id": "test-track", "clear": clear, "geometry": geometry}],
+        conditions=conditions,
+    )
+    return HiddenStudy(study, (effect,), factors)
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -175,7 +219,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("d34_suspicions"), help="folder for pages and pictures")
     parser.add_argument("--only", nargs="+", choices=list(SUSPICIONS), default=list(SUSPICIONS), help="cases")
-    parser.add_argument("--columns", type=int, default=128, help="of the scan; of 64 rings each")
+    parser.add_argument("--columns", type=int, default=128, help="of the LiDAR's scan; of 64 rings each")
     parser.add_argument("--seed", type=int, default=0, help="of the studies")
     arguments = parser.parse_args()
 

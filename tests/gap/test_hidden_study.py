@@ -1,4 +1,4 @@
-"""Studies with effects hidden in them, and ``examples/gap_d34_suspicions.py``, which searches four."""
+"""Studies with effects hidden in them, and ``examples/gap_d34_suspicions.py``, which searches five."""
 
 from __future__ import annotations
 
@@ -189,6 +189,7 @@ def test_each_suspicion_is_hidden_in_its_weather(suspicions: Any) -> None:
         ("5.3.2", "lidar.extinction_scale", "fog"),
         ("7.4.2", "lidar.limited_extent", "rain"),
         ("7.4.2.1", "lidar.static_structure", "rain"),
+        ("7.4.1.1", "camera.exposure_gain", "rain"),
     }
     assert not any(bool(one.effect.at_identity) for one in suspicions.SUSPICIONS.values())
 
@@ -208,3 +209,21 @@ def test_the_example_writes_what_it_found_and_says_where_it_is_wrong(
     for name in ("extinction", "extent"):
         assert (tmp_path / f"{name}.png").stat().st_size > 0
         assert {file.name for file in (tmp_path / name).iterdir()} == {"gap.json", "model.yaml", "report.html"}
+
+
+def test_a_camera_exposes_longer_in_rain_than_in_clear_air(suspicions: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near by, where rain hardly takes anything, light is 10 % more; the noise is that of the light on the sensor."""
+    monkeypatch.setattr(suspicions, "CAMERA_PX", (64, 48))
+    monkeypatch.setattr(suspicions, "RATES_MM_PER_H", {0.5: "fit", 1.0: "holdout"})
+    hidden = suspicions.camera_study(suspicions.SUSPICIONS["exposure"].effect, 3)
+    assert [(one.id, one.split) for one in hidden.study.conditions] == [("rain-0.5", "fit"), ("rain-1", "holdout")]
+    assert all(0.6 < factor < 1.6 and factor != 1.0 for factor in hidden.weather_factor.values())
+    assert hidden.truth()["effects"] == [{"name": "camera.exposure_gain", "parameters": {"factor": 1.1}}]
+    (scene,) = hidden.study.scenes.values()
+    clear = np.stack([frame["bayer"] for frame in scene.clear])
+    rainy = np.stack([frame["bayer"] for frame in hidden.study.conditions[0].frames])
+    lit = (clear.mean(0) > 0.05) & (clear.mean(0) < 0.8) & (scene.geometry["depth_m"] < 15.0)
+    # Hundreds of pixels of 0.7 to 5 % noise each; rain of 0.5 mm/h takes a thousandth.
+    assert np.median((rainy.mean(0) / clear.mean(0))[lit]) == pytest.approx(1.1, abs=0.005)
+    noise = clear.var(0, ddof=1)[lit].mean() / (clear.mean(0)[lit].mean() / 10_000.0 + (5.0 / 10_000.0) ** 2)
+    assert noise == pytest.approx(1.0, abs=0.1)  # 7 degrees of freedom of each pixel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -63,6 +64,22 @@ STATISTICS = {
     "ghost_power_db": "Power of detections behind a target over that of the target",
     "detections_root": "Number of detections",
     "clutter_root": "Number of detections beside the targets",
+    "log_ratio_red": "Red light over clear air's",
+    "log_ratio_green": "Green light over clear air's",
+    "log_ratio_blue": "Blue light over clear air's",
+    "log_ratio_spread": "Spread of light over the model",
+    "log_ratio_map": "Map of light over clear air's",
+    "near_log_ratio": "Light from near by over clear air's",
+    "far_log_ratio": "Light from far over clear air's",
+    "sky_log_ratio": "Light of the sky over clear air's",
+    "log_difference_spread": "Noise",
+    "difference_spread": "Noise of pixels apart by",
+    "edge_contrast": "Contrast across edges, pixels apart by",
+    "streak_correlation": "Likeness of pixels apart by",
+    "bright_share_near": "Pixels brighter than those beside them, near by",
+    "bright_share_far": "Pixels brighter than those beside them, far",
+    "dark_share_near": "Pixels darker than those beside them, near by",
+    "dark_share_far": "Pixels darker than those beside them, far",
 }
 AXES = {
     "range_m": "range in clear air, m",
@@ -78,6 +95,21 @@ AXES = {
     "target_class": "class of the target",
     "noise_floor_db": "noise floor over clear air's, dB",
     "ghost_delay_m": "distance behind the target, m",
+    "depth_m": "depth, m",
+    "depth_m_dark": "depth of dark surfaces, m",
+    "depth_m_medium": "depth of medium surfaces, m",
+    "depth_m_bright": "depth of bright surfaces, m",
+    "depth_m_level": "depth of level ground, m",
+    "depth_m_upright": "depth of upright surfaces, m",
+    "modelled_signal": "modelled signal, of saturation",
+    "residual_sd": "departure from those beside it, standard deviations",
+    "elevation_rad_near": "elevation, near by, degrees",
+    "elevation_rad_far": "elevation, far, degrees",
+    "off_axis_rad": "angle from the optical axis, degrees",
+    "off_axis_rad_near": "angle from the optical axis, near by, degrees",
+    "off_axis_rad_far": "angle from the optical axis, far, degrees",
+    "column_share_near": "column, near by, of the width",
+    "column_share_far": "column, far, of the width",
     "length_km": "length of the link, km",
     "frequency_ghz": "frequency, GHz",
     "minutes_since_rain": "time since rain, min",
@@ -118,6 +150,8 @@ SILENT_TWINS = {
 SURE = 0.995
 TINY_P = 1e-6
 NO_END = 1e9  # an edge beyond it is none
+SKY_FROM_M = 1e4  # a depth beyond it is the sky's
+LAGGED = re.compile(r"([a-z_]+)_(-?\d+)_(-?\d+)_px")  # of two pixels: down and to the right
 
 
 def effect_name(name: str) -> str:
@@ -131,7 +165,16 @@ def effect_name(name: str) -> str:
 
 
 def statistic_name(name: str) -> str:
-    """A statistic in words; one that this page does not know by its name."""
+    """A statistic in words; one that this page does not know by its name.
+
+    Example:
+        >>> statistic_name("streak_correlation_16_-4_px")
+        'Likeness of pixels apart by 16 down, −4 right'
+    """
+    lagged = LAGGED.fullmatch(name)
+    if lagged:
+        kind, down, right = lagged.groups()
+        return f"{STATISTICS.get(kind, kind.replace('_', ' '))} {down} down, {right} right".replace("-", "−")
     return STATISTICS.get(name, name.replace("_", " "))
 
 
@@ -184,8 +227,12 @@ def edge_text(axis: str, edge: float) -> str:
     Example:
         >>> edge_text("azimuth_rad", -math.pi), edge_text("log_intensity", 30.0), edge_text("margin_db", 1.5)
         ('−180', '∞', '1.5')
+        >>> edge_text("depth_m_bright", 42.0), edge_text("depth_m", 1e4), edge_text("depth_m", 1e6)
+        ('42', 'sky', '')
     """
-    if axis.endswith("_rad"):
+    if axis.startswith("depth_m") and edge >= SKY_FROM_M:
+        return "sky" if edge == SKY_FROM_M else ""
+    if axis.endswith(("_rad", "_rad_near", "_rad_far")):
         value = round(math.degrees(edge), 0 if axis == "azimuth_rad" else 1)
     else:
         value = round(math.exp(edge) if axis.startswith("log_") else edge, 2)
