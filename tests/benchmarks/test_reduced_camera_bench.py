@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from benchmarks.hidden.bench_sensor import bench_sensor
-from benchmarks.hidden.camera.cases import SENSOR, Case, Places, build, plan
+from benchmarks.hidden.camera.cases import SENSOR, Places, build, plan
 from benchmarks.hidden.camera.design import Size
 from benchmarks.hidden.camera.effects import CATALOGUE, OUTSIDE
+from benchmarks.hidden.planning import Case
 from torchweather.gap import find_gap
 from torchweather.stages.effects_camera import EFFECTS
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from torchweather.gap.study import Study
 
 from ..bars import other_bars
 from ..bench_sensor import BenchSensor
+from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from .decoys import DECOYS
 from .design import Design, Size, draw_design, study_of, with_record
 from .detectability import Detector, Table, confusable
@@ -25,31 +25,6 @@ WEATHERS = ("rain", "fog", "snow")
 LEVELS = (5.0, 10.0, 30.0)
 SECONDS = 120.0
 FLOORS = 1.2
-
-
-@dataclass(frozen=True)
-class Case:
-    """One study to be made.
-
-    Args:
-        id: of its folder; says nothing about what is hidden.
-        family: ``single``, ``pair``, ``null``, ``outside`` or ``decoy``.
-        weather: ``rain``, ``fog`` or ``snow``.
-        names: hidden effects.
-        levels: d' of each.
-        size: amount of data.
-        seed: from which all draws follow.
-        options: what else is special.
-    """
-
-    id: str
-    family: str
-    weather: str
-    names: tuple[str, ...]
-    levels: tuple[float, ...]
-    size: Size
-    seed: tuple[int, ...]
-    options: dict[str, Any] = field(default_factory=dict)
 
 
 class Places:
@@ -102,13 +77,6 @@ class Places:
         return KINDS[name].at(strength), confused
 
 
-def _key(label: str) -> int:
-    return zlib.crc32(label.encode())
-
-
-Row = tuple[str, tuple[str, ...], tuple[float, ...], Size | None, dict[str, Any]]
-
-
 def _weather_for(name: str, number: int) -> str:
     shown = KINDS[name].weathers
     return shown[number % len(shown)]
@@ -121,18 +89,6 @@ def _singles(seed: int) -> Iterator[Row]:
             yield _weather_for(name, place + number + seed), (name,), (level,), None, {}
     for place, name in enumerate(("camera.exposure_gain", "camera.defocus", "camera.streak_contrast")):
         yield _weather_for(name, place + seed + 1), (name,), (30.0,), None, {}
-
-
-def _nulls(seed: int) -> Iterator[Row]:
-    """Nothing hidden: 40 as all others, 10 with the record off by two standard deviations, 10 with the least data."""
-    for number in range(60):
-        weather = WEATHERS[number % 3]
-        if number % 6 == 4:
-            yield weather, (), (), None, {"record_sd": 2.0}
-        elif number % 6 == 5:
-            yield weather, (), (), Size(clear_frames=2, frames=2), {}
-        else:
-            yield weather, (), (), None, {}
 
 
 PAIRS = (
@@ -159,12 +115,6 @@ def _decoys(seed: int) -> Iterator[Row]:
         yield WEATHERS[(number + number // len(DECOYS) + seed) % 3], (), (), None, {"decoy": name}
 
 
-def _screen(seed: int) -> Iterator[Row]:
-    """400 small nulls for the first stage of the search."""
-    for number in range(400):
-        yield WEATHERS[number % 3], (), (), Size().smaller(), {"screen": True}
-
-
 def _reduced(seed: int) -> Iterator[Row]:
     """Eight studies for continuous integration."""
     yield "fog", ("camera.exposure_gain",), (30.0,), None, {}
@@ -179,39 +129,22 @@ def _reduced(seed: int) -> Iterator[Row]:
 
 GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "singles": _singles,
-    "nulls": _nulls,
+    "nulls": lambda seed: null_rows(WEATHERS, Size(clear_frames=2, frames=2)),
     "pairs": _pairs,
     "outside": _outside,
     "decoys": _decoys,
-    "screen": _screen,
+    "screen": lambda seed: screen_rows(WEATHERS, Size().smaller()),
     "reduced": _reduced,
 }
 
 
 def plan(set_name: str, seed: int, groups: Sequence[str], size: Size) -> Iterator[Case]:
     """The cases of some groups, in an order that does not depend on which groups there are."""
-    for group in groups:
-        for number, (weather, names, levels, given, options) in enumerate(GROUPS[group](seed)):
-            label = f"camera-{set_name}-{seed}-{group}-{number}"
-            least = given and replace(given, width=size.width, height=size.height)
-            yield Case(
-                f"{set_name}-{seed}-{_key(label):08x}",
-                _family(names, options),
-                weather,
-                names,
-                levels,
-                least or size,
-                (_key(label), seed, number),
-                options,
-            )
 
+    def sized(stated: Size | None) -> Size:
+        return size if stated is None else replace(stated, width=size.width, height=size.height)
 
-def _family(names: tuple[str, ...], options: dict[str, Any]) -> str:
-    if "decoy" in options:
-        return "decoy"
-    if names and names[0] in OUTSIDE:
-        return "outside"
-    return ("null", "single", "pair")[len(names)]
+    return cases_of(GROUPS, groups, set_name, seed, sized, "camera-")
 
 
 def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
@@ -264,7 +197,7 @@ def _builder(
     set_name: str, seed: int, sealed: Path, cases: Sequence[Case], few: bool
 ) -> Callable[[Case], tuple[Study, dict[str, Any]]]:
     """What builds the cases."""
-    places = Places((_key(set_name), seed), few)
+    places = Places((label_key(set_name), seed), few)
     return lambda case: build(case, places)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from torchweather.gap.study import Study
 
+from ..records import drawn_amounts, drawn_record, recorded_weather
 from .camera_sensor import Effect, Weather, shoot, study_camera
 from .scene import Eye, FloatArray, Street, draw_street
 
@@ -16,8 +17,6 @@ __all__ = ["Condition", "Design", "Size", "draw_design", "study_of", "with_recor
 
 # Amounts of the conditions before they are jittered: rates in mm/h, visibilities in m.
 AMOUNTS = {"rain": (8.0, 20.0, 45.0), "snow": (0.4, 1.0, 2.2), "fog": (400.0, 200.0, 100.0)}
-REL_SD = 0.1
-WORST_RECORD_SD = 2.5  # records that are off by more are drawn again
 FRAME_STEP_S = 10.0
 
 
@@ -74,20 +73,12 @@ def with_record(design: Design, rng: np.random.Generator, record_sd: float | Non
         rng: draws.
         record_sd: error of the record in its standard deviations, with a sign drawn; ``None`` draws it.
     """
-    record = str(rng.choice(["common", "each"]))
-    shared = float(np.clip(rng.standard_normal(), -WORST_RECORD_SD, WORST_RECORD_SD))
-    if record_sd is not None:
-        shared, record = record_sd * float(rng.choice([-1.0, 1.0])), "common"
-    conditions = []
-    for street in range(len(design.streets)):
-        for place, amount in enumerate(AMOUNTS[design.kind][: design.size.rates]):
-            recorded = float(f"{amount * np.exp(rng.uniform(-0.1, 0.1)):.3g}")
-            own = float(np.clip(rng.standard_normal(), -WORST_RECORD_SD, WORST_RECORD_SD))
-            true = recorded * (1.0 + REL_SD * (shared if record == "common" else own))
-            # The middle rate of the first street and the highest of the second are held out.
-            split = "holdout" if place == min(1 + street % 2, design.size.rates - 1) else "fit"
-            weather = Weather(design.kind, float(f"{true:.6g}"))
-            conditions.append(Condition(f"c{len(conditions):02d}", street, weather, recorded, split))
+    record, shared = drawn_record(rng, record_sd)
+    amounts = AMOUNTS[design.kind][: design.size.rates]
+    conditions = [
+        Condition(one.id, one.scene, Weather(design.kind, one.true), one.recorded, one.split)
+        for one in drawn_amounts(rng, amounts, len(design.streets), record, shared)
+    ]
     return replace(design, conditions=tuple(conditions), record=record)
 
 
@@ -126,12 +117,11 @@ def study_of(
         acting = effects if acts(one) else ()
         bayer = shoot((seen or design.streets)[one.street], one.weather, acting, design.size.frames, rng)
         frames = _frames(bayer[:1].repeat(len(bayer), 0) if repeated else bayer)
-        knob, spread = ("mor_m", "mor_rel_sd") if design.kind == "fog" else ("rate_mm_per_h", "rate_rel_sd")
         conditions.append(
             {
                 "id": one.id,
                 "scene": f"s{one.street}",
-                "weather": {"kind": design.kind, knob: one.recorded, spread: REL_SD},
+                "weather": recorded_weather(design.kind, one.recorded),
                 "frames": frames,
                 "time_s": (FRAME_STEP_S * np.arange(len(bayer))).tolist(),
                 "split": one.split,

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from torchweather.gap.study import Study
 
 from ..bars import LIDAR_BARS
 from ..bench_sensor import BenchSensor
+from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from .decoys import DECOYS, STRENGTHS_OF
 from .design import Condition, Design, Size, study_of, with_record
 from .detectability import KINDS
@@ -28,35 +28,6 @@ __all__ = ["Case", "GROUPS", "SENSOR", "Streets", "build", "needed_strengths", "
 WEATHERS = ("rain", "fog", "snow")
 # Streets of each weather that the cases of a set share; scenes differ between them, records and noise between cases.
 STREETS = 2
-
-
-@dataclass(frozen=True)
-class Case:
-    """One study to be made.
-
-    Args:
-        id: of its folder; says nothing about what is hidden.
-        family: ``single``, ``pair``, ``triple``, ``null``, ``outside`` or ``decoy``.
-        weather: ``rain``, ``fog`` or ``snow``.
-        names: hidden effects of the catalogue, or of `outside` and `decoys`.
-        levels: d' of each.
-        size: amount of data.
-        seed: from which all draws follow.
-        options: what else is special.
-    """
-
-    id: str
-    family: str
-    weather: str
-    names: tuple[str, ...]
-    levels: tuple[float, ...]
-    size: Size
-    seed: tuple[int, ...]
-    options: dict[str, Any] = field(default_factory=dict)
-
-
-def _key(label: str) -> int:
-    return zlib.crc32(label.encode())
 
 
 class Streets:
@@ -78,7 +49,7 @@ class Streets:
         grid = Size(rings=size.rings, columns=size.columns)  # less data, same places
         which = (weather, number % STREETS, grid, names == ())
         if which not in self._made:
-            key = [_key(self.set_name), self.seed, which[1], grid.columns, WEATHERS.index(weather)]
+            key = [label_key(self.set_name), self.seed, which[1], grid.columns, WEATHERS.index(weather)]
             self._made[which] = street(key, weather, grid, self.cache, names)
         return self._made[which]
 
@@ -92,31 +63,7 @@ def plan(set_name: str, seed: int, groups: Sequence[str], size: Size) -> Iterato
         groups: of `GROUPS`.
         size: amount of data of a full study.
     """
-    for group in groups:
-        for number, (weather, names, levels, given, options) in enumerate(GROUPS[group](seed)):
-            label = f"{set_name}-{seed}-{group}-{number}"
-            name = f"{set_name}-{seed}-{_key(label):08x}"
-            yield Case(
-                name,
-                _family(names, options),
-                weather,
-                names,
-                levels,
-                given or size,
-                (_key(label), seed, number),
-                options,
-            )
-
-
-def _family(names: tuple[str, ...], options: dict[str, Any]) -> str:
-    if "decoy" in options:
-        return "decoy"
-    if names and names[0] in OUTSIDE:
-        return "outside"
-    return ("null", "single", "pair", "triple")[len(names)]
-
-
-Row = tuple[str, tuple[str, ...], tuple[float, ...], Size | None, dict[str, Any]]
+    return cases_of(GROUPS, groups, set_name, seed, lambda stated: stated or size)
 
 
 def _singles(seed: int) -> Iterator[Row]:
@@ -124,18 +71,6 @@ def _singles(seed: int) -> Iterator[Row]:
     for level_number, level in enumerate(LEVELS):
         for number, name in enumerate(CATALOGUE):
             yield WEATHERS[(number + level_number + seed) % 3], (name,), (level,), None, {}
-
-
-def _nulls(seed: int) -> Iterator[Row]:
-    """Nothing hidden: 40 as all others, 10 with the record off by two standard deviations, 10 with the least data."""
-    for number in range(60):
-        weather = WEATHERS[number % 3]
-        if number % 6 == 4:
-            yield weather, (), (), None, {"record_sd": 2.0}
-        elif number % 6 == 5:
-            yield weather, (), (), Size(clear_frames=2, rates=3, frames=2), {}
-        else:
-            yield weather, (), (), None, {}
 
 
 def _pairs(seed: int) -> Iterator[Row]:
@@ -184,12 +119,6 @@ def _moving(seed: int) -> Iterator[Row]:
         yield weather, ("lidar.spray",), (30.0,), None, {"moving": True}
 
 
-def _screen(seed: int) -> Iterator[Row]:
-    """400 nulls of 4,096 beams for the first stage of the search."""
-    for number in range(400):
-        yield WEATHERS[number % 3], (), (), Size().smaller_grid(), {"screen": True}
-
-
 def _reduced(seed: int) -> Iterator[Row]:
     """Eight studies for continuous integration."""
     yield "rain", ("lidar.window_loss",), (30.0,), None, {}
@@ -204,13 +133,13 @@ def _reduced(seed: int) -> Iterator[Row]:
 
 GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "singles": _singles,
-    "nulls": _nulls,
+    "nulls": lambda seed: null_rows(WEATHERS, Size(clear_frames=2, rates=3, frames=2)),
     "pairs": _pairs,
     "triples": _triples,
     "outside": _outside,
     "decoys": _decoys,
     "moving": _moving,
-    "screen": _screen,
+    "screen": lambda seed: screen_rows(WEATHERS, Size().smaller_grid()),
     "reduced": _reduced,
 }
 

@@ -11,6 +11,7 @@ import numpy as np
 from torchweather.gap.study import Study
 from torchweather.sensors import Lidar
 
+from ..records import WORST_RECORD_SD, drawn_amounts, recorded_weather
 from .lidar_sensor import Effect, Report, View, Weather, shoot, study_sensor
 from .rays import Scan, cast, scan_pattern
 from .scene import Scene, draw_scene
@@ -25,9 +26,6 @@ AMOUNTS = {
 }
 # Near-range response, m: (start, full) between which it is drawn. Drops of rain show only where it begins early.
 NEAR_RESPONSE = {"rain": ((0.6, 1.4), (2.5, 4.0)), "snow": ((1.5, 2.5), (6.0, 10.0)), "fog": ((1.5, 2.5), (8.0, 10.0))}
-REL_SD = 0.1
-# Records that are off by more than this many standard deviations are drawn again.
-WORST_RECORD_SD = 2.5
 FRAME_STEP_S = 10.0
 
 
@@ -113,17 +111,12 @@ def with_record(
         shared = float(np.clip(rng.standard_normal(), -WORST_RECORD_SD, WORST_RECORD_SD))
     else:
         shared, record = record_sd * float(rng.choice([-1.0, 1.0])), "common"
-    conditions = []
     picked = np.linspace(0, 3, design.size.rates).round().astype(int)
-    for scene in range(design.size.scenes):
-        for place, amount in enumerate(np.array(AMOUNTS[design.kind])[picked]):
-            recorded = float(f"{amount * np.exp(rng.uniform(-0.1, 0.1)):.3g}")
-            own = float(np.clip(rng.standard_normal(), -WORST_RECORD_SD, WORST_RECORD_SD))
-            true = recorded * (1.0 + REL_SD * (shared if record == "common" else own))
-            # One of the middle rates is held out, another one in each scene.
-            split = "holdout" if place == min(1 + scene % 2, design.size.rates - 1) else "fit"
-            name = f"c{len(conditions):02d}"
-            conditions.append(Condition(name, scene, Weather(design.kind, float(f"{true:.6g}")), recorded, split))
+    amounts = np.array(AMOUNTS[design.kind])[picked].tolist()
+    conditions = [
+        Condition(one.id, one.scene, Weather(design.kind, one.true), one.recorded, one.split)
+        for one in drawn_amounts(rng, amounts, design.size.scenes, record, shared)
+    ]
     return replace(design, conditions=tuple(conditions), record=record)
 
 
@@ -167,13 +160,11 @@ def study_of(
         frames = _frames(design, report)
         if repeated:
             frames = [frames[0] for _ in frames]
-        knob = "mor_m" if design.kind == "fog" else "rate_mm_per_h"
-        spread = "mor_rel_sd" if design.kind == "fog" else "rate_rel_sd"
         conditions.append(
             {
                 "id": one.id,
                 "scene": f"s{one.scene}",
-                "weather": {"kind": design.kind, knob: one.recorded, spread: REL_SD},
+                "weather": recorded_weather(design.kind, one.recorded),
                 "frames": frames,
                 "time_s": design.times_s.tolist(),
                 "split": one.split,

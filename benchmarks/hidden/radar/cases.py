@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from torchweather.gap.study import Study
 
 from ..bars import other_bars
 from ..bench_sensor import BenchSensor
+from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from ..sealed import plain, read_json, write_json
 from .decoys import DECOYS, STRENGTHS_OF
 from .design import Design, Size, draw_design, study_of, with_record
@@ -31,56 +31,12 @@ PLACES = 2  # designs of each weather that the cases of a set share
 SECONDS = 30.0  # a study may take
 
 
-@dataclass(frozen=True)
-class Case:
-    """One study to be made.
-
-    Args:
-        id: of its folder; says nothing about what is hidden.
-        family: ``single``, ``pair``, ``null``, ``outside`` or ``decoy``.
-        weather: ``rain``, ``snow`` or ``fog``.
-        names: hidden effects.
-        levels: d' of each.
-        size: amount of data.
-        seed: from which all draws follow.
-        options: what else is special.
-    """
-
-    id: str
-    family: str
-    weather: str
-    names: tuple[str, ...]
-    levels: tuple[float, ...]
-    size: Size
-    seed: tuple[int, ...]
-    options: dict[str, Any] = field(default_factory=dict)
-
-
-Row = tuple[str, tuple[str, ...], tuple[float, ...], Size | None, dict[str, Any]]
-
-
-def _key(label: str) -> int:
-    return zlib.crc32(label.encode())
-
-
 def _singles(seed: int) -> Iterator[Row]:
     """Every effect five times: at d' of 5 and 30 once, of 10 three times, the weathers in turn, rain twice."""
     turn = (*WEATHERS, "rain")
     for round_, level in enumerate((10.0, 30.0, 5.0, 30.0, 10.0)):
         for number, name in enumerate(CATALOGUE):
             yield turn[(number + round_ + seed) % 4], (name,), (level,), None, {}
-
-
-def _nulls(seed: int) -> Iterator[Row]:
-    """Nothing hidden: 40 as all others, 10 with the record off by two standard deviations, 10 with the least data."""
-    for number in range(60):
-        weather = WEATHERS[number % 3]
-        if number % 6 == 4:
-            yield weather, (), (), None, {"record_sd": 2.0}
-        elif number % 6 == 5:
-            yield weather, (), (), Size(clear_frames=2, rates=3, frames=2), {}
-        else:
-            yield weather, (), (), None, {}
 
 
 PAIRS = (
@@ -107,12 +63,6 @@ def _decoys(seed: int) -> Iterator[Row]:
         yield WEATHERS[(number + seed) % 3], (), (), None, {"decoy": name}
 
 
-def _screen(seed: int) -> Iterator[Row]:
-    """400 nulls of 64 targets for the first stage of the search."""
-    for number in range(400):
-        yield WEATHERS[number % 3], (), (), Size().fewer_targets(), {"screen": True}
-
-
 def _reduced(seed: int) -> Iterator[Row]:
     """Eight studies for continuous integration."""
     yield "rain", ("radar.wet_radome",), (30.0,), None, {}
@@ -127,11 +77,11 @@ def _reduced(seed: int) -> Iterator[Row]:
 
 GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "singles": _singles,
-    "nulls": _nulls,
+    "nulls": lambda seed: null_rows(WEATHERS, Size(clear_frames=2, rates=3, frames=2)),
     "pairs": _pairs,
     "outside": _outside,
     "decoys": _decoys,
-    "screen": _screen,
+    "screen": lambda seed: screen_rows(WEATHERS, Size().fewer_targets()),
     "reduced": _reduced,
 }
 
@@ -145,32 +95,12 @@ def plan(set_name: str, seed: int, groups: Sequence[str], small: bool = False) -
         groups: of `GROUPS`.
         small: half of the targets.
     """
-    found = []
-    for group in groups:
-        for number, (weather, names, levels, size, options) in enumerate(GROUPS[group](seed)):
-            label = f"radar-{set_name}-{seed}-{group}-{number}"
-            full = size or Size()
-            found.append(
-                Case(
-                    f"{set_name}-{seed}-{_key(label):08x}",
-                    _family(names, options),
-                    weather,
-                    names,
-                    levels,
-                    full.fewer_targets() if small else full,
-                    (_key(label), seed, number),
-                    options,
-                )
-            )
-    return found
 
+    def sized(stated: Size | None) -> Size:
+        full = stated or Size()
+        return full.fewer_targets() if small else full
 
-def _family(names: tuple[str, ...], options: dict[str, Any]) -> str:
-    if "decoy" in options:
-        return "decoy"
-    if names and names[0] in OUTSIDE:
-        return "outside"
-    return ("null", "single", "pair")[len(names)]
+    return list(cases_of(GROUPS, groups, set_name, seed, sized, "radar-"))
 
 
 def needed(case: Case) -> set[str]:
@@ -211,7 +141,7 @@ def place_of(
         names: effects that are needed, then without cosines; ``None``: all.
         cache: folder of tables; part of what is sealed.
     """
-    key = [_key(set_name), seed, number, size.targets, WEATHERS.index(weather)]
+    key = [label_key(set_name), seed, number, size.targets, WEATHERS.index(weather)]
     design = draw_design(np.random.default_rng(key), weather, Size(targets=size.targets))
     wanted = list(KINDS) if names is None else [name for name in KINDS if name in names]
     if not wanted:

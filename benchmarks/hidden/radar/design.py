@@ -10,9 +10,10 @@ import numpy as np
 
 from torchweather.gap.study import Study
 
+from ..records import drawn_amounts, drawn_record, recorded_weather
 from .radar_sensor import Effect, Targets, Weather, draw_targets, shoot, study_radar
 
-__all__ = ["REL_SD", "Condition", "Design", "Size", "draw_design", "study_of", "with_record"]
+__all__ = ["Condition", "Design", "Size", "draw_design", "study_of", "with_record"]
 
 # Amounts of the conditions before they are jittered: rates in mm/h, visibilities in m.
 AMOUNTS = {
@@ -20,9 +21,6 @@ AMOUNTS = {
     "snow": (0.4, 0.9, 1.8, 3.2),
     "fog": (400.0, 220.0, 130.0, 80.0),
 }
-REL_SD = 0.1
-# Records that are off by more than this many standard deviations are drawn again.
-WORST_RECORD_SD = 2.5
 FRAME_STEP_S = 0.1
 
 
@@ -85,21 +83,13 @@ def with_record(design: Design, rng: np.random.Generator, record_sd: float | Non
         record_sd: error of the record in its standard deviations, common to all conditions, with a sign drawn;
             ``None`` draws it, common to all or one for each.
     """
-    record = str(rng.choice(["common", "each"]))
-    shared = float(np.clip(rng.standard_normal(), -WORST_RECORD_SD, WORST_RECORD_SD))
-    if record_sd is not None:
-        shared, record = record_sd * float(rng.choice([-1.0, 1.0])), "common"
-    conditions = []
+    record, shared = drawn_record(rng, record_sd)
     picked = np.linspace(0, 3, design.size.rates).round().astype(int)
-    for scene in range(design.size.scenes):
-        for place, amount in enumerate(np.array(AMOUNTS[design.kind])[picked]):
-            recorded = float(f"{amount * np.exp(rng.uniform(-0.1, 0.1)):.3g}")
-            own = float(np.clip(rng.standard_normal(), -WORST_RECORD_SD, WORST_RECORD_SD))
-            true = recorded * (1.0 + REL_SD * (shared if record == "common" else own))
-            # One of the middle rates is held out, another one in each scene.
-            split = "holdout" if place == min(1 + scene % 2, design.size.rates - 1) else "fit"
-            weather = Weather(design.kind, float(f"{true:.6g}"))
-            conditions.append(Condition(f"c{len(conditions):02d}", scene, weather, recorded, split))
+    amounts = np.array(AMOUNTS[design.kind])[picked].tolist()
+    conditions = [
+        Condition(one.id, one.scene, Weather(design.kind, one.true), one.recorded, one.split)
+        for one in drawn_amounts(rng, amounts, design.size.scenes, record, shared)
+    ]
     return replace(design, conditions=tuple(conditions), record=record)
 
 
@@ -136,12 +126,11 @@ def study_of(
     for one in design.conditions:
         report = shoot(radar, seen[one.scene], one.weather, effects if acts(one) else (), number, rng)
         frames = report.frames()
-        knob, spread = ("mor_m", "mor_rel_sd") if design.kind == "fog" else ("rate_mm_per_h", "rate_rel_sd")
         conditions.append(
             {
                 "id": one.id,
                 "scene": f"s{one.scene}",
-                "weather": {"kind": design.kind, knob: one.recorded, spread: REL_SD},
+                "weather": recorded_weather(design.kind, one.recorded),
                 "frames": [frames[0] for _ in frames] if repeated else frames,
                 "time_s": (FRAME_STEP_S * number).tolist(),
                 "split": one.split,

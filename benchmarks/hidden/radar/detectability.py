@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .design import REL_SD, Design
+from ..records import REL_SD
+from .design import Design
 from .effects import CATALOGUE, Known
 from .outside import OUTSIDE
 from .radar_sensor import FLOOR_DBM, SNR_DB, Effect, Floats, Report, Targets, Weather, shoot, study_radar
