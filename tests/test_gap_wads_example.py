@@ -65,8 +65,7 @@ def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(exa
     found = find_gap(study).answer
     assert [one["name"] for one in found["effects"]] == ["lidar.last_return"]
     assert found["effects"][0]["parameters"]["probability"] > 0.9
-    # 10 % were open; drops that stay are counted to 1 % or so, and two scans in four are not independent of each other.
-    assert found["nuisance"]["rate_factor"] == pytest.approx(1.0, abs=0.05)
+    assert found["nuisance"]["rate_factor"] == pytest.approx(1.0, abs=0.1)  # what the record leaves open
 
 
 def run(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:

@@ -27,7 +27,7 @@ from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.unknown import log_chance, without_means
 from torchweather.sensors import Camera, Lidar
 from torchweather.stages import with_effects
-from torchweather.stages.effects import Parameter
+from torchweather.stages.effects import EFFECTS, Parameter
 from torchweather.stages.effects_camera_optics import CameraDefocus
 from torchweather.stages.effects_camera_sensor import CameraExposureGain
 from torchweather.stages.effects_lidar import LidarRangeNoise, LidarWindowLoss
@@ -85,7 +85,13 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, whole: f
     rest = departure if left is None else left
     whitened = np.concatenate([start.whitened(name, rest) for name in CONDITIONS])
     search = SimpleNamespace(
-        model=model, measured=measured, start=start, origin=Setting(), simulated_frames=100, seed=0
+        model=model,
+        measured=measured,
+        start=start,
+        origin=Setting(),
+        simulated_frames=100,
+        seed=0,
+        catalogue_effects=lambda setting: [EFFECTS[name](**values) for name, values in setting.values.items()],
     )
     held = HeldOut(3.0, 1.0, 0.1, 9.0 * SIZE)
     given = {

@@ -459,3 +459,26 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
     with pytest.raises(ValueError, match=r"effect must be one of .*Did you mean 'lidar.window_loss'"):
         find_gap(study, effects=["lidar.window_los"], say=said.append)
     assert said == []
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(149.0, False), (151.0, True)])
+def test_what_promised_nothing_must_be_clearly_better(monkeypatch: pytest.MonkeyPatch, gain: float, kept: bool) -> None:
+    """Than the best of those that promised something, 100, by what noise gains, 50."""
+    gained = {"lidar.window_loss": 100.0, "lidar.range_noise": 40.0, "lidar.crosstalk": gain}
+
+    def fitted(search: Any, base: Any, proposed: Any, misfit: float, say: Any, beside: int) -> list[Candidate]:
+        assert beside == len(proposed) == 3
+        found = [Candidate(node.id, Any, gained[node.id]) for _, node, _ in proposed]  # type: ignore[arg-type]
+        return sorted(found, key=lambda one: -one.gain)
+
+    monkeypatch.setattr(workflow, "fitted", fitted)
+    monkeypatch.setattr(workflow, "stands_far", lambda setting: True)
+    # What is open stands off along crosstalk, of which nothing is left.
+    nuisance = Nuisance(np.array([[0.0], [0.0], [1.0], [0.0]]), np.array([4.0]), 1)
+    base: Any = SimpleNamespace(nuisance=nuisance, residual=np.array([30.0, 30.0, 0.0, 0.0]), setting=Setting())
+    given = {**vars(screening()), "best_null": np.full(100, 50.0)}
+    found = SimpleNamespace(**given, nodes=NODES)
+    search: Any = SimpleNamespace(origin=Setting(), measured=[])
+    singles = workflow._singles(search, base, found, 4, lambda text: None)  # type: ignore[arg-type]
+    assert ("lidar.crosstalk" in [one.id for one in singles]) is kept
+    assert {one.id for one in singles} >= {"lidar.window_loss", "lidar.range_noise"}

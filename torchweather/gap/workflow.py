@@ -162,14 +162,16 @@ def _singles(
     """So many single effects fitted in the simulator, best first; and those that something left open may stand for."""
     nuisance = base.nuisance
     best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
-    beside = SETTLED_BESIDE
+    beside, known = SETTLED_BESIDE, {node.id for node, _ in best}
     if stands_far(base.setting):
-        known = {node.id for node, _ in best}
         hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
         best += [one for one in hidden if one[0].id not in known][:HIDDEN_REFITTED]
         beside = len(best)
     proposed = [(search.origin, node, amplitude) for node, amplitude in best]
-    return fitted(search, base, proposed, screening.misfit, say, beside)
+    found = fitted(search, base, proposed, screening.misfit, say, beside)
+    # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
+    least = max((one.gain for one in found if one.id in known), default=-math.inf) + _threshold(screening)
+    return [one for one in found if one.id in known or one.gain > least]
 
 
 def _rounds(
