@@ -464,10 +464,10 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
 @pytest.mark.parametrize(("gain", "kept"), [(149.0, False), (151.0, True)])
 def test_what_promised_nothing_must_be_clearly_better(monkeypatch: pytest.MonkeyPatch, gain: float, kept: bool) -> None:
     """Than the best of those that promised something, 100, by what noise gains, 50."""
-    gained = {"lidar.window_loss": 100.0, "lidar.range_noise": 40.0, "lidar.crosstalk": gain}
+    gained = {"lidar.range_noise": 40.0, "lidar.window_loss": 100.0, "lidar.crosstalk": gain}
 
-    def fitted(search: Any, base: Any, proposed: Any, misfit: float, say: Any, beside: int) -> list[Candidate]:
-        assert beside == len(proposed) == 3
+    def fitted(search: Any, base: Any, proposed: Any, misfit: float, say: Any) -> list[Candidate]:
+        assert [node.id for _, node, _ in proposed] == list(reversed(gained))  # what is hidden comes first
         found = [Candidate(node.id, Any, gained[node.id]) for _, node, _ in proposed]  # type: ignore[arg-type]
         return sorted(found, key=lambda one: -one.gain)
 

@@ -106,23 +106,9 @@ def stands_far(setting: Setting) -> bool:
 
 
 def fitted(
-    search: Search,
-    base: Fit,
-    proposed: Sequence[Proposal],
-    misfit: float,
-    say: Callable[[str], None],
-    beside: int = SETTLED_BESIDE,
+    search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
 ) -> list[Candidate]:
-    """Effects fitted in the simulator, each on top of its setting; best first.
-
-    Args:
-        search: its simulator.
-        base: the fit without effects.
-        proposed: what is fitted.
-        misfit: without it.
-        say: told of every step.
-        beside: of the first so many the nuisances may be settled anew.
-    """
+    """Effects fitted in the simulator, each on top of its setting; best first."""
     found = []
     for place, (setting, node, amplitude) in enumerate(proposed):
         say("fitting " + " and ".join([*setting.values, node.id]))
@@ -130,7 +116,7 @@ def fitted(
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
         shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
-        if shadowed and place < beside and not setting.values:
+        if shadowed and place < SETTLED_BESIDE and not setting.values:
             # The nuisances have moved to look like the effect while it was not there: let them settle with it.
             starts.append(_settled_along(search, base, setting, node, misfit))
         fits = []

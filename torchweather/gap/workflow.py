@@ -47,7 +47,7 @@ Floats = NDArray[np.float64]
 # The numbers below were set on development studies of the bench.
 ALARM_P = 2e-4
 # Candidates that are fitted: alone, further ones, and such as what is left open may stand for.
-REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 2
+REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 1
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
@@ -162,16 +162,14 @@ def _singles(
     """So many single effects fitted in the simulator, best first; and those that something left open may stand for."""
     nuisance = base.nuisance
     best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
-    beside, known = SETTLED_BESIDE, {node.id for node, _ in best}
+    promised = {node.id for node, _ in best}
     if stands_far(base.setting):
         hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
-        best += [one for one in hidden if one[0].id not in known][:HIDDEN_REFITTED]
-        beside = len(best)
-    proposed = [(search.origin, node, amplitude) for node, amplitude in best]
-    found = fitted(search, base, proposed, screening.misfit, say, beside)
+        best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
+    found = fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
     # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
-    least = max((one.gain for one in found if one.id in known), default=-math.inf) + _threshold(screening)
-    return [one for one in found if one.id in known or one.gain > least]
+    least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(screening)
+    return [one for one in found if one.id in promised or one.gain > least]
 
 
 def _rounds(
