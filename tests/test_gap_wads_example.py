@@ -62,7 +62,8 @@ def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(exa
         made_wads(tmp_path, 1.0, seed)
     study = example.study_of(tmp_path, 1.0, 0.1, intensity_unit="none")
     assert [one.split for one in study.conditions] == ["fit", "holdout"]
-    found = find_gap(study).answer
+    rivals = ["last_return", "isolated_return_filter", "particle_backscatter", "threshold_shift", "blind_zone"]
+    found = find_gap(study, effects=[f"lidar.{name}" for name in rivals]).answer
     assert [one["name"] for one in found["effects"]] == ["lidar.last_return"]
     assert found["effects"][0]["parameters"]["probability"] > 0.9
     assert found["nuisance"]["rate_factor"] == pytest.approx(1.0, abs=0.1)  # what the record leaves open
