@@ -17,7 +17,7 @@ from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from .decoys import DECOYS
 from .design import Design, Size, draw_design, study_of, with_record
 from .detectability import Detector, Table, confusable
-from .effects import CATALOGUE, KINDS, OUTSIDE, Known
+from .effects import CATALOGUE, KINDS, OUTSIDE
 
 __all__ = ["GROUPS", "SENSOR", "Case", "Places", "build", "plan"]
 
@@ -60,21 +60,18 @@ class Places:
             self._tables[*key, name] = self._detectors[key].table(name)
         return self._detectors[key], self._tables[*key, name]
 
-    def strength(self, weather: str, size: Size, name: str, level: float) -> tuple[Known, dict[str, float] | None]:
-        """An effect at a d', and with what it can be confused (``None``: not looked at).
+    def strength(self, weather: str, size: Size, name: str, level: float) -> float | None:
+        """Strength of an effect at a d'; ``None`` where none has it."""
+        if weather not in KINDS[name].weathers:
+            return None
+        return self.table(weather, size, name)[1].strength_for(level)
 
-        Raises:
-            ValueError: no strength has that d'.
-        """
-        _, table = self.table(weather, size, name)
-        strength = table.strength_for(level)
-        if strength is None:
-            raise ValueError(f"{name} in {weather}: d' of {level:g} cannot be met: {np.round(table.lengths, 1)}.")
-        confused = None
-        if not self.few and name in CATALOGUE:
-            tables = [self.table(weather, size, other)[1] for other in CATALOGUE if weather in KINDS[other].weathers]
-            confused = confusable(tables, name, strength)
-        return KINDS[name].at(strength), confused
+    def confused(self, weather: str, size: Size, name: str, strength: float) -> dict[str, float] | None:
+        """With what an effect can be confused there (``None``: not looked at)."""
+        if self.few or name not in CATALOGUE:
+            return None
+        tables = [self.table(weather, size, other)[1] for other in CATALOGUE if weather in KINDS[other].weathers]
+        return confusable(tables, name, strength)
 
 
 def _weather_for(name: str, number: int) -> str:
@@ -150,12 +147,13 @@ def plan(set_name: str, seed: int, groups: Sequence[str], size: Size) -> Iterato
 def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
     """The study of a case, and its truth."""
     rng = np.random.default_rng(list(case.seed))
-    streets = replace(places.design(case.weather, case.size), size=case.size)
+    weather, levels, strengths = _where_it_shows(case, places)
+    streets = replace(places.design(weather, case.size), size=case.size)
     design = with_record(streets, rng, record_sd=case.options.get("record_sd"))
-    truth: dict[str, Any] = {**asdict(case), "record": design.record, "effects": []}
+    truth: dict[str, Any] = {**asdict(case), "weather": weather, "record": design.record, "effects": []}
     effects = []
-    for name, level in zip(case.names, case.levels, strict=True):
-        effect, confused = places.strength(case.weather, case.size, name, level)
+    for name, level, strength in zip(case.names, levels, strengths, strict=True):
+        effect, confused = KINDS[name].at(strength), places.confused(weather, case.size, name, strength)
         effects.append(effect)
         truth["effects"].append(
             {
@@ -187,6 +185,21 @@ def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
         for one in design.conditions
     ]
     return study, truth
+
+
+def _where_it_shows(case: Case, places: Places) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+    """A weather in which the effects reach their levels, or weaker or stronger ones: it, the levels, the strengths."""
+    last = len(LEVELS) - 1
+    turned = [WEATHERS[(WEATHERS.index(case.weather) + turn) % 3] for turn in range(3)]
+    for weaker in (0, 1, 2, -1, -2):
+        levels = tuple(LEVELS[min(max(0, LEVELS.index(level) - weaker), last)] for level in case.levels)
+        for weather in turned:
+            found = [
+                places.strength(weather, case.size, name, level) for name, level in zip(case.names, levels, strict=True)
+            ]
+            if None not in found:
+                return weather, levels, tuple(one for one in found if one is not None)
+    raise ValueError(f"{case.id}: no street shows {', '.join(case.names)} at any level.")
 
 
 def _cases(set_name: str, seed: int, groups: Sequence[str], small: bool) -> list[Case]:
