@@ -125,16 +125,52 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
         np.testing.assert_allclose(group(model, found, "range_drift_m", "frame")[:, 0], drift[:, 1], atol=1e-9)
 
 
-def test_spreads_are_about_the_frame_s_own_mean_in_units_of_the_target_s(study: Study, model: RadarFrames) -> None:
+def test_spreads_are_about_the_target_s_own_mean_and_the_frame_s(study: Study, model: RadarFrames) -> None:
     condition, scene = model.fit[0], model.scenes["s0"]
-    found = group(model, model.measured(condition), "speed_spread", "target_class")
-    frame = condition.frames[0]
-    apart = frame["speed_m_per_s"] - scene.reference["speed_m_per_s"][0]
-    there = scene.counted[0] & np.isfinite(frame["power_db"])
-    values = np.log1p(((apart - apart[there].mean()) / scene.spread["speed_m_per_s"][0]) ** 2)
-    for one in range(CLASSES):
-        of_class = there & (scene.geometry["target_class"] == one)
-        assert found[0, one] == pytest.approx(values[of_class].sum(), rel=1e-9)
+    reduced = model.measured(condition)
+    found = group(model, reduced, "speed_spread", "target_class")
+    weight = group(model, reduced, "speed_spread", "target_class", "weight")
+    speed = np.stack([frame["speed_m_per_s"] for frame in condition.frames])
+    power = np.stack([frame["power_db"] for frame in condition.frames])
+    for k in range(FRAMES):
+        there = {n for n in range(NUMBER) if scene.counted[k, n] and math.isfinite(power[k, n])}
+        with_ = {n: [j for j in range(FRAMES) if scene.counted[j, n] and math.isfinite(power[j, n])] for n in there}
+        own = {n: speed[k, n] - speed[with_[n], n].mean() for n in there}
+        common = sum(own.values()) / len(own)
+        wanted, degrees = np.zeros(CLASSES), np.zeros(CLASSES)
+        for n in there:
+            number = len(with_[n])
+            scatter = (own[n] - common) ** 2 * number / max(number - 1, 1)
+            place = int(scene.geometry["target_class"][n])
+            free = 1 - 1 / number
+            degrees[place] += free
+            wanted[place] += free * math.log1p(scatter / scene.spread["speed_m_per_s"][k, n] ** 2)
+        np.testing.assert_allclose(found[k], wanted, rtol=1e-9)
+        np.testing.assert_allclose(weight[k], degrees, rtol=1e-9)
+
+
+def test_what_is_the_same_in_all_frames_is_no_fluctuation(study: Study, model: RadarFrames) -> None:
+    condition = model.fit[0]
+    frames = detections_of(list(condition.frames))
+    ripple_db = np.random.default_rng(1).normal(0.0, 3.0, NUMBER)
+    rows, none, lever = np.arange(FRAMES), np.zeros(NUMBER), np.zeros(FRAMES)
+    plain = model.reduce("s0", frames, rows, none, lever, together=FRAMES)
+    rippled = replace(frames, power_db=frames.power_db + ripple_db)
+    found = model.reduce("s0", rippled, rows, none, lever, together=FRAMES)
+    for axis in ("range_m", "target_class"):
+        before, after = (group(model, one, "power_spread", axis) for one in (plain, found))
+        # The frame's mean moves by the ripple of targets that not all frames have.
+        np.testing.assert_allclose(after.sum(), before.sum(), rtol=0.05)
+    moved = group(model, found, "power_residual_db", "range_m") - group(model, plain, "power_residual_db", "range_m")
+    assert np.abs(moved).max() > 1.0
+
+
+def test_the_own_mean_is_taken_over_frames_of_different_clear_frames(model: RadarFrames) -> None:
+    condition = model.fit[0]
+    seeds = tuple(range(2 * FRAMES))
+    whole = group(model, model.simulated(condition, [], 0.0, seeds), "power_spread", "range_m")
+    first = group(model, model.simulated(condition, [], 0.0, seeds[:FRAMES]), "power_spread", "range_m")
+    np.testing.assert_allclose(whole[:FRAMES], first, rtol=1e-9)
 
 
 def test_a_floor_fills_its_steps_one_after_the_other(model: RadarFrames) -> None:

@@ -135,13 +135,20 @@ class RadarFrames:
         frames = detections_of(list(condition.frames))
         # Compared with all clear frames but one, as simulated frames are.
         row = np.arange(len(frames)) % self.clear_frames[condition.scene]
-        return self.reduce(condition.scene, frames, row, self._loss_db(condition), _lever(len(frames)))
+        together = self._together(condition)
+        return self.reduce(
+            condition.scene, frames, row, self._loss_db(condition), _lever(len(frames)), together=together
+        )
 
     def clear(self, scene_id: str, portions: int = 1) -> Reduced:
         """The clear frames of a scene, each compared with the others; ``portions`` as in ``reduce``."""
         frames = self.scenes[scene_id].clear
         none = np.zeros(frames.power_db.shape[1])
         return self.reduce(scene_id, frames, np.arange(len(frames)), none, _lever(len(frames)), portions)
+
+    def _together(self, condition: Condition) -> int:
+        """Frames over which a target's own mean is taken: as many as start from different clear frames."""
+        return min(len(condition.frames), self.clear_frames[condition.scene])
 
     def transform(self, condition: Condition) -> RadarAttenuation:
         """The ready-made chain of a condition's weather."""
@@ -209,7 +216,8 @@ class RadarFrames:
         with torch.no_grad():
             frames = self._through(condition, row, place, effects, log_knob, list(seeds))
         lever = _lever(len(condition.frames))[place]
-        return self.reduce(condition.scene, frames, row, self._loss_db(condition), lever, portions)
+        loss_db, together = self._loss_db(condition), self._together(condition)
+        return self.reduce(condition.scene, frames, row, loss_db, lever, portions, together)
 
     def _through(
         self,
@@ -319,10 +327,17 @@ class RadarFrames:
         return drawn
 
     def reduce(
-        self, scene_id: str, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, portions: int = 1
+        self,
+        scene_id: str,
+        frames: Detections,
+        row: Whole,
+        loss_db: Floats,
+        lever: Floats,
+        portions: int = 1,
+        together: int = 0,
     ) -> Reduced:
         """Sums of frames of a scene; arguments as ``RadarSums``."""
-        return self._sums[scene_id](frames, row, loss_db, lever, portions)
+        return self._sums[scene_id](frames, row, loss_db, lever, portions, together)
 
 
 def _struck(probability: float, seeds: Sequence[int]) -> Floats:

@@ -64,11 +64,11 @@ EVERYWHERE = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_cl
 SUMS = {
     "lost_target_share": ("target", "lost", "lost"),
     "power_residual_db": ("steady", "power", "power2"),
-    "power_spread": ("there", "fluctuation", "fluctuation2"),
+    "power_spread": ("free", "fluctuation", "fluctuation2"),
     "speed_residual_m_per_s": ("there", "speed", "speed2"),
-    "speed_spread": ("there", "speed_wide", "speed_wide2"),
+    "speed_spread": ("free", "speed_wide", "speed_wide2"),
     "range_error_m": ("there", "apart", "apart2"),
-    "range_spread": ("there", "wide", "wide2"),
+    "range_spread": ("free", "wide", "wide2"),
     "range_drift_m": ("lever", "drift", "apart2"),
 }
 # Of a class of targets that all fluctuate none would be left if they counted for less.
@@ -139,7 +139,9 @@ class RadarSums:
         self._weight = np.minimum(2.0 / (1.0 + (scene.spread["power_db"] / usual) ** 2), 1.0)
         self._portion: dict[int, Whole] = {}
 
-    def __call__(self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, portions: int = 1) -> Reduced:
+    def __call__(
+        self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, portions: int = 1, together: int = 0
+    ) -> Reduced:
         """Sums of frames.
 
         Args:
@@ -149,8 +151,9 @@ class RadarSums:
             lever: ``(F,)`` place of each in its recording, of mean 0 and mean square 1 over its frames.
             portions: into which the targets are divided at random, the same ones in each frame; the result then has
                 ``F * portions`` rows, one for each frame and portion, frame by frame.
+            together: successive frames over which a target's own mean is taken, of different clear frames; 0: all.
         """
-        values = self._of_targets(frames, row, loss_db, lever)
+        values = self._of_targets(frames, row, loss_db, lever, together or len(frames))
         stacked = np.stack([values[name] for name in VALUES], 1)  # (F, V, N)
         sums: dict[tuple[str, str], Floats] = {}
         for axis, hot in self._hot.items():
@@ -175,7 +178,9 @@ class RadarSums:
         weight, value, square = (np.concatenate(each, 1) for each in zip(*parts, strict=True))
         return Reduced(weight, value, square, self._scalars(frames, values, portions), np.zeros((rows, 0, 0)))
 
-    def _of_targets(self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats) -> dict[str, Floats]:
+    def _of_targets(
+        self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, together: int
+    ) -> dict[str, Floats]:
         """What is summed of each target, ``(F, N)``; 0 where it does not count."""
         scene = self.scene
         reference = {name: values[row] for name, values in scene.reference.items()}
@@ -205,15 +210,20 @@ class RadarSums:
             "lever": weight * lever[:, None] ** 2,
             "drift": apart * lever[:, None],
         }
-        for name, kept, of, least in (
-            ("fluctuation", steady, power, "power_db"),
-            ("speed_wide", weight, speed, "speed_m_per_s"),
-            ("wide", weight, apart, "range_m"),
+        number = over_frames(weight, together)
+        found["free"] = weight * (1.0 - 1.0 / np.maximum(number, 1.0))  # degrees of freedom that each frame brings
+        for name, kept, least in (
+            ("fluctuation", steady, "power_db"),
+            ("speed_wide", weight, "speed_m_per_s"),
+            ("wide", weight, "range_m"),
         ):
+            of = np.where(there, getattr(frames, least), 0.0)
+            of = of - over_frames(of, together) / np.maximum(number, 1.0)
             common = (kept * of).sum(1, keepdims=True) / np.maximum(kept.sum(1, keepdims=True), 1e-9)
+            scatter = weight * (of - common) ** 2 * number / np.maximum(number - 1.0, 1.0)
             # Grows with the spread, and hardly with what lies far out.
-            found[name] = weight * np.log1p(((of - common) / scene.spread[least][row]) ** 2)
-            found[f"{name}2"] = found[name] ** 2
+            grown = np.log1p(scatter / scene.spread[least][row] ** 2)
+            found[name], found[f"{name}2"] = found["free"] * grown, found["free"] * grown**2
         return found
 
     def _summed(self, values: Floats, hot: Floats, portions: int) -> Floats:
@@ -295,6 +305,13 @@ class RadarSums:
             number = self.scene.counted.shape[1]
             self._portion[portions] = np.random.default_rng(0).permutation(number) * portions // number
         return self._portion[portions]
+
+
+def over_frames(values: Floats, together: int) -> Floats:
+    """Sums ``(F, N)`` over so many successive frames, for each of them; the last ones may be fewer."""
+    block = np.arange(len(values)) // together
+    found: Floats = np.add.reduceat(values, np.flatnonzero(np.diff(block, prepend=-1)), 0)[block]
+    return found
 
 
 def floor_ramps() -> tuple[Floats, Floats]:
