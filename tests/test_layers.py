@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,7 @@ def part_of(path: Path) -> str:
     return relative.parts[0] if len(relative.parts) > 1 else relative.stem
 
 
+@cache
 def imports(path: Path) -> list[tuple[str, int]]:
     """Absolute names that a file imports, and the lines; imports for type checkers only are left out."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
