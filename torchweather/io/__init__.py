@@ -12,9 +12,12 @@ from torchweather.io.batches import (
     split_indexed,
     split_padded,
 )
+from torchweather.io.box_projection import project_boxes
+from torchweather.io.box_update import update_boxes
 from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.io.calibration import CameraLidarCalibration
+from torchweather.io.collate import CLOUDS_AS, Collate
 from torchweather.io.depth import DEPTH_ENCODINGS, read_depth
 from torchweather.io.disdrometer import read_disdrometer
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts, spectrum_from_drops
@@ -51,6 +54,7 @@ from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 __all__ = [
     "ADC_AXES",
     "ADC_QUADRATURES",
+    "CLOUDS_AS",
     "DEPTH_ENCODINGS",
     "FALLING_SNOW",
     "IMAGE_SUFFIXES",
@@ -71,6 +75,7 @@ __all__ = [
     "BoxVisibility",
     "Boxes",
     "CameraLidarCalibration",
+    "Collate",
     "DropSpectrum",
     "ImageInfo",
     "OusterFrame",
@@ -91,6 +96,7 @@ __all__ = [
     "parsivel_edges_mm",
     "parsivel_speeds_m_per_s",
     "points_in_boxes",
+    "project_boxes",
     "read_adc",
     "read_depth",
     "read_disdrometer",
@@ -111,6 +117,7 @@ __all__ = [
     "spectrum_from_drops",
     "split_indexed",
     "split_padded",
+    "update_boxes",
     "write_adc",
     "write_image",
     "write_kitti_boxes",
