@@ -1,7 +1,10 @@
-"""Readers and writers: images, depth, points, radar detections and ADC cubes, labels, boxes, drops, tables."""
+"""Readers and writers: images, depth, points, radar detections and ADC cubes, labels, boxes, drops, tables,
+and the samples of other training code.
+"""
 
 from __future__ import annotations
 
+from torchweather.io.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
 from torchweather.io.adc import ADC_AXES, ADC_QUADRATURES, AdcCube, read_adc, write_adc
 from torchweather.io.atomic import atomic_folder, atomic_write
 from torchweather.io.batches import (
@@ -77,7 +80,10 @@ __all__ = [
     "CameraLidarCalibration",
     "Collate",
     "DropSpectrum",
+    "HuggingFaceAdapter",
     "ImageInfo",
+    "Mmdet3dAdapter",
+    "OpenPcdetAdapter",
     "OusterFrame",
     "PointCloud",
     "PointLabels",
