@@ -20,6 +20,19 @@ from torchweather.io.box_update import update_boxes
 from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.io.calibration import CameraLidarCalibration
+from torchweather.io.carla import (
+    camera_from_carla,
+    depth_from_carla,
+    depth_to_carla,
+    detections_from_carla,
+    detections_to_carla,
+    image_from_carla,
+    image_to_carla,
+    points_from_carla,
+    points_to_carla,
+    pose_from_carla,
+)
+from torchweather.io.carla_rig import CARLA_SENSORS, CarlaRig
 from torchweather.io.collate import CLOUDS_AS, Collate
 from torchweather.io.depth import DEPTH_ENCODINGS, read_depth
 from torchweather.io.disdrometer import read_disdrometer
@@ -57,6 +70,7 @@ from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 __all__ = [
     "ADC_AXES",
     "ADC_QUADRATURES",
+    "CARLA_SENSORS",
     "CLOUDS_AS",
     "DEPTH_ENCODINGS",
     "FALLING_SNOW",
@@ -78,6 +92,7 @@ __all__ = [
     "BoxVisibility",
     "Boxes",
     "CameraLidarCalibration",
+    "CarlaRig",
     "Collate",
     "DropSpectrum",
     "HuggingFaceAdapter",
@@ -93,15 +108,25 @@ __all__ = [
     "box_visibility",
     "boxes_from_nuscenes",
     "boxes_to_nuscenes",
+    "camera_from_carla",
     "collate_indexed",
     "collate_list",
     "collate_padded",
+    "depth_from_carla",
+    "depth_to_carla",
+    "detections_from_carla",
+    "detections_to_carla",
+    "image_from_carla",
+    "image_to_carla",
     "join_indexed",
     "merge_kind",
     "parsivel_area_mm2",
     "parsivel_edges_mm",
     "parsivel_speeds_m_per_s",
+    "points_from_carla",
     "points_in_boxes",
+    "points_to_carla",
+    "pose_from_carla",
     "project_boxes",
     "read_adc",
     "read_depth",
