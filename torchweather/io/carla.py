@@ -2,8 +2,8 @@
 
 CARLA's axes are Unreal's: x forward, y to the right, z up, left-handed; azimuth runs from x to the right. Here y is to
 the left, right-handed, and azimuth runs to the left: y and azimuth change sign, and nothing else knows of it. The
-functions take any object with the attributes of the sensor reference (``raw_data``, ``width``, ``height``, ``fov``); the
-package ``carla`` is not needed.
+functions take any object with the attributes of the sensor reference (``raw_data``, ``width``, ``height``, ``fov``);
+the package ``carla`` is not needed.
 
 References:
     https://carla.readthedocs.io/en/latest/ref_sensors/ (layout of the buffers, 0.9.x).
