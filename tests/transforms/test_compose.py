@@ -92,7 +92,7 @@ def test_two_cameras_of_one_sample_see_other_drops_of_the_same_rain() -> None:
 
 
 def test_gusts_are_of_the_air_and_not_of_a_sensor() -> None:
-    weather = tw.Mixture(tw.Rain(80.0), tw.Fog(mor_m=60.0))
+    weather = tw.Mixture(tw.Snow(5.0), tw.Fog(mor_m=60.0))
 
     def lidar() -> tw.LidarWeather:
         return tw.LidarWeather(weather, LIDAR, effects=[{"effect": "lidar.patchy_weather", "log_std": 0.8}])
