@@ -38,6 +38,7 @@ from torchweather.weather import Weather, parse_weather, weather_from_dict
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
 
 FORMAT = "torchweather-recipe/1"
+SUITE = "torchweather-suite/"  # suites of conditions, read by transforms.suites
 SUFFIXES = (".yaml", ".yml")
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
@@ -108,8 +109,7 @@ def list_recipes() -> list[Recipe]:
         >>> "camera/fog-30m" in [recipe.name for recipe in list_recipes()]
         True
     """
-    files = [path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES]
-    return sorted((read_recipe(path) for path in files), key=lambda recipe: recipe.name)
+    return sorted((read_recipe(path) for path in _files()), key=lambda recipe: recipe.name)
 
 
 def read_recipe(name_or_path: str | os.PathLike[str]) -> Recipe:
@@ -235,11 +235,25 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
 # ---- reading -------------------------------------------------------------------------------------------------------
 
 
+def _files() -> list[Path]:
+    """Files of the ready-made recipes; suites of conditions, which lie beside them, are left out."""
+    files = [path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES]
+    return [path for path in files if not format_of(path).startswith(SUITE)]
+
+
+def format_of(path: Path) -> str:
+    """What a file says that it is; empty where it cannot be read, which reading it will report."""
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return ""
+    return str(values.get("format", "")) if isinstance(values, Mapping) else ""
+
+
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if isinstance(name_or_path, os.PathLike) or str(name_or_path).endswith(SUFFIXES):
         return Path(name_or_path)
-    folder = recipes_folder()
-    files = {_name(path): path for path in folder.rglob("*") if path.suffix in SUFFIXES}
+    files = {_name(path): path for path in _files()}
     found = [path for name, path in files.items() if str(name_or_path) in (name, name.rpartition("/")[2])]
     if len(found) == 1:
         return found[0]
