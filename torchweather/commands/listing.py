@@ -1,4 +1,4 @@
-"""``torchweather list``: recipes, sensors, weathers, size distributions and stages."""
+"""``torchweather list``: recipes, suites, sensors, weathers, size distributions and stages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import textwrap
 from typing import Any
 
 NAME = "list"
-SUMMARY = "recipes, sensor presets, weathers, size distributions, stages"
+SUMMARY = "recipes, suites, sensor presets, weathers, size distributions, stages"
 DESCRIPTION = "Everything that has a name."
 
 
@@ -33,6 +33,7 @@ def everything() -> dict[str, Any]:
     from torchweather.sensors import SENSOR_CLASSES
     from torchweather.stages import STAGES
     from torchweather.transforms.recipes import list_recipes
+    from torchweather.transforms.suites import list_suites
     from torchweather.weather import REHEARSE, WEATHERS
 
     return {
@@ -45,6 +46,15 @@ def everything() -> dict[str, Any]:
                 "sensor": recipe.sensor_name,
             }
             for recipe in list_recipes()
+        ],
+        "suites": [
+            {
+                "name": suite.name,
+                "title": suite.title,
+                "sensor": suite.sensor_kind,
+                "weathers": {name: dict(fields) for name, fields in suite.weathers.items()},
+            }
+            for suite in list_suites()
         ],
         "sensors": [
             {"name": f"{kind}:{name}", "source": source}
@@ -63,6 +73,8 @@ def listing_text(names: dict[str, Any]) -> str:
 
     lines = ["Recipes (torchweather apply --recipe NAME)", ""]
     lines += ["  " + line for line in aligned([[r["name"], r["title"], r["sensor"]] for r in names["recipes"]])]
+    lines += ["", "Suites of weathers in five severities (torchweather robustness --recipe NAME)", ""]
+    lines += ["  " + line for line in aligned([[s["name"], s["title"]] for s in names["suites"]])]
     lines += ["", "Sensors (--sensor NAME)", ""]
     for sensor in names["sensors"]:
         wrapped = textwrap.wrap(sensor["source"], 100, initial_indent=" " * 6, subsequent_indent=" " * 6)

@@ -28,31 +28,20 @@ from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.image.depth import FlatGround
 from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
 from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
+from torchweather.transforms.camera import BayerWeather
+from torchweather.transforms.lidar import LidarWeather
+from torchweather.transforms.plans import TRANSFORMS, TransformClass, class_for, sensor_of
 from torchweather.transforms.radar import RadarAttenuation
-from torchweather.transforms.recipe_options import (
-    GROUND,
-    OPTIONS,
-    RecipeTransform,
-    options_of,
-    sensor_of,
-    sensor_values,
-)
+from torchweather.transforms.recipe_options import GROUND, OPTIONS, RecipeTransform, options_of, sensor_values
 from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
 
 FORMAT = "torchweather-recipe/1"
+SUITE = "torchweather-suite/"  # suites of conditions, read by transforms.suites
 SUFFIXES = (".yaml", ".yml")
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
-TransformClass = type[BayerWeather] | type[LidarWeather] | type[RadarAttenuation]
-OF_CAMERA: tuple[TransformClass, ...] = (BayerRain, BayerFog, BayerSnow, BayerWeather)
-OF_LIDAR: tuple[TransformClass, ...] = (LidarRain, LidarFog, LidarSnow, LidarWeather)
-TRANSFORMS: dict[str, TransformClass] = {
-    transform.__name__: transform for transform in (*OF_CAMERA, *OF_LIDAR, RadarAttenuation)
-}
 
 
 @dataclass(frozen=True)
@@ -120,8 +109,7 @@ def list_recipes() -> list[Recipe]:
         >>> "camera/fog-30m" in [recipe.name for recipe in list_recipes()]
         True
     """
-    files = [path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES]
-    return sorted((read_recipe(path) for path in files), key=lambda recipe: recipe.name)
+    return sorted((read_recipe(path) for path in _files()), key=lambda recipe: recipe.name)
 
 
 def read_recipe(name_or_path: str | os.PathLike[str]) -> Recipe:
@@ -189,10 +177,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
 
 def transform_class(recipe: Recipe, weather: Weather) -> TransformClass:
     """The recipe's class; for a weather that it does not take, the one that takes any."""
-    kind = TRANSFORMS[recipe.transform]
-    if all(part.kind in kind.takes for part in weather.parts):
-        return kind
-    return TRANSFORMS[kind.takes_all]
+    return class_for(TRANSFORMS[recipe.transform], weather)
 
 
 def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: str) -> None:
@@ -250,11 +235,25 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
 # ---- reading -------------------------------------------------------------------------------------------------------
 
 
+def _files() -> list[Path]:
+    """Files of the ready-made recipes; suites of conditions, which lie beside them, are left out."""
+    files = [path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES]
+    return [path for path in files if not format_of(path).startswith(SUITE)]
+
+
+def format_of(path: Path) -> str:
+    """What a file says that it is; empty where it cannot be read, which reading it will report."""
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return ""
+    return str(values.get("format", "")) if isinstance(values, Mapping) else ""
+
+
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if isinstance(name_or_path, os.PathLike) or str(name_or_path).endswith(SUFFIXES):
         return Path(name_or_path)
-    folder = recipes_folder()
-    files = {_name(path): path for path in folder.rglob("*") if path.suffix in SUFFIXES}
+    files = {_name(path): path for path in _files()}
     found = [path for name, path in files.items() if str(name_or_path) in (name, name.rpartition("/")[2])]
     if len(found) == 1:
         return found[0]
