@@ -184,10 +184,9 @@ figure, axes = plt.subplots(2, 2, figsize=(12, 8), layout="constrained")
 for column, (name, sample) in enumerate((("clear", before), (f"rain of {arguments.rate:g} mm/h", after))):
     axes[0, column].imshow(sample["image"].permute(1, 2, 0).numpy())
     axes[0, column].set(title=name, xticks=[], yticks=[])
-    points, found = sample["points"], sample["radar"]
+    points, found = (rows[(rows[:, :3] != 0).any(1)] for rows in (sample["points"], sample["radar"]))  # lost: 0
     axes[1, column].scatter(points[:, 0], points[:, 1], s=0.3, c="0.4", label="LiDAR")
-    there = (found[:, :3] != 0).any(1)
-    axes[1, column].scatter(found[there, 0], found[there, 1], s=6, c="C3", label="radar")
+    axes[1, column].scatter(found[:, 0], found[:, 1], s=6, c="C3", label="radar")
     axes[1, column].set(
         xlabel="x, forward, in m", ylabel="y, left, in m", xlim=(-20, 80), ylim=(-30, 30), aspect="equal"
     )
