@@ -89,6 +89,16 @@ def test_openpcdet_keeps_its_keys_dtypes_and_columns() -> None:
     assert len(OpenPcdetAdapter(Weather(), drop_lost=False)(data)["points"]) == 50
 
 
+def test_points_lost_as_nan_are_left_out_and_the_array_is_not_the_transforms_to_change() -> None:
+    def in_place(sample: dict[str, Any]) -> dict[str, Any]:
+        sample["points"][:10, :3] = torch.nan
+        return sample
+
+    data = {"points": cloud()}
+    np.testing.assert_array_equal(OpenPcdetAdapter(in_place)(data)["points"], cloud()[10:])
+    np.testing.assert_array_equal(data["points"], cloud())
+
+
 def test_openpcdet_with_images_and_depth_maps() -> None:
     rgb = picture()
     depth = np.full((HEIGHT, WIDTH), 30.0, np.float32)
