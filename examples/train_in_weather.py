@@ -6,7 +6,8 @@ A small detector finds cars in raw frames of the embedded test track, a small ne
 apart. Both are trained twice from the same start: on clear data, and on the same data with rain, fog and snow put on
 by ``Compose``, drawn anew for every sample. Both are tested on other scenes: clear, in weather of kinds and strengths
 that were trained on, and in weather that was not: heavier rain, denser fog, heavier snow, rain in fog. Three seeds say
-how much of the difference is chance. Writes a table, its numbers and a picture. Some minutes on two cores; --quick is smaller.
+how much of the difference is chance. Writes a table, its numbers and a picture. Some minutes on two cores; --quick is
+smaller.
 """
 
 from __future__ import annotations
