@@ -41,6 +41,7 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--out", "found"],
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
     ),
+    "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
     "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones

@@ -14,16 +14,13 @@ A recipe holds ``format: torchweather-recipe/1`` and
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from torch import nn
 
-import torchweather
 from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.image.depth import FlatGround
 from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
@@ -32,14 +29,24 @@ from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.plans import TRANSFORMS, TransformClass, class_for, sensor_of
 from torchweather.transforms.radar import RadarAttenuation
+from torchweather.transforms.recipe_files import (
+    PIPELINE,
+    RECIPE,
+    files_of,
+    find,
+    format_of,
+    name_of,
+    read_yaml,
+    recipes_folder,
+    refuse_unknown,
+    write_yaml,
+)
 from torchweather.transforms.recipe_options import GROUND, OPTIONS, RecipeTransform, options_of, sensor_values
 from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
 
-FORMAT = "torchweather-recipe/1"
-SUITE = "torchweather-suite/"  # suites of conditions, read by transforms.suites
-SUFFIXES = (".yaml", ".yml")
+FORMAT = RECIPE + "1"
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
 
@@ -93,15 +100,6 @@ class Recipe:
         return camera_of(self.sensor)
 
 
-def recipes_folder() -> Path:
-    """Folder of the ready-made recipes: inside the installed package, or that of the checkout."""
-    package = Path(torchweather.__file__).parent
-    for folder in (package / "_recipes", package.parent / "transforms"):
-        if folder.is_dir():
-            return folder
-    raise TorchweatherError(f"{package / '_recipes'}: the ready-made recipes are missing; install torchweather again.")
-
-
 def list_recipes() -> list[Recipe]:
     """All ready-made recipes, by name.
 
@@ -109,7 +107,7 @@ def list_recipes() -> list[Recipe]:
         >>> "camera/fog-30m" in [recipe.name for recipe in list_recipes()]
         True
     """
-    return sorted((read_recipe(path) for path in _files()), key=lambda recipe: recipe.name)
+    return sorted((read_recipe(path) for path in files_of(RECIPE)), key=lambda recipe: recipe.name)
 
 
 def read_recipe(name_or_path: str | os.PathLike[str]) -> Recipe:
@@ -123,19 +121,12 @@ def read_recipe(name_or_path: str | os.PathLike[str]) -> Recipe:
         >>> read_recipe("rain-25mm-per-h").weather["rate_mm_per_h"]
         25.0
     """
-    path = _find(name_or_path)
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{path}: no such file.") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise TorchweatherError(f"{path}: wanted a recipe in YAML; it cannot be read ({reason}).") from error
-    return _checked(values, path)
+    path = find(name_or_path)
+    return checked_recipe(read_yaml(path, "recipe"), path)
 
 
 def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Module:
-    """The transform of a recipe, ready to call.
+    """The transform of a recipe, ready to call; of a pipeline (``transforms.pipelines``) its ``Compose``.
 
     Args:
         name_or_path: as in ``read_recipe``.
@@ -152,6 +143,10 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
         >>> fog.weather.mor_m
         30.0
     """
+    if format_of(find(name_or_path, "recipe", RECIPE, PIPELINE)).startswith(PIPELINE):
+        from torchweather.transforms.pipelines import load_pipeline  # which is made of recipes
+
+        return load_pipeline(name_or_path, **overrides)
     recipe = read_recipe(name_or_path)
     kind = recipe.sensor_kind
     known = ["weather", "sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
@@ -166,9 +161,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
     try:
         chosen = recipe.build_weather() if weather is None else _as_weather(weather)
         built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
-        options = {**recipe.options, **overrides}
-        if isinstance(options.get("depth"), str):
-            options["depth"] = FlatGround()
+        options = with_depth_source({**recipe.options, **overrides})
         transform = transform_class(recipe, chosen)(chosen, built, **options)  # type: ignore[arg-type]
     except (TypeError, ValueError) as error:
         raise TorchweatherError(f"{where}: {error}") from error
@@ -200,9 +193,6 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
         >>> read_recipe(file).options
         {'depth': 40.0}
     """
-    target = Path(path)
-    if target.suffix not in SUFFIXES:
-        raise ValueError(f"save_recipe: the file must end in .yaml; got {target.name!r}.")
     rgb = isinstance(transform, AsBayer)
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, RecipeTransform) or type(inner).__name__ not in TRANSFORMS:
@@ -222,62 +212,22 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
     }
     if rgb:
         values["rgb"] = True
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            yaml.safe_dump(values, file, sort_keys=False)
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_yaml(values, path, owner="save_recipe")
 
 
 # ---- reading -------------------------------------------------------------------------------------------------------
 
 
-def _files() -> list[Path]:
-    """Files of the ready-made recipes; suites of conditions, which lie beside them, are left out."""
-    files = [path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES]
-    return [path for path in files if not format_of(path).startswith(SUITE)]
+def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with the depth source that ``ground`` stands for."""
+    return {key: FlatGround() if key == "depth" and isinstance(one, str) else one for key, one in options.items()}
 
 
-def format_of(path: Path) -> str:
-    """What a file says that it is; empty where it cannot be read, which reading it will report."""
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
-        return ""
-    return str(values.get("format", "")) if isinstance(values, Mapping) else ""
-
-
-def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    if isinstance(name_or_path, os.PathLike) or str(name_or_path).endswith(SUFFIXES):
-        return Path(name_or_path)
-    files = {_name(path): path for path in _files()}
-    found = [path for name, path in files.items() if str(name_or_path) in (name, name.rpartition("/")[2])]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        several = ", ".join(sorted(_name(path) for path in found))
-        raise ValueError(f"torchweather: recipe {str(name_or_path)!r} could be {several}; give the whole name.")
-    short = [name.rpartition("/")[2] for name in files]
-    raise ValueError(
-        f"torchweather: recipe must be one of {', '.join(sorted(files))}, or a file ending in .yaml; got "
-        f"{str(name_or_path)!r}.{nearest_name(str(name_or_path), [*files, *short])}"
-    )
-
-
-def _name(path: Path) -> str:
-    folder = recipes_folder()
-    inside = path.is_relative_to(folder)
-    return (path.relative_to(folder) if inside else Path(path.name)).with_name(path.stem).as_posix()
-
-
-def _checked(values: Any, path: Path) -> Recipe:
+def checked_recipe(values: Any, path: Path) -> Recipe:
     if not isinstance(values, Mapping) or values.get("format") != FORMAT:
         got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
         raise TorchweatherError(f"{path}: wanted a recipe of format {FORMAT!r}; got {got!r}.")
-    _refuse_unknown(values, KEYS, path, "key")
+    refuse_unknown(values, KEYS, path, "key")
     for key in REQUIRED:
         if key not in values:
             raise TorchweatherError(f"{path}: the recipe lacks {key!r}; wanted {', '.join(REQUIRED)}.")
@@ -292,7 +242,7 @@ def _checked(values: Any, path: Path) -> Recipe:
             f"{nearest_name(transform, TRANSFORMS)}"
         )
     kind = kind_of(TRANSFORMS[transform])
-    _refuse_unknown(options, OPTIONS[kind], path, "option")
+    refuse_unknown(options, OPTIONS[kind], path, "option")
     depth = options.get("depth")
     if isinstance(depth, str) and depth != GROUND:
         raise TorchweatherError(f"{path}: options.depth must be a number of metres or {GROUND!r}; got {depth!r}.")
@@ -301,7 +251,7 @@ def _checked(values: Any, path: Path) -> Recipe:
     if values.get("rgb", False) and kind != "camera":
         raise TorchweatherError(f"{path}: rgb belongs to a camera; the transform is {transform}. Leave it out.")
     recipe = Recipe(
-        name=_name(path),
+        name=name_of(path),
         title=str(values["title"]),
         transform=transform,
         weather=dict(values["weather"]),
@@ -376,12 +326,3 @@ def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar | Radar:
     if not isinstance(built, SENSOR_CLASSES[kind]):
         raise TypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
     return built
-
-
-def _refuse_unknown(values: Mapping[str, Any], known: Iterable[str], path: Path, what: str) -> None:
-    names = list(known)
-    for key in values:
-        if key not in names:
-            raise TorchweatherError(
-                f"{path}: unknown {what} {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
-            )
