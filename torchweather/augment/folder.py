@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 
 from torchweather.augment.frames import COPY, Frame, SensorFile
-from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
 from torchweather.file_names import stem
+from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
 
 __all__ = ["carried", "kind_of_file", "name_without_ending", "renamed", "sensor_frames"]
 
@@ -42,7 +42,7 @@ def sensor_frames(paths: Sequence[str], keys: Mapping[str, str], formats: Mappin
     grouped: dict[str, list[SensorFile]] = defaultdict(list)
     for path in paths:
         kind = kind_of_file(path, keys)
-        if kind not in keys:
+        if kind is None or kind not in keys:
             continue
         # A sample of several sensors is found by the name that its files share, whatever folders they stand in.
         name = path if len(keys) == 1 else stem(path)[0]

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import torch
 
 import torchweather
+from torchweather.augment.frame_recipe import text_sha256
 from torchweather.augment.frames import COPY, Frame
 from torchweather.augment.manifest import FAILED, Row
-from torchweather.augment.pipeline import text_sha256
 from torchweather.augment.work import Job, Worker
 from torchweather.errors import TorchweatherError
 from torchweather.random import sample_seed
@@ -39,14 +40,14 @@ class LocalEngine:
         self.stopping = False
         """Set to have no more frames begun; those that are under way still come."""
 
-    def rows(self, frames: Sequence[Frame]) -> Iterator[Row]:
+    def rows(self, frames: Sequence[Frame]) -> Generator[Row, None, None]:
         """What became of each frame."""
         if self.workers == 0:
             yield from self._here(frames)
         else:
             yield from self._elsewhere(frames)
 
-    def _here(self, frames: Sequence[Frame]) -> Iterator[Row]:
+    def _here(self, frames: Sequence[Frame]) -> Generator[Row, None, None]:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
@@ -58,7 +59,7 @@ class LocalEngine:
         finally:
             torch.set_num_threads(threads)
 
-    def _elsewhere(self, frames: Sequence[Frame]) -> Iterator[Row]:
+    def _elsewhere(self, frames: Sequence[Frame]) -> Generator[Row, None, None]:
         waiting = deque((frame, 1) for frame in frames)
         team = [_Process(self.job) for _ in range(min(self.workers, len(waiting)))]
         fallen = 0
@@ -125,10 +126,8 @@ class _Process:
     def give(self, frame: Frame, tries: int) -> None:
         """Have a frame done."""
         self.task = (frame, tries)
-        try:
+        with contextlib.suppress(OSError):  # it has died, which is seen at the next look
             self.pipe.send(frame)
-        except OSError:
-            pass  # it has died, which is seen at the next look
 
     def answer(self) -> Row | None:
         """The row of its frame; ``None`` where it has just got ready, or has died."""

@@ -206,5 +206,5 @@ def _rigid(row: Mapping[str, Any], where: Path) -> Matrix:
     return matrix
 
 
-def _plain(matrix: Matrix) -> tuple[tuple[float, ...], ...]:
+def _plain(matrix: npt.NDArray[Any]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(value) for value in line) for line in matrix)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 import torchweather
+from torchweather.augment.frame_recipe import FrameRecipe, text_sha256
 from torchweather.augment.frames import COPY, DataSet, Frame
 from torchweather.augment.layouts import find_frames
 from torchweather.augment.local import LocalEngine
@@ -19,11 +21,11 @@ from torchweather.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row, i
 from torchweather.augment.manifest import NAME as MANIFEST
 from torchweather.augment.nuscenes import write_points_left
 from torchweather.augment.paths import check_folders, inside
-from torchweather.augment.pipeline import Pipeline, text_sha256
 from torchweather.augment.work import FULL, Job, file_sha256, no_room
 from torchweather.errors import check_at_least, check_one_of
 from torchweather.random import sample_seed
-from torchweather.transforms.recipes import read_recipe
+from torchweather.transforms.recipe_files import PIPELINE, RECIPE, find
+from torchweather.transforms.recipes import load_recipe
 
 __all__ = ["ENGINES", "Progress", "Summary", "augment"]
 
@@ -40,7 +42,7 @@ class Engine(Protocol):
 
     stopping: bool
 
-    def rows(self, frames: list[Frame]) -> Iterator[Row]:
+    def rows(self, frames: list[Frame]) -> Generator[Row, None, None]:
         """What became of each frame."""
 
 
@@ -135,11 +137,11 @@ def augment(
     check_folders(source, target)
     check_at_least("workers", workers, 0, owner="augment")
     check_one_of("engine", engine, ENGINES, owner="augment")
-    path = read_recipe(recipe).path
-    assert path is not None
+    path = find(recipe, "recipe", RECIPE, PIPELINE)
+    load_recipe(path)  # so that an error has the name of the file
     text = path.read_text(encoding="utf-8")
-    pipeline = Pipeline(text)
-    data = find_frames(source, pipeline.keys, recipe=recipe, layout=layout, depth=depth, formats=formats)
+    built = FrameRecipe(text)
+    data = find_frames(source, built.keys, recipe=recipe, layout=layout, depth=depth, formats=formats)
     settings = {
         "format": FORMAT,
         "source": str(source.resolve()),
@@ -190,8 +192,7 @@ def _do(
     on_progress(Progress(0, len(frames), None))
     if not frames:
         return
-    rows = engine.rows(frames)
-    try:
+    with contextlib.closing(engine.rows(frames)) as rows:
         for row in rows:
             if row.status == FULL:
                 summary.stopped, engine.stopping = str(row.error), True
@@ -208,8 +209,6 @@ def _do(
             else:
                 summary.done += 1
             on_progress(Progress(summary.done + len(summary.broken), len(frames), row))
-    finally:
-        rows.close()  # type: ignore[attr-defined]
 
 
 def _engine(name: str, job: Job, workers: int) -> Engine:

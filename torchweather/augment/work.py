@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 import torchweather
+from torchweather.augment.frame_recipe import FrameRecipe, SensorUse, text_sha256
 from torchweather.augment.frames import COPY, Frame, SensorFile
 from torchweather.augment.layouts import FROM_LIDAR
 from torchweather.augment.manifest import DONE, FAILED, Row
 from torchweather.augment.paths import inside
-from torchweather.augment.pipeline import Pipeline, SensorUse, text_sha256
 from torchweather.errors import TorchweatherError
 from torchweather.file_names import stem
 from torchweather.image import DepthFromPoints
@@ -85,7 +85,7 @@ class Worker:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.source, self.target = Path(job.source), Path(job.target)
-        self.pipeline = Pipeline(job.recipe)
+        self.recipe = FrameRecipe(job.recipe)
         self.recipe_sha256 = text_sha256(job.recipe)
 
     def process(self, frame: Frame) -> Row:
@@ -125,7 +125,7 @@ class Worker:
 
     def _in_weather(self, frame: Frame, seed: int, row: Row, written: list[str]) -> Row:
         clear = {file.key: _Clear(self, frame, file) for file in frame.files}
-        compose = self.pipeline.for_sensors({key: one.use for key, one in clear.items()})
+        compose = self.recipe.for_sensors({key: one.use for key, one in clear.items()})
         sample = {name: value for one in clear.values() for name, value in one.sample()}
         draw = compose.draw(sample, seed=seed)
         assert not isinstance(draw, list)
@@ -231,7 +231,7 @@ class _Clear:
             self.cloud = read_points(path)
             self.use = SensorUse("lidar")
         else:
-            sensor = worker.pipeline.plan("radar").sensor
+            sensor = worker.recipe.plan("radar").sensor
             assert isinstance(sensor, Radar)
             self.radar = read_radar(path, sensor)
             self.use = SensorUse("radar")
@@ -248,7 +248,7 @@ class _Clear:
     def _camera(self) -> Camera:
         """The recipe's camera with the intrinsics of the data set, or scaled to the size of the image."""
         height, width = self.image.shape[-2:]
-        camera = self.worker.pipeline.plan("camera").sensor
+        camera = self.worker.recipe.plan("camera").sensor
         assert isinstance(camera, Camera)
         matrix: Any = self.file.camera_matrix
         if matrix is None and self.frame.calibration is not None:
@@ -279,7 +279,7 @@ class _Clear:
         if chosen == FROM_LIDAR:
             raise TorchweatherError(f"{path}: there is no cloud of its number, for --depth lidar.")
         if chosen is None:
-            if worker.pipeline.plan("camera").options.get("depth") is not None:
+            if worker.recipe.plan("camera").options.get("depth") is not None:
                 return None
             chosen = "ground"
         return depth_source(chosen, worker.job.depth_encoding, path)(*size, image=self.image).float()

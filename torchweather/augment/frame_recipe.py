@@ -15,7 +15,7 @@ from torchweather.transforms import Compose
 from torchweather.transforms.plans import Plan, plan_of
 from torchweather.transforms.recipes import load_recipe
 
-__all__ = ["Pipeline", "SensorUse", "kind_of_sensor", "text_sha256"]
+__all__ = ["FrameRecipe", "SensorUse", "kind_of_sensor", "text_sha256"]
 
 KEPT = 8  # pipelines of different cameras: a data set has few
 DEMOSAIC = "malvar"  # of RGB images, where the recipe names no other
@@ -38,7 +38,7 @@ class SensorUse:
     depth: bool = False
 
 
-class Pipeline:
+class FrameRecipe:
     """What a recipe does, for any size of image.
 
     Args:
@@ -46,7 +46,7 @@ class Pipeline:
 
     Example:
         >>> from torchweather.transforms.recipes import read_recipe
-        >>> Pipeline(read_recipe("lidar/os1-fog-50m").path.read_text()).keys
+        >>> FrameRecipe(read_recipe("lidar/os1-fog-50m").path.read_text()).keys
         {'lidar': 'points'}
     """
 
