@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Generator, Sequence
 from multiprocessing.connection import Connection, wait
@@ -152,9 +154,10 @@ class _Process:
 
 
 def _serve(job: Job, pipe: Connection[Any, Any]) -> None:
-    """A worker's life: it ends when the other end of its pipe is closed, also by the death of the process there."""
+    """A worker's life: it ends when the other end of its pipe is closed."""
     # The terminal sends Ctrl-C to all; the one that keeps the manifest decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     worker = Worker(job)
     try:
@@ -163,6 +166,17 @@ def _serve(job: Job, pipe: Connection[Any, Any]) -> None:
             pipe.send(worker.process(pipe.recv()))
     except (EOFError, OSError):
         return
+
+
+def _end_with_parent() -> None:
+    """End in the middle of a frame when the process that keeps the manifest is killed.
+
+    A worker that lived on would meet the next run in the same folder, and could delete what that run has written.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def lost_row(job: Job, frame: Frame, exit_code: int | None = None) -> Row:

@@ -33,6 +33,7 @@ create table if not exists frames (
     weather text,
     boxes text,
     error text,
+    notes text not null,
     seconds real not null
 );
 """
@@ -54,6 +55,7 @@ class Row:
         weather: what was drawn, plain values; ``None`` is clear air, or a copy.
         boxes: for each box of the frame, what the weather left of it.
         error: of a failed frame.
+        notes: warnings about it, such as an intensity that does not fit the sensor.
         seconds: that it took.
     """
 
@@ -68,6 +70,7 @@ class Row:
     weather: Mapping[str, Any] | None = None
     boxes: list[dict[str, Any]] | None = None
     error: str | None = None
+    notes: tuple[str, ...] = ()
     seconds: float = field(default=0.0, compare=False)
 
 
@@ -132,6 +135,7 @@ class Manifest:
             None if row.weather is None else json.dumps(row.weather),
             None if row.boxes is None else json.dumps(row.boxes),
             row.error,
+            json.dumps(row.notes),
             row.seconds,
         )
         self._file.execute(f"insert or replace into frames values ({', '.join('?' * len(values))})", values)
@@ -139,7 +143,7 @@ class Manifest:
     def rows(self) -> Iterator[Row]:
         """All rows, by name."""
         for values in self._file.execute("select * from frames order by frame").fetchall():
-            frame, status, kind, inputs, outputs, recipe, seed, version, weather, boxes, error, seconds = values
+            frame, status, kind, inputs, outputs, recipe, seed, version, weather, boxes, error, notes, seconds = values
             yield Row(
                 frame,
                 status,
@@ -152,6 +156,7 @@ class Manifest:
                 None if weather is None else json.loads(weather),
                 None if boxes is None else json.loads(boxes),
                 error,
+                tuple(json.loads(notes)),
                 seconds,
             )
 
@@ -170,9 +175,13 @@ class Manifest:
     def remove_outputs(self) -> None:
         """Delete all files that the rows name, and the rows."""
         for row in self.rows():
-            for relative in row.outputs:
-                inside(self.folder, relative, str(self.path)).unlink(missing_ok=True)
+            self.remove_outputs_of(row)
         self._file.executescript("begin; delete from frames; delete from run; commit;")
+
+    def remove_outputs_of(self, row: Row) -> None:
+        """Delete the files that a row names."""
+        for relative in row.outputs:
+            inside(self.folder, relative, str(self.path)).unlink(missing_ok=True)
 
     def _unlock(self) -> None:
         if self._lock is not None:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import json
 import logging
 import os
+import shutil
 from collections.abc import Generator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from torchweather.augment.frames import Frame
-from torchweather.augment.local import lost_row
+from torchweather.augment.local import TRIES, lost_row
 from torchweather.augment.manifest import Row
 from torchweather.augment.work import Job, Worker
 
 __all__ = ["RayEngine"]
 
+ATTEMPTS = ".torchweather-attempts"
 MOST_BLOCKS = 20_000  # that Ray Data keeps track of without effort
 
 
@@ -54,6 +57,7 @@ class RayEngine:
     def _by_ray_data(self, ray: Any, frames: Sequence[Frame]) -> Generator[Row, None, None]:
         context = ray.data.DataContext.get_current()
         before = (context.enable_progress_bars, context.max_errored_blocks)
+        shutil.rmtree(Path(self.job.target, ATTEMPTS), ignore_errors=True)
         context.enable_progress_bars = False
         context.max_errored_blocks = -1  # a frame whose worker died too often: reported below
         logging.getLogger("ray.data").setLevel(logging.ERROR)
@@ -76,6 +80,7 @@ class RayEngine:
                 yield lost_row(self.job, frame)
         finally:
             context.enable_progress_bars, context.max_errored_blocks = before
+            shutil.rmtree(Path(self.job.target, ATTEMPTS), ignore_errors=True)
 
 
 class _Actor:
@@ -86,7 +91,15 @@ class _Actor:
         self.worker, self.frames = Worker(job), frames
 
     def __call__(self, item: dict[str, Any]) -> dict[str, Any]:
-        row = self.worker.process(self.frames[item["id"]])
+        frame = self.frames[item["id"]]
+        # Ray tries without end what kills its worker; a mark in the folder that all see counts.
+        mark = Path(self.worker.job.target, ATTEMPTS, str(item["id"]))
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        with mark.open("ab") as file:
+            file.write(b".")
+        tried = mark.stat().st_size > TRIES
+        row = lost_row(self.worker.job, frame) if tried else self.worker.process(frame)
+        mark.unlink()
         return {"id": item["id"], "row": json.dumps(asdict(row))}
 
 

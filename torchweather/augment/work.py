@@ -6,6 +6,7 @@ import errno
 import hashlib
 import shutil
 import time
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from torchweather.augment.frames import COPY, Frame, SensorFile
 from torchweather.augment.layouts import FROM_LIDAR
 from torchweather.augment.manifest import DONE, FAILED, Row
 from torchweather.augment.paths import inside
-from torchweather.errors import TorchweatherError
+from torchweather.errors import TorchweatherError, TorchweatherWarning
 from torchweather.file_names import stem
 from torchweather.image import DepthFromPoints
 from torchweather.io import (
@@ -103,12 +104,14 @@ class Worker:
             version=torchweather.__version__,
         )
         written: list[str] = []
+        said: list[warnings.WarningMessage] = []
         try:
             row = replace(row, inputs={path: _stamp(self._in(path)) for path in frame.reads})
             for path in frame.reads:
                 row.inputs[path][0] = file_sha256(self._in(path))
             if not frame.is_copy:
-                with torch.no_grad():
+                with torch.no_grad(), warnings.catch_warnings(record=True) as said:
+                    warnings.simplefilter("always", TorchweatherWarning)
                     row = self._in_weather(frame, seed, row, written)
             for file in frame.files:
                 if frame.is_copy:
@@ -119,7 +122,8 @@ class Worker:
             for path in written:
                 self._out(path).unlink(missing_ok=True)
             row = replace(row, status=FULL if no_room(error) else FAILED, error=one_line(error))
-        return replace(row, seconds=time.perf_counter() - started)
+        notes = tuple(dict.fromkeys(" ".join(str(one.message).split()) for one in said))
+        return replace(row, notes=notes, seconds=time.perf_counter() - started)
 
     # ---- a frame -------------------------------------------------------------------------------------------------
 

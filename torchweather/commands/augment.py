@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from pathlib import Path
@@ -11,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 from torchweather.commands.output import note
 
 if TYPE_CHECKING:
-    from torchweather.augment import Progress, Summary
+    from torchweather.augment import Progress, Row, Summary
 
 NAME = "augment"
 SUMMARY = "weather on a whole data set, with a manifest; goes on where it was stopped"
-DESCRIPTION = """Puts a weather on every image and cloud of SRC and writes them to DST, each under its own path; all other files are
-carried along. Layouts: a folder of any depth; KITTI's object data (training/image_2, velodyne, calib, label_2);
-nuScenes (samples, sweeps, v1.0-*). The seed of a frame follows from --seed and its name, so the result is the same
-for any number of workers. DST/torchweather-manifest.sqlite says what was made of what. Stopped or killed at any
-moment, the same command goes on. A broken file is reported and left out. Exit code 0: all is done; 1: done, but for
-broken files; 2: a mistake in what was asked; 3: stopped, the disk is full; 130: interrupted."""
+DESCRIPTION = """Puts a weather on every image and cloud of SRC and writes them to DST, each under its own path; all
+other files are carried along. Layouts: a folder of any depth; KITTI's object data (training/image_2, velodyne, calib,
+label_2); nuScenes (samples, sweeps, v1.0-*). The seed of a frame follows from --seed and its name, so the result is
+the same for any number of workers. DST/torchweather-manifest.sqlite says what was made of what. Stopped or killed at
+any moment, the same command goes on. A broken file is reported and left out. Exit code 0: all is done; 1: done, but
+for broken files; 2: a mistake in what was asked; 3: stopped, the disk is full; 130: interrupted."""
 
 BROKEN, STOPPED = 1, 3
 EVERY_S = 30.0  # between lines of progress, where there is no terminal
@@ -128,11 +129,12 @@ class _Shown:
     def __init__(self, quiet: bool) -> None:
         self.quiet = quiet
         self.bar: Any = None
+        self.noted: set[str] = set()
         self.began = self.said = time.monotonic()
 
     def tell(self, progress: Progress) -> None:
-        if progress.row is not None and progress.row.error is not None:
-            self._line(f"broken: {progress.row.frame}: {progress.row.error}")
+        if progress.row is not None:
+            self._say(progress.row)
         if self.quiet:
             return
         if not sys.stderr.isatty():
@@ -143,6 +145,16 @@ class _Shown:
             self.bar = tqdm(total=progress.total, unit="frame", file=sys.stderr)
         else:
             self.bar.update()
+
+    def _say(self, row: Row) -> None:
+        if row.error is not None:
+            self._line(f"broken: {row.frame}: {row.error}")
+        for text in row.notes:
+            # Of a thousand frames with the same trouble, which differ in the numbers, one is shown.
+            kind = re.sub(r"[\d.]+", "", text)
+            if kind not in self.noted:
+                self.noted.add(kind)
+                self._line(f"warning: {text} (first in {row.frame}; the manifest has them all)")
 
     def close(self) -> None:
         if self.bar is not None:
