@@ -41,6 +41,14 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--out", "found"],
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
     ),
+    "augment_a_kitti_folder.py": (
+        ["--width", "160", "--columns", "90", "--frames", "2", "--workers", "1", "--out", "rainy"],
+        [
+            "rainy/torchweather-manifest.sqlite",
+            "rainy/training/image_2/000001.png",
+            "rainy/training/label_2/000000.txt",
+        ],
+    ),
     "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
     "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
