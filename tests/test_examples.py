@@ -46,7 +46,7 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         [
             "rainy/torchweather-manifest.sqlite",
             "rainy/training/image_2/000001.png",
-            "rainy/training/label_2/000000.txt",
+            "rainy/training/velodyne/000000.bin",
         ],
     ),
     "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
