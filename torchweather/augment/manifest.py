@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -175,12 +175,16 @@ class Manifest:
     def remove_outputs(self) -> None:
         """Delete all files that the rows name, and the rows."""
         for row in self.rows():
-            self.remove_outputs_of(row)
+            self._remove(row.outputs)
         self._file.executescript("begin; delete from frames; delete from run; commit;")
 
-    def remove_outputs_of(self, row: Row) -> None:
-        """Delete the files that a row names."""
-        for relative in row.outputs:
+    def remove_outputs_of_frame(self, frame: str) -> None:
+        """Delete the files that a frame's row names, where there is one."""
+        for (outputs,) in self._file.execute("select outputs from frames where frame = ?", (frame,)).fetchall():
+            self._remove(json.loads(outputs))
+
+    def _remove(self, outputs: Iterable[str]) -> None:
+        for relative in outputs:
             inside(self.folder, relative, str(self.path)).unlink(missing_ok=True)
 
     def _unlock(self) -> None:

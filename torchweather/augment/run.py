@@ -198,6 +198,9 @@ def _do(
                 summary.stopped, engine.stopping = str(row.error), True
                 continue
             try:
+                if row.status == FAILED:
+                    # Its input was whole in an earlier run: what came of that is no result of what is there now.
+                    manifest.remove_outputs_of_frame(row.frame)
                 manifest.record(row)
             except sqlite3.OperationalError as error:
                 if not is_full(error):
