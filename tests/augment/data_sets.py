@@ -34,7 +34,7 @@ FOG = """
 format: torchweather-recipe/1
 title: fog that takes far points away
 transform: LidarFog
-weather: {kind: fog, mor_m: 25.0}
+weather: {kind: fog, mor_m: 100.0}
 sensor: {kind: lidar, preset: velodyne-hdl-64e, intensity_unit: reflectivity}
 """
 CALIBRATION = """P2: 40 0 19.5 0 0 40 11.5 0 0 0 1 0

@@ -26,7 +26,7 @@ def workers():
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             if os.environ["OF_THIS_TEST"].encode() in (folder / "environ").read_bytes():
-                if b"MapWorker" in (folder / "cmdline").read_bytes():
+                if (folder / "cmdline").read_bytes().startswith(b"ray::MapWorker"):
                     yield int(folder.name)
         except OSError:
             pass

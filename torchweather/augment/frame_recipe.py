@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from torchweather.errors import TorchweatherError
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import Compose
 from torchweather.transforms.plans import Plan, plan_of
@@ -43,6 +44,7 @@ class FrameRecipe:
 
     Args:
         recipe: the text of the file, so that every process and machine has the same.
+        name: of the file, for messages.
 
     Example:
         >>> from torchweather.transforms.recipes import read_recipe
@@ -50,11 +52,14 @@ class FrameRecipe:
         {'lidar': 'points'}
     """
 
-    def __init__(self, recipe: str) -> None:
+    def __init__(self, recipe: str, name: str = "the recipe") -> None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "recipe.yaml")
             file.write_text(recipe, encoding="utf-8")
-            built = load_recipe(file)
+            try:
+                built = load_recipe(file)
+            except TorchweatherError as error:
+                raise TorchweatherError(str(error).replace(str(file), name)) from error
         if not isinstance(built, Compose):
             built = Compose({"image" if kind_of_sensor(plan_of(built)) == "camera" else "points": built})
         self.compose = built

@@ -25,7 +25,6 @@ from torchweather.augment.work import FULL, Job, file_sha256, no_room
 from torchweather.errors import check_at_least, check_one_of
 from torchweather.random import sample_seed
 from torchweather.transforms.recipe_files import PIPELINE, RECIPE, find
-from torchweather.transforms.recipes import load_recipe
 
 __all__ = ["ENGINES", "Progress", "Summary", "augment"]
 
@@ -138,9 +137,8 @@ def augment(
     check_at_least("workers", workers, 0, owner="augment")
     check_one_of("engine", engine, ENGINES, owner="augment")
     path = find(recipe, "recipe", RECIPE, PIPELINE)
-    load_recipe(path)  # so that an error has the name of the file
     text = path.read_text(encoding="utf-8")
-    built = FrameRecipe(text)
+    built = FrameRecipe(text, str(path))
     data = find_frames(source, built.keys, recipe=recipe, layout=layout, depth=depth, formats=formats)
     settings = {
         "format": FORMAT,
