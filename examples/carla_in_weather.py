@@ -14,6 +14,7 @@ by the autopilot. That part is tested against no simulator.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import queue
 from collections.abc import Callable
 from pathlib import Path
@@ -118,11 +119,14 @@ def simulator(listen: dict[str, Callable[[Any], None]]) -> None:
     client = carla.Client(arguments.host, arguments.port)
     client.set_timeout(20.0)
     world = client.get_world()
+    own_weather = world.get_weather()
     world.set_weather(carla.WeatherParameters.ClearNoon)
     settings = world.get_settings()
     asynchronous = world.get_settings()
     settings.synchronous_mode, settings.fixed_delta_seconds = True, 0.05
     world.apply_settings(settings)
+    traffic = client.get_trafficmanager()
+    traffic.set_synchronous_mode(True)
     library, actors, arrived = world.get_blueprint_library(), [], queue.Queue()
     rig.deliver = lambda sample: (after.update(sample), arrived.put(sample["frame"]))
     frame = {"image_size_x": width, "image_size_y": height, "fov": fov_deg}
@@ -149,7 +153,7 @@ def simulator(listen: dict[str, Callable[[Any], None]]) -> None:
         place = world.get_map().get_spawn_points()[0]
         car = world.spawn_actor(library.filter("vehicle.*")[0], place)
         actors.append(car)
-        car.set_autopilot(True)
+        car.set_autopilot(True, traffic.get_port())
         for key, (name, attributes) in blueprints.items():
             blueprint = library.find(name)
             for attribute, value in attributes.items():
@@ -160,17 +164,23 @@ def simulator(listen: dict[str, Callable[[Any], None]]) -> None:
             actors[-1].listen(listen[key])
         for _ in range(arguments.frames):
             number = world.tick()
-            while arrived.get(timeout=60.0) < number:
-                pass
+            # A sensor may miss the first ticks after it was placed.
+            with contextlib.suppress(queue.Empty):
+                while arrived.get(timeout=10.0) < number:
+                    pass
     finally:
         for actor in reversed(actors):
             actor.destroy()
+        traffic.set_synchronous_mode(False)
+        world.set_weather(own_weather)
         world.apply_settings(asynchronous)
 
 
 listeners = {key: rig.listener(key) for key in rig.sensors}
 (simulator if arguments.host else made_buffers)(listeners)
 
+if not rig.times_s:
+    parser.error("no frame became complete: not all sensors sent one")
 times_ms = [1e3 * seconds for seconds in rig.times_s]
 print(f"{len(times_ms)} frames: {times_ms[0]:.0f} ms the first, {min(times_ms):.0f} ms the fastest")
 back = points_to_carla(after["points"])

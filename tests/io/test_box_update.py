@@ -68,6 +68,15 @@ def test_without_the_cloud_before_only_what_is_left_is_counted() -> None:
     assert update_boxes(cars(12.0, 60.0), one).records[0]["lidar_points_left"] == first["lidar_points_left"] - 1
 
 
+def test_a_sample_without_weather_keeps_all_its_points() -> None:
+    points = torch.cat((wall(12.0, 40, 200.0), torch.zeros(1, 4)))
+    first, second = update_boxes(cars(12.0, 60.0), None, points).records
+    assert first == {"lidar_points_before": 40, "lidar_points_left": 40, "lidar_transmission": 1.0}
+    assert second == {"lidar_points_before": 0, "lidar_points_left": 0, "lidar_transmission": None}
+    with pytest.raises(ValueError, match="points are wanted"):
+        update_boxes(cars(12.0), None)
+
+
 def test_dropped_points_count_as_zeroed_ones_do() -> None:
     points = torch.cat((wall(12.0, 40, 200.0), wall(60.0, 30, 30.0)))
     zeroed, dropped = (LidarRain(Rain(rate_mm_per_h=100), SENSOR, lost=lost) for lost in ("zero", "drop"))

@@ -79,7 +79,7 @@ def test_depth_counts_red_first() -> None:
 
 
 @given(st.lists(st.floats(0, 999.9), min_size=1, max_size=6))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_depth_goes_and_comes_back_to_the_step_of_the_code(metres: list[float]) -> None:
     depth = torch.tensor([*metres, math.inf]).reshape(1, 1, -1)
     coded = depth_to_carla(depth)

@@ -12,7 +12,7 @@ import yaml
 import torchweather as tw
 from torchweather.errors import TorchweatherError
 from torchweather.transforms.pipelines import list_pipelines, load_pipeline, read_pipeline, save_pipeline
-from torchweather.transforms.recipes import list_recipes, load_recipe, save_recipe
+from torchweather.transforms.recipes import list_recipes, load_recipe, read_recipe, save_recipe
 
 SAMPLE = {
     "points": torch.tensor([[20.0, 0.0, 0.0, 50.0], [5.0, 5.0, 1.0, 20.0]]),
@@ -86,7 +86,7 @@ LIDAR = {"transform": "LidarWeather", "sensor": {"kind": "lidar", "preset": "ous
         ({"format": "torchweather-pipeline/9"}, "wanted a pipeline of format"),
         ({"weather": {"kind": "rain", "rate_mm_per_h": {"unifrom": [1, 2]}}}, "weather: .*wanted a number or one of"),
         ({"weather": {"kind": "rain", "rate_mm_per_h": {"uniform": [-1, 2]}}}, "rate_mm_per_h must lie"),
-        ({"weather": {"choice": [None]}}, "at least one that is not null"),
+        ({"weather": {"choice": [None]}}, "at least one weather that is not null"),
         ({"weather": {"choice": [None], "weight": [1]}}, "wanted choice"),
         ({"transforms": {"points": {**LIDAR, "sensors": 1}}}, "unknown key of transforms.points 'sensors'"),
         ({"transforms": {"points": {**LIDAR, "transform": "LidarRian"}}}, "Did you mean 'LidarRain'"),
@@ -98,6 +98,9 @@ LIDAR = {"transform": "LidarWeather", "sensor": {"kind": "lidar", "preset": "ous
         ({"transforms": {}}, "must be keys with values"),
         ({"p": 2}, "p must lie"),
         ({"inputs": {"point": {"directions": "beams"}}}, "inputs names 'point'"),
+        ({"inputs": ["beams"]}, "inputs must be keys of transforms"),
+        ({"depth": 3}, "depth must be a key of the sample"),
+        ({"transforms": {"points": {"sensor": LIDAR["sensor"]}}}, "transforms.points lacks 'transform'"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named(values: dict[str, Any], match: str, tmp_path: Path) -> None:
@@ -115,3 +118,54 @@ def test_names_and_overrides_that_are_unknown_are_refused() -> None:
         load_recipe("multi_sensor/training-mix", seeds=1)
     with pytest.raises(ValueError, match="could be camera/training-mix, lidar/training-mix"):
         load_pipeline("training-mix")
+
+
+def test_sensors_options_and_keys_can_be_those_of_one_s_own_car() -> None:
+    camera = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+    changes = {"image": {"sensor": camera, "rgb": False, "depth": 30.0, "airlight": 0.7}, "radar": None}
+    mine = load_pipeline(
+        "multi_sensor/training-mix", transforms=changes, keys={"image": "CAM_FRONT"}, weather="fog:mor=50"
+    )
+    assert list(mine.plans) == ["CAM_FRONT", "points"]
+    frame = torch.full((1, 24, 32), 0.3)
+    wanted = tw.BayerFog(tw.Fog(mor_m=50.0), camera, depth=30.0, airlight=0.7)(frame)
+    assert torch.equal(mine({"CAM_FRONT": frame, "points": SAMPLE["points"]}, seed=1)["CAM_FRONT"], wanted)
+    assert "image" in load_pipeline("multi_sensor/training-mix").plans
+
+
+@pytest.mark.parametrize(
+    ("overrides", "match"),
+    [
+        ({"transforms": {"point": {}}}, "transforms: unknown override 'point'.*'points'"),
+        ({"transforms": {"points": {"depth": 3.0}}}, "'points': unknown override 'depth'"),
+        ({"transforms": {"points": {"sensor": "radar"}}}, "sensor must be a lidar; got radar"),
+        ({"keys": {"image": "points"}}, "two transforms would go to 'points'"),
+        ({"keys": {"imag": "a"}}, "keys: unknown override 'imag'"),
+        ({"weather": [None]}, "at least one weather that is not null"),
+        ({"transforms": {"image": None, "points": None, "radar": None}}, "at least one key"),
+    ],
+)
+def test_overrides_that_do_not_fit_are_named(overrides: dict[str, Any], match: str) -> None:
+    with pytest.raises(TorchweatherError, match=match):
+        load_pipeline("multi_sensor/training-mix", **overrides)
+
+
+def test_inputs_of_a_file_follow_its_keys(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(changed(inputs={"points": {"directions": "beams"}})))
+    assert load_pipeline(path, keys={"points": "LIDAR_TOP"}).inputs == {"LIDAR_TOP": {"directions": "beams"}}
+    assert load_pipeline(path, transforms={"points": None}).inputs == {}
+
+
+def test_only_clear_air_cannot_be_saved(tmp_path: Path) -> None:
+    lidar = tw.LidarFog(tw.Fog(mor_m=50.0), tw.Lidar.preset("velodyne-hdl-64e"))
+    with pytest.raises(ValueError, match="not null"):
+        save_pipeline(tw.Compose({"points": lidar}, weather=[None]), tmp_path / "mine.yaml", title="Clear")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipeline_where_a_recipe_is_wanted_is_called_one() -> None:
+    with pytest.raises(ValueError, match="'multi_sensor/fog-10m' is a pipeline, where a recipe is wanted"):
+        read_recipe("multi_sensor/fog-10m")
+    with pytest.raises(ValueError, match="'lidar/robustness' is a suite, where a pipeline is wanted"):
+        load_pipeline("lidar/robustness")

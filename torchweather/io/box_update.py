@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from torchweather.io.box_visibility import box_visibility
+from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.stages.states import PointKind
 
@@ -25,7 +25,7 @@ _NUSCENES_COUNTS = {"lidar": "num_lidar_pts", "radar": "num_radar_pts"}
 
 def update_boxes(
     boxes: Boxes,
-    result: LidarResult | RadarResult | CameraResult | RgbResult,
+    result: LidarResult | RadarResult | CameraResult | RgbResult | None,
     points: Tensor | None = None,
     *,
     rectangles: Tensor | None = None,
@@ -47,7 +47,8 @@ def update_boxes(
 
     Args:
         boxes: M boxes in the frame of the cloud.
-        result: what ``run`` of a transform gave for one sample.
+        result: what ``run`` of a transform gave for one sample; ``None`` where it got no weather (``Compose`` has no
+            result then): all ``points`` are left, taken as a LiDAR's.
         points: ``(N, 3 or more)`` the cloud, or the list of detections, that went into the weather. Without it the
             transmission is that of the points left, so it is too high: beams that were lost are not in it.
         rectangles: ``(M, 4)`` left, top, right, bottom in pixels, for a camera; `project_boxes` gives them. Default:
@@ -57,8 +58,8 @@ def update_boxes(
         Boxes with new records of plain numbers, for the writers; ``None`` stands for a mean over nothing.
 
     Raises:
-        TypeError: ``result`` is none of the four.
-        ValueError: a batch, other numbers of boxes, or no rectangles.
+        TypeError: ``result`` is none of these.
+        ValueError: a batch, other numbers of boxes, no rectangles, or no ``points`` where there was no weather.
 
     Note:
         Second returns of a dual-return LiDAR are not counted. A rectangle holds background beside the box, which lies
@@ -80,6 +81,8 @@ def update_boxes(
     sensor = "radar" if isinstance(result, RadarResult) else "lidar"
     if isinstance(result, (CameraResult, RgbResult)):
         found = _in_rectangles(boxes, result, rectangles)
+    elif result is None:
+        found = {f"lidar_{key}": values for key, values in _in_clear_air(boxes, points).items()}
     elif isinstance(result, RadarResult):
         left_over = _in_cloud(boxes, result, result.attenuation_db, points)
         found = {f"radar_{key}": values for key, values in left_over.items()}
@@ -117,17 +120,28 @@ def _in_cloud(
     if hasattr(result, "attenuation_db"):
         share = torch.pow(10.0, -share / 10.0)
     if points is not None:
-        seen = box_visibility(boxes, points, after, kind, share, source)
-        return {
-            "points_before": seen.points_before.tolist(),
-            "points_left": seen.points_left.tolist(),
-            "transmission": seen.transmission.tolist(),
-        }
+        return _as_lists(box_visibility(boxes, points, after, kind, share, source))
     inside = points_in_boxes(after, boxes) & (kind == int(PointKind.OBJECT))[:, None]  # (N, M)
     left = inside.sum(0)
     share = share.to(torch.promote_types(share.dtype, torch.float32))
     mean = torch.where(inside, share[:, None], 0.0).sum(0) / left  # 0 / 0 is NaN: no point
     return {"points_left": left.tolist(), "transmission": mean.tolist()}
+
+
+def _in_clear_air(boxes: Boxes, points: Tensor | None) -> dict[str, list[Any]]:
+    if points is None:
+        raise ValueError("update_boxes: without a result points are wanted, the cloud (N, 3 or more); got none.")
+    count = points.shape[0]
+    kind = torch.full((count,), int(PointKind.OBJECT), device=points.device)
+    return _as_lists(box_visibility(boxes, points, points, kind, torch.ones(count, device=points.device)))
+
+
+def _as_lists(seen: BoxVisibility) -> dict[str, list[Any]]:
+    return {
+        "points_before": seen.points_before.tolist(),
+        "points_left": seen.points_left.tolist(),
+        "transmission": seen.transmission.tolist(),
+    }
 
 
 def _in_rectangles(boxes: Boxes, result: CameraResult | RgbResult, rectangles: Tensor | None) -> dict[str, list[Any]]:

@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.distributions import Choice
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.errors import TorchweatherError
 from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.compose import Compose
 from torchweather.transforms.recipe_files import (
     PIPELINE,
@@ -34,8 +33,8 @@ from torchweather.transforms.recipe_files import (
 )
 from torchweather.transforms.recipe_options import options_of, sensor_values
 from torchweather.transforms.recipes import FORMAT as RECIPE_FORMAT
-from torchweather.transforms.recipes import Recipe, checked_recipe, transform_class, with_depth_source
-from torchweather.weather import Weather, weather_from_dict
+from torchweather.transforms.recipes import Recipe, built_recipe, checked_recipe, overrides_of, refuse_overrides
+from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Pipeline", "list_pipelines", "load_pipeline", "read_pipeline", "save_pipeline"]
 
@@ -43,7 +42,7 @@ FORMAT = PIPELINE + "1"
 REQUIRED = ("format", "title", "weather", "transforms")
 KEYS = (*REQUIRED, "p", "depth", "inputs")
 OF_A_TRANSFORM = ("transform", "sensor", "options", "rgb")
-OVERRIDES = ("weather", "p", "depth", "inputs", "seed", "sample_key", "history")
+OVERRIDES = ("weather", "transforms", "keys", "p", "depth", "inputs", "seed", "sample_key", "history")
 
 
 @dataclass(frozen=True)
@@ -77,11 +76,26 @@ class Pipeline:
         return _choice(self.weather)
 
     def build(self, **more: Any) -> Compose:
-        """The pipeline, ready to call; ``more`` is what ``Compose`` takes besides."""
+        """The pipeline, ready to call; ``more`` is what ``load_pipeline`` takes."""
         choice = _as_choice(more.pop("weather")) if "weather" in more else self.build_weather()
-        first = next(one for one in choice.values if one is not None)
-        built = {key: _built(recipe, first) for key, recipe in self.transforms.items()}
-        return Compose(built, weather=choice, **{**self.options, **more})
+        first = _first(choice)
+        changes, names = more.pop("transforms", None) or {}, more.pop("keys", None) or {}
+        for given, what in ((changes, "transforms"), (names, "keys")):
+            refuse_overrides(given, self.transforms, f"pipeline {self.name}: {what}")
+        built, inputs = {}, {**self.options, **more}.get("inputs") or {}
+        for key, recipe in self.transforms.items():
+            change = changes.get(key, {})
+            if change is None:
+                continue
+            refuse_overrides(change, overrides_of(recipe), f"pipeline {self.name}: transforms: {key!r}")
+            if names.get(key, key) in built:
+                raise ValueError(
+                    f"keys: two transforms would go to {names.get(key, key)!r}; give each a key of its own."
+                )
+            built[names.get(key, key)] = built_recipe(recipe, first, change)
+        if "inputs" not in more:  # those of the file are by its own keys
+            inputs = {names.get(key, key): one for key, one in inputs.items() if changes.get(key, {}) is not None}
+        return Compose(built, weather=choice, **{**self.options, **more, "inputs": inputs})
 
 
 def list_pipelines() -> list[Pipeline]:
@@ -119,19 +133,25 @@ def read_pipeline(name_or_path: str | os.PathLike[str]) -> Pipeline:
         raise TorchweatherError(f"{path}: weather and transforms must be keys with values; got {weather!r}.")
     try:
         choice = _choice(weather)
-        first = next((one for one in choice.values if one is not None), None)
+        first = _first(choice)
     except (TypeError, ValueError, KeyError) as error:
         raise TorchweatherError(f"{path}: weather: {error}") from error
-    if first is None:
-        raise TorchweatherError(f"{path}: weather: wanted at least one that is not null (clear air).")
     recipes = {}
     for key, one in transforms.items():
         if not isinstance(one, Mapping):
             raise TorchweatherError(f"{path}: transforms.{key} must be keys with values; got {one!r}.")
         refuse_unknown(one, OF_A_TRANSFORM, path, f"key of transforms.{key}")
+        for wanted in OF_A_TRANSFORM[:2]:
+            if wanted not in one:
+                raise TorchweatherError(f"{path}: transforms.{key} lacks {wanted!r}.")
         whole = {"format": RECIPE_FORMAT, "title": values["title"], "weather": first.to_dict(), **one}
         recipes[str(key)] = checked_recipe(whole, path)
     options = {key: values[key] for key in ("p", "depth", "inputs") if key in values}
+    inputs = options.get("inputs", {})
+    if not isinstance(inputs, Mapping) or not all(isinstance(one, Mapping) for one in inputs.values()):
+        raise TorchweatherError(f"{path}: inputs must be keys of transforms, each with arguments; got {inputs!r}.")
+    if not isinstance(options.get("depth", ""), str):
+        raise TorchweatherError(f"{path}: depth must be a key of the sample; got {options['depth']!r}.")
     return Pipeline(name_of(path), str(values["title"]), weather, recipes, options, path)
 
 
@@ -140,18 +160,20 @@ def load_pipeline(name_or_path: str | os.PathLike[str], **overrides: Any) -> Com
 
     Args:
         name_or_path: as in ``read_pipeline``.
-        overrides: ``weather``, ``p``, ``depth``, ``inputs``, ``seed``, ``sample_key`` and ``history`` of ``Compose``.
+        overrides: ``p``, ``depth``, ``inputs``, ``seed``, ``sample_key`` and ``history`` of ``Compose``; ``weather``
+            (also text such as ``rain:rate=1..50``); ``transforms``, by the file's keys what ``load_recipe`` takes for
+            one sensor (``sensor``, ``rgb``, options), or ``None`` to leave the key out; ``keys``, the file's keys to
+            those of your samples.
 
     Example:
         >>> load_pipeline("multi_sensor/training-mix", p=0.5).p
         0.5
+        >>> changes = {"points": {"sensor": "lidar:velodyne-hdl-32e"}, "radar": None}
+        >>> mine = load_pipeline("multi_sensor/training-mix", transforms=changes, keys={"points": "LIDAR_TOP"})
+        >>> list(mine.plans)
+        ['image', 'LIDAR_TOP']
     """
-    for key in overrides:
-        if key not in OVERRIDES:
-            raise ValueError(
-                f"load_pipeline: unknown override {key!r}; known are {', '.join(OVERRIDES)}."
-                f"{nearest_name(key, OVERRIDES)}"
-            )
+    refuse_overrides(overrides, OVERRIDES, "load_pipeline")
     pipeline = read_pipeline(name_or_path)
     try:
         return pipeline.build(**overrides)
@@ -170,7 +192,7 @@ def save_pipeline(compose: Compose, path: str | os.PathLike[str], *, title: str)
     Raises:
         ValueError: something that a file cannot hold, such as a depth map.
     """
-    first = next(one for one in compose.weather.values if one is not None)
+    first = _first(compose.weather)
     transforms = {}
     for key, plan in compose.plans.items():
         built = plan.build(first)
@@ -207,10 +229,17 @@ def _choice(values: Mapping[str, Any]) -> Choice:
 def _as_choice(weather: Any) -> Choice:
     if isinstance(weather, Choice):
         return weather
+    if isinstance(weather, str):
+        return Choice([parse_weather(weather, random=True)])
+    if isinstance(weather, Mapping):
+        return _choice(weather)
     return Choice([weather] if isinstance(weather, Weather) else weather)
 
 
-def _built(recipe: Recipe, weather: Weather) -> Any:
-    options = with_depth_source(recipe.options)
-    built = transform_class(recipe, weather)(weather, recipe.build_sensor(), **options)  # type: ignore[arg-type]
-    return AsBayer(built) if recipe.rgb and isinstance(built, BayerWeather) else built
+def _first(choice: Choice) -> Weather:
+    """A weather of those to choose from."""
+    for one in choice.values:
+        if one is not None:
+            found: Weather = one
+            return found
+    raise ValueError("wanted at least one weather that is not null (clear air).")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -31,6 +32,7 @@ __all__ = [
 # What the format of a file begins with: a transform in a weather, conditions of several severities, several sensors.
 RECIPE, SUITE, PIPELINE = "torchweather-recipe/", "torchweather-suite/", "torchweather-pipeline/"
 SUFFIXES = (".yaml", ".yml")
+FORMAT_LINE = re.compile(r"^format: *([a-z0-9/-]+) *$", re.MULTILINE)
 
 
 def recipes_folder() -> Path:
@@ -51,7 +53,11 @@ def files_of(*formats: str) -> list[Path]:
 def format_of(path: Path) -> str:
     """What a file says that it is; empty where it cannot be read, which reading it will report."""
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        said = FORMAT_LINE.search(text)
+        if said is not None:  # a name is looked up among all files: parsing each of them takes a third of a second
+            return said[1]
+        values = yaml.safe_load(text)
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
         return ""
     return str(values.get("format", "")) if isinstance(values, Mapping) else ""
@@ -71,6 +77,12 @@ def find(name_or_path: str | os.PathLike[str], what: str = "recipe", *formats: s
             several = ", ".join(sorted(name_of(path) for path in found))
             raise ValueError(f"torchweather: {what} {str(name_or_path)!r} could be {several}; give the whole name.")
         files |= own
+    others = [name_of(path) for path in files_of(*({RECIPE, SUITE, PIPELINE} - set(formats or (RECIPE,))))]
+    if str(name_or_path) in others:
+        is_a = format_of(recipes_folder() / f"{name_or_path}.yaml").partition("/")[0].removeprefix("torchweather-")
+        raise ValueError(
+            f"torchweather: {str(name_or_path)!r} is a {is_a}, where a {what} is wanted (see torchweather list)."
+        )
     short = [name.rpartition("/")[2] for name in files]
     raise ValueError(
         f"torchweather: {what} must be one of {', '.join(sorted(files))}, or a file ending in .yaml; got "

@@ -14,7 +14,7 @@ A recipe holds ``format: torchweather-recipe/1`` and
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -132,7 +132,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
         name_or_path: as in ``read_recipe``.
         overrides: ``weather`` (an object, text such as ``rain:rate=25``, or plain values), ``sensor`` (of the recipe's
             kind: an object, text such as ``camera:gopro-hero5-acdc``, or fields to replace), ``rgb``, or any option of
-            the transform, such as ``depth``.
+            the transform, such as ``depth``. Of a pipeline, what ``load_pipeline`` takes.
 
     Returns:
         ``BayerWeather`` or ``LidarWeather`` or one of their kinds, or ``RadarAttenuation``; inside ``AsBayer`` where
@@ -148,23 +148,36 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
 
         return load_pipeline(name_or_path, **overrides)
     recipe = read_recipe(name_or_path)
-    kind = recipe.sensor_kind
-    known = ["weather", "sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
-    for key in overrides:
-        if key not in known:
-            raise ValueError(
-                f"load_recipe: unknown override {key!r}; known are {', '.join(known)}.{nearest_name(key, known)}"
-            )
-    weather, sensor = overrides.pop("weather", None), overrides.pop("sensor", None)
-    rgb = bool(overrides.pop("rgb", recipe.rgb))
-    where = recipe.path or recipe.name
+    refuse_overrides(overrides, ["weather", *overrides_of(recipe)], "load_recipe")
+    weather = overrides.pop("weather", None)
     try:
-        chosen = recipe.build_weather() if weather is None else _as_weather(weather)
-        built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
-        options = with_depth_source({**recipe.options, **overrides})
-        transform = transform_class(recipe, chosen)(chosen, built, **options)  # type: ignore[arg-type]
+        return built_recipe(recipe, recipe.build_weather() if weather is None else as_weather(weather), overrides)
     except (TypeError, ValueError) as error:
-        raise TorchweatherError(f"{where}: {error}") from error
+        raise TorchweatherError(f"{recipe.path or recipe.name}: {error}") from error
+
+
+def overrides_of(recipe: Recipe) -> list[str]:
+    """What ``load_recipe`` can be told of a recipe's sensor and transform."""
+    kind = recipe.sensor_kind
+    return ["sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
+
+
+def refuse_overrides(given: Iterable[str], known: Iterable[str], owner: str) -> None:
+    """Raise for an override that is not known, with the nearest one that is."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            raise ValueError(
+                f"{owner}: unknown override {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
+            )
+
+
+def built_recipe(recipe: Recipe, weather: Weather, overrides: Mapping[str, Any]) -> nn.Module:
+    """The transform of a recipe for a weather, its sensor and options overridden."""
+    options = with_depth_source({**recipe.options, **overrides})
+    sensor, rgb = options.pop("sensor", None), bool(options.pop("rgb", recipe.rgb))
+    built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
+    transform = transform_class(recipe, weather)(weather, built, **options)  # type: ignore[arg-type]
     return AsBayer(transform) if rgb and isinstance(transform, BayerWeather) else transform
 
 
@@ -310,7 +323,8 @@ def _preset_and_fields(values: Mapping[str, Any], wanted: str) -> tuple[str | No
     return None if preset is None else str(preset), fields
 
 
-def _as_weather(weather: Any) -> Weather:
+def as_weather(weather: Any) -> Weather:
+    """A weather from an object, text such as ``rain:rate=25``, or plain values."""
     if isinstance(weather, str):
         return parse_weather(weather)
     built: Weather = weather_from_dict(weather) if isinstance(weather, Mapping) else weather
