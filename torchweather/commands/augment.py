@@ -78,6 +78,10 @@ def run(args: argparse.Namespace) -> int:
             dry_run=args.dry_run,
             on_progress=shown.tell,
         )
+    except KeyboardInterrupt:
+        shown.close()
+        note(f"stopped after {shown.finished} of {shown.total}; the same command goes on from there")
+        raise
     finally:
         shown.close()
     code = STOPPED if summary.stopped else BROKEN if summary.broken else 0
@@ -130,9 +134,11 @@ class _Shown:
         self.quiet = quiet
         self.bar: Any = None
         self.noted: set[str] = set()
+        self.finished = self.total = 0
         self.began = self.said = time.monotonic()
 
     def tell(self, progress: Progress) -> None:
+        self.finished, self.total = progress.finished, progress.total
         if progress.row is not None:
             self._say(progress.row)
         if self.quiet:
