@@ -406,3 +406,28 @@ def test_a_mistake_in_what_is_asked_has_exit_code_2(tmp_path: Path, capsys: Any)
     assert main(["augment", str(source), str(tmp_path / "o"), "--recipe", "fog-30", "--workers", "0"]) == 2
     assert "Did you mean" in capsys.readouterr().err
     assert main(["augment", str(source), str(tmp_path / "o"), "--recipe", "fog-30m", "--format", "docx"]) == 2
+
+
+def test_a_disk_that_is_full_for_the_manifest_stops_the_run_too(tmp_path: Path) -> None:
+    source, target = folder(tmp_path / "clear"), tmp_path / "rainy"
+
+    for name in ("001", "002"):
+        (source / f"day/clouds/{name}.bin").write_bytes(b"broken")
+    with pytest.MonkeyPatch.context() as patch:
+        # A row of a megabyte, where there is room for 40 pages.
+        patch.setattr(work, "one_line", lambda error: "x" * 1_000_000)
+        patch.setattr(Manifest, "settings", lambda self: (self._file.execute("pragma max_page_count = 40"), {})[1])
+        summary = run(source, target)
+    assert "No space left" in summary.stopped
+    assert set(rows(target)) == {"000"}
+    assert run(source, target).done == 1
+
+
+def test_depth_maps_in_the_source_are_carried_along(tmp_path: Path) -> None:
+    source, target = folder(tmp_path / "clear", 1), tmp_path / "foggy"
+    (source / "depth").mkdir()
+    work.write_image(source / "depth/000.npy", torch.full((1, 24, 40), 30.0))
+    summary = augment(source, target, "fog-30m", workers=0, depth=str(source / "depth"))
+    assert (summary.frames, summary.broken) == (1, {})
+    assert tree(source)["depth/000.npy"] == tree(target)["depth/000.npy"]
+    assert tree(source)["day/images/000.png"] != tree(target)["day/images/000.png"]

@@ -51,15 +51,16 @@ def find_frames(
     if formats and layout != "folder":
         raise ValueError(f"augment: --format is for a plain folder; the layout is {layout}, which has its own formats.")
     from_lidar = depth in (None, FROM_LIDAR)
+    data = [path for path in paths if not _is_depth(root / path, depth)]
     tables: tuple[str, ...] = ()
     if layout == "folder":
         if depth == FROM_LIDAR:
             raise ValueError("augment: --depth lidar needs --layout kitti or nuscenes, which have calibrations.")
-        frames = sensor_frames(paths, keys, formats)
+        frames = sensor_frames(data, keys, formats)
     elif layout == "kitti":
-        frames = kitti_frames(paths, keys, depth_from_lidar=from_lidar)
+        frames = kitti_frames(data, keys, depth_from_lidar=from_lidar)
     else:
-        frames = nuscenes_frames(root, paths, keys, depth_from_lidar=from_lidar)
+        frames = nuscenes_frames(root, data, keys, depth_from_lidar=from_lidar)
         tables = annotation_tables(paths) if any(frame.annotations for frame in frames) else ()
     found = Counter(kind for kind in (kind_of_file(path, keys) for path in paths) if kind)
     if not frames:
@@ -71,6 +72,11 @@ def find_frames(
     _check_targets([one.target for frame in frames for one in frame.files])
     rest = [frame for frame in carried(paths, frames) if frame.name not in tables]
     return DataSet(layout, (*frames, *rest), dict(found), tables)
+
+
+def _is_depth(path: Path, depth: str | None) -> bool:
+    """Whether a file is a depth map that was named: no image, though it may look like one."""
+    return depth is not None and Path(depth).exists() and path.resolve().is_relative_to(Path(depth).resolve())
 
 
 def _check_targets(targets: list[str]) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,14 +92,13 @@ class Manifest:
     def __init__(self, folder: Path) -> None:
         self.folder, self.path = folder, folder / NAME
         self._lock = _lock(folder)
+        self._file = sqlite3.connect(self.path, isolation_level=None)
         try:
-            self._file = sqlite3.connect(self.path, isolation_level=None)
-            self._file.executescript(_TABLES)
-        except sqlite3.DatabaseError as error:
-            self._unlock()
-            if is_full(error):
-                raise
-            raise TorchweatherError(f"{self.path}: wanted a manifest of torchweather; {error}.") from error
+            with self._in_words():
+                self._file.executescript(_TABLES)
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Let others at it."""
@@ -116,10 +117,9 @@ class Manifest:
 
     def write_settings(self, values: Mapping[str, str]) -> None:
         """Keep what the run was asked for."""
-        with self._file:
+        with self._in_words(), self._file:
             self._file.execute("begin")
             self._file.executemany("insert or replace into run values (?, ?)", list(values.items()))
-            self._file.execute("commit")
 
     def record(self, row: Row) -> None:
         """Keep a row, in place of an older one of the frame."""
@@ -138,7 +138,8 @@ class Manifest:
             json.dumps(row.notes),
             row.seconds,
         )
-        self._file.execute(f"insert or replace into frames values ({', '.join('?' * len(values))})", values)
+        with self._in_words():
+            self._file.execute(f"insert or replace into frames values ({', '.join('?' * len(values))})", values)
 
     def rows(self) -> Iterator[Row]:
         """All rows, by name."""
@@ -187,15 +188,20 @@ class Manifest:
         for relative in outputs:
             inside(self.folder, relative, str(self.path)).unlink(missing_ok=True)
 
+    @contextmanager
+    def _in_words(self) -> Iterator[None]:
+        """What the database says, as the library's errors; a full disk as that of any other file."""
+        try:
+            yield
+        except sqlite3.Error as error:
+            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from error
+            raise TorchweatherError(f"{self.path}: wanted a manifest of torchweather; {error}.") from error
+
     def _unlock(self) -> None:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
-
-
-def is_full(error: BaseException | None) -> bool:
-    """Whether an error says that the disk is full."""
-    return isinstance(error, sqlite3.Error) and "full" in str(error)
 
 
 def _lock(folder: Path) -> int | None:

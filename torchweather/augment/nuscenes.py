@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from torchweather.augment.folder import kind_of_file
 from torchweather.augment.frames import Frame, SensorFile
-from torchweather.augment.paths import inside
+from torchweather.augment.paths import check_relative
 from torchweather.errors import TorchweatherError
 from torchweather.io import atomic_write
 
@@ -95,7 +95,8 @@ class _Tables:
         of_sample: dict[str, list[dict[str, Any]]] = defaultdict(list)
         sweeps: list[dict[str, Any]] = []
         for row in self.data:
-            inside(self.root, row["filename"], str(self.folder / "sample_data.json"))
+            # Files that were found are below the root; a table of all data sets names many more.
+            check_relative(self.root, row["filename"], str(self.folder / "sample_data.json"))
             if row["filename"] in there and _kind(row["filename"]) in keys:
                 if row["is_key_frame"]:
                     of_sample[row["sample_token"]].append(row)

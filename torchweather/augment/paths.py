@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from torchweather.errors import TorchweatherError
 
-__all__ = ["check_folders", "files_below", "inside"]
+__all__ = ["check_folders", "check_relative", "files_below", "inside"]
 
 
 def inside(root: Path, relative: str, what: str) -> Path:
@@ -19,12 +19,22 @@ def inside(root: Path, relative: str, what: str) -> Path:
         Traceback (most recent call last):
         torchweather.errors.TorchweatherError: table.json: ...
     """
-    pure = PurePosixPath(relative)
-    path = root / pure
-    stays = relative and not pure.is_absolute() and ".." not in pure.parts and "\\" not in relative
-    if not stays or not path.resolve().is_relative_to(root.resolve()):
-        raise TorchweatherError(f"{what}: {relative!r} lies outside {root}; wanted a path below it. Nothing is read.")
+    check_relative(root, relative, what)
+    path = root / relative
+    if not path.resolve().is_relative_to(root.resolve()):
+        raise TorchweatherError(_outside(root, relative, what))
     return path
+
+
+def check_relative(root: Path, relative: str, what: str) -> None:
+    """Refuse a path that leads out of the root as it is written; links are not looked at."""
+    pure = PurePosixPath(relative)
+    if not relative or pure.is_absolute() or ".." in pure.parts or "\\" in relative:
+        raise TorchweatherError(_outside(root, relative, what))
+
+
+def _outside(root: Path, relative: str, what: str) -> str:
+    return f"{what}: {relative!r} lies outside {root}; wanted a path below it. Nothing is read."
 
 
 def files_below(root: Path) -> Iterator[str]:
@@ -41,7 +51,9 @@ def files_below(root: Path) -> Iterator[str]:
                         f"{path}: a link to a folder; its files would be done twice. Take it out of {root}."
                     )
         for name in sorted(names):
-            yield Path(folder, name).relative_to(root).as_posix()
+            path = Path(folder, name)
+            if path.is_file() or path.is_symlink():  # no pipes and sockets: reading them may never end
+                yield path.relative_to(root).as_posix()
 
 
 def check_folders(source: Path, target: Path) -> None:

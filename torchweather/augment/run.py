@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-import sqlite3
 import time
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
@@ -14,10 +13,10 @@ from typing import Protocol
 
 import torchweather
 from torchweather.augment.frame_recipe import FrameRecipe, text_sha256
-from torchweather.augment.frames import COPY, DataSet, Frame
+from torchweather.augment.frames import COPY, DataSet, Frame, SensorFile
 from torchweather.augment.layouts import find_frames
 from torchweather.augment.local import LocalEngine
-from torchweather.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row, is_full
+from torchweather.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row
 from torchweather.augment.manifest import NAME as MANIFEST
 from torchweather.augment.nuscenes import write_points_left
 from torchweather.augment.paths import check_folders, inside
@@ -200,10 +199,10 @@ def _do(
                     # Its input was whole in an earlier run: what came of that is no result of what is there now.
                     manifest.remove_outputs_of_frame(row.frame)
                 manifest.record(row)
-            except sqlite3.OperationalError as error:
-                if not is_full(error):
+            except OSError as error:
+                if not no_room(error):
                     raise
-                summary.stopped, engine.stopping = f"{manifest.path}: {error}", True
+                summary.stopped, engine.stopping = f"{manifest.path}: {error.strerror}", True
                 continue
             if row.status == FAILED:
                 summary.broken[row.frame] = str(row.error)
@@ -266,11 +265,14 @@ def _stands(frame: Frame, row: Row | None, manifest: Manifest, job: Job, setting
         return False
     if set(row.inputs) != set(frame.reads) or not {file.target for file in frame.files} <= set(row.outputs):
         return False
-    for path, (sha256, size, changed_ns) in row.inputs.items():
-        file = inside(Path(job.source), path, "augment")
-        found = file.stat()
-        if found.st_size != size or (found.st_mtime_ns != changed_ns and file_sha256(file) != sha256):
-            return False
+    try:
+        for path, (sha256, size, changed_ns) in row.inputs.items():
+            file = inside(Path(job.source), path, "augment")
+            found = file.stat()
+            if found.st_size != size or (found.st_mtime_ns != changed_ns and file_sha256(file) != sha256):
+                return False
+    except OSError:  # it cannot be read any more, which doing it again will report
+        return False
     return manifest.outputs_stand(row)
 
 
@@ -283,31 +285,33 @@ def _clean(target: Path) -> None:
 
 def _finish_tables(data: DataSet, job: Job, manifest: Manifest, settings: Mapping[str, str], summary: Summary) -> None:
     """nuScenes' tables of boxes, with the points that are left."""
-    if not data.annotation_tables:
-        return
-    left = {box["token"]: box["points_left"] for row in manifest.rows() for box in row.boxes or [] if "token" in box}
+    rows = {row.frame: row for row in manifest.rows()} if data.annotation_tables else {}
+    left = {box["token"]: box["points_left"] for row in rows.values() for box in row.boxes or [] if "token" in box}
     for table in data.annotation_tables:
+        frame = Frame(table, (SensorFile(COPY, COPY, table, table),), table)
+        if not summary.to_do and _stands(frame, rows.get(table), manifest, job, settings):
+            continue
         began = time.perf_counter()
         before, after = Path(job.source, table), Path(job.target, table)
+        stamp = before.stat()
         try:
             after.parent.mkdir(parents=True, exist_ok=True)
             write_points_left(after, before, left)
+            manifest.record(
+                Row(
+                    frame=table,
+                    status=DONE,
+                    kind=COPY,
+                    inputs={table: [file_sha256(before), stamp.st_size, stamp.st_mtime_ns]},
+                    outputs={table: [file_sha256(after), after.stat().st_size]},
+                    recipe_sha256=settings["recipe_sha256"],
+                    seed=sample_seed(job.seed, table, 0),
+                    version=settings["version"],
+                    seconds=time.perf_counter() - began,
+                )
+            )
         except OSError as error:
             if not no_room(error):
                 raise
             summary.stopped = f"{after}: {error.strerror}"
             return
-        stamp = before.stat()
-        manifest.record(
-            Row(
-                frame=table,
-                status=DONE,
-                kind=COPY,
-                inputs={table: [file_sha256(before), stamp.st_size, stamp.st_mtime_ns]},
-                outputs={table: [file_sha256(after), after.stat().st_size]},
-                recipe_sha256=settings["recipe_sha256"],
-                seed=job.seed,
-                version=settings["version"],
-                seconds=time.perf_counter() - began,
-            )
-        )
