@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 import torchweather
 import torchweather.augment.work as work
@@ -96,18 +97,24 @@ def test_a_recipe_of_one_sensor_carries_the_others_along(tmp_path: Path) -> None
     }
 
 
-def test_kitti_takes_the_depth_of_its_cloud_and_its_own_calibration(tmp_path: Path) -> None:
-    source, target = kitti(tmp_path / "clear", 1), tmp_path / "rainy"
-    run(source, target, seed=3)
-    row = rows(target)["training/000000"]
-    plan = load_recipe(recipe(tmp_path)).plans["image"]
+def by_hand(folder: Path, row: Row, key: str, text: str) -> Tensor:
+    """Image 0 in the weather of a row, with the depth of cloud 0 and the intrinsics of the tables."""
+    plan = load_recipe(recipe(folder, text)).plans["image"]
     camera = torchweather.Camera.from_intrinsics(40, 40, 19.5, 11.5, 40, 24, height_m=1.65)
     lidar_axes = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     depth = DepthFromPoints(cloud(0), torch.tensor(lidar_axes))(camera, 24, 40).float()
     transform = plan.build(torchweather.weather.weather_from_dict(row.weather))
-    noise = transform.draw(image(0), seed=torchweather.random.derived_seed(row.seed, "image"))
+    noise = transform.draw(image(0), seed=torchweather.random.derived_seed(row.seed, key))
+    found: Tensor = transform(image(0), depth, noise)
+    return found
+
+
+def test_kitti_takes_the_depth_of_its_cloud_and_its_own_calibration(tmp_path: Path) -> None:
+    source, target = kitti(tmp_path / "clear", 1), tmp_path / "rainy"
+    run(source, target, seed=3)
+    row = rows(target)["training/000000"]
     after = read_image(target / "training/image_2/000000.png")[0]
-    assert torch.equal(after, transform(image(0), depth, noise))
+    assert torch.equal(after, by_hand(tmp_path, row, "image", BOTH))
     # Another depth is another image.
     run(source, tmp_path / "near", seed=3, depth="4")
     assert not torch.equal(after, read_image(tmp_path / "near/training/image_2/000000.png")[0])
@@ -138,9 +145,9 @@ def test_nuscenes_shares_a_weather_in_a_sample_and_counts_its_boxes(tmp_path: Pa
     table = json.loads((target / "v1.0-mini/sample_annotation.json").read_text(encoding="utf-8"))
     assert table[0]["num_lidar_pts"] == box["points_left"] < 51
     assert table[0]["translation"] == [100, 220, -0.2]
-    # The camera looks along the LiDAR's x: its depth is that of KITTI's axes.
-    assert not torch.equal(read_image(target / "samples/CAM_FRONT/a.png")[0], image(0))
-    assert tree(target) == tree(target)
+    # The camera looks along the LiDAR's x.
+    after = read_image(target / "samples/CAM_FRONT/a.png")[0]
+    assert torch.equal(after, by_hand(tmp_path, found["sample/s"], "CAM_FRONT", heavy))
     assert run(source, target, heavy).to_do == 0
 
 
@@ -431,3 +438,12 @@ def test_depth_maps_in_the_source_are_carried_along(tmp_path: Path) -> None:
     assert (summary.frames, summary.broken) == (1, {})
     assert tree(source)["depth/000.npy"] == tree(target)["depth/000.npy"]
     assert tree(source)["day/images/000.png"] != tree(target)["day/images/000.png"]
+
+
+def test_results_of_a_file_that_has_broken_since_do_not_stay(tmp_path: Path) -> None:
+    source, target = folder(tmp_path / "clear", 2), tmp_path / "rainy"
+    run(source, target)
+    (source / "day/clouds/001.bin").write_bytes(b"broken")
+    assert list(run(source, target).broken) == ["001"]
+    assert not list(target.rglob("001.*"))
+    assert (target / "day/images/000.png").exists()

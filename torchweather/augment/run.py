@@ -168,7 +168,6 @@ def augment(
         if dry_run:
             return summary
         manifest.write_settings(settings)
-        _clean(target)
         try:
             _do(to_do, _engine(engine, job, workers), manifest, summary, on_progress)
             if not summary.stopped:
