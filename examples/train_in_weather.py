@@ -199,7 +199,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--train", type=int, default=24, help="scenes to learn from")
     parser.add_argument("--test", type=int, default=8, help="other scenes")
-    parser.add_argument("--steps", type=int, default=300, help="of training")
+    parser.add_argument("--steps", type=int, default=400, help="of training")
     parser.add_argument("--quick", action="store_true", help="few scenes, little training, one seed")
     arguments = parser.parse_args()
     if arguments.quick:
