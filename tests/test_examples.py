@@ -41,6 +41,14 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--out", "found"],
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
     ),
+    "augment_a_kitti_folder.py": (
+        ["--width", "160", "--columns", "90", "--frames", "2", "--workers", "1", "--out", "rainy"],
+        [
+            "rainy/torchweather-manifest.sqlite",
+            "rainy/training/image_2/000001.png",
+            "rainy/training/velodyne/000000.bin",
+        ],
+    ),
     "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
     "train_in_weather.py": (
         ["--quick", "--out", "trained"],
