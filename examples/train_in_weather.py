@@ -198,8 +198,9 @@ def draw(results: dict[str, Any], path: Path) -> None:
         axis.set_ylim(0, 1)
         axis.set_ylabel(title)
         axis.grid(alpha=0.3)
-        axis.legend(loc="upper right")
-    figure.suptitle("Points: mean of the seeds; bars: all of them; *: outside of what was trained on", fontsize=10)
+    said = "mean of the seeds, bars: all of them; *: outside of what was trained on"
+    handles, labels = np.atleast_1d(axes)[0].get_legend_handles_labels()
+    figure.legend(handles, labels, title=said, loc="outside upper center", ncols=2, frameon=False)
     figure.savefig(path, dpi=110)
 
 
