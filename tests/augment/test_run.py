@@ -278,14 +278,6 @@ def test_a_broken_file_is_reported_and_the_rest_goes_on(tmp_path: Path, capsys: 
     assert "3 done before, 1 done now, 0 broken" in capsys.readouterr().out
 
 
-def test_a_frame_that_breaks_later_keeps_no_result_of_what_it_was(tmp_path: Path) -> None:
-    source, target = folder(tmp_path / "clear"), tmp_path / "rainy"
-    run(source, target)
-    (source / "day/clouds/001.bin").write_bytes(b"no cloud")
-    assert list(run(source, target).broken) == ["001"]
-    assert not list(target.rglob("*001*"))
-
-
 def test_a_full_disk_stops_the_run_with_nothing_half_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
