@@ -227,9 +227,12 @@ def test_leftovers_of_a_killed_run_are_cleaned_and_nothing_else(tmp_path: Path) 
     run(source, target)
     leftover = target / "day/images" / f".000.{'0123456789abcdef' * 2}.png"
     leftover.write_bytes(b"half")
+    (target / work.ATTEMPTS).mkdir()
+    (target / work.ATTEMPTS / "7").write_bytes(b".")
     (target / ".mine.png").write_bytes(b"a file of one's own")
     run(source, target)
     assert not leftover.exists()
+    assert not (target / work.ATTEMPTS).exists()
     assert (target / ".mine.png").exists()
 
 
