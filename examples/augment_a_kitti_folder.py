@@ -37,7 +37,7 @@ arguments = parser.parse_args()
 
 def made(root: Path) -> Path:
     """The embedded scene in KITTI's layout; the frames differ by the noise of their sensors."""
-    height = round(arguments.width * 375 / 1242)
+    height = round(arguments.width * 375 / 1242 / 2) * 2  # a mosaic has whole cells of 2 x 2
     focal_px = 721.54 * arguments.width / 1242
     camera = tw.Camera.from_intrinsics(
         focal_px, focal_px, (arguments.width - 1) / 2, (height - 1) / 2, arguments.width, height, height_m=1.65

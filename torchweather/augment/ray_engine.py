@@ -16,11 +16,10 @@ import torch
 from torchweather.augment.frames import Frame
 from torchweather.augment.local import TRIES, lost_row
 from torchweather.augment.manifest import Row
-from torchweather.augment.work import Job, Worker
+from torchweather.augment.work import ATTEMPTS, Job, Worker
 
 __all__ = ["RayEngine"]
 
-ATTEMPTS = ".torchweather-attempts"
 MOST_BLOCKS = 20_000  # that Ray Data keeps track of without effort
 
 
@@ -57,7 +56,6 @@ class RayEngine:
     def _by_ray_data(self, ray: Any, frames: Sequence[Frame]) -> Generator[Row, None, None]:
         context = ray.data.DataContext.get_current()
         before = (context.enable_progress_bars, context.max_errored_blocks)
-        shutil.rmtree(Path(self.job.target, ATTEMPTS), ignore_errors=True)
         context.enable_progress_bars = False
         context.max_errored_blocks = -1  # a frame whose worker died too often: reported below
         logging.getLogger("ray.data").setLevel(logging.ERROR)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import shutil
 import time
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from torchweather.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row
 from torchweather.augment.manifest import NAME as MANIFEST
 from torchweather.augment.nuscenes import write_points_left
 from torchweather.augment.paths import check_folders, inside
-from torchweather.augment.work import FULL, Job, file_sha256, no_room
+from torchweather.augment.work import ATTEMPTS, FULL, Job, file_sha256, no_room
 from torchweather.errors import check_at_least, check_one_of
 from torchweather.random import sample_seed
 from torchweather.transforms.recipe_files import PIPELINE, RECIPE, find
@@ -168,6 +169,7 @@ def augment(
         if dry_run:
             return summary
         manifest.write_settings(settings)
+        _clean(target)  # what a killed run left; its marks of tries must not count
         try:
             _do(to_do, _engine(engine, job, workers), manifest, summary, on_progress)
             if not summary.stopped:
@@ -277,6 +279,7 @@ def _stands(frame: Frame, row: Row | None, manifest: Manifest, job: Job, setting
 
 def _clean(target: Path) -> None:
     """Delete what was begun under a temporary name and never finished."""
+    shutil.rmtree(target / ATTEMPTS, ignore_errors=True)
     for path in target.rglob(".*"):
         if UNFINISHED.match(path.name) and path.is_file():
             path.unlink(missing_ok=True)

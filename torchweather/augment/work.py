@@ -48,8 +48,9 @@ from torchweather.random import sample_seed
 from torchweather.sensors import Camera, Radar
 from torchweather.stages import PointKind
 
-__all__ = ["FULL", "Job", "Worker", "file_sha256"]
+__all__ = ["ATTEMPTS", "FULL", "Job", "Worker", "file_sha256"]
 
+ATTEMPTS = ".torchweather-attempts"  # folder of marks below the target, where an engine cannot count tries otherwise
 FULL = "full"  # status of a frame that found no room; it is not recorded
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
