@@ -42,7 +42,7 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
     ),
     "augment_a_kitti_folder.py": (
-        ["--width", "160", "--columns", "90", "--frames", "2", "--workers", "1", "--out", "rainy"],
+        ["--width", "160", "--columns", "90", "--frames", "2", "--workers", "0", "--out", "rainy"],
         [
             "rainy/torchweather-manifest.sqlite",
             "rainy/training/image_2/000001.png",
