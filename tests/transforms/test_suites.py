@@ -89,7 +89,10 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "four": (lambda v: v["weathers"].update(rain={"rate_mm_per_h": RATES[:4]}), r"wanted 5 severities.*\[4\]"),
     "no list": (lambda v: v["weathers"].update(rain={"rate_mm_per_h": 5.0}), "wanted 5 severities.*no list"),
     "falling": (lambda v: v["weathers"].update(rain={"rate_mm_per_h": RATES[::-1]}), "must get heavier.*5 before 4"),
-    "negative": (lambda v: v["weathers"].update(rain={"rate_mm_per_h": [-1.0, *RATES[:4]]}), "rate_mm_per_h must lie in"),
+    "negative": (
+        lambda v: v["weathers"].update(rain={"rate_mm_per_h": [-1.0, *RATES[:4]]}),
+        "rate_mm_per_h must lie in",
+    ),
     "text": (lambda v: v["weathers"].update(rain={"rate_mm_per_h": ["a", *RATES[:4]]}), "rain|float"),
 }
 
