@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "torchweather"
 
 # A part may import those of its own layer or a lower one; each name is a module or a folder of the package.
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "random", "threads"}),
+    frozenset({"distributions", "errors", "random", "threads"}),
     frozenset({"physics"}),
     frozenset({"weather", "sensors"}),
     frozenset({"image", "stages", "radar"}),

@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from torchweather.distributions import Choice, LogUniform, Uniform
     from torchweather.sensors import Camera, Lidar, Radar
     from torchweather.stages import PointKind
     from torchweather.transforms import (
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
         BayerSnow,
         BayerWeather,
         CameraResult,
+        Compose,
         LidarFog,
         LidarRain,
         LidarResult,
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
         LidarWeather,
         RadarAttenuation,
         RadarResult,
+        WeatherDataset,
     )
     from torchweather.weather import Fog, Mixture, Rain, Snow
 
@@ -35,6 +38,8 @@ __all__ = [
     "BayerWeather",
     "Camera",
     "CameraResult",
+    "Choice",
+    "Compose",
     "Fog",
     "Lidar",
     "LidarFog",
@@ -42,6 +47,7 @@ __all__ = [
     "LidarResult",
     "LidarSnow",
     "LidarWeather",
+    "LogUniform",
     "Mixture",
     "PointKind",
     "Radar",
@@ -49,11 +55,14 @@ __all__ = [
     "RadarResult",
     "Rain",
     "Snow",
+    "Uniform",
+    "WeatherDataset",
     "__version__",
 ]
 
 # Where each public name lives. It is imported at its first use, so that `torchweather --help` does not load torch.
 _HOMES = {
+    "torchweather.distributions": ("Choice", "LogUniform", "Uniform"),
     "torchweather.sensors": ("Camera", "Lidar", "Radar"),
     "torchweather.stages": ("PointKind",),
     "torchweather.transforms": (
@@ -63,6 +72,7 @@ _HOMES = {
         "BayerSnow",
         "BayerWeather",
         "CameraResult",
+        "Compose",
         "LidarFog",
         "LidarRain",
         "LidarResult",
@@ -70,6 +80,7 @@ _HOMES = {
         "LidarWeather",
         "RadarAttenuation",
         "RadarResult",
+        "WeatherDataset",
     ),
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }

@@ -100,7 +100,7 @@ def explain(
     numbers["mor_m"] = _mor_m(present)
     for key in ("particles_per_m3", "liquid_water_g_per_m3"):
         numbers[key] = sum(part[key] for part in described)
-    fogs = [part.mor_m for part, _ in parts if isinstance(part, Fog)]
+    fogs = [part.knob for part, _ in parts if isinstance(part, Fog)]
     if fogs:
         numbers["mor_nominal_m"] = float(fogs[0])
     numbers["parts"] = described

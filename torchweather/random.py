@@ -24,7 +24,16 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-__all__ = ["ABSENT", "Variate", "draw_variates", "keyed_stream", "sample_seeds", "sizes_of"]
+__all__ = [
+    "ABSENT",
+    "Variate",
+    "derived_seed",
+    "draw_variates",
+    "keyed_stream",
+    "sample_seed",
+    "sample_seeds",
+    "sizes_of",
+]
 
 LAWS = ("uniform", "normal", "exponential", "points")
 
@@ -94,6 +103,33 @@ def keyed_stream(seed: int, stream: str) -> np.random.Generator:
     digest = hashlib.blake2b(stream.encode(), digest_size=8).digest()
     key = np.array([seed & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
+
+
+def sample_seed(seed: int, key: int | str, epoch: int = 0) -> int:
+    """The integer of a sample: the same on every machine, in every process and in any order.
+
+    Args:
+        seed: of the whole run.
+        key: the sample's own: its number, file name or token.
+        epoch: how often the data were gone through before.
+
+    Returns:
+        63 bits.
+
+    Example:
+        >>> sample_seed(7, "000042") == sample_seed(7, "000042"), sample_seed(7, "000042") == sample_seed(7, "000043")
+        (True, False)
+    """
+    return _hashed(f"{int(seed)}/{int(epoch)}/{type(key).__name__}/{key}")
+
+
+def derived_seed(seed: int, name: str) -> int:
+    """The integer of a part of a sample, such as one of its sensors; 63 bits."""
+    return _hashed(f"{int(seed)}.{name}")
+
+
+def _hashed(text: str) -> int:
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little") >> 1
 
 
 def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], out: NDArray[np.float32]) -> None:

@@ -1,7 +1,8 @@
 """Rain, Fog, Snow and Mixture: one description of the weather that drives every sensor.
 
 The knob of a weather (``rate_mm_per_h``, ``mor_m``) is a number or a tensor of the batch shape and may require
-grad; everything else is a plain number or a name.
+grad; everything else is a plain number or a name. Every number may also be a distribution (``distributions``), and the
+knob a pair (low, high): then ``drawn`` gives one weather of it, and ``Compose`` draws one for each sample.
 """
 
 from __future__ import annotations
@@ -9,12 +10,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
 
+from torchweather.distributions import Distribution, Uniform, distribution_from
 from torchweather.errors import (
     TorchweatherWarning,
     check_between,
@@ -36,10 +38,23 @@ from torchweather.physics import (
     rehearse_fog,
 )
 from torchweather.physics.precipitation_rate import fall_speed_law
+from torchweather.random import keyed_stream
 
-__all__ = ["Fog", "Mixture", "Rain", "Snow", "Weather", "check_knobs", "parse_weather", "weather_from_dict"]
+__all__ = [
+    "Fog",
+    "Mixture",
+    "Rain",
+    "Snow",
+    "Weather",
+    "check_drawn",
+    "check_knobs",
+    "parse_weather",
+    "weather_from_dict",
+]
 
 Knob = float | Tensor
+# What the constructors take: a distribution, and a pair for ``Uniform``, is drawn before anything is computed.
+Given = Knob | Distribution | tuple[float, float]
 
 # Rates that the size distributions were fitted to, mm/h; outside them a weather warns once.
 RAIN_RATE_RANGE_MM_PER_H = (0.1, 200.0)
@@ -61,7 +76,12 @@ class Weather:
 
     @property
     def knob(self) -> Knob:
-        """The rate or the visibility."""
+        """The rate or the visibility.
+
+        Raises:
+            ValueError: it has yet to be drawn.
+        """
+        check_drawn(self, owner=self)
         value: Knob = getattr(self, self.knob_name)
         return value
 
@@ -69,6 +89,51 @@ class Weather:
     def parts(self) -> tuple[Weather, ...]:
         """The weathers this one is made of; itself unless it is a mixture."""
         return (self,)
+
+    @property
+    def random(self) -> dict[str, Distribution]:
+        """Fields that are drawn for each sample, by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return {name: value for name, value in values.items() if isinstance(value, Distribution)}
+
+    def drawn(self, seed: int) -> Weather:
+        """One weather: a plain number for every field that is random, each from a stream of its own.
+
+        Args:
+            seed: the same one gives the same weather.
+
+        Example:
+            >>> Rain(rate_mm_per_h=(1, 50)).drawn(seed=7) == Rain(rate_mm_per_h=(1, 50)).drawn(seed=7)
+            True
+        """
+        values = {
+            name: one.at(float(keyed_stream(seed, f"weather.{self.kind}.{name}").random()))
+            for name, one in self.random.items()
+        }
+        return replace(self, **values) if values else self  # type: ignore[type-var]
+
+    def densest(self) -> Weather:
+        """The one with most particles of those that can be drawn: highest rate, least visibility, the rest at will."""
+        pick = {"rate_mm_per_h": max, "mor_m": min}
+        values = {name: pick.get(name, lambda ends: ends[0])(one.ends()) for name, one in self.random.items()}
+        return replace(self, **values) if values else self  # type: ignore[type-var]
+
+    def _ends_are_good(self) -> bool:
+        """Whether anything is random; all that can be drawn has then been checked."""
+        knob = getattr(self, self.knob_name)
+        if isinstance(knob, tuple):
+            if len(knob) != 2:
+                raise ValueError(
+                    f"{type(self).__name__}: {self.knob_name} must be a number, a tensor, a pair (low, high) or a "
+                    f"distribution such as LogUniform(1, 50); got {knob!r}."
+                )
+            object.__setattr__(self, self.knob_name, Uniform(*knob))
+        random = self.random
+        first = {name: one.ends()[0] for name, one in random.items()}
+        for name, one in random.items():
+            for end in one.ends():
+                replace(self, **{**first, name: end})  # type: ignore[type-var]
+        return bool(random)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values that ``weather_from_dict`` takes and YAML can hold; a tensor knob is detached."""
@@ -79,6 +144,8 @@ class Weather:
                 value = value.detach().tolist()
             elif isinstance(value, Binned):
                 value = _bins_to_dict(value)
+            elif isinstance(value, Distribution):
+                value = value.to_dict()
             values[field.name] = list(value) if isinstance(value, tuple) else value
         return values
 
@@ -94,15 +161,18 @@ class Weather:
                 raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
             if key == cls.knob_name and isinstance(value, list):
                 value = torch.tensor(value)
-            if key == "size_distribution" and isinstance(value, Mapping):
-                value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
+            if isinstance(value, Mapping):
+                if key == "size_distribution":
+                    value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
+                else:
+                    value = distribution_from(value, owner=f"{cls.__name__}: {key}")
             taken[key] = tuple(value) if isinstance(value, list) else value
         return cls(**taken)
 
 
 @dataclass(frozen=True)
 class _Precipitation(Weather):
-    rate_mm_per_h: Knob = 0.0
+    rate_mm_per_h: Given = 0.0
     size_distribution: str | Binned = ""
     close_rate: bool = False
     temperature_c: float = 10.0
@@ -114,7 +184,9 @@ class _Precipitation(Weather):
     particles: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        rate = self.rate_mm_per_h
+        if self._ends_are_good():
+            return
+        rate = self.knob
         check_between(
             "rate_mm_per_h",
             rate,
@@ -165,7 +237,7 @@ class _Precipitation(Weather):
 
     def distribution(self, rate_mm_per_h: Knob | None = None) -> SizeDistribution:
         """Size distribution at a rate (the weather's own by default), per diameter of ``particle``."""
-        rate = self.rate_mm_per_h if rate_mm_per_h is None else rate_mm_per_h
+        rate = self.knob if rate_mm_per_h is None else rate_mm_per_h
         if isinstance(self.size_distribution, str):
             found: SizeDistribution = self.families[self.size_distribution](rate)
             return close_rate(found, rate) if self.close_rate else found
@@ -238,6 +310,8 @@ class Snow(_Precipitation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.random:
+            return
         check_between("albedo", self.albedo, 0.0, 1.0, owner=self)
         check_between(
             "melt_fraction",
@@ -268,19 +342,21 @@ class Fog(Weather):
     kind: ClassVar[str] = "fog"
     knob_name: ClassVar[str] = "mor_m"
 
-    mor_m: Knob = math.inf
+    mor_m: Given = math.inf
     size_distribution: str = "default"
     contrast: float = 0.05
     temperature_c: float = 10.0
 
     def __post_init__(self) -> None:
+        if self._ends_are_good():
+            return
         check_positive("mor_m", self.mor_m, unit="m", owner=self, advice="Dense fog is 50 m; infinity is clear air.")
         check_one_of("size_distribution", self.size_distribution, (*FOG, REHEARSE), owner=self)
         if self.size_distribution == REHEARSE:
             self._check_measured()
         check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
         check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
-        object.__setattr__(self, "mor_m", _plain_knob(self.mor_m))
+        object.__setattr__(self, "mor_m", _plain_knob(self.knob))
 
     def _check_measured(self) -> None:
         mor_m = torch.as_tensor(self.mor_m).detach()
@@ -309,7 +385,7 @@ class Fog(Weather):
 
     def distribution(self, mor_m: Knob | None = None) -> SizeDistribution:
         """Droplet size distribution at a visibility (the weather's own by default)."""
-        mor = self.mor_m if mor_m is None else mor_m
+        mor = self.knob if mor_m is None else mor_m
         if self.size_distribution == REHEARSE:
             return _rehearse_between(mor)
         found: SizeDistribution = FOG[self.size_distribution](mor)
@@ -334,8 +410,19 @@ def _rehearse_between(mor_m: Knob) -> LogNormal:
     return LogNormal(torch.exp(value[..., 0]), torch.exp(value[..., 1]), value[..., 2])
 
 
+def check_drawn(weather: Weather, *, owner: object) -> None:
+    """Raise where a weather has yet to be drawn."""
+    for part in weather.parts:
+        for name, one in part.random.items():
+            raise ValueError(
+                f"{owner_name(owner)}: {name} must be a number here; got {one!r}. Draw one weather, "
+                "weather.drawn(seed), or let Compose draw one for each sample."
+            )
+
+
 def check_knobs(weather: Weather, batch: Sequence[int], *, owner: object) -> None:
     """Raise unless each knob is one value or one for each sample of the batch."""
+    check_drawn(weather, owner=owner)
     for part in weather.parts:
         knob = part.knob
         if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
@@ -389,6 +476,19 @@ class Mixture(Weather):
         """The weathers, in a fixed order."""
         return self._parts
 
+    @property
+    def random(self) -> dict[str, Distribution]:
+        """Fields of the parts that are drawn for each sample, as ``rain.rate_mm_per_h``."""
+        return {f"{part.kind}.{name}": one for part in self._parts for name, one in part.random.items()}
+
+    def drawn(self, seed: int) -> Mixture:
+        """One of each part."""
+        return Mixture(*(part.drawn(seed) for part in self._parts))
+
+    def densest(self) -> Mixture:
+        """The densest of each part."""
+        return Mixture(*(part.densest() for part in self._parts))
+
     def __repr__(self) -> str:
         return f"Mixture({', '.join(map(repr, self._parts))})"
 
@@ -417,15 +517,22 @@ def weather_from_dict(values: Mapping[str, Any]) -> Weather:
     return WEATHERS[str(kind)].from_dict(values)
 
 
-def parse_weather(text: str) -> Weather:
+def parse_weather(text: str, *, random: bool = False) -> Weather:
     """Read a weather as the command line takes it: ``rain:rate=25``, ``fog:mor=30+rain:rate=5``.
+
+    Args:
+        text: kinds with their fields.
+        random: takes ranges too, ``rain:rate=1..50``.
 
     Example:
         >>> parse_weather("fog:mor=30").mor_m
         30.0
     """
     parts = [_parse_one(part) for part in text.split("+")]
-    return parts[0] if len(parts) == 1 else Mixture(*parts)
+    weather = parts[0] if len(parts) == 1 else Mixture(*parts)
+    if not random:
+        check_drawn(weather, owner=f"weather {text!r}")
+    return weather
 
 
 def _parse_one(text: str) -> Weather:
@@ -442,10 +549,13 @@ def _parse_one(text: str) -> Weather:
     return WEATHERS[kind].from_dict(values)
 
 
-def _plain(text: str) -> str | float | bool:
+def _plain(text: str) -> str | float | bool | Uniform:
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
+    low, dots, high = text.partition("..")
     try:
+        if dots:
+            return Uniform(float(low), float(high))
         return float(text)
     except ValueError:
         return text

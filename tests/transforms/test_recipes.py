@@ -191,7 +191,7 @@ def test_a_lidar_recipe_takes_overrides_of_its_own_kind() -> None:
         ),
         (
             RadarAttenuation(Mixture(Rain(5.0), Fog(mor_m=90.0)), AWR, variant="d3_4"),
-            {"rain_model": "d3_4", "fog_model": "d3_4", "snow_model": "d3_4"},
+            {"variant": "d3_4"},
         ),
     ],
     ids=["rain", "radome", "clutter", "d3.4"],

@@ -133,7 +133,7 @@ class FmcwRadar(nn.Module):
         self.angles_per_cell, self.dynamic_db, self.noise = int(angles_per_cell), float(dynamic_db), bool(noise)
         parts = () if weather is None else weather.parts
         self.path = PathAttenuation(parts, radar, rain_model, fog_model, snow_model) if parts else None
-        rates = [part.rate_mm_per_h for part in parts if isinstance(part, Rain)]
+        rates = [part.knob for part in parts if isinstance(part, Rain)]
         self.radome = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
         falling = [part for part in parts if clutter and isinstance(part, (Rain, Snow))]
         self.volumes = nn.ModuleDict(

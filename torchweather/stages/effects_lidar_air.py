@@ -397,6 +397,7 @@ class LidarPatchyWeather(Effect):
     )
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("frame",)
+    of_the_air: ClassVar[bool] = True
 
     def variates(self) -> tuple[Variate, ...]:
         """One number a sample."""

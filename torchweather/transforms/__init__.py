@@ -2,8 +2,10 @@
 
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
+from torchweather.transforms.compose import Compose, Draw
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
 from torchweather.transforms.radar import RadarAttenuation, RadarResult
+from torchweather.transforms.weather_dataset import WeatherDataset
 
 __all__ = [
     "AsBayer",
@@ -12,6 +14,8 @@ __all__ = [
     "BayerSnow",
     "BayerWeather",
     "CameraResult",
+    "Compose",
+    "Draw",
     "LidarFog",
     "LidarRain",
     "LidarResult",
@@ -19,4 +23,5 @@ __all__ = [
     "LidarWeather",
     "RadarAttenuation",
     "RadarResult",
+    "WeatherDataset",
 ]

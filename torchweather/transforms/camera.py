@@ -29,7 +29,7 @@ from torchweather.stages import (
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import estimate_airlight, scaled_airlight, three_colours
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
-from torchweather.transforms.weather_transform import Sizes, WeatherTransform
+from torchweather.transforms.weather_transform import Sizes, WeatherTransform, options_of
 from torchweather.weather import Fog, Rain, Snow, Weather, check_knobs
 
 __all__ = ["BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"]
@@ -104,13 +104,16 @@ class BayerWeather(WeatherTransform):
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
+        arguments = locals()
         super().__init__()
+        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
         self._check_weather(weather)
         self._check_sensor(camera, Camera, "lucid-triton")
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
         airlight = three_colours(airlight, owner=self)
         self.weather, self.camera = weather, camera
+        weather = weather.densest()
         self.depth_source = None if depth is None else as_depth_source(depth)
         self.airlight = airlight
         stages: dict[str, Stage] = {}

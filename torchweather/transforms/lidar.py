@@ -32,7 +32,7 @@ from torchweather.stages.expected_detection import expected_detection
 from torchweather.stages.intensity import are_integers
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms.clouds import Beams, beams_of, check_points
-from torchweather.transforms.weather_transform import WeatherTransform
+from torchweather.transforms.weather_transform import WeatherTransform, options_of
 from torchweather.weather import Weather, check_knobs
 
 __all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
@@ -128,7 +128,9 @@ class LidarWeather(WeatherTransform):
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
+        arguments = locals()
         super().__init__()
+        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
         self._check_weather(weather)
         self._check_sensor(sensor, Lidar, "ouster-os1-128")
         self._check_variant(weather, variant)
@@ -136,6 +138,7 @@ class LidarWeather(WeatherTransform):
         if variant == "hahner":
             fog_backscatter, fog_extinction = "hahner", "koschmieder"
         self.weather, self.sensor = weather, sensor
+        weather = weather.densest()
         self.lost, self.complete_scan = lost, complete_scan
         published = "d3_4" if variant == "d3_4" else None
         parts = weather.parts

@@ -31,7 +31,7 @@ from torchweather.stages import (
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.radar import POWER
 from torchweather.transforms.clouds import FARTHEST_M
-from torchweather.transforms.weather_transform import WeatherTransform
+from torchweather.transforms.weather_transform import WeatherTransform, options_of
 from torchweather.weather import Rain, Snow, Weather, check_knobs
 
 __all__ = ["RadarAttenuation", "RadarResult"]
@@ -123,7 +123,9 @@ class RadarAttenuation(WeatherTransform):
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
+        arguments = locals()
         super().__init__()
+        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
         self._check_weather(weather)
         self._check_sensor(sensor, Radar, "imaging-77ghz")
         check_one_of("lost", lost, LOST_AS, owner=self)
@@ -137,6 +139,7 @@ class RadarAttenuation(WeatherTransform):
                 )
             rain_model = fog_model = snow_model = variant
         self.weather, self.sensor, self.lost = weather, sensor, lost
+        weather = weather.densest()
         self.ego_speed_m_per_s = float(ego_speed_m_per_s)
         plain = Chain(
             {
@@ -151,7 +154,7 @@ class RadarAttenuation(WeatherTransform):
         self.chain = with_effects(plain, built)
         # The cover in front of the effects, which may append echoes; the clutter behind them, which may change it.
         if radome_loss_db or radome_film_db:
-            rates = [part.rate_mm_per_h for part in weather.parts if isinstance(part, Rain)]
+            rates = [part.knob for part in weather.parts if isinstance(part, Rain)]
             cover = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
             if cover.default_name in self.chain.stages:
                 raise ValueError(

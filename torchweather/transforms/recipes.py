@@ -28,17 +28,11 @@ from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.image.depth import FlatGround
 from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
 from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
+from torchweather.transforms.camera import BayerWeather
+from torchweather.transforms.lidar import LidarWeather
+from torchweather.transforms.plans import TRANSFORMS, TransformClass, class_for, sensor_of
 from torchweather.transforms.radar import RadarAttenuation
-from torchweather.transforms.recipe_options import (
-    GROUND,
-    OPTIONS,
-    RecipeTransform,
-    options_of,
-    sensor_of,
-    sensor_values,
-)
+from torchweather.transforms.recipe_options import GROUND, OPTIONS, RecipeTransform, options_of, sensor_values
 from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
@@ -48,12 +42,6 @@ SUITE = "torchweather-suite/"  # suites of conditions, read by transforms.suites
 SUFFIXES = (".yaml", ".yml")
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
-TransformClass = type[BayerWeather] | type[LidarWeather] | type[RadarAttenuation]
-OF_CAMERA: tuple[TransformClass, ...] = (BayerRain, BayerFog, BayerSnow, BayerWeather)
-OF_LIDAR: tuple[TransformClass, ...] = (LidarRain, LidarFog, LidarSnow, LidarWeather)
-TRANSFORMS: dict[str, TransformClass] = {
-    transform.__name__: transform for transform in (*OF_CAMERA, *OF_LIDAR, RadarAttenuation)
-}
 
 
 @dataclass(frozen=True)
@@ -189,10 +177,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
 
 def transform_class(recipe: Recipe, weather: Weather) -> TransformClass:
     """The recipe's class; for a weather that it does not take, the one that takes any."""
-    kind = TRANSFORMS[recipe.transform]
-    if all(part.kind in kind.takes for part in weather.parts):
-        return kind
-    return TRANSFORMS[kind.takes_all]
+    return class_for(TRANSFORMS[recipe.transform], weather)
 
 
 def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: str) -> None:

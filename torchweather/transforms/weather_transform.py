@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -16,7 +17,17 @@ from torchweather.stages import Chain
 from torchweather.stages.stage import State
 from torchweather.weather import Weather
 
-__all__ = ["Sizes", "WeatherTransform"]
+__all__ = ["Sizes", "WeatherTransform", "options_of"]
+
+
+def options_of(transform: type[nn.Module]) -> dict[str, Any]:
+    """Keyword arguments that a kind of transform takes, and their defaults."""
+    parameters = inspect.signature(transform.__init__).parameters
+    return {
+        name: parameter.default
+        for name, parameter in parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    }
 
 
 @dataclass(frozen=True)
@@ -30,13 +41,36 @@ class Sizes:
 class WeatherTransform(nn.Module):
     """A chain of stages made from a weather and a sensor.
 
-    A subclass says which weathers it ``takes`` and under which name another class ``takes_all``.
+    A subclass says which weathers it ``takes`` and under which name another class ``takes_all``. It may be built from a
+    weather that has yet to be drawn; ``Compose`` then draws one for each sample, and a call of its own refuses.
     """
 
     takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
     takes_all: ClassVar[str] = ""
     weather: Weather
     chain: Chain
+    given: dict[str, Any]
+    """Keyword arguments of the constructor, with which it can be built for another weather."""
+
+    def with_weather(self, weather: Weather) -> WeatherTransform:
+        """The same transform for another weather; tables that both need are shared.
+
+        Args:
+            weather: of any kind; where this class does not take it, the result is of the class that takes all.
+
+        Raises:
+            ValueError: the chain was changed after the transform was built.
+
+        Example:
+            >>> import torchweather as tw
+            >>> rain = tw.LidarRain(tw.Rain(10), tw.Lidar.preset("velodyne-hdl-64e"), lost="nan")
+            >>> rain.with_weather(tw.Fog(mor_m=50)).lost
+            'nan'
+        """
+        from torchweather.transforms.plans import plan_of  # which knows all transforms
+
+        built: WeatherTransform = plan_of(self).build(weather)
+        return built
 
     def _check_weather(self, weather: Weather) -> None:
         name = type(self).__name__

@@ -1,0 +1,96 @@
+"""How a transform is built: its class, sensor and options, so that the same can be built for another weather."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torch import nn
+
+from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.transforms.as_bayer import AsBayer
+from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather
+from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
+from torchweather.transforms.radar import RadarAttenuation
+from torchweather.weather import Weather
+
+__all__ = ["TRANSFORMS", "Plan", "TransformClass", "class_for", "plan_of", "sensor_of"]
+
+TransformClass = type[BayerWeather] | type[LidarWeather] | type[RadarAttenuation]
+OF_CAMERA: tuple[TransformClass, ...] = (BayerRain, BayerFog, BayerSnow, BayerWeather)
+OF_LIDAR: tuple[TransformClass, ...] = (LidarRain, LidarFog, LidarSnow, LidarWeather)
+TRANSFORMS: dict[str, TransformClass] = {
+    transform.__name__: transform for transform in (*OF_CAMERA, *OF_LIDAR, RadarAttenuation)
+}
+"""By name."""
+
+
+def class_for(kind: TransformClass, weather: Weather) -> TransformClass:
+    """The class; for a weather that it does not take, the one that takes any."""
+    if all(part.kind in kind.takes for part in weather.parts):
+        return kind
+    return TRANSFORMS[kind.takes_all]
+
+
+def sensor_of(transform: BayerWeather | LidarWeather | RadarAttenuation) -> Camera | Lidar | Radar:
+    """The sensor that a transform was built for."""
+    return transform.camera if isinstance(transform, BayerWeather) else transform.sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All that a transform is but its weather.
+
+    Args:
+        kind: its class.
+        sensor: that it was built for.
+        options: keyword arguments of its constructor.
+        method: of demosaicing, where it is inside ``AsBayer``.
+    """
+
+    kind: TransformClass
+    sensor: Camera | Lidar | Radar
+    options: Mapping[str, Any]
+    method: str | None = None
+
+    def build(self, weather: Weather) -> Any:
+        """The transform for a weather."""
+        built = class_for(self.kind, weather)(weather, self.sensor, **self.options)  # type: ignore[arg-type]
+        if self.method is None:
+            return built
+        assert isinstance(built, BayerWeather)
+        return AsBayer(built, method=self.method)
+
+
+def plan_of(transform: nn.Module) -> Plan:
+    """How a ready-made transform, or ``AsBayer`` around one, was built.
+
+    Raises:
+        TypeError: it is none.
+        ValueError: its chain was changed after it was built.
+    """
+    method = transform.method if isinstance(transform, AsBayer) else None
+    inner = transform.transform if isinstance(transform, AsBayer) else transform
+    if not isinstance(inner, (BayerWeather, LidarWeather, RadarAttenuation)):
+        raise TypeError(
+            f"wanted a transform of weather ({', '.join(TRANSFORMS)}, or AsBayer around one of a camera); got "
+            f"{type(transform).__name__}."
+        )
+    plan = Plan(type(inner), sensor_of(inner), dict(inner.given))
+    changed = _changed(inner, plan.build(inner.weather))
+    if changed:
+        raise ValueError(f"{type(inner).__name__}: {changed}; it cannot be built anew. Give changes as effects=[...].")
+    return Plan(plan.kind, plan.sensor, plan.options, method)
+
+
+def _changed(transform: Any, again: Any) -> str:
+    """In words, what of a transform's chain is not what its constructor makes; empty where it is the same."""
+    if list(again.chain.stages) != list(transform.chain.stages):
+        return (
+            f"the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
+            f"{', '.join(again.chain.stages)}"
+        )
+    if again.chain.to_dict() != transform.chain.to_dict():
+        return "a stage of the chain was changed after the transform was built"
+    return ""
