@@ -68,7 +68,7 @@ def write_robustness(
         correlation, said = _correlation(result)
         summary = _summary(result, found, declaration, model=model, recipe=recipe, sensor=sensor, seed=seed)
         summary["baseline"] = None if baseline is None else baseline["model"]
-        summary["notes"] = [*notes, *said]
+        summary["notes"] = list(dict.fromkeys([*notes, *said]))
         summary["correlation"] = None
         write_table(staging / "performance.csv", result.performance_table())
         write_table(staging / "robustness.csv", _table(summary))

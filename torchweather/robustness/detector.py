@@ -19,6 +19,7 @@ from torchweather.robustness.decoders import DECODERS
 __all__ = ["OnnxDetector"]
 
 Array = NDArray[Any]
+FEWEST_PX = 4  # of a side of an image; less is the axis of the colours
 ONNX_TYPES = {"float32": "tensor(float)", "uint8": "tensor(uint8)"}
 
 
@@ -131,10 +132,7 @@ class OnnxDetector:
                 )
         taken = inputs[declared["name"]]
         wanted, kind = _wanted(self.declaration)
-        fits = len(taken.shape) == len(wanted) and all(
-            not isinstance(own, int) or not isinstance(said, int) or own == said
-            for own, said in zip(taken.shape, wanted, strict=True)
-        )
+        fits = len(taken.shape) == len(wanted) and all(map(_fits, taken.shape, wanted))
         if not fits or taken.type != ONNX_TYPES[kind]:
             shape = ", ".join(map(str, wanted))
             raise TorchweatherError(f"{where}: the declaration says {declared['name']} {kind} ({shape}); {has}.")
@@ -149,6 +147,13 @@ def _wanted(declaration: Declaration) -> tuple[list[int | str], str]:
     height, width = taken["size"] or ("H", "W")
     shape = [1, colours, height, width] if taken["layout"] == "NCHW" else [1, height, width, colours]
     return shape, str(taken["dtype"])
+
+
+def _fits(own: object, said: object) -> bool:
+    """Whether a model's size can be the declared one: equal, or one of them open; three rows would be colours."""
+    if isinstance(own, int) and isinstance(said, int):
+        return own == said
+    return said not in ("H", "W") or not isinstance(own, int) or own >= FEWEST_PX
 
 
 def _signature(values: dict[str, Any]) -> str:
