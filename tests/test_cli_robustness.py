@@ -120,7 +120,7 @@ def test_the_tables_and_the_page_hold_the_same(done: Path) -> None:
     page = Page((done / "out" / "index.html").read_text(encoding="utf-8"))
     assert not page.mistakes
     assert all(str(each["src"]).startswith("data:") for each in page.all("img"))
-    assert "fog 15 m: 0.00" in page.words
+    assert "It is lowest in fog 100 m: 0.00." in page.words
     assert (done / "out" / "correlation" / "index.html").is_file()
     correlated = {each["metric"]: each for each in found["correlation"]}
     assert correlated["psnr"]["spearman"] > 0.5

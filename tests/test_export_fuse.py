@@ -1,11 +1,9 @@
-"""Weather and detector in one graph: onnxruntime gives what torch gives, at other sizes and rates than those traced."""
+"""Weather and detector in one graph: joined, described, refused. With noise: test_export.py, test_export_lidar.py."""
 
 from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,11 +16,11 @@ from torch import Tensor, nn
 
 from torchweather import __version__
 from torchweather.errors import TorchweatherError
-from torchweather.export import MosaicToImage, draw_feed, fuse
+from torchweather.export import MosaicToImage, fuse
 from torchweather.image import develop
-from torchweather.sensors import Camera, Lidar
-from torchweather.transforms import BayerFog, BayerRain, LidarSnow
-from torchweather.weather import Fog, Rain, Snow
+from torchweather.sensors import Camera
+from torchweather.transforms import BayerFog
+from torchweather.weather import Fog
 
 pytest.importorskip("onnxscript")
 import onnx
@@ -64,33 +62,6 @@ def camera_feed(of: Camera, bayer: Tensor, depth: Tensor, **knobs: float) -> dic
     }
 
 
-class CameraDetector(nn.Module):
-    """Edges, and where they are strongest; its weights have the name of an input of the weather."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.register_buffer("depth", WEIGHTS[:, :1])
-        self.depth: Tensor
-
-    def forward(self, mosaic: Tensor) -> dict[str, Tensor]:
-        found = nn.functional.conv2d(mosaic, self.depth, padding=1, stride=2).relu()
-        return {"map": found, "best": found.flatten(1).amax(1)}
-
-
-class CloudDetector(nn.Module):
-    """Logits of two classes a point, and how many points are near."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.layer = nn.Linear(4, 2, bias=False)
-        with torch.no_grad():
-            self.layer.weight.copy_(torch.linspace(-0.05, 0.05, 8).reshape(2, 4))
-
-    def forward(self, cloud: Tensor) -> tuple[Tensor, Tensor]:
-        near = (cloud[..., :3].square().sum(-1) < 400.0).sum(-1)
-        return self.layer(cloud), near
-
-
 def foreign_detector(opset: int = 13, size: tuple[int | str, int | str] = ("rows", "columns")) -> onnx.ModelProto:
     """NHWC, 8 bit, with a branch that reads a weight of the outer graph, and names that the weather's graph has too."""
     image = helper.make_tensor_value_info("bayer", TensorProto.UINT8, [1, *size, 3])
@@ -120,17 +91,6 @@ def foreign_detector(opset: int = 13, size: tuple[int | str, int | str] = ("rows
 
 
 @pytest.fixture(scope="module")
-def rain_graph(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("fused") / "rain.onnx"
-    rain = BayerRain(Rain(25.0), camera(*TRACED), airlight=LIGHT, near_m=2.0, far_m=4.0)
-    detector = CameraDetector().train()
-    inputs = fuse(rain, detector, path, keep=["signal"], height=TRACED[0], width=TRACED[1])
-    assert detector.training
-    assert inputs[:7] == ["bayer", "depth", "fx", "fy", "cx", "cy", "rate_mm_per_h"]
-    return path
-
-
-@pytest.fixture(scope="module")
 def fog_graph(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fused") / "fog.onnx"
     inputs = fuse(
@@ -144,40 +104,6 @@ def fog_graph(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert "detector.mor_m" in inputs
     return path
-
-
-@pytest.fixture(scope="module")
-def cloud_graph(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("fused") / "cloud.onnx"
-    fuse(snow(), CloudDetector(), path, outputs=["logits", "near"], keep=["kind"], points=100)
-    return path
-
-
-def lidar() -> Lidar:
-    """It sees many particles, without steps in range or intensity, which would make rounding visible."""
-    return Lidar(wavelength_nm=905.0, range_at_10_percent_m=80.0, range_noise_m=0.02, margin_db=1.0)
-
-
-def snow(rate: float = 1.0) -> LidarSnow:
-    return LidarSnow(Snow(rate), lidar())
-
-
-def test_a_camera_with_a_torch_detector_gives_what_torch_gives_at_another_size_and_rate(rain_graph: Path) -> None:
-    bayer, depth = scene(OTHER)
-    # The margins of the draw belong to the traced camera.
-    there = BayerRain(Rain(60.0), camera(*TRACED), airlight=LIGHT, near_m=2.0, far_m=4.0)
-    there.camera = camera(*OTHER)
-    signal = there(bayer, depth, there.draw(bayer, seed=5))
-    wanted = CameraDetector()(signal)
-    run = session(rain_graph)
-    assert [each.name for each in run.get_outputs()] == ["map", "best", "signal"]
-    feed = camera_feed(there.camera, bayer, depth, rate_mm_per_h=60.0)
-    got = run.run(None, feed | draw_feed(run, height=OTHER[0], width=OTHER[1], seed=5))
-    assert np.abs(got[0] - wanted["map"].numpy()).max() < TOLERANCE
-    assert np.abs(got[1] - wanted["best"].numpy()).max() < TOLERANCE
-    assert np.abs(got[2] - signal.numpy()).max() < TOLERANCE
-    lighter = feed | draw_feed(run, height=OTHER[0], width=OTHER[1], seed=5) | {"rate_mm_per_h": np.ones(1, np.float32)}
-    assert np.abs(run.run(None, lighter)[0] - got[0]).max() > 100 * TOLERANCE  # the rate is an input that matters
 
 
 def test_an_onnx_detector_of_an_older_opset_with_branches_and_equal_names_is_joined(fog_graph: Path) -> None:
@@ -196,56 +122,47 @@ def test_an_onnx_detector_of_an_older_opset_with_branches_and_equal_names_is_joi
     assert run.get_modelmeta().custom_metadata_map["author"] == "somebody"
 
 
-def test_a_lidar_with_a_torch_detector_gives_what_torch_gives_for_another_cloud_and_rate(cloud_graph: Path) -> None:
-    generator = torch.Generator().manual_seed(3)
-    cloud = torch.rand(3, 501, 4, generator=generator) * torch.tensor([60.0, 30.0, 3.0, 0.8]) + 1.0
-    there = snow(3.0)
-    result = there.run(cloud, there.draw(cloud, seed=torch.tensor([7, 8, 9])))
-    assert isinstance(result.points, Tensor)
-    assert isinstance(result.kind, Tensor)
-    assert (result.kind == 1).sum() > 20  # there is something to compare
-    logits, near = CloudDetector()(result.points)
-    run = session(cloud_graph)
-    feed = {"points": cloud.numpy(), "rate_mm_per_h": np.full(3, 3.0, np.float32)}
-    got = run.run(["logits", "near", "kind"], feed | draw_feed(run, points=501, seed=[7, 8, 9]))
-    # Placing a particle magnifies rounding in one point of a thousand: tests/test_export_lidar.py.
-    off = np.abs(got[0] - logits.detach().numpy())
-    assert np.quantile(off, 0.999) < TOLERANCE
-    assert off.max() < 10 * TOLERANCE
-    assert np.array_equal(got[2], result.kind.numpy())
-    assert np.array_equal(got[1], near.numpy())
+class Edges(nn.Module):
+    """A detector in torch: edges of the picture, and the strongest; its weights have the name of an input."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("depth", WEIGHTS)
+        self.depth: Tensor
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        found = nn.functional.conv2d(image, self.depth, padding=1, stride=2).relu()
+        return {"map": found, "best": found.flatten(1).amax(1)}
 
 
-def test_the_properties_say_version_equations_units_and_seeds(rain_graph: Path, cloud_graph: Path) -> None:
-    said = session(rain_graph).get_modelmeta().custom_metadata_map
+@pytest.mark.usefixtures("quick")
+def test_a_torch_detector_is_exported_with_what_is_between(tmp_path: Path) -> None:
+    detector = Edges().train()
+    path = tmp_path / "torch.onnx"
+    inputs = fuse(small_fog(), detector, path, between=MosaicToImage("RGGB"), keep=["signal"])
+    assert inputs == ["bayer", "depth", "fx", "fy", "cx", "cy", "mor_m"]
+    assert detector.training
+    bayer, depth = scene(OTHER)
+    there = BayerFog(Fog(mor_m=20.0), camera(*OTHER), airlight=LIGHT)
+    signal = there(bayer, depth)
+    wanted = Edges()(develop(signal.clamp(0, 1), "RGGB"))
+    run = session(path)
+    assert [each.name for each in run.get_outputs()] == ["map", "best", "signal"]
+    got = run.run(None, camera_feed(there.camera, bayer, depth, mor_m=20.0))
+    for one, other in zip(got, [wanted["map"], wanted["best"], signal], strict=True):
+        assert np.abs(one - other.numpy()).max() < TOLERANCE
+
+
+def test_the_properties_say_version_equations_and_units(fog_graph: Path) -> None:
+    said = session(fog_graph).get_modelmeta().custom_metadata_map
     assert said["torchweather_version"] == __version__
-    assert json.loads(said["torchweather_transform"])["weather"]["rate_mm_per_h"] == 25.0
-    assert said["torchweather_equations"] == "docs/PHYSICS.md, sections 4, 2.2, 2.5, 3"
+    transform = json.loads(said["torchweather_transform"])
+    assert (transform["class"], transform["weather"]["mor_m"]) == ("BayerFog", 50.0)
+    assert said["torchweather_equations"] == "docs/PHYSICS.md, sections 4, 2.3, 3"
     units = json.loads(said["torchweather_units"])
-    assert units["rate_mm_per_h"].startswith("mm/h")
+    assert units["mor_m"].startswith("m,")
     assert units["depth"].startswith("m ")
-    assert {each.name for each in session(rain_graph).get_inputs()} <= set(units)
     assert "Philox" in said["torchweather_seeds"]
-    of_cloud = session(cloud_graph).get_modelmeta().custom_metadata_map
-    assert json.loads(of_cloud["torchweather_transform"])["class"] == "LidarSnow"
-    assert json.loads(of_cloud["torchweather_units"])["points"].startswith("x, y, z in m")
-
-
-def test_the_rate_is_swept_by_onnxruntime_where_torch_is_not_loaded(rain_graph: Path, tmp_path: Path) -> None:
-    code = f"""
-import sys
-import numpy as np, onnxruntime
-from torchweather.export import draw_feed
-run = onnxruntime.InferenceSession({str(rain_graph)!r}, providers=["CPUExecutionProvider"])
-noise = draw_feed(run, height=24, width=56, seed=3)
-feed = dict(bayer=np.full((1, 1, 24, 56), 0.1, np.float32), depth=np.full((1, 1, 24, 56), 10, np.float32))
-feed |= {{name: np.array(value, np.float32) for name, value in dict(fx=120, fy=120, cx=27.5, cy=11.5).items()}}
-means = [run.run(["signal"], feed | noise | dict(rate_mm_per_h=np.array([rate], np.float32)))[0].mean(dtype=float)
-         for rate in (0, 5, 50, 200)]
-assert all(low < high for low, high in zip(means, means[1:])), means
-assert "torch" not in sys.modules
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1], timeout=60)
 
 
 def small_fog() -> BayerFog:
