@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few frames, little training, one weather")
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.train, arguments.test, arguments.steps = 3, 2, 30
+        arguments.train, arguments.test, arguments.steps = 2, 2, 20
 
     detector = trained([frame(seed) for seed in range(arguments.train)], arguments.steps)
     tested = [frame(FIRST_TEST + seed) for seed in range(arguments.test)]

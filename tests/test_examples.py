@@ -41,6 +41,10 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--out", "found"],
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
     ),
+    "robustness_of_a_detector.py": (
+        ["--quick", "--metrics", "psnr", "--out", "o"],
+        [f"o/{name}" for name in ("detector.onnx", "detector.yaml", "found/index.html", "found/robustness.json")],
+    ),
     "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones

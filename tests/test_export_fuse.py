@@ -173,13 +173,13 @@ def value(name: str, kind: int, shape: list[int | str]) -> onnx.ValueInfoProto:
     return helper.make_tensor_value_info(name, kind, shape)
 
 
-def same(*inputs: onnx.ValueInfoProto) -> onnx.ModelProto:
+def same(*inputs: onnx.ValueInfoProto, opset: int = 20) -> onnx.ModelProto:
     """A detector that gives its first input back."""
     out = onnx.ValueInfoProto()
     out.CopyFrom(inputs[0])
     out.name = "out"
     graph = helper.make_graph([helper.make_node("Identity", [inputs[0].name], ["out"])], "same", [*inputs], [out])
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=9)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=9)
 
 
 @pytest.fixture(scope="module")
@@ -196,6 +196,17 @@ def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fusing, "traced_model", cached)
         yield
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("opset", [15, 22])
+def test_a_detector_of_a_fixed_size_and_another_opset_takes_data_of_its_size(opset: int, tmp_path: Path) -> None:
+    detector = same(value("image", TensorProto.FLOAT, [1, 1, *OTHER]), opset=opset)
+    fuse(small_fog(), detector, tmp_path / "fixed.onnx")
+    bayer, depth = scene(OTHER)
+    there = BayerFog(Fog(mor_m=20.0), camera(*OTHER), airlight=LIGHT)
+    (got,) = session(tmp_path / "fixed.onnx").run(None, camera_feed(there.camera, bayer, depth, mor_m=20.0))
+    assert np.abs(got - there(bayer, depth).numpy()).max() < TOLERANCE
 
 
 MISFITS: dict[str, tuple[Callable[[], onnx.ModelProto], dict[str, Any], str]] = {
