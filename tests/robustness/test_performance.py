@@ -41,6 +41,15 @@ def test_a_class_without_truth_has_no_part_in_the_mean() -> None:
     assert found.value == 0.5
 
 
+def test_a_class_of_which_the_weather_took_all_has_nothing_left() -> None:
+    clear, foggy = LabelCounter(CLASSES, ()), LabelCounter(CLASSES, ())
+    clear.add(np.array([0, 0]), LabelTruth(np.array([0, 1])))
+    foggy.add(np.array([0]), LabelTruth(np.array([0])))
+    found = foggy.performance(clear.performance())
+    assert found.by_class == {"road": 1.0, "car": 0.0}
+    assert found.value == 0.5
+
+
 def test_average_precision_is_the_mean_over_thresholds_and_classes() -> None:
     counter = BoxCounter({0: "car", 1: "person"}, (0.5, 0.9))
     truth = BoxTruth(np.array([[0, 0, 10, 10], [20, 0, 30, 10.0]]), ("car", "person"), np.zeros(2, bool))

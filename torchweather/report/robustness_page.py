@@ -68,6 +68,8 @@ def write_robustness(
         correlation, said = _correlation(result)
         summary = _summary(result, found, declaration, model=model, recipe=recipe, sensor=sensor, seed=seed)
         summary["baseline"] = None if baseline is None else baseline["model"]
+        if found.reference == "clear" and result.clear.value == 1.0:
+            said.append("The detector makes no error in clear air, so none can be relative to it; give --baseline.")
         summary["notes"] = list(dict.fromkeys([*notes, *said]))
         summary["correlation"] = None
         write_table(staging / "performance.csv", result.performance_table())

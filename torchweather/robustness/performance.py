@@ -49,8 +49,8 @@ class Counter(ABC):
         """One frame; ``weather`` says of each point of a cloud whether it is a particle."""
 
     @abstractmethod
-    def performance(self) -> Performance:
-        """Over all frames so far."""
+    def performance(self, clear: Performance | None = None) -> Performance:
+        """Over all frames so far; ``clear`` is that of the same frames in clear air."""
 
 
 class BoxCounter(Counter):
@@ -66,7 +66,7 @@ class BoxCounter(Counter):
         self.found.append(found)
         self.truths.append({"boxes": truth.boxes, "labels": list(truth.labels), "ignore": truth.ignore})
 
-    def performance(self) -> Performance:
+    def performance(self, clear: Performance | None = None) -> Performance:
         """Average precision."""
         every: dict[str, list[float]] = {}
         for each in average_precision(self.found, self.truths, thresholds=self.thresholds):
@@ -79,7 +79,7 @@ class LabelCounter(Counter):
     """Intersection over union of each class over all frames, and its mean over the classes that have a truth.
 
     Points that the weather brought belong to no class: a class predicted there is a false alarm. Points that it took
-    are gone, neither right nor missed. Pixels and points whose truth is no class of the detector are not judged.
+    are gone, neither right nor missed; a class of which it took all has 0. Pixels and points whose truth is no class of the detector are not judged.
     """
 
     def __init__(self, classes: Mapping[int, str], thresholds: Sequence[float]) -> None:
@@ -98,12 +98,14 @@ class LabelCounter(Counter):
             self.true[number] += int(here.sum())
             self.said[number] += int(said.sum())
 
-    def performance(self) -> Performance:
+    def performance(self, clear: Performance | None = None) -> Performance:
         """Mean intersection over union."""
         by_class = {}
         for number, name in self.classes.items():
             union = self.true[number] + self.said[number] - self.hits[number]
-            by_class[name] = self.hits[number] / union if self.true[number] else math.nan
+            # Else the mean would rise where the weather takes the last points of a hard class.
+            all_lost = clear is not None and not math.isnan(clear.by_class[name])
+            by_class[name] = self.hits[number] / union if self.true[number] else 0.0 if all_lost else math.nan
         return Performance(_mean([*by_class.values()]), by_class)
 
 

@@ -219,16 +219,17 @@ def run_robustness(
                 progress()
     if not names:
         raise TorchweatherError("robustness: wanted one frame or more; got none.")
+    in_clear_air = clear.performance()
     results = []
     for place, condition in enumerate(conditions):
-        every = [weathered[place, k].performance() for k in range(seeds)]
+        every = [weathered[place, k].performance(in_clear_air) for k in range(seeds)]
         by_class = {
             name: float(np.mean([one.by_class.get(name, math.nan) for one in every])) for name in every[0].by_class
         }
         values = tuple(one.value for one in every)
         results.append(ConditionResult(condition, float(np.mean(values)), values, by_class))
     return RobustnessResult(
-        NAMES[declaration.decoder], clear.performance(), tuple(results), scores, tuple(names), tuple(thresholds)
+        NAMES[declaration.decoder], in_clear_air, tuple(results), scores, tuple(names), tuple(thresholds)
     )
 
 
