@@ -74,6 +74,7 @@ def foreign_detector(opset: int = 13, size: tuple[int | str, int | str] = ("rows
         helper.make_node("Cast", ["bayer"], ["float"], to=TensorProto.FLOAT),
         helper.make_node("Transpose", ["float"], ["planes"], perm=[0, 3, 1, 2]),
         helper.make_node("Conv", ["planes", "depth"], ["edges"], pads=[1, 1, 1, 1]),
+        helper.make_node("ReduceMean", ["planes"], ["brightness"], axes=[1, 2, 3], keepdims=0),  # an input from 18 on
         helper.make_node("Greater", ["mor_m", "zero"], ["positive"]),
         helper.make_node("Squeeze", ["positive"], ["branch"]),
         helper.make_node("If", ["branch"], ["signal"], then_branch=then, else_branch=other),
@@ -83,7 +84,8 @@ def foreign_detector(opset: int = 13, size: tuple[int | str, int | str] = ("rows
         numpy_helper.from_array(np.array(3.0, np.float32), "gain"),
         numpy_helper.from_array(np.array(0.0, np.float32), "zero"),
     ]
-    graph = helper.make_graph(nodes, "foreign", [image, gate], [logits], weights)
+    brightness = helper.make_tensor_value_info("brightness", TensorProto.FLOAT, [1])
+    graph = helper.make_graph(nodes, "foreign", [image, gate], [logits, brightness], weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     model.metadata_props.add(key="author", value="somebody")
     onnx.checker.check_model(model)
@@ -114,10 +116,11 @@ def test_an_onnx_detector_of_an_older_opset_with_branches_and_equal_names_is_joi
     run = session(fog_graph)
     feed = camera_feed(there.camera, bayer, depth, mor_m=20.0)
     for gate, factor in ((1.0, 3.0), (-1.0, 1.0)):
-        (got,) = run.run(["signal"], feed | {"detector.mor_m": np.array([gate], np.float32)})
+        got, brightness = run.run(["signal", "brightness"], feed | {"detector.mor_m": np.array([gate], np.float32)})
         # A picture of 8 bit: where torch and onnxruntime round apart, one step of 1/255 through the weights.
         off = np.abs(got - factor * edges.numpy())
         assert np.quantile(off, 0.99) < factor * TOLERANCE
+        assert brightness[0] == pytest.approx(float(picture.mean()), abs=1e-2)
         assert off.max() < factor * float(WEIGHTS.abs().max()) / 255 * 1.01
     assert run.get_modelmeta().custom_metadata_map["author"] == "somebody"
 

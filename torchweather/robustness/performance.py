@@ -79,7 +79,8 @@ class LabelCounter(Counter):
     """Intersection over union of each class over all frames, and its mean over the classes that have a truth.
 
     Points that the weather brought belong to no class: a class predicted there is a false alarm. Points that it took
-    are gone, neither right nor missed; a class of which it took all has 0. Pixels and points whose truth is no class of the detector are not judged.
+    are gone, neither right nor missed; a class of which it took all has 0. Pixels and points whose truth is no class of
+    the detector are not judged.
     """
 
     def __init__(self, classes: Mapping[int, str], thresholds: Sequence[float]) -> None:
