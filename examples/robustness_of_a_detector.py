@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
-from metrics_against_detector import STRIDE, Detector, Frame, centres, frame, trained
+from metrics_against_detector import clear_batches
+from parts.car_detector import STRIDE, Detector, Frame, centres, frame, trained
 from torch import Tensor, nn
 
 from torchweather.cli import main as torchweather
@@ -108,7 +109,8 @@ def main() -> None:
     if arguments.quick:
         arguments.train, arguments.test, arguments.steps = 2, 2, 20
 
-    detector = trained([frame(seed) for seed in range(arguments.train)], arguments.steps)
+    learned = [frame(seed) for seed in range(arguments.train)]
+    detector = trained(clear_batches(learned, arguments.steps), arguments.steps)
     tested = [frame(FIRST_TEST + seed) for seed in range(arguments.test)]
     write_data(tested, arguments.out / "data")
     write_detector(detector, arguments.out / "detector.onnx", tested[0].bayer.shape[-2:])

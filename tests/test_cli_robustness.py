@@ -16,12 +16,13 @@ import yaml
 from torch import Tensor
 
 from tests.report.parsed_page import Page
-from tests.robustness.onnx_detectors import declared, fixed_boxes, near_points
+from tests.robustness.onnx_detectors import bright_pixels, declared, fixed_boxes, near_points
 from torchweather.cli import main
 from torchweather.io import PointLabels, read_table, write_image, write_labels
 from torchweather.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.sensors import Camera
 from torchweather.sweep import CameraSubject
+from torchweather.transforms.recipes import recipes_folder
 from torchweather.transforms.suites import FORMAT, Suite, read_suite
 from torchweather.weather import Weather
 
@@ -207,6 +208,34 @@ def test_points_of_a_cloud_are_judged_and_those_of_the_weather_are_false_alarms(
     assert not (tmp_path / "out" / "correlation").exists()
 
 
+def test_pixels_of_colour_images_are_judged(tmp_path: Path) -> None:
+    """A white half and a black one: fog makes the black one brighter than a half."""
+    folder = tmp_path / "data"
+    (folder / "images").mkdir(parents=True)
+    (folder / "labels").mkdir()
+    image = torch.zeros(3, *SIZE, dtype=torch.uint8)
+    image[:, :, 32:] = 255
+    write_image(folder / "images" / "a.png", image)
+    write_image(folder / "labels" / "a.png", (image[:1] > 0).to(torch.uint8))
+    model = bright_pixels(tmp_path / "model.onnx")
+    declared(
+        model,
+        sensor="camera",
+        input={"name": "image"},
+        decoder="segmentation",
+        outputs={"logits": "logits"},
+        classes=["dark", "bright"],
+    )
+    own_suite(tmp_path)
+    assert main([*arguments(tmp_path), "--depth", "30"]) == 0
+    found = json.loads((tmp_path / "out" / "robustness.json").read_text())
+    assert found["measure"] == "mIoU"
+    assert found["clear"] == 1.0
+    assert found["conditions"][0]["performance"] > 0.9
+    # Everything is bright: of the dark half nothing is found, of the bright one all, and as much again.
+    assert found["conditions"][-1]["by_class"] == {"dark": 0.0, "bright": 0.5}
+
+
 def replaced(flag: str, value: str) -> Callable[[Path, list[str]], list[str]]:
     def change(_: Path, command: list[str]) -> list[str]:
         place = command.index(flag) if flag in command else len(command)
@@ -242,6 +271,13 @@ def renamed_frame(folder: Path, command: list[str]) -> list[str]:
     return command
 
 
+def drawn_weather(folder: Path, command: list[str]) -> list[str]:
+    recipe = yaml.safe_load((recipes_folder() / "camera" / "rain-25mm-per-h.yaml").read_text())
+    recipe["weather"]["rate_mm_per_h"] = [1.0, 50.0]
+    (folder / "drawn.yaml").write_text(yaml.safe_dump(recipe))
+    return replaced("--recipe", str(folder / "drawn.yaml"))(folder, command)
+
+
 WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "no declaration": (lambda f, c: (f / "model.yaml").unlink() or c, "model.yaml: no such file"),
     "decoder": (with_declaration(decoder="boxen"), "decoder must be one of boxes, segmentation; got 'boxen'"),
@@ -252,8 +288,10 @@ WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "no depth": (emptied("depth"), "no depth map for 0.png"),
     "no data": (replaced("--data", "/nowhere/at/all"), "no such folder"),
     "suite of another sensor": (replaced("--recipe", "lidar/robustness"), "lidar/robustness is for a lidar"),
-    "recipe of another sensor": (replaced("--recipe", "imaging-fog-20m"), "--recipe must be a suite"),
+    "recipe of another sensor": (replaced("--recipe", "imaging-fog-20m"), "radar/imaging-fog-20m is for a radar"),
     "unknown recipe": (replaced("--recipe", "camera/robustnes"), "Did you mean 'camera/robustness'"),
+    "drawn weather": (drawn_weather, "draws its weather anew for every sample"),
+    "several sensors": (replaced("--recipe", "multi_sensor/training-mix"), "where a suite or recipe is wanted"),
     "sensor": (replaced("--sensor", "lidar:os1"), "--sensor is a lidar; the detector is for a camera"),
     "argument of a lidar": (replaced("--max-range-m", "50"), "--max-range-m is for a lidar"),
     "overlap": (replaced("--iou", "50"), "--iou must be numbers in (0, 1]"),

@@ -45,6 +45,11 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--metrics", "psnr", "--out", "o"],
         [f"o/{name}" for name in ("detector.onnx", "detector.yaml", "found/index.html", "found/robustness.json")],
     ),
+    "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
+    "train_in_weather.py": (
+        ["--quick", "--out", "trained"],
+        [f"trained/train_in_weather.{ending}" for ending in ("json", "png")],
+    ),
     "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from torchweather.errors import TorchweatherError
+from torchweather.transforms.pipelines import list_pipelines
 from torchweather.transforms.recipes import list_recipes, read_recipe, recipes_folder
 from torchweather.transforms.suites import FORMAT, list_suites, read_suite
 from torchweather.weather import Fog, Mixture, Rain
@@ -47,8 +48,8 @@ def test_there_is_one_for_every_sensor_and_a_severity_is_the_same_weather_for_al
 
 def test_suites_are_no_recipes_and_recipes_no_suites() -> None:
     files = list(recipes_folder().rglob("*.yaml"))
-    assert len(list_recipes()) + len(list_suites()) == len(files)
-    assert not {recipe.name for recipe in list_recipes()} & {suite.name for suite in list_suites()}
+    names = [one.name for listed in (list_recipes(), list_pipelines(), list_suites()) for one in listed]
+    assert len(names) == len(set(names)) == len(files)
     with pytest.raises(TorchweatherError, match=r"wanted a suite of format.*got 'torchweather-recipe/1'"):
         read_suite(recipes_folder() / "camera" / "fog-30m.yaml")
     with pytest.raises(TorchweatherError, match=r"wanted a recipe of format.*got 'torchweather-suite/1'"):

@@ -1,4 +1,4 @@
-"""``torchweather list``: recipes, suites, sensors, weathers, size distributions and stages."""
+"""``torchweather list``: recipes, pipelines, suites, sensors, weathers, size distributions and stages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import textwrap
 from typing import Any
 
 NAME = "list"
-SUMMARY = "recipes, suites, sensor presets, weathers, size distributions, stages"
+SUMMARY = "recipes, pipelines, suites, sensor presets, weathers, size distributions, stages"
 DESCRIPTION = "Everything that has a name."
 
 
@@ -32,6 +32,7 @@ def everything() -> dict[str, Any]:
     from torchweather.physics import FOG, RAIN, SNOW
     from torchweather.sensors import SENSOR_CLASSES
     from torchweather.stages import STAGES
+    from torchweather.transforms.pipelines import list_pipelines
     from torchweather.transforms.recipes import list_recipes
     from torchweather.transforms.suites import list_suites
     from torchweather.weather import REHEARSE, WEATHERS
@@ -46,6 +47,15 @@ def everything() -> dict[str, Any]:
                 "sensor": recipe.sensor_name,
             }
             for recipe in list_recipes()
+        ],
+        "pipelines": [
+            {
+                "name": pipeline.name,
+                "title": pipeline.title,
+                "weather": dict(pipeline.weather),
+                "sensors": {key: recipe.sensor_name for key, recipe in pipeline.transforms.items()},
+            }
+            for pipeline in list_pipelines()
         ],
         "suites": [
             {
@@ -73,6 +83,8 @@ def listing_text(names: dict[str, Any]) -> str:
 
     lines = ["Recipes (torchweather apply --recipe NAME)", ""]
     lines += ["  " + line for line in aligned([[r["name"], r["title"], r["sensor"]] for r in names["recipes"]])]
+    lines += ["", "Pipelines of several sensors or weathers (load_recipe NAME; torchweather augment --recipe NAME)", ""]
+    lines += ["  " + line for line in aligned([[p["name"], p["title"]] for p in names["pipelines"]])]
     lines += ["", "Suites of weathers in five severities (torchweather robustness --recipe NAME)", ""]
     lines += ["  " + line for line in aligned([[s["name"], s["title"]] for s in names["suites"]])]
     lines += ["", "Sensors (--sensor NAME)", ""]

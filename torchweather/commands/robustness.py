@@ -151,25 +151,14 @@ def _number(value: float | None) -> str:
 
 def _source(name: str, declaration: Declaration) -> Suite | Recipe:
     """The suite or the recipe of a name or a file, which must be of the detector's sensor."""
-    from torchweather.errors import nearest_name
-    from torchweather.transforms.recipes import SUFFIXES, SUITE, format_of, list_recipes, read_recipe
-    from torchweather.transforms.suites import list_suites, read_suite
+    from torchweather.transforms.recipe_files import RECIPE, SUITE, files_of, find, format_of, name_of
+    from torchweather.transforms.recipes import read_recipe
+    from torchweather.transforms.suites import read_suite
 
-    found: Suite | Recipe
-    if name.endswith(SUFFIXES):
-        found = read_suite(name) if format_of(Path(name)).startswith(SUITE) else read_recipe(name)
-    else:
-        suites, recipes = [each.name for each in list_suites()], [each.name for each in list_recipes()]
-        own = f"{declaration.sensor}/{name}"
-        if name in suites or own in suites:
-            found = read_suite(name if name in suites else own)
-        elif name in recipes or own in recipes:
-            found = read_recipe(name if name in recipes else own)
-        else:
-            raise ValueError(
-                f"robustness: --recipe must be a suite ({', '.join(suites)}), a recipe (torchweather list) or a file "
-                f"ending in .yaml; got {name!r}.{nearest_name(name, [*suites, *recipes])}"
-            )
+    own = f"{declaration.sensor}/{name}"
+    names = [name_of(path) for path in files_of(SUITE, RECIPE)]
+    path = find(own if own in names else name, "suite or recipe", SUITE, RECIPE)
+    found: Suite | Recipe = read_suite(path) if format_of(path).startswith(SUITE) else read_recipe(path)
     if found.sensor_kind != declaration.sensor:
         raise ValueError(
             f"robustness: {found.name} is for a {found.sensor_kind}; the detector is for a {declaration.sensor}."

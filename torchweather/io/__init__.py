@@ -1,7 +1,10 @@
-"""Readers and writers: images, depth, points, radar detections and ADC cubes, labels, boxes, drops, tables."""
+"""Readers and writers: images, depth, points, radar detections and ADC cubes, labels, boxes, drops, tables,
+and the samples of other training code.
+"""
 
 from __future__ import annotations
 
+from torchweather.io.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
 from torchweather.io.adc import ADC_AXES, ADC_QUADRATURES, AdcCube, read_adc, write_adc
 from torchweather.io.atomic import atomic_folder, atomic_write
 from torchweather.io.batches import (
@@ -12,9 +15,25 @@ from torchweather.io.batches import (
     split_indexed,
     split_padded,
 )
+from torchweather.io.box_projection import project_boxes
+from torchweather.io.box_update import update_boxes
 from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.io.calibration import CameraLidarCalibration
+from torchweather.io.carla import (
+    camera_from_carla,
+    depth_from_carla,
+    depth_to_carla,
+    detections_from_carla,
+    detections_to_carla,
+    image_from_carla,
+    image_to_carla,
+    points_from_carla,
+    points_to_carla,
+    pose_from_carla,
+)
+from torchweather.io.carla_rig import CARLA_SENSORS, CarlaRig
+from torchweather.io.collate import CLOUDS_AS, Collate
 from torchweather.io.depth import DEPTH_ENCODINGS, read_depth
 from torchweather.io.disdrometer import read_disdrometer
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts, spectrum_from_drops
@@ -51,6 +70,8 @@ from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 __all__ = [
     "ADC_AXES",
     "ADC_QUADRATURES",
+    "CARLA_SENSORS",
+    "CLOUDS_AS",
     "DEPTH_ENCODINGS",
     "FALLING_SNOW",
     "IMAGE_SUFFIXES",
@@ -71,8 +92,13 @@ __all__ = [
     "BoxVisibility",
     "Boxes",
     "CameraLidarCalibration",
+    "CarlaRig",
+    "Collate",
     "DropSpectrum",
+    "HuggingFaceAdapter",
     "ImageInfo",
+    "Mmdet3dAdapter",
+    "OpenPcdetAdapter",
     "OusterFrame",
     "PointCloud",
     "PointLabels",
@@ -82,15 +108,26 @@ __all__ = [
     "box_visibility",
     "boxes_from_nuscenes",
     "boxes_to_nuscenes",
+    "camera_from_carla",
     "collate_indexed",
     "collate_list",
     "collate_padded",
+    "depth_from_carla",
+    "depth_to_carla",
+    "detections_from_carla",
+    "detections_to_carla",
+    "image_from_carla",
+    "image_to_carla",
     "join_indexed",
     "merge_kind",
     "parsivel_area_mm2",
     "parsivel_edges_mm",
     "parsivel_speeds_m_per_s",
+    "points_from_carla",
     "points_in_boxes",
+    "points_to_carla",
+    "pose_from_carla",
+    "project_boxes",
     "read_adc",
     "read_depth",
     "read_disdrometer",
@@ -111,6 +148,7 @@ __all__ = [
     "spectrum_from_drops",
     "split_indexed",
     "split_padded",
+    "update_boxes",
     "write_adc",
     "write_image",
     "write_kitti_boxes",

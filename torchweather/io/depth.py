@@ -13,14 +13,15 @@ from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.images import read_image
 
-__all__ = ["DEPTH_ENCODINGS", "read_depth"]
+__all__ = ["CARLA_FAR_M", "DEPTH_ENCODINGS", "carla_depth_m", "read_depth"]
 
 DEPTH_ENCODINGS = ("metre", "millimetre", "kitti", "carla")
 """Names of the encodings: float metres; 1 mm, 1/256 m per step of an integer; 24 bits in red, green, blue."""
 
 _STEP_M = {"millimetre": 1e-3, "kitti": 1.0 / 256.0}  # KITTI depth development kit: depth = value / 256, 0 is no value
-_CARLA_FAR_M = 1000.0  # CARLA sensor reference: depth = 1000 (R + 256 G + 65536 B) / (2^24 - 1)
-_CARLA_FULL = 256**3 - 1
+# CARLA sensor reference: depth = 1000 (R + 256 G + 65536 B) / (2^24 - 1)
+CARLA_FAR_M = 1000.0
+CARLA_FULL = 256**3 - 1
 
 
 def read_depth(path: str | os.PathLike[str], encoding: str | None = None, *, missing_m: float = math.inf) -> Tensor:
@@ -69,6 +70,25 @@ def read_depth(path: str | os.PathLike[str], encoding: str | None = None, *, mis
     return depth
 
 
+def carla_depth_m(rgb: Tensor) -> Tensor:
+    """Metres out of CARLA's coded depth, ``1000 (R + 256 G + 65536 B) / (2^24 - 1)``.
+
+    Args:
+        rgb: ``(..., 3, H, W)`` uint8, red, green, blue.
+
+    Returns:
+        ``(..., 1, H, W)`` float32; ``inf`` for the far plane, which is what the renderer clears to: nothing was hit.
+
+    Example:
+        >>> carla_depth_m(torch.tensor([0, 0, 128], dtype=torch.uint8)[:, None, None])
+        tensor([[[500.0000]]])
+    """
+    red, green, blue = rgb.to(torch.float64).unbind(-3)
+    code = red + 256.0 * green + 65536.0 * blue
+    metres = torch.where(code >= CARLA_FULL, torch.inf, code * (CARLA_FAR_M / CARLA_FULL))
+    return metres.to(torch.float32).unsqueeze(-3)
+
+
 def _in_metres(raw: Tensor, encoding: str | None, missing_m: float, source: Path) -> Tensor:
     channels = 3 if encoding == "carla" else 1
     if raw.ndim < 3 or raw.shape[-3] != channels or raw.numel() == 0:
@@ -79,11 +99,7 @@ def _in_metres(raw: Tensor, encoding: str | None, missing_m: float, source: Path
     if encoding == "carla":
         if raw.dtype != torch.uint8:
             raise TorchweatherError(f"{source}: CARLA's depth is 8-bit colour; got {raw.dtype}.")
-        red, green, blue = raw.to(torch.float64).unbind(-3)
-        code = red + 256.0 * green + 65536.0 * blue
-        # The far plane is what the renderer clears to: nothing was hit.
-        metres = torch.where(code >= _CARLA_FULL, torch.inf, code * (_CARLA_FAR_M / _CARLA_FULL))
-        return metres.to(torch.float32).unsqueeze(-3)
+        return carla_depth_m(raw)
     in_steps = encoding in _STEP_M
     if in_steps if raw.is_floating_point() else encoding is None:
         raise TorchweatherError(

@@ -1,4 +1,7 @@
-"""SemanticKITTI's label files (also WADS'): class and instance of every point, and what weather does to them."""
+"""SemanticKITTI's label files (also WADS'): class and instance of every point, and what weather does to labels.
+
+What it does to boxes is in ``box_update``; `update_boxes` is here as well.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,19 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError, check_between
 from torchweather.io.atomic import atomic_write
+from torchweather.io.box_update import update_boxes
 from torchweather.stages.states import PointKind
 
-__all__ = ["FALLING_SNOW", "LYING_SNOW", "UNLABELLED", "PointLabels", "merge_kind", "read_labels", "write_labels"]
+__all__ = [
+    "FALLING_SNOW",
+    "LYING_SNOW",
+    "UNLABELLED",
+    "PointLabels",
+    "merge_kind",
+    "read_labels",
+    "update_boxes",
+    "write_labels",
+]
 
 # Class 0 of SemanticKITTI is "unlabeled"; WADS adds two (SOURCE of the data set: CRFOR, sequences/36).
 UNLABELLED = 0

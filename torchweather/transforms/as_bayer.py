@@ -16,6 +16,7 @@ from torchweather.image.demosaic import METHODS, demosaic
 from torchweather.image.depth import DepthMap
 from torchweather.image.tone import compand, expand, normalise, quantise, srgb_decode, srgb_encode
 from torchweather.transforms.camera import BayerWeather, CameraResult
+from torchweather.weather import Weather
 
 __all__ = ["AsBayer", "RgbResult"]
 
@@ -104,6 +105,12 @@ class AsBayer(nn.Module):
         before, inner = self._mosaic(rgb)
         after = inner(before, self._depth(rgb, depth), noise)
         return self._rgb(before, after, rgb)
+
+    def with_weather(self, weather: Weather) -> AsBayer:
+        """The same for another weather; tables that both need are shared."""
+        inner = self.transform.with_weather(weather)
+        assert isinstance(inner, BayerWeather)
+        return AsBayer(inner, method=self.method)
 
     def run(self, rgb: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None) -> RgbResult:
         """The image, and with it transmission, airlight and particle mask."""

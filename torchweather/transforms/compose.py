@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -17,8 +18,10 @@ from torchweather.errors import check_between, nearest_name
 from torchweather.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
 from torchweather.sensors import Camera
 from torchweather.stages import Effect
+from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.plans import Plan, plan_of
-from torchweather.transforms.samples import as_tensor, data_of, like, like_batch
+from torchweather.transforms.radar import KNOWN, RadarAttenuation
+from torchweather.transforms.samples import as_tensor, data_of, like, like_batch, shared
 from torchweather.weather import Weather, weather_from_dict
 
 __all__ = ["Compose", "Draw"]
@@ -129,7 +132,15 @@ class Compose(nn.Module):
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
         self.inputs = {key: dict(names) for key, names in (inputs or {}).items()}
         self._check_inputs()
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        taken = {
+            *self.plans,
+            self.depth,
+            self.sample_key,
+            *(one for names in self.inputs.values() for one in names.values()),
+        }
+        if history in taken - {None}:
+            raise ValueError(f"Compose: history={history!r} is the key of something else; give it one of its own.")
+        self._epoch = shared(torch.zeros((), dtype=torch.int64))
         self._built: OrderedDict[tuple[str, str, str], Any] = OrderedDict()
         for one in self.weather.values:  # so that what does not go together is said here, and tables are made once
             for plan in self.plans.values():
@@ -143,6 +154,10 @@ class Compose(nn.Module):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_built": OrderedDict()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)  # type: ignore[no-untyped-call]
+        shared(self._epoch)
 
     # ---- drawing -------------------------------------------------------------------------------------------------
 
@@ -229,17 +244,23 @@ class Compose(nn.Module):
         draws = [draw] if isinstance(draw, Draw) else list(draw)
         if len(draws) != (1 if number is None else number):
             raise ValueError(f"Compose: wanted a draw for each of {number or 1} samples; got {len(draws)}.")
+        if self.history is not None and self.history in sample:
+            raise ValueError(
+                f"Compose: the sample holds {self.history!r} already, where history is to go. If it comes from another "
+                "Compose, the sample would get two weathers: give one Compose weather=Mixture(...). Else name another "
+                "key."
+            )
         out = dict(sample)
         results: dict[str, Any] = {}
         for key, plan in self.plans.items():
             if number is None:
-                found = self._in_weather(key, plan, data[key], self._extras(sample, key, plan, None), draws[0])
+                found = self._in_weather(key, plan, data[key], self._extras(sample, key, plan, None, 1), draws[0])
                 if found is not None:
                     results[key] = found
                     out[key] = like(data_of(found), sample[key])
             else:
                 each = [
-                    self._in_weather(key, plan, data[key][k], self._extras(sample, key, plan, k), draws[k])
+                    self._in_weather(key, plan, data[key][k], self._extras(sample, key, plan, k, number), draws[k])
                     for k in range(number)
                 ]
                 if any(found is not None for found in each):
@@ -318,8 +339,8 @@ class Compose(nn.Module):
             raise ValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
         return next(iter(found.values()))
 
-    def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None) -> dict[str, Tensor]:
-        """Further arguments of a key's transform, of one sample."""
+    def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None, number: int) -> dict[str, Tensor]:
+        """Further arguments of a key's transform, of one sample of a number of them."""
         names = dict(self.inputs.get(key, {}))
         if isinstance(plan.sensor, Camera) and "depth" not in names and self.depth in sample:
             names["depth"] = self.depth
@@ -327,10 +348,11 @@ class Compose(nn.Module):
         for argument, where in names.items():
             value = as_tensor(self._value(sample, where), where)
             if isinstance(value, list) or value.ndim > DIMENSIONS[argument]:
-                if element is None or len(value) <= element:
+                if element is None or len(value) != number:
+                    wanted = "one sample" if element is None else f"one sample, or of each of the {number}"
                     raise ValueError(
-                        f"Compose: {where!r} ({argument} of {key!r}) must be of one sample, {DIMENSIONS[argument]} "
-                        f"dimensions, or one for each of a batch; got {len(value)} of them."
+                        f"Compose: {where!r} ({argument} of {key!r}) must be of {wanted} ({DIMENSIONS[argument]} "
+                        f"dimensions each); got {len(value)} of them."
                     )
                 value = value[element]
             found[argument] = value
@@ -343,11 +365,12 @@ class Compose(nn.Module):
                     f"Compose: inputs names {key!r}, for which there is no transform; there are "
                     f"{', '.join(self.plans)}.{nearest_name(key, self.plans)}"
                 )
+            known = _arguments(self.plans[key])
             for argument in names:
-                if argument not in DIMENSIONS:
+                if argument not in known:
                     raise ValueError(
                         f"Compose: inputs of {key!r}: unknown argument {argument!r}; known are "
-                        f"{', '.join(DIMENSIONS)}.{nearest_name(argument, DIMENSIONS)}"
+                        f"{', '.join(known) or 'none'}.{nearest_name(argument, known)}"
                     )
 
 
@@ -366,6 +389,14 @@ def _plan(key: str, transform: Any) -> Plan:
         return plan_of(transform)
     except TypeError as error:
         raise TypeError(f"Compose: {key!r}: {error}") from error
+
+
+def _arguments(plan: Plan) -> list[str]:
+    """What a transform can be told beside its data."""
+    if issubclass(plan.kind, RadarAttenuation):
+        return list(KNOWN)
+    run = AsBayer.run if plan.method is not None else plan.kind.run
+    return [name for name in inspect.signature(run).parameters if name in DIMENSIONS]
 
 
 def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
@@ -387,6 +418,15 @@ def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
                 f"Compose: weather must be Rain, Fog, Snow, a Mixture, or a list or Choice of them (None is clear air);"
                 f" got {one!r}."
             )
+        for part in () if one is None else one.parts:
+            knob = getattr(part, part.knob_name)
+            if isinstance(knob, Tensor) and (knob.requires_grad or knob.numel() != 1):
+                # A draw is plain values: a gradient would end there, and each sample has a weather of its own.
+                raise ValueError(
+                    f"Compose: {part.knob_name} must be a number or a distribution; got a tensor of shape "
+                    f"{tuple(knob.shape)}{' that requires a gradient' if knob.requires_grad else ''}. Call the "
+                    "transform itself with it."
+                )
     return choice
 
 

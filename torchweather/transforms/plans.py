@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from torch import nn
+from torch import Tensor, nn
 
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms.as_bayer import AsBayer
@@ -93,4 +93,14 @@ def _changed(transform: Any, again: Any) -> str:
         )
     if again.chain.to_dict() != transform.chain.to_dict():
         return "a stage of the chain was changed after the transform was built"
+    was, now = transform.state_dict(), again.state_dict()
+    other = [name for name, value in now.items() if not _same(value, was[name])]
+    if other:
+        return f"{other[0].removeprefix('chain._stages.')} was changed after the transform was built"
     return ""
+
+
+def _same(value: Tensor, was: Tensor) -> bool:
+    """Whether a buffer is what the constructor made it, wherever the transform was moved since."""
+    was = was.to(value)
+    return value.shape == was.shape and bool(((value == was) | (value.isnan() & was.isnan())).all())

@@ -14,16 +14,13 @@ A recipe holds ``format: torchweather-recipe/1`` and
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from torch import nn
 
-import torchweather
 from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.image.depth import FlatGround
 from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
@@ -32,14 +29,24 @@ from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.plans import TRANSFORMS, TransformClass, class_for, sensor_of
 from torchweather.transforms.radar import RadarAttenuation
+from torchweather.transforms.recipe_files import (
+    PIPELINE,
+    RECIPE,
+    files_of,
+    find,
+    format_of,
+    name_of,
+    read_yaml,
+    recipes_folder,
+    refuse_unknown,
+    write_yaml,
+)
 from torchweather.transforms.recipe_options import GROUND, OPTIONS, RecipeTransform, options_of, sensor_values
 from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
 
-FORMAT = "torchweather-recipe/1"
-SUITE = "torchweather-suite/"  # suites of conditions, read by transforms.suites
-SUFFIXES = (".yaml", ".yml")
+FORMAT = RECIPE + "1"
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
 KEYS = (*REQUIRED, "options", "rgb")
 
@@ -93,15 +100,6 @@ class Recipe:
         return camera_of(self.sensor)
 
 
-def recipes_folder() -> Path:
-    """Folder of the ready-made recipes: inside the installed package, or that of the checkout."""
-    package = Path(torchweather.__file__).parent
-    for folder in (package / "_recipes", package.parent / "transforms"):
-        if folder.is_dir():
-            return folder
-    raise TorchweatherError(f"{package / '_recipes'}: the ready-made recipes are missing; install torchweather again.")
-
-
 def list_recipes() -> list[Recipe]:
     """All ready-made recipes, by name.
 
@@ -109,7 +107,7 @@ def list_recipes() -> list[Recipe]:
         >>> "camera/fog-30m" in [recipe.name for recipe in list_recipes()]
         True
     """
-    return sorted((read_recipe(path) for path in _files()), key=lambda recipe: recipe.name)
+    return sorted((read_recipe(path) for path in files_of(RECIPE)), key=lambda recipe: recipe.name)
 
 
 def read_recipe(name_or_path: str | os.PathLike[str]) -> Recipe:
@@ -123,25 +121,18 @@ def read_recipe(name_or_path: str | os.PathLike[str]) -> Recipe:
         >>> read_recipe("rain-25mm-per-h").weather["rate_mm_per_h"]
         25.0
     """
-    path = _find(name_or_path)
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{path}: no such file.") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise TorchweatherError(f"{path}: wanted a recipe in YAML; it cannot be read ({reason}).") from error
-    return _checked(values, path)
+    path = find(name_or_path)
+    return checked_recipe(read_yaml(path, "recipe"), path)
 
 
 def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Module:
-    """The transform of a recipe, ready to call.
+    """The transform of a recipe, ready to call; of a pipeline (``transforms.pipelines``) its ``Compose``.
 
     Args:
         name_or_path: as in ``read_recipe``.
         overrides: ``weather`` (an object, text such as ``rain:rate=25``, or plain values), ``sensor`` (of the recipe's
             kind: an object, text such as ``camera:gopro-hero5-acdc``, or fields to replace), ``rgb``, or any option of
-            the transform, such as ``depth``.
+            the transform, such as ``depth``. Of a pipeline, what ``load_pipeline`` takes.
 
     Returns:
         ``BayerWeather`` or ``LidarWeather`` or one of their kinds, or ``RadarAttenuation``; inside ``AsBayer`` where
@@ -152,26 +143,41 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
         >>> fog.weather.mor_m
         30.0
     """
+    if format_of(find(name_or_path, "recipe", RECIPE, PIPELINE)).startswith(PIPELINE):
+        from torchweather.transforms.pipelines import load_pipeline  # which is made of recipes
+
+        return load_pipeline(name_or_path, **overrides)
     recipe = read_recipe(name_or_path)
-    kind = recipe.sensor_kind
-    known = ["weather", "sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
-    for key in overrides:
-        if key not in known:
-            raise ValueError(
-                f"load_recipe: unknown override {key!r}; known are {', '.join(known)}.{nearest_name(key, known)}"
-            )
-    weather, sensor = overrides.pop("weather", None), overrides.pop("sensor", None)
-    rgb = bool(overrides.pop("rgb", recipe.rgb))
-    where = recipe.path or recipe.name
+    refuse_overrides(overrides, ["weather", *overrides_of(recipe)], "load_recipe")
+    weather = overrides.pop("weather", None)
     try:
-        chosen = recipe.build_weather() if weather is None else _as_weather(weather)
-        built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
-        options = {**recipe.options, **overrides}
-        if isinstance(options.get("depth"), str):
-            options["depth"] = FlatGround()
-        transform = transform_class(recipe, chosen)(chosen, built, **options)  # type: ignore[arg-type]
+        return built_recipe(recipe, recipe.build_weather() if weather is None else as_weather(weather), overrides)
     except (TypeError, ValueError) as error:
-        raise TorchweatherError(f"{where}: {error}") from error
+        raise TorchweatherError(f"{recipe.path or recipe.name}: {error}") from error
+
+
+def overrides_of(recipe: Recipe) -> list[str]:
+    """What ``load_recipe`` can be told of a recipe's sensor and transform."""
+    kind = recipe.sensor_kind
+    return ["sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
+
+
+def refuse_overrides(given: Iterable[str], known: Iterable[str], owner: str) -> None:
+    """Raise for an override that is not known, with the nearest one that is."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            raise ValueError(
+                f"{owner}: unknown override {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
+            )
+
+
+def built_recipe(recipe: Recipe, weather: Weather, overrides: Mapping[str, Any]) -> nn.Module:
+    """The transform of a recipe for a weather, its sensor and options overridden."""
+    options = with_depth_source({**recipe.options, **overrides})
+    sensor, rgb = options.pop("sensor", None), bool(options.pop("rgb", recipe.rgb))
+    built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
+    transform = transform_class(recipe, weather)(weather, built, **options)  # type: ignore[arg-type]
     return AsBayer(transform) if rgb and isinstance(transform, BayerWeather) else transform
 
 
@@ -200,9 +206,6 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
         >>> read_recipe(file).options
         {'depth': 40.0}
     """
-    target = Path(path)
-    if target.suffix not in SUFFIXES:
-        raise ValueError(f"save_recipe: the file must end in .yaml; got {target.name!r}.")
     rgb = isinstance(transform, AsBayer)
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, RecipeTransform) or type(inner).__name__ not in TRANSFORMS:
@@ -222,62 +225,22 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
     }
     if rgb:
         values["rgb"] = True
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            yaml.safe_dump(values, file, sort_keys=False)
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_yaml(values, path, owner="save_recipe")
 
 
 # ---- reading -------------------------------------------------------------------------------------------------------
 
 
-def _files() -> list[Path]:
-    """Files of the ready-made recipes; suites of conditions, which lie beside them, are left out."""
-    files = [path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES]
-    return [path for path in files if not format_of(path).startswith(SUITE)]
+def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with the depth source that ``ground`` stands for."""
+    return {key: FlatGround() if key == "depth" and isinstance(one, str) else one for key, one in options.items()}
 
 
-def format_of(path: Path) -> str:
-    """What a file says that it is; empty where it cannot be read, which reading it will report."""
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
-        return ""
-    return str(values.get("format", "")) if isinstance(values, Mapping) else ""
-
-
-def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    if isinstance(name_or_path, os.PathLike) or str(name_or_path).endswith(SUFFIXES):
-        return Path(name_or_path)
-    files = {_name(path): path for path in _files()}
-    found = [path for name, path in files.items() if str(name_or_path) in (name, name.rpartition("/")[2])]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        several = ", ".join(sorted(_name(path) for path in found))
-        raise ValueError(f"torchweather: recipe {str(name_or_path)!r} could be {several}; give the whole name.")
-    short = [name.rpartition("/")[2] for name in files]
-    raise ValueError(
-        f"torchweather: recipe must be one of {', '.join(sorted(files))}, or a file ending in .yaml; got "
-        f"{str(name_or_path)!r}.{nearest_name(str(name_or_path), [*files, *short])}"
-    )
-
-
-def _name(path: Path) -> str:
-    folder = recipes_folder()
-    inside = path.is_relative_to(folder)
-    return (path.relative_to(folder) if inside else Path(path.name)).with_name(path.stem).as_posix()
-
-
-def _checked(values: Any, path: Path) -> Recipe:
+def checked_recipe(values: Any, path: Path) -> Recipe:
     if not isinstance(values, Mapping) or values.get("format") != FORMAT:
         got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
         raise TorchweatherError(f"{path}: wanted a recipe of format {FORMAT!r}; got {got!r}.")
-    _refuse_unknown(values, KEYS, path, "key")
+    refuse_unknown(values, KEYS, path, "key")
     for key in REQUIRED:
         if key not in values:
             raise TorchweatherError(f"{path}: the recipe lacks {key!r}; wanted {', '.join(REQUIRED)}.")
@@ -292,7 +255,7 @@ def _checked(values: Any, path: Path) -> Recipe:
             f"{nearest_name(transform, TRANSFORMS)}"
         )
     kind = kind_of(TRANSFORMS[transform])
-    _refuse_unknown(options, OPTIONS[kind], path, "option")
+    refuse_unknown(options, OPTIONS[kind], path, "option")
     depth = options.get("depth")
     if isinstance(depth, str) and depth != GROUND:
         raise TorchweatherError(f"{path}: options.depth must be a number of metres or {GROUND!r}; got {depth!r}.")
@@ -301,7 +264,7 @@ def _checked(values: Any, path: Path) -> Recipe:
     if values.get("rgb", False) and kind != "camera":
         raise TorchweatherError(f"{path}: rgb belongs to a camera; the transform is {transform}. Leave it out.")
     recipe = Recipe(
-        name=_name(path),
+        name=name_of(path),
         title=str(values["title"]),
         transform=transform,
         weather=dict(values["weather"]),
@@ -360,7 +323,8 @@ def _preset_and_fields(values: Mapping[str, Any], wanted: str) -> tuple[str | No
     return None if preset is None else str(preset), fields
 
 
-def _as_weather(weather: Any) -> Weather:
+def as_weather(weather: Any) -> Weather:
+    """A weather from an object, text such as ``rain:rate=25``, or plain values."""
     if isinstance(weather, str):
         return parse_weather(weather)
     built: Weather = weather_from_dict(weather) if isinstance(weather, Mapping) else weather
@@ -376,12 +340,3 @@ def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar | Radar:
     if not isinstance(built, SENSOR_CLASSES[kind]):
         raise TypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
     return built
-
-
-def _refuse_unknown(values: Mapping[str, Any], known: Iterable[str], path: Path, what: str) -> None:
-    names = list(known)
-    for key in values:
-        if key not in names:
-            raise TorchweatherError(
-                f"{path}: unknown {what} {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
-            )

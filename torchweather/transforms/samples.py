@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["as_tensor", "data_of", "like", "like_batch"]
+__all__ = ["as_tensor", "data_of", "like", "like_batch", "shared"]
 
 
 def as_tensor(value: Any, key: str) -> Any:
@@ -16,7 +16,10 @@ def as_tensor(value: Any, key: str) -> Any:
     if isinstance(value, Tensor):
         return value
     if isinstance(value, np.ndarray):
-        return torch.from_numpy(value if value.flags.writeable and value.flags.c_contiguous else value.copy())
+        try:
+            return torch.from_numpy(value if value.flags.writeable and value.flags.c_contiguous else value.copy())
+        except (TypeError, ValueError) as error:  # words, objects, another byte order
+            raise TypeError(f"Compose: {key!r} holds a numpy array that torch cannot take: {error}") from error
     if isinstance(value, (list, tuple)) and all(isinstance(one, (Tensor, np.ndarray)) for one in value):
         return [as_tensor(one, key) for one in value]
     if isinstance(value, (bool, int, float, np.generic)):
@@ -46,3 +49,9 @@ def like_batch(values: list[Tensor], given: Any) -> Any:
     if len({value.shape for value in values}) > 1:
         return [like(value, given) for value in values]
     return like(torch.stack(values), given)
+
+
+def shared(value: Tensor) -> Tensor:
+    """The tensor, in memory that worker processes see too; a copy of it has to be put there again."""
+    value.share_memory_()  # type: ignore[no-untyped-call]
+    return value

@@ -19,11 +19,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.transforms.recipe_files import SUITE, files_of, find, name_of, read_yaml, refuse_unknown
 from torchweather.transforms.recipe_options import OPTIONS
-from torchweather.transforms.recipes import SENSOR_OF, SUFFIXES, SUITE, format_of, recipes_folder
+from torchweather.transforms.recipes import SENSOR_OF
 from torchweather.weather import WEATHERS, Weather, weather_from_dict
 
 __all__ = ["FORMAT", "SEVERITIES", "Condition", "Suite", "list_suites", "read_suite"]
@@ -105,7 +104,7 @@ def list_suites() -> list[Suite]:
         >>> [suite.name for suite in list_suites()]
         ['camera/robustness', 'lidar/robustness', 'radar/robustness']
     """
-    return sorted((read_suite(path) for path in _files()), key=lambda suite: suite.name)
+    return sorted((read_suite(path) for path in files_of(SUITE)), key=lambda suite: suite.name)
 
 
 def read_suite(name_or_path: str | os.PathLike[str]) -> Suite:
@@ -121,43 +120,8 @@ def read_suite(name_or_path: str | os.PathLike[str]) -> Suite:
         >>> suite.sensor_kind, list(suite.weathers), len(suite.conditions())
         ('camera', ['rain', 'fog', 'snow'], 15)
     """
-    path = _find(name_or_path)
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{path}: no such file.") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise TorchweatherError(f"{path}: wanted a suite in YAML; it cannot be read ({reason}).") from error
-    return _checked(values, path)
-
-
-def _files() -> list[Path]:
-    return [
-        path for path in recipes_folder().rglob("*") if path.suffix in SUFFIXES and format_of(path).startswith(SUITE)
-    ]
-
-
-def _name(path: Path) -> str:
-    folder = recipes_folder()
-    inside = path.is_relative_to(folder)
-    return (path.relative_to(folder) if inside else Path(path.name)).with_name(path.stem).as_posix()
-
-
-def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    text = str(name_or_path)
-    if isinstance(name_or_path, os.PathLike) or text.endswith(SUFFIXES):
-        return Path(name_or_path)
-    files = {_name(path): path for path in _files()}
-    found = [name for name in files if text in (name, name.rpartition("/")[2])]
-    if len(found) == 1:
-        return files[found[0]]
-    if found:
-        raise ValueError(f"torchweather: suite {text!r} could be {', '.join(sorted(found))}; give the whole name.")
-    raise ValueError(
-        f"torchweather: suite must be one of {', '.join(sorted(files))}, or a file ending in .yaml; got {text!r}."
-        f"{nearest_name(text, files)}"
-    )
+    path = find(name_or_path, "suite", SUITE)
+    return _checked(read_yaml(path, "suite"), path)
 
 
 # ---- checking ------------------------------------------------------------------------------------------------------
@@ -167,7 +131,7 @@ def _checked(values: Any, path: Path) -> Suite:
     if not isinstance(values, Mapping) or values.get("format") != FORMAT:
         got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
         raise TorchweatherError(f"{path}: wanted a suite of format {FORMAT!r}; got {got!r}.")
-    _refuse_unknown(values, KEYS, path, "key")
+    refuse_unknown(values, KEYS, path, "key")
     for key in REQUIRED:
         if key not in values:
             raise TorchweatherError(f"{path}: the suite lacks {key!r}; wanted {', '.join(REQUIRED)}.")
@@ -181,9 +145,9 @@ def _checked(values: Any, path: Path) -> Suite:
         raise TorchweatherError(
             f"{path}: sensor.kind must be one of {', '.join(SENSOR_OF)}; got {kind!r}.{nearest_name(kind, SENSOR_OF)}"
         )
-    _refuse_unknown(options, OPTIONS[str(kind)], path, "option")
+    refuse_unknown(options, OPTIONS[str(kind)], path, "option")
     weathers = {str(name): _weather(name, fields, path) for name, fields in values["weathers"].items()}
-    suite = Suite(_name(path), str(values["title"]), sensor, weathers, dict(options), path)
+    suite = Suite(name_of(path), str(values["title"]), sensor, weathers, dict(options), path)
     try:
         if len(sensor) > 1:
             SENSOR_OF[str(kind)](sensor)
@@ -192,14 +156,6 @@ def _checked(values: Any, path: Path) -> Suite:
         raise TorchweatherError(f"{path}: {error}") from error
     _check_order(conditions, path)
     return suite
-
-
-def _refuse_unknown(values: Mapping[str, Any], known: Any, path: Path, what: str) -> None:
-    for key in values:
-        if key not in known:
-            raise TorchweatherError(
-                f"{path}: unknown {what} {key!r}; known are {', '.join(known)}.{nearest_name(key, known)}"
-            )
 
 
 def _weather(name: object, fields: Any, path: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import torch
 from torch.utils.data import Dataset
 
 from torchweather.random import sample_seed
+from torchweather.transforms.samples import shared
 
 __all__ = ["WeatherDataset"]
 
@@ -42,7 +43,11 @@ class WeatherDataset(Dataset[Any]):
         after: Callable[[dict[str, Any], dict[str, Any]], Any] | None = None,
     ) -> None:
         self.dataset, self.transform, self.seed, self.after = dataset, transform, int(seed), after
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch = shared(torch.zeros((), dtype=torch.int64))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        shared(self._epoch)
 
     def set_epoch(self, epoch: int) -> None:
         """Another epoch, another weather for each sample; workers that live on see it, too."""
