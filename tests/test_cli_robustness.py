@@ -290,7 +290,7 @@ WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "suite of another sensor": (replaced("--recipe", "lidar/robustness"), "lidar/robustness is for a lidar"),
     "recipe of another sensor": (replaced("--recipe", "imaging-fog-20m"), "radar/imaging-fog-20m is for a radar"),
     "unknown recipe": (replaced("--recipe", "camera/robustnes"), "Did you mean 'camera/robustness'"),
-    "drawn weather": (drawn_weather, "draws its weather anew for every sample"),
+    "drawn weather": (drawn_weather, "a condition is one weather"),
     "several sensors": (replaced("--recipe", "multi_sensor/training-mix"), "where a suite or recipe is wanted"),
     "sensor": (replaced("--sensor", "lidar:os1"), "--sensor is a lidar; the detector is for a camera"),
     "argument of a lidar": (replaced("--max-range-m", "50"), "--max-range-m is for a lidar"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 from pathlib import Path
@@ -57,6 +58,12 @@ def test_average_precision_is_the_mean_over_thresholds_and_classes() -> None:
     counter.add(found, truth)  # the car overlaps by 0.8: a hit at 0.5 alone
     assert counter.performance().by_class == pytest.approx({"car": 0.5, "person": 1.0})
     assert counter.performance().value == pytest.approx(0.75)
+
+
+def test_without_pycocotools_it_is_said_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(TorchweatherError, match=r"torchweather\[detection\]"):
+        BoxCounter(CLASSES, (0.5,))
 
 
 def coco(folder: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.errors import TorchweatherError
 from torchweather.metrics import average_precision
 from torchweather.robustness.truth import BoxTruth, LabelTruth
 
@@ -58,6 +60,8 @@ class BoxCounter(Counter):
 
     def __init__(self, classes: Mapping[int, str], thresholds: Sequence[float]) -> None:
         super().__init__(classes, thresholds)
+        if importlib.util.find_spec("pycocotools") is None:  # said now, and not when all frames are done
+            raise TorchweatherError("average precision needs pycocotools: install torchweather[detection].")
         self.found: list[dict[str, Any]] = []
         self.truths: list[dict[str, Any]] = []
 

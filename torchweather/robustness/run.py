@@ -26,7 +26,6 @@ from torchweather.threads import one_thread_an_operation
 from torchweather.transforms.raw_levels import raw_to_linear
 from torchweather.transforms.recipes import Recipe
 from torchweather.transforms.suites import Condition, Suite
-from torchweather.weather import Weather
 
 __all__ = ["ConditionResult", "LabelledFrame", "Look", "RobustnessResult", "conditions_of", "run_robustness"]
 
@@ -142,12 +141,12 @@ def conditions_of(source: Suite | Recipe) -> list[Condition]:
     if isinstance(source, Suite):
         return source.conditions()
     weather = source.build_weather()
-    if not isinstance(weather, Weather) or weather.random:
+    part = weather.parts[0]
+    if weather.random or torch.as_tensor(part.knob).numel() != 1:
         raise ValueError(
-            f"robustness: {source.name} draws its weather anew for every sample; a condition must be one weather. Take "
+            f"robustness: {source.name} has several weathers or draws one a sample; a condition is one weather. Take "
             "a recipe with numbers, or a suite."
         )
-    part = weather.parts[0]
     return [Condition(source.name.rpartition("/")[2], part.kind, part.knob_name, float(part.knob), 1, weather)]
 
 
