@@ -175,21 +175,31 @@ def table(scores: dict[str, Any], name: str) -> str:
     return "\n".join([*lines, "* outside of what was trained on"])
 
 
+def spread(values: np.ndarray) -> np.ndarray:
+    """Distances of the least and the greatest from the mean, ``(2, tests)``."""
+    mean = values.mean(0)
+    return np.stack([mean - values.min(0), values.max(0) - mean])
+
+
 def draw(results: dict[str, Any], path: Path) -> None:
     figure, axes = plt.subplots(1, len(results), figsize=(6.4 * len(results), 4.6), constrained_layout=True)
     names = [name if inside else f"{name} *" for name, _, inside in TESTS]
     place = np.arange(len(names))
+    kinds = [name.split()[0] if "in" not in name.split() else "mixture" for name, _, _ in TESTS]
+    groups = [[k for k, one in enumerate(kinds) if one == kind] for kind in dict.fromkeys(kinds)]
     for axis, (title, scores) in zip(np.atleast_1d(axes), results.items(), strict=True):
         for arm, colour, label in (("clear", "0.45", "trained clear"), ("weather", "tab:blue", "trained in weather")):
             values = np.array(scores[arm])
-            axis.plot(place, values.mean(0), "o-", color=colour, label=label)
-            axis.fill_between(place, values.min(0), values.max(0), color=colour, alpha=0.2, linewidth=0)
+            for group in groups:  # of one weather, light to heavy
+                axis.plot(place[group], values.mean(0)[group], "o-", color=colour, label=label)
+                axis.errorbar(place[group], values.mean(0)[group], spread(values)[:, group], color=colour, capsize=3)
+                label = None
         axis.set_xticks(place, names, rotation=40, ha="right")
         axis.set_ylim(0, 1)
         axis.set_ylabel(title)
         axis.grid(alpha=0.3)
-        axis.legend(loc="lower left")
-    figure.suptitle("Lines: mean of the seeds; bands: all of them; *: outside of what was trained on", fontsize=10)
+        axis.legend(loc="upper right")
+    figure.suptitle("Points: mean of the seeds; bars: all of them; *: outside of what was trained on", fontsize=10)
     figure.savefig(path, dpi=110)
 
 
@@ -203,7 +213,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few scenes, little training, one seed")
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.seeds, arguments.train, arguments.test, arguments.steps = 1, 2, 1, 4
+        arguments.seeds, arguments.train, arguments.test, arguments.steps = 1, 2, 1, 2
+        del TESTS[3:]
     began = time.perf_counter()
     studies = {
         "average precision of cars (camera)": camera_study(arguments),

@@ -45,6 +45,14 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--metrics", "psnr", "--out", "o"],
         [f"o/{name}" for name in ("detector.onnx", "detector.yaml", "found/index.html", "found/robustness.json")],
     ),
+    "augment_a_kitti_folder.py": (
+        ["--width", "160", "--columns", "90", "--frames", "2", "--workers", "1", "--out", "rainy"],
+        [
+            "rainy/torchweather-manifest.sqlite",
+            "rainy/training/image_2/000001.png",
+            "rainy/training/velodyne/000000.bin",
+        ],
+    ),
     "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
     "train_in_weather.py": (
         ["--quick", "--out", "trained"],

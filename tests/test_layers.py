@@ -14,13 +14,13 @@ PACKAGE = Path(__file__).parents[1] / "torchweather"
 
 # A part may import those of its own layer or a lower one; each name is a module or a folder of the package.
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"distributions", "errors", "random", "threads"}),
+    frozenset({"distributions", "errors", "file_names", "random", "threads"}),
     frozenset({"physics"}),
     frozenset({"weather", "sensors"}),
     frozenset({"image", "stages", "radar"}),
     frozenset({"transforms"}),
     frozenset({"scenes", "io", "export", "explain"}),
-    frozenset({"gap", "sweep"}),
+    frozenset({"augment", "gap", "sweep"}),
     frozenset({"robustness"}),
     frozenset({"report"}),
     frozenset({"cli", "commands"}),

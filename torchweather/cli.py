@@ -1,4 +1,4 @@
-"""The ``torchweather`` program: explain, apply, demo, metrics, sweep, correlate, robustness, validate, gap, d34, list.
+"""The ``torchweather`` program and its commands.
 
 Results go to standard output (``--json`` for machines), everything else to standard error. Exit code 0 is success, 2 a
 mistake in what was asked or in a file, with one line that says what was wanted.
@@ -17,6 +17,7 @@ from typing import TextIO
 from torchweather import __version__
 from torchweather.commands import (
     apply,
+    augment,
     correlate,
     d34,
     demo,
@@ -31,7 +32,7 @@ from torchweather.commands import (
 
 __all__ = ["main"]
 
-COMMANDS = (explain, apply, demo, metrics, sweep, correlate, robustness, validate, gap, d34, listing)
+COMMANDS = (explain, apply, augment, demo, metrics, sweep, correlate, robustness, validate, gap, d34, listing)
 MISTAKE = 2
 INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
 

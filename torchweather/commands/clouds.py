@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.file_names import stem
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -105,19 +107,6 @@ class CloudFrame:
     def name(self) -> str:
         """File name and frame, for messages."""
         return str(self.path) if self.number is None else f"{self.path}, frame {self.number}"
-
-
-def stem(path: Path) -> tuple[str, str]:
-    """Name and ending of a cloud; nuScenes' is ``.pcd.bin``.
-
-    Example:
-        >>> stem(Path("sweep.pcd.bin")), stem(Path("000008.bin"))
-        (('sweep', '.pcd.bin'), ('000008', '.bin'))
-    """
-    for suffix in (".pcd.bin", path.suffix):
-        if path.name.lower().endswith(suffix.lower()):
-            return path.name[: len(path.name) - len(suffix)], path.name[len(path.name) - len(suffix) :]
-    return path.name, ""
 
 
 def gathered_clouds(inputs: list[Path]) -> list[Path]:

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from torchweather.image import DepthSource
     from torchweather.sensors import Camera
 
@@ -23,13 +21,11 @@ __all__ = [
     "gathered",
 ]
 
-GROUND = "ground"
 # All arguments below that belong to a camera.
 CAMERA_ARGUMENTS = (
     *("pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy", "exposure_s", "height_m"),
     *("pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
 )
-DEPTH_SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
 
 
 def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,31 +93,9 @@ def fitted_camera(camera: Camera, height: int, width: int, args: argparse.Namesp
 
 def depth_source(text: str, encoding: str | None, frame: Path) -> DepthSource:
     """The depth of a frame from the argument ``--depth``."""
-    from torchweather.image import ConstantDepth, DepthMap, FlatGround
-    from torchweather.io import read_depth
+    from torchweather.io.depth_sources import depth_source as found
 
-    if text == GROUND:
-        return FlatGround()
-    try:
-        return ConstantDepth(float(text))
-    except ValueError as error:
-        if "could not convert" not in str(error):
-            raise
-    path = Path(text)
-    if path.is_dir():
-        path = _same_name(path, frame)
-    elif not path.exists():
-        raise ValueError(f"--depth must be a file, a folder, a number of metres or {GROUND!r}; got {text!r}.")
-    depth: Tensor = read_depth(path, encoding)
-    return DepthMap(depth)
-
-
-def _same_name(folder: Path, frame: Path) -> Path:
-    for suffix in DEPTH_SUFFIXES:
-        found = folder / (frame.stem + suffix)
-        if found.is_file():
-            return found
-    raise ValueError(f"{folder}: no depth map for {frame.name}; wanted {frame.stem} with {', '.join(DEPTH_SUFFIXES)}.")
+    return found(text, encoding, frame)
 
 
 def gathered(inputs: list[Path]) -> list[Path]:
