@@ -41,6 +41,10 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--out", "found"],
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],
     ),
+    "robustness_of_a_detector.py": (
+        ["--quick", "--metrics", "psnr", "--out", "o"],
+        [f"o/{name}" for name in ("detector.onnx", "detector.yaml", "found/index.html", "found/robustness.json")],
+    ),
     "augment_a_kitti_folder.py": (
         ["--width", "160", "--columns", "90", "--frames", "2", "--workers", "0", "--out", "rainy"],
         [

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.errors import TorchweatherError
-from torchweather.export import draw_feed, to_onnx
+from torchweather.export import draw_feed, fuse, to_onnx
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
 from torchweather.weather import Fog, Mixture, Rain, Snow
@@ -186,6 +186,67 @@ def test_draw_feed_gives_the_numbers_of_draw_bit_for_bit(graphs: Callable[[str],
         for key, value in noise.items():
             assert feed[key].dtype == np.float32
             assert np.array_equal(feed[key], value.numpy())
+
+
+class Detector(torch.nn.Module):
+    """Sums over 4 x 4 pixels; its weights have the name of an input of the weather."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("depth", torch.ones(1, 1, 4, 4))
+        self.depth: Tensor
+
+    def forward(self, mosaic: Tensor) -> Tensor:
+        return torch.nn.functional.conv2d(mosaic, self.depth, stride=2)
+
+
+@pytest.fixture(scope="module")
+def fused(graphs: Callable[[str], Graph], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The rain and a detector in one graph; the rain has been exported before."""
+    import onnx
+
+    from torchweather.export import graph
+
+    path = tmp_path_factory.mktemp("fused") / "fused.onnx"
+    exported = onnx.load(graphs("rain").path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(graph, "_traced", lambda _: exported)
+        inputs = fuse(graphs("rain").transform, Detector(), path, outputs=["sums"], height=TRACED[0], width=TRACED[1])
+    assert set(inputs) == set(graphs("rain").inputs)
+    return path
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_with_a_detector_in_the_graph_it_gives_what_torch_gives_at_other_sizes_and_rates(
+    graphs: Callable[[str], Graph], fused: Path, size: tuple[int, int]
+) -> None:
+    bayer, depth = scene(size)
+    transform = at_size(rain(TRACED, 7.0), size)
+    wanted = Detector()(transform(bayer, depth, transform.draw(bayer, seed=5)))
+    graph = copy.copy(graphs("rain"))
+    graph.session = onnxruntime.InferenceSession(fused, providers=["CPUExecutionProvider"])
+    feed = draw_feed(fused, height=size[0], width=size[1], seed=5)
+    got = graph(transform.camera, bayer, depth, {"rate_mm_per_h": 7.0}, feed)
+    assert np.abs(got - wanted.numpy()).max() < 16 * TOLERANCE  # a sum of 16 pixels
+    lighter = graph(transform.camera, bayer, depth, {"rate_mm_per_h": 0.5}, feed)
+    assert np.abs(lighter - got).max() > 160 * TOLERANCE  # the rate matters
+
+
+def test_the_rate_is_swept_by_onnxruntime_alone(fused: Path) -> None:
+    code = f"""
+import sys
+import numpy as np, onnxruntime
+from torchweather.export import draw_feed
+run = onnxruntime.InferenceSession({str(fused)!r}, providers=["CPUExecutionProvider"])
+noise = draw_feed(run, height=24, width=56, seed=3)
+feed = dict(bayer=np.full((1, 1, 24, 56), 0.1, np.float32), depth=np.full((1, 1, 24, 56), 10, np.float32))
+feed |= {{name: np.array(value, np.float32) for name, value in dict(fx=120, fy=120, cx=27.5, cy=11.5).items()}}
+means = [run.run(["sums"], feed | noise | dict(rate_mm_per_h=np.array([rate], np.float32)))[0].mean(dtype=float)
+         for rate in (0, 5, 50, 200)]
+assert all(low < high for low, high in zip(means, means[1:])), means
+assert "torch" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1], timeout=60)
 
 
 def test_draw_feed_and_the_graph_run_where_torch_is_not_loaded(graphs: Callable[[str], Graph], tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.export import draw_feed, to_onnx
+from torchweather.export import draw_feed, fuse, to_onnx
 from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
@@ -188,6 +188,56 @@ def test_onnxruntime_gives_what_torch_gives_for_other_clouds_and_knobs(
         assert_same_cloud(got["second"], wanted.second.numpy())
     else:
         assert set(got) == {"cloud", "kind"}
+
+
+class Detector(torch.nn.Module):
+    """Two logits a point, and how many points are near."""
+
+    def forward(self, cloud: Tensor) -> tuple[Tensor, Tensor]:
+        weights = torch.linspace(-0.05, 0.05, 8).reshape(4, 2)
+        return cloud[..., :4] @ weights, (cloud[..., :3].square().sum(-1) < 400.0).sum(-1)
+
+
+def test_with_a_detector_in_the_graph_it_gives_what_torch_gives(
+    graphs: Callable[[str], Graph], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import onnx
+
+    from torchweather.export import graph as export
+
+    graph, path = graphs("rain"), tmp_path / "fused.onnx"
+    exported = onnx.load(graph.path)
+    monkeypatch.setattr(export, "_traced", lambda _: exported)  # the weather alone takes ten seconds
+    columns, options = graph.case.columns, graph.case.options
+    fuse(
+        graph.transform,
+        Detector(),
+        path,
+        outputs=["logits", "near"],
+        keep=["kind"],
+        points=TRACED,
+        columns=columns,
+        **options,
+    )
+    batch, count = SIZES[1]
+    points, along = cloud_and_directions(batch, count, columns)
+    given = {"directions": along.numpy()} if graph.case.directions else {}
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    noise = draw_feed(session, points=count, seed=range(5, 5 + batch))
+    names = ["logits", "near", "kind"]
+    got = session.run(names, {"points": points.numpy(), **given, **graph.knobs(batch), **noise})
+    torch_noise = {key: torch.from_numpy(array) for key, array in noise.items()}
+    wanted = graph.at_knobs(batch).run(points, torch_noise, directions=along if given else None)
+    assert isinstance(wanted.points, Tensor)
+    assert isinstance(wanted.kind, Tensor)
+    logits, near = Detector()(wanted.points)
+    off = np.abs(got[0] - logits.numpy())
+    scale = float(logits.abs().max())
+    assert (off > TOLERANCE * scale).mean() <= FEW
+    assert off.max() <= FARTHER * TOLERANCE * scale
+    assert np.array_equal(got[1], near.numpy())
+    assert np.array_equal(got[2], wanted.kind.numpy())
+    assert int((wanted.kind == PointKind.PARTICLE).sum()) > 10
 
 
 @every_case

@@ -21,6 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"transforms"}),
     frozenset({"scenes", "io", "export", "explain"}),
     frozenset({"augment", "gap", "sweep"}),
+    frozenset({"robustness"}),
     frozenset({"report"}),
     frozenset({"cli", "commands"}),
 )
@@ -32,7 +33,7 @@ ONLY_ERRORS = "metrics"
 CONFINED: dict[str, set[str]] = {
     "onnx": {"export"},
     "onnxscript": {"export"},
-    "onnxruntime": {"export"},
+    "onnxruntime": {"export", "robustness"},
     "matplotlib": {"report"},
     "jinja2": {"report"},
     "kornia": {"image"},

@@ -15,7 +15,20 @@ def test_importing_the_library_does_not_import_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-PARTS = ("export", "gap", "image", "io", "metrics", "physics", "radar", "scenes", "stages", "sweep", "transforms")
+PARTS = (
+    "export",
+    "gap",
+    "image",
+    "io",
+    "metrics",
+    "physics",
+    "radar",
+    "robustness",
+    "scenes",
+    "stages",
+    "sweep",
+    "transforms",
+)
 
 
 def test_parts_are_reached_without_an_import_of_their_own() -> None:

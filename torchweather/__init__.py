@@ -86,7 +86,10 @@ _HOMES = {
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.
 _PARTS = frozenset(
-    {"export", "gap", "image", "io", "metrics", "physics", "radar", "scenes", "stages", "sweep", "transforms"}
+    {
+        *("export", "gap", "image", "io", "metrics", "physics", "radar", "robustness", "scenes", "stages", "sweep"),
+        "transforms",
+    }
 )
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

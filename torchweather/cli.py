@@ -1,4 +1,4 @@
-"""The ``torchweather`` program: explain, apply, augment, demo, metrics, sweep, correlate, validate, gap, d34, list.
+"""The ``torchweather`` program and its commands.
 
 Results go to standard output (``--json`` for machines), everything else to standard error. Exit code 0 is success, 2 a
 mistake in what was asked or in a file, with one line that says what was wanted.
@@ -15,11 +15,24 @@ from contextlib import contextmanager
 from typing import TextIO
 
 from torchweather import __version__
-from torchweather.commands import apply, augment, correlate, d34, demo, explain, gap, listing, metrics, sweep, validate
+from torchweather.commands import (
+    apply,
+    augment,
+    correlate,
+    d34,
+    demo,
+    explain,
+    gap,
+    listing,
+    metrics,
+    robustness,
+    sweep,
+    validate,
+)
 
 __all__ = ["main"]
 
-COMMANDS = (explain, apply, augment, demo, metrics, sweep, correlate, validate, gap, d34, listing)
+COMMANDS = (explain, apply, augment, demo, metrics, sweep, correlate, robustness, validate, gap, d34, listing)
 MISTAKE = 2
 INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
 

@@ -1,4 +1,4 @@
-"""ONNX: transforms and the radar's map as graphs (``to_onnx``), their noise drawn without torch (``draw_feed``)."""
+"""ONNX: transforms as graphs (``to_onnx``), detectors behind them (``fuse``), noise without torch (``draw_feed``)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ from typing import TYPE_CHECKING, Any
 from torchweather.export.feed import draw_feed
 
 if TYPE_CHECKING:
+    from torchweather.export.fusing import fuse
     from torchweather.export.graph import to_onnx
+    from torchweather.export.picture import MosaicToImage
 
-__all__ = ["draw_feed", "to_onnx"]
+__all__ = ["MosaicToImage", "draw_feed", "fuse", "to_onnx"]
+
+# Late, because they load torch, which a machine that only runs graphs can do without.
+LATE = {
+    "MosaicToImage": "torchweather.export.picture",
+    "fuse": "torchweather.export.fusing",
+    "to_onnx": "torchweather.export.graph",
+}
 
 
 def __getattr__(name: str) -> Any:
-    # Late, because it loads torch, which a machine that only runs graphs can do without.
-    if name == "to_onnx":
-        from torchweather.export.graph import to_onnx
+    if name in LATE:
+        import importlib
 
-        return to_onnx
+        return getattr(importlib.import_module(LATE[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

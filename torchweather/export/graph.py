@@ -6,7 +6,6 @@ The graph draws nothing; ``draw_feed`` makes its noise inputs from a seed.
 from __future__ import annotations
 
 import os
-import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,11 @@ from typing import Any
 import torch
 
 from torchweather.export.camera_graph import traceable_camera
-from torchweather.export.feed import METADATA_KEY, variates_to_metadata
 from torchweather.export.lidar_graph import traceable_lidar
+from torchweather.export.metadata import model_properties, set_properties
 from torchweather.export.radar_graph import traceable_map, traceable_radar
 from torchweather.export.traceable import Traceable
+from torchweather.io.atomic import atomic_write
 from torchweather.radar import RangeDopplerMap
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
@@ -94,27 +94,30 @@ def to_onnx(
         >>> to_onnx(fog, "fog.onnx")  # doctest: +SKIP
         ['bayer', 'depth', 'fx', 'fy', 'cx', 'cy', 'mor_m']
     """
-    try:
-        import onnx
-        import onnx_ir  # noqa: F401  (comes with onnxscript)
-        import onnxscript  # noqa: F401  (torch's exporter needs it)
-    except ImportError as error:
-        raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
-    if height % 2 or width % 2 or height < 4 or width < 4:
-        raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
     target = Path(path)
-    if not isinstance(transform, (BayerWeather, LidarWeather, RadarAttenuation, RangeDopplerMap)):
-        raise TypeError(
-            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), a LiDAR transform, "
-            "such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
-            f"{type(transform).__name__}."
-        )
+    if not target.parent.is_dir():
+        _check(transform, height, width)
+        raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")
+    model, traceable, properties = traced_model(
+        transform, height=height, width=width, points=points, columns=columns, directions=directions
+    )
+    set_properties(model, properties)
+    with atomic_write(target) as unfinished:
+        unfinished.write_bytes(model.SerializeToString())
+    return traceable.inputs
+
+
+def traced_model(
+    transform: Any, *, height: int, width: int, points: int, columns: int | None, directions: bool | None
+) -> tuple[Any, Traceable, dict[str, str]]:
+    """A transform as onnx holds it, what was traced, and what the graph says of itself; the arguments of `to_onnx`."""
+    _check(transform, height, width)
+    import onnx
+
     fewest = next((number for kind, number in FEWEST_COLUMNS.items() if isinstance(transform, kind)), 0)
     columns = fewest if columns is None else columns
     if points < 2 or columns < fewest:
         raise ValueError(f"to_onnx: points must be 2 or more and columns {fewest} or more; got {points} and {columns}.")
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")
     if isinstance(transform, LidarWeather):
         traceable = traceable_lidar(transform, points, columns, directions)
     elif isinstance(transform, RadarAttenuation):
@@ -125,15 +128,24 @@ def to_onnx(
         traceable = traceable_camera(transform, height, width)
     model = _traced(traceable)
     onnx.checker.check_model(model)
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    return model, traceable, model_properties(transform, traceable)
+
+
+def _check(transform: object, height: int, width: int) -> None:
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(model.SerializeToString())
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return traceable.inputs
+        import onnx  # noqa: F401
+        import onnx_ir  # noqa: F401  (comes with onnxscript)
+        import onnxscript  # noqa: F401  (torch's exporter needs it)
+    except ImportError as error:
+        raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
+    if height % 2 or width % 2 or height < 4 or width < 4:
+        raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
+    if not isinstance(transform, (BayerWeather, LidarWeather, RadarAttenuation, RangeDopplerMap)):
+        raise TypeError(
+            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), a LiDAR transform, "
+            "such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
+            f"{type(transform).__name__}."
+        )
 
 
 def _traced(traceable: Traceable) -> Any:
@@ -153,15 +165,11 @@ def _traced(traceable: Traceable) -> Any:
             verbose=False,
         )
     assert program is not None  # dynamo export always gives one
-    _tidy(program.model)
-    model = program.model_proto
-    entry = model.metadata_props.add()
-    entry.key = METADATA_KEY
-    entry.value = variates_to_metadata(traceable.variates)
-    return model
+    tidy(program.model)
+    return program.model_proto
 
 
-def _tidy(model: Any) -> None:
+def tidy(model: Any) -> None:
     """Fold constants, share equal nodes, drop unused ones; in place.
 
     The exporter's own ``optimize=True`` also tries every rewrite rule on every node, which takes a third of the whole

@@ -1,0 +1,128 @@
+"""Figures of the robustness page: performance against severity, boxes on frames, right and wrong points from above."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, svg_uri
+from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, BEHIND_M, range_rings
+from torchweather.report.pictures import data_uri, jpeg_uri
+from torchweather.robustness import BoxTruth, ConditionResult
+from torchweather.robustness.run import Look
+from torchweather.sweep import Level
+
+__all__ = ["FOUND", "LEGENDS", "TRUE", "WRONG", "look_uri", "performance_uri"]
+
+# Told apart by every eye, on light and on dark.
+FOUND, TRUE, WRONG, RIGHT = "#ff8c1a", "#35c4f0", "#e8590c", "#8a97a3"
+PICTURE_PX = 480
+LEGENDS = {
+    "boxes": ((TRUE, "ground truth"), (FOUND, "found")),
+    "segmentation": ((RIGHT, "right"), (WRONG, "wrong")),
+}
+"""By the decoder: colours and what they mean."""
+
+
+def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str) -> str:
+    """Performance against the weather, the heaviest to the right; dashed: in clear air; band: of the storms."""
+    first = group[0].condition
+    shades = SHADES.get(first.kind, ("#5f6f7e",))
+    colour = shades[len(shades) // 2]
+    place = np.arange(len(group))
+    values = np.array([each.value for each in group])
+    seeds = np.array([each.by_seed for each in group])
+    unit = Level(first.name, first.kind, first.knob, first.value, 1, first.weather).unit
+    with mpl.rc_context({**STYLE, "font.size": 9.5}):
+        figure = Figure(figsize=(4.2, 2.7))
+        axes = figure.add_axes((0.13, 0.19, 0.84, 0.7))
+        plain_axes(axes)
+        if not math.isnan(clear):
+            axes.axhline(clear, color=MUTED, linewidth=1.1, linestyle=(0, (4, 3)))
+            axes.text(len(group) - 0.6, clear, "clear", color=MUTED, fontsize=8.5, ha="right", va="bottom")
+        if seeds.shape[1] > 1:
+            axes.fill_between(place, seeds.min(1), seeds.max(1), color=colour, alpha=0.22, linewidth=0)
+        axes.plot(place, values, "-o", color=colour, linewidth=2.0, markersize=5)
+        axes.set_xticks(place, labels=[f"{each.condition.value:g}" for each in group])
+        axes.set_xlim(-0.4, len(group) - 0.6 if len(group) > 1 else 0.4)
+        axes.set_ylim(-0.03, 1.08)
+        axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
+        axes.set_xlabel(f"{'rate' if first.knob.startswith('rate') else 'visibility'}, {unit}", labelpad=2)
+        axes.set_title(f"{measure} in {first.name}", loc="left", pad=5)
+        return svg_uri(figure)
+
+
+def look_uri(look: Look) -> str:
+    """What the detector got and found."""
+    return _cloud_uri(look) if look.frame.subject.sensor == "lidar" else _frame_uri(look)
+
+
+def _frame_uri(look: Look) -> str:
+    picture = look.shown.float()
+    cut = max(1, round(picture.shape[-1] / PICTURE_PX))
+    factor = float(cut)
+    small = torch.nn.functional.avg_pool2d(picture[None], cut)[0] if cut > 1 else picture
+    if small.shape[-1] < PICTURE_PX:  # small frames: whole pixels, so that lines stay thin against objects
+        whole = max(1, PICTURE_PX // small.shape[-1])
+        small, factor = small.repeat_interleave(whole, -2).repeat_interleave(whole, -1), factor / whole
+    drawn = small.clone()
+    if isinstance(look.frame.truth, BoxTruth):
+        for box, ignored in zip(look.frame.truth.boxes, look.frame.truth.ignore, strict=True):
+            if not ignored:
+                _rectangle(drawn, [float(v) / factor for v in box], TRUE)
+        for box, score in zip(look.found["boxes"], look.found["scores"], strict=True):
+            _rectangle(drawn, [float(v) / factor for v in box], FOUND, strength=0.25 + 0.75 * min(float(score), 1.0))
+    else:
+        wrong = torch.as_tensor(look.found != look.frame.truth.classes)
+        step = (torch.arange(drawn.shape[-2]) * factor).long(), (torch.arange(drawn.shape[-1]) * factor).long()
+        here = wrong[step[0].clamp_max(wrong.shape[0] - 1)][:, step[1].clamp_max(wrong.shape[1] - 1)]
+        colour = torch.tensor(mpl.colors.to_rgb(WRONG))[:, None, None]
+        drawn = torch.where(here, 0.45 * drawn + 0.55 * colour, drawn)
+    return jpeg_uri(drawn)
+
+
+def _rectangle(picture: Tensor, box: Sequence[float], colour: str, *, strength: float = 1.0, width: int = 2) -> None:
+    """Draw the edges of a box into ``(3, H, W)``; in place."""
+    height, columns = picture.shape[-2:]
+    left, right = (int(min(max(v, 0), columns - 1)) for v in (box[0], box[2]))
+    top, bottom = (int(min(max(v, 0), height - 1)) for v in (box[1], box[3]))
+    ink = torch.tensor(mpl.colors.to_rgb(colour))[:, None, None]
+    for rows, cols in (
+        (slice(top, top + width), slice(left, right + 1)),
+        (slice(max(bottom - width + 1, 0), bottom + 1), slice(left, right + 1)),
+        (slice(top, bottom + 1), slice(left, left + width)),
+        (slice(top, bottom + 1), slice(max(right - width + 1, 0), right + 1)),
+    ):
+        picture[:, rows, cols] = (1 - strength) * picture[:, rows, cols] + strength * ink
+
+
+def _cloud_uri(look: Look) -> str:
+    points, truth = look.shown, np.asarray(look.frame.truth.classes)
+    particle = np.zeros(len(points), bool) if look.weather is None else look.weather
+    wrong = torch.as_tensor((look.found != truth) | particle)
+    with mpl.rc_context({**STYLE, "font.size": 9.0}):
+        figure = Figure(figsize=(3.3, 5.1))
+        axes = figure.add_axes((0.125, 0.085, 0.865, 0.905))
+        range_rings(axes)
+        marks: dict[str, Any] = {"markeredgewidth": 0, "zorder": 3}
+        for chosen, colour, size in ((~wrong, RIGHT, 1.2), (wrong, WRONG, 1.8)):
+            axes.plot(
+                -points[chosen, 1].numpy(), points[chosen, 0].numpy(), ".", color=colour, markersize=size, **marks
+            )
+        axes.plot(0, 0, marker="^", color="white", markeredgecolor="#1b2733", markersize=6, zorder=9)
+        axes.set_aspect("equal")
+        axes.set_xlim(-ASIDE_M, ASIDE_M)
+        axes.set_ylim(-BEHIND_M, AHEAD_M)
+        axes.set_xlabel("left and right, m", labelpad=1)
+        axes.set_ylabel("ahead, m", labelpad=-3)
+        memory = io.BytesIO()
+        figure.savefig(memory, format="png", dpi=130, metadata={"Software": None})
+    return data_uri(memory.getvalue(), "image/png")

@@ -1,0 +1,273 @@
+"""The robustness run's folder: its tables, its numbers, its page, and the correlation of scores and performance."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchweather import __version__
+from torchweather.io import atomic_folder, atomic_write, write_table
+from torchweather.metrics.condition_table import FEWEST
+from torchweather.metrics.correlation import Correlation, correlate
+from torchweather.report.correlation_page import write_correlation
+from torchweather.report.page import html_page
+from torchweather.report.robustness_figures import LEGENDS, look_uri, performance_uri
+from torchweather.report.sweep_figures import NAMES
+from torchweather.robustness import Declaration, Rates, RobustnessResult
+from torchweather.robustness.baseline import RESULT_FORMAT, reference_of
+from torchweather.robustness.run import Look
+from torchweather.sweep import Level
+
+__all__ = ["write_robustness"]
+
+NO_VALUE = "–"
+MEANINGS = {
+    "AP": "average precision, COCO's 101 recalls, mean over the classes that have a truth",
+    "mIoU": "intersection over union, mean over the classes that have a truth",
+}
+
+
+def write_robustness(
+    out_dir: Path,
+    ask: Callable[[Callable[[Look], object]], RobustnessResult],
+    declaration: Declaration,
+    *,
+    model: str,
+    recipe: str,
+    sensor: str,
+    seed: int,
+    baseline: dict[str, Any] | None = None,
+    notes: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Run and write what came out.
+
+    Args:
+        out_dir: gets ``index.html`` (self-contained), ``robustness.json``, ``robustness.csv`` (a row a weather and
+            severity), ``performance.csv`` (a row a storm too), ``scores.csv``, and, from four conditions with scores
+            on, ``correlation/``. What it held before stays, unless it has the same name. Nothing is written when
+            anything fails.
+        ask: runs, and hands on what the first frame looks like; ``run_robustness`` with everything but ``look``.
+        declaration: of the detector.
+        model, recipe, sensor: their names, for the page.
+        seed: of the run.
+        baseline: as ``read_baseline`` gives it.
+        notes: what a reader must know of the data.
+
+    Returns:
+        What ``robustness.json`` holds. Numbers that are not defined are None.
+    """
+    looks: list[Look] = []
+    with atomic_folder(Path(out_dir)) as staging:
+        result = ask(looks.append)
+        found = result.rates(None if baseline is None else reference_of(baseline, result))
+        correlation, said = _correlation(result)
+        summary = _summary(result, found, declaration, model=model, recipe=recipe, sensor=sensor, seed=seed)
+        summary["baseline"] = None if baseline is None else baseline["model"]
+        if found.reference == "clear" and result.clear.value == 1.0:
+            said.append("The detector makes no error in clear air, so none can be relative to it; give --baseline.")
+        summary["notes"] = list(dict.fromkeys([*notes, *said]))
+        summary["correlation"] = None
+        write_table(staging / "performance.csv", result.performance_table())
+        write_table(staging / "robustness.csv", _table(summary))
+        if result.scores["metric"]:
+            write_table(staging / "scores.csv", result.scores)
+        if correlation is not None:
+            shown = write_correlation(staging / "correlation", correlation, performance=result.measure)
+            summary["correlation"] = [
+                {"metric": each["metric"], "spearman": each["spearman"]["value"], "rank": each["rank"]}
+                for each in shown["metrics"]
+            ]
+        with atomic_write(staging / "robustness.json") as unfinished:
+            unfinished.write_text(json.dumps(_plain(summary), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        with atomic_write(staging / "index.html") as unfinished:
+            unfinished.write_text(_page(summary, result, found, declaration, looks), encoding="utf-8")
+    plain: dict[str, Any] = _plain(summary)
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    """As JSON can hold it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _correlation(result: RobustnessResult) -> tuple[Correlation | None, list[str]]:
+    """Scores against the performance, and why there is none."""
+    if not result.scores["metric"]:
+        return None, []
+    if len(result.conditions) < FEWEST:
+        return None, [f"{len(result.conditions)} conditions are too few for a correlation; {FEWEST} would do."]
+    if all(math.isnan(each.value) for each in result.conditions):
+        return None, ["No class has a truth, so there is no performance to correlate with."]
+    return correlate(result.scores, result.performance_table(), performance_column=result.measure), []
+
+
+def _summary(
+    result: RobustnessResult, found: Rates, declaration: Declaration, *, model: str, recipe: str, sensor: str, seed: int
+) -> dict[str, Any]:
+    means = _mean_scores(result)
+    return {
+        "format": RESULT_FORMAT,
+        "torchweather": __version__,
+        "model": model,
+        "detector": declaration.title,
+        "recipe": recipe,
+        "sensor": sensor,
+        "decoder": declaration.decoder,
+        "measure": result.measure,
+        "thresholds": list(result.thresholds),
+        "seed": seed,
+        "frames": list(result.frames),
+        "clear": result.clear.value,
+        "clear_by_class": dict(result.clear.by_class),
+        "conditions": [
+            {
+                "weather": each.condition.name,
+                "kind": each.condition.kind,
+                "knob": each.condition.knob,
+                "value": each.condition.value,
+                "severity": each.condition.severity,
+                "performance": each.value,
+                "by_seed": list(each.by_seed),
+                "by_class": dict(each.by_class),
+                "scores": means.get((each.condition.name, each.condition.severity), {}),
+            }
+            for each in result.conditions
+        ],
+        "mean_corruption_error": found.mean_corruption_error,
+        "mean_resilience_rate": found.mean_resilience,
+        "corruption_error": dict(found.corruption_error),
+        "resilience_rate": dict(found.resilience),
+        "reference": found.reference,
+    }
+
+
+def _mean_scores(result: RobustnessResult) -> dict[tuple[str, int], dict[str, float]]:
+    """Mean of each metric over frames and storms, by weather and severity."""
+    values: dict[tuple[str, int], dict[str, list[float]]] = {}
+    table = result.scores
+    for weather, severity, metric, score in zip(
+        table["weather"], table["severity"], table["metric"], table["score"], strict=True
+    ):
+        values.setdefault((weather, severity), {}).setdefault(metric, []).append(score)
+    return {key: {name: float(np.mean(v)) for name, v in by_metric.items()} for key, by_metric in values.items()}
+
+
+def _table(summary: dict[str, Any]) -> dict[str, list[Any]]:
+    """A row a condition: performance, and the rates of its weather."""
+    columns: dict[str, list[Any]] = {
+        name: []
+        for name in (
+            *("weather", "knob", "value", "severity", summary["measure"], "clear"),
+            *("resilience_rate", "corruption_error"),
+        )
+    }
+    for each in summary["conditions"]:
+        row = (
+            *(each["weather"], each["knob"], each["value"], each["severity"], each["performance"], summary["clear"]),
+            *(summary["resilience_rate"][each["weather"]], summary["corruption_error"][each["weather"]]),
+        )
+        for column, entry in zip(columns.values(), row, strict=True):
+            column.append(entry)
+    return columns
+
+
+# ---- the page -------------------------------------------------------------------------------------------------------
+
+
+def _page(
+    summary: dict[str, Any], result: RobustnessResult, found: Rates, declaration: Declaration, looks: list[Look]
+) -> str:
+    groups = result.by_weather
+    clear_look = [look for look in looks if look.condition is None]
+    there = [each for each in result.conditions if not math.isnan(each.value)]
+    worst = min(there, key=lambda each: each.value) if there else None
+    return html_page(
+        "robustness.html",
+        summary=summary,
+        meaning=MEANINGS[result.measure],
+        clear=_text(result.clear.value),
+        resilience=_percent(found.mean_resilience),
+        error=_text(found.mean_corruption_error),
+        worst=None if worst is None else {"text": _level(worst.condition).text, "value": _text(worst.value)},
+        severities=max(len(group) for group in groups.values()),
+        legend=[{"colour": colour, "name": name} for colour, name in LEGENDS[declaration.decoder]],
+        upright=declaration.sensor == "lidar",
+        classes=_classes(result),
+        parts=[
+            {
+                "name": name,
+                "title": name[:1].upper() + name[1:],
+                "labels": [f"{each.condition.value:g} {_level(each.condition).unit}" for each in group],
+                "cells": [
+                    {"text": _text(each.value), "shade": _shade(each.value, result.clear.value)} for each in group
+                ],
+                "resilience": _percent(found.resilience[name]),
+                "error": _text(found.corruption_error[name]),
+                "chart": performance_uri(group, result.clear.value, result.measure),
+                "pictures": [
+                    {"label": "Clear" if look.condition is None else _level(look.condition).text, "uri": look_uri(look)}
+                    for look in (*clear_look, *(k for k in looks if k.condition and k.condition.name == name))
+                ],
+                "scores": _score_rows(summary, name),
+            }
+            for name, group in groups.items()
+        ],
+    )
+
+
+def _level(condition: Any) -> Level:
+    """The condition in the words of a sweep."""
+    return Level(condition.name, condition.kind, condition.knob, condition.value, condition.severity, condition.weather)
+
+
+def _classes(result: RobustnessResult) -> list[dict[str, Any]]:
+    if len(result.clear.by_class) < 2:
+        return []
+    return [
+        {
+            "name": name,
+            "clear": _text(clear),
+            "cells": [
+                _text(float(np.mean([each.by_class.get(name, math.nan) for each in group])))
+                for group in result.by_weather.values()
+            ],
+        }
+        for name, clear in result.clear.by_class.items()
+    ]
+
+
+def _score_rows(summary: dict[str, Any], weather: str) -> list[dict[str, Any]]:
+    conditions = [each for each in summary["conditions"] if each["weather"] == weather]
+    rho = {each["metric"]: each["spearman"] for each in summary["correlation"] or []}
+    return [
+        {
+            "name": NAMES.get(metric, metric),
+            "cells": [_text(each["scores"][metric], digits=3) for each in conditions],
+            "rho": _text(rho[metric]) if metric in rho and not isinstance(rho[metric], str) else NO_VALUE,
+        }
+        for metric in conditions[0]["scores"]
+    ]
+
+
+def _shade(value: float, clear: float) -> float:
+    """Opacity of a cell: the share of the clear performance that is lost."""
+    return 0.0 if math.isnan(value) or not clear > 0 else round(min(max(1 - value / clear, 0.0), 1.0) * 0.55, 3)
+
+
+def _percent(value: float) -> str:
+    return NO_VALUE if math.isnan(value) else f"{100 * value:.0f} %"
+
+
+def _text(value: float, *, digits: int = 2) -> str:
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    return NO_VALUE if math.isnan(value) else f"{value:.{digits}f}".replace("-", "−")
