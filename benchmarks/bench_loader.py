@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small data, one round")
     arguments = parser.parse_args()
     result: dict[str, Any] = {"machine": machine()}
-    for name, number in (("camera", 12), ("lidar", 60)):
+    for name, number in (("camera", 8), ("lidar", 60)):
         few, rounds = (2, 1) if arguments.quick else (number, 3)
         result[name] = study(name, few, rounds, arguments.quick)
     hand_over(result, arguments.out)
