@@ -24,9 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.transforms.recipe_files import check_format, read_yaml, refuse_unknown
 
 __all__ = ["FORMAT", "Declaration", "read_declaration"]
 
@@ -108,26 +107,11 @@ def read_declaration(path: str | os.PathLike[str]) -> Declaration:
         'NCHW'
     """
     file = Path(path)
-    try:
-        values = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{file}: no such file.") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise TorchweatherError(
-            f"{file}: wanted a declaration of a detector in YAML; it cannot be read ({reason})."
-        ) from error
-    return _checked(values, file)
+    return _checked(read_yaml(file, "declaration of a detector"), file)
 
 
 def _checked(values: Any, path: Path) -> Declaration:
-    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
-        raise TorchweatherError(f"{path}: wanted a declaration of format {FORMAT!r}; got {got!r}.")
-    _refuse_unknown(values, KEYS, path, "key")
-    for key in REQUIRED:
-        if key not in values:
-            raise TorchweatherError(f"{path}: the declaration lacks {key!r}; wanted {', '.join(REQUIRED)}.")
+    check_format(values, path, "declaration", FORMAT, required=REQUIRED, known=KEYS)
     sensor = _one_of("sensor", values["sensor"], INPUT, path)
     decoder = _one_of("decoder", values["decoder"], OUTPUTS, path)
     if decoder == "boxes" and sensor != "camera":
@@ -138,13 +122,13 @@ def _checked(values: Any, path: Path) -> Declaration:
             raise TorchweatherError(f"{path}: {key} must be keys with values; got {value!r}.")
     if not isinstance(parts["input"].get("name"), str):
         raise TorchweatherError(f"{path}: input needs the name that the model has for it; got {parts['input']!r}.")
-    _refuse_unknown(parts["input"], ("name", *INPUT[sensor]), path, f"key of a {sensor}'s input")
+    refuse_unknown(parts["input"], ("name", *INPUT[sensor]), path, f"key of a {sensor}'s input")
     needed, usable = OUTPUTS[decoder]
-    _refuse_unknown(parts["outputs"], (*needed, *usable), path, "output")
+    refuse_unknown(parts["outputs"], (*needed, *usable), path, "output")
     for name in needed:
         if not isinstance(parts["outputs"].get(name), str):
             raise TorchweatherError(f"{path}: outputs must name the model's {name}; got {dict(parts['outputs'])!r}.")
-    _refuse_unknown(parts["options"], OPTIONS[decoder], path, f"option of {decoder}")
+    refuse_unknown(parts["options"], OPTIONS[decoder], path, f"option of {decoder}")
     taken = {**INPUT[sensor], **parts["input"]}
     options = {**OPTIONS[decoder], **parts["options"]}
     for key, value in (*taken.items(), *options.items()):
@@ -199,11 +183,3 @@ def _one_of(key: str, value: object, known: Iterable[str], path: Path) -> str:
             f"{path}: {key} must be one of {', '.join(known)}; got {value!r}.{nearest_name(value, known)}"
         )
     return str(value)
-
-
-def _refuse_unknown(values: Mapping[str, Any], known: Iterable[str], path: Path, what: str) -> None:
-    for key in values:
-        if key not in known:
-            raise TorchweatherError(
-                f"{path}: unknown {what} {key!r}; known are {', '.join(known)}.{nearest_name(key, known)}"
-            )

@@ -24,6 +24,7 @@ from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.compose import Compose
 from torchweather.transforms.recipe_files import (
     PIPELINE,
+    check_format,
     files_of,
     find,
     name_of,
@@ -121,13 +122,7 @@ def read_pipeline(name_or_path: str | os.PathLike[str]) -> Pipeline:
     """
     path = find(name_or_path, "pipeline", PIPELINE)
     values = read_yaml(path, "pipeline")
-    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
-        raise TorchweatherError(f"{path}: wanted a pipeline of format {FORMAT!r}; got {got!r}.")
-    refuse_unknown(values, KEYS, path, "key")
-    for key in REQUIRED:
-        if key not in values:
-            raise TorchweatherError(f"{path}: the pipeline lacks {key!r}; wanted {', '.join(REQUIRED)}.")
+    check_format(values, path, "pipeline", FORMAT, required=REQUIRED, known=KEYS)
     transforms, weather = values["transforms"], values["weather"]
     if not isinstance(transforms, Mapping) or not transforms or not isinstance(weather, Mapping):
         raise TorchweatherError(f"{path}: weather and transforms must be keys with values; got {weather!r}.")

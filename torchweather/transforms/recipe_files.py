@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ __all__ = [
     "RECIPE",
     "SUFFIXES",
     "SUITE",
+    "check_format",
     "files_of",
     "find",
     "format_of",
@@ -121,6 +122,27 @@ def write_yaml(values: Mapping[str, Any], path: str | os.PathLike[str], *, owner
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def check_format(
+    values: Any, path: Path, what: str, form: str, *, required: Sequence[str], known: Sequence[str]
+) -> None:
+    """Raise unless the plain values of a file are of a format, with the keys that it needs and no others.
+
+    Args:
+        values: of the file.
+        path: for messages.
+        what: a recipe, a suite, ...
+        form: what its ``format`` must say.
+        required, known: keys.
+    """
+    if not isinstance(values, Mapping) or values.get("format") != form:
+        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
+        raise TorchweatherError(f"{path}: wanted a {what} of format {form!r}; got {got!r}.")
+    refuse_unknown(values, known, path, "key")
+    for key in required:
+        if key not in values:
+            raise TorchweatherError(f"{path}: the {what} lacks {key!r}; wanted {', '.join(required)}.")
 
 
 def refuse_unknown(values: Mapping[str, Any], known: Iterable[str], path: Path, what: str) -> None:

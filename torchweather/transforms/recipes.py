@@ -32,6 +32,7 @@ from torchweather.transforms.radar import RadarAttenuation
 from torchweather.transforms.recipe_files import (
     PIPELINE,
     RECIPE,
+    check_format,
     files_of,
     find,
     format_of,
@@ -237,13 +238,7 @@ def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def checked_recipe(values: Any, path: Path) -> Recipe:
-    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
-        raise TorchweatherError(f"{path}: wanted a recipe of format {FORMAT!r}; got {got!r}.")
-    refuse_unknown(values, KEYS, path, "key")
-    for key in REQUIRED:
-        if key not in values:
-            raise TorchweatherError(f"{path}: the recipe lacks {key!r}; wanted {', '.join(REQUIRED)}.")
+    check_format(values, path, "recipe", FORMAT, required=REQUIRED, known=KEYS)
     options = values.get("options") or {}
     for key, value in (("weather", values["weather"]), ("sensor", values["sensor"]), ("options", options)):
         if not isinstance(value, Mapping):

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.errors import TorchweatherError, nearest_name
-from torchweather.transforms.recipe_files import SUITE, files_of, find, name_of, read_yaml, refuse_unknown
+from torchweather.transforms.recipe_files import SUITE, check_format, files_of, find, name_of, read_yaml, refuse_unknown
 from torchweather.transforms.recipe_options import OPTIONS
 from torchweather.transforms.recipes import SENSOR_OF
 from torchweather.weather import WEATHERS, Weather, weather_from_dict
@@ -128,13 +128,7 @@ def read_suite(name_or_path: str | os.PathLike[str]) -> Suite:
 
 
 def _checked(values: Any, path: Path) -> Suite:
-    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
-        raise TorchweatherError(f"{path}: wanted a suite of format {FORMAT!r}; got {got!r}.")
-    refuse_unknown(values, KEYS, path, "key")
-    for key in REQUIRED:
-        if key not in values:
-            raise TorchweatherError(f"{path}: the suite lacks {key!r}; wanted {', '.join(REQUIRED)}.")
+    check_format(values, path, "suite", FORMAT, required=REQUIRED, known=KEYS)
     options = values.get("options") or {}
     for key, value in (("sensor", values["sensor"]), ("weathers", values["weathers"]), ("options", options)):
         if not isinstance(value, Mapping) or (key == "weathers" and not value):
