@@ -130,3 +130,19 @@ def test_arguments_are_those_that_the_transform_takes() -> None:
 
 def test_an_array_that_torch_cannot_take_is_named() -> None:
     refused("'points' holds a numpy array.*byte order", lambda: rainy()({"points": np.ones((3, 4), ">f4")}), TypeError)
+
+
+@pytest.mark.parametrize("batch", [None, 3])
+def test_clear_images_go_through_the_mosaic_where_that_is_asked_for(batch: int | None) -> None:
+    camera = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+    rain = tw.AsBayer(tw.BayerRain(tw.Rain(30.0), camera, depth=30.0, airlight=0.7))
+    rgb = torch.rand(3, 24, 32, generator=torch.Generator().manual_seed(1))
+    given = {"image": rgb if batch is None else rgb.expand(batch, 3, 24, 32)}
+    plain = tw.Compose({"image": rain}, p=0.0)
+    assert torch.equal(plain(given, seed=1)["image"], given["image"])
+    out = tw.Compose({"image": rain}, p=0.0, mosaic_clear=True)(given, seed=1)["image"]
+    # Rain of rate 0 with one changed pixel would go through the same mosaic.
+    assert torch.equal(out, rain.without_weather(given["image"]))
+    assert 0.01 < float((out - given["image"]).abs().mean()) < 0.5
+    white = torch.full((3, 24, 32), 0.5)
+    torch.testing.assert_close(rain.without_weather(white), white, rtol=0.0, atol=1e-5)  # evenly lit stays as it was

@@ -144,6 +144,18 @@ class AsBayer(nn.Module):
         frame = torch.zeros(()).expand(*rgb.shape[:-3], 1, height, width)
         return self._inner(height, width).draw(frame, None, generator, seed)
 
+    def without_weather(self, rgb: Tensor) -> Tensor:
+        """The image by way of the mosaic alone: as sharp as images in weather, for the clear ones beside them.
+
+        Args:
+            rgb: as in ``forward``.
+
+        Returns:
+            ``(..., 3, H, W)`` in the dtype of ``rgb``.
+        """
+        before, _ = self._mosaic(rgb)
+        return self._rgb(None, before, rgb)
+
     # ---- the way to the mosaic and back --------------------------------------------------------------------------
 
     def _check_shape(self, rgb: Tensor) -> None:
@@ -215,13 +227,16 @@ class AsBayer(nn.Module):
             return depth  # of the padded size already, or refused by the transform
         return padded(depth, *whole)
 
-    def _rgb(self, before: Tensor, after: Tensor, rgb: Tensor) -> Tensor:
-        """The image of the weather's mosaic; images whose mosaic did not change keep the input's own bits."""
+    def _rgb(self, before: Tensor | None, after: Tensor, rgb: Tensor) -> Tensor:
+        """The image of the weather's mosaic; images whose mosaic did not change from before, where that is given, keep
+        the input's own bits.
+        """
         camera = self.transform.camera
         height, width = rgb.shape[-2:]
         linear = expand(after, camera.response_knots) if camera.response_knots else after
         seen = srgb_encode(demosaic(linear, camera.bayer_pattern, self.method)[..., :height, :width])
-        changed = (after != before).flatten(-3).any(-1)[..., None, None, None]
+        unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before
+        changed = unlike.flatten(-3).any(-1)[..., None, None, None]
         if rgb.is_floating_point():
             return torch.where(changed, seen.to(rgb.dtype), rgb)
         # uint16 knows few operations: choose in int32.

@@ -85,6 +85,8 @@ class Compose(nn.Module):
         sample_key: key of the sample's own name (a token, a file name, a number): with it the same sample gets the
             same weather in the same epoch, whatever the worker. ``WeatherDataset`` does so by the index.
         history: key under which the draw is put into the sample, as plain values.
+        mosaic_clear: RGB images that stay in clear air go through the mosaic, too (``AsBayer.without_weather``): else a
+            net may learn to tell weather by the demosaicing.
 
     Note:
         Of a sample all sensors share the weather's numbers, and what effects draw of the air: the gusts of
@@ -117,6 +119,7 @@ class Compose(nn.Module):
         seed: int | None = None,
         sample_key: str | None = None,
         history: str | None = None,
+        mosaic_clear: bool = False,
     ) -> None:
         super().__init__()
         check_between("p", p, 0.0, 1.0, owner=self)
@@ -130,6 +133,7 @@ class Compose(nn.Module):
             raise ValueError("Compose: wanted a transform for at least one key; got none.")
         self.weather = _candidates(weather, transforms)
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
+        self.mosaic_clear = bool(mosaic_clear)
         self.inputs = {key: dict(names) for key, names in (inputs or {}).items()}
         self._check_inputs()
         taken = {
@@ -258,18 +262,35 @@ class Compose(nn.Module):
                 if found is not None:
                     results[key] = found
                     out[key] = like(data_of(found), sample[key])
+                elif self._mosaics(plan):
+                    out[key] = like(self._clear(key, plan, data[key]), sample[key])
             else:
                 each = [
                     self._in_weather(key, plan, data[key][k], self._extras(sample, key, plan, k, number), draws[k])
                     for k in range(number)
                 ]
-                if any(found is not None for found in each):
-                    kept = [data[key][k] if found is None else data_of(found) for k, found in enumerate(each)]
+                if self._mosaics(plan) or any(found is not None for found in each):
+                    kept = [
+                        self._clear(key, plan, data[key][k]) if found is None else data_of(found)
+                        for k, found in enumerate(each)
+                    ]
                     out[key] = like_batch(kept, sample[key])
                 results[key] = each
         if self.history is not None:
             out[self.history] = draws[0].to_dict() if number is None else [one.to_dict() for one in draws]
         return out, results
+
+    def _mosaics(self, plan: Plan) -> bool:
+        """Whether clear data of a key go through the mosaic."""
+        return self.mosaic_clear and plan.method is not None
+
+    def _clear(self, key: str, plan: Plan, value: Tensor) -> Tensor:
+        """Data that get no weather."""
+        if not self._mosaics(plan):
+            return value
+        some = next(one for one in self.weather.values if one is not None).densest()
+        found: Tensor = self._transform(key, plan, some.to_dict(), value.device).without_weather(value)
+        return found
 
     def _in_weather(self, key: str, plan: Plan, value: Tensor, extras: Mapping[str, Tensor], draw: Draw) -> Any:
         """What the transform of a key makes of it; ``None`` without weather."""

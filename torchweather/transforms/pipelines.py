@@ -7,7 +7,7 @@ A pipeline holds ``format: torchweather-pipeline/1`` and
   without ``weights``. A number may be ``{uniform: [low, high]}``, ``{log_uniform: [low, high]}`` or
   ``{choice: [...]}``;
 - ``transforms``: key of the sample to ``transform``, ``sensor``, ``options`` and ``rgb``, as a recipe has them;
-- ``p``, ``depth``, ``inputs``: as ``Compose`` takes them.
+- ``p``, ``depth``, ``inputs``, ``mosaic_clear``: as ``Compose`` takes them.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ __all__ = ["FORMAT", "Pipeline", "list_pipelines", "load_pipeline", "read_pipeli
 
 FORMAT = PIPELINE + "1"
 REQUIRED = ("format", "title", "weather", "transforms")
-KEYS = (*REQUIRED, "p", "depth", "inputs")
+KEYS = (*REQUIRED, "p", "depth", "inputs", "mosaic_clear")
 OF_A_TRANSFORM = ("transform", "sensor", "options", "rgb")
-OVERRIDES = ("weather", "transforms", "keys", "p", "depth", "inputs", "seed", "sample_key", "history")
+OVERRIDES = ("weather", "transforms", "keys", "p", "depth", "inputs", "seed", "sample_key", "history", "mosaic_clear")
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def read_pipeline(name_or_path: str | os.PathLike[str]) -> Pipeline:
                 raise TorchweatherError(f"{path}: transforms.{key} lacks {wanted!r}.")
         whole = {"format": RECIPE_FORMAT, "title": values["title"], "weather": first.to_dict(), **one}
         recipes[str(key)] = checked_recipe(whole, path)
-    options = {key: values[key] for key in ("p", "depth", "inputs") if key in values}
+    options = {key: values[key] for key in ("p", "depth", "inputs", "mosaic_clear") if key in values}
     inputs = options.get("inputs", {})
     if not isinstance(inputs, Mapping) or not all(isinstance(one, Mapping) for one in inputs.values()):
         raise TorchweatherError(f"{path}: inputs must be keys of transforms, each with arguments; got {inputs!r}.")
@@ -207,6 +207,8 @@ def save_pipeline(compose: Compose, path: str | os.PathLike[str], *, title: str)
         "p": compose.p,
         "depth": compose.depth,
     }
+    if compose.mosaic_clear:
+        values["mosaic_clear"] = True
     if compose.inputs:
         values["inputs"] = compose.inputs
     write_yaml(values, path, owner="save_pipeline")
