@@ -103,6 +103,7 @@ class FrameRecipe:
             weather=self.compose.weather,
             p=self.compose.p,
             inputs={key: {"depth": f"{key} depth"} for key, use in uses.items() if use.depth},
+            mosaic_clear=self.compose.mosaic_clear,
         )
 
 

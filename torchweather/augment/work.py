@@ -134,10 +134,12 @@ class Worker:
         sample = {name: value for one in clear.values() for name, value in one.sample()}
         draw = compose.draw(sample, seed=seed)
         assert not isinstance(draw, list)
-        _, results = compose.run(sample, draw=draw)
+        out, results = compose.run(sample, draw=draw)
         for file in frame.files:
             if file.key in results:
                 self._write(clear[file.key], results[file.key], written)
+            elif compose.mosaic_clear and clear[file.key].use.rgb:
+                write_image(self._new(file.target, written), out[file.key])
             else:
                 self._write_clear(clear[file.key], written)
         boxes = None
