@@ -6,12 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from benchmarks.hidden.bars import LIDAR_BARS, against_bars
 from benchmarks.hidden.scoring import score
 from benchmarks.hidden.table_text import bars_table, further_table, missed_table
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE, SCORE = ROOT / "docs" / "gap-bench.md", ROOT / "benchmarks" / "gap_bench" / "score.json"
+SCORES = ROOT / "benchmarks" / "gap_bench"
+PAGES = {"gap-bench.md": SCORES / "score.json", "gap-radar.md": SCORES / "radar" / "score.json"}
 
 
 def truth(case: str, family: str, *names: str) -> dict[str, Any]:
@@ -71,8 +74,10 @@ def test_a_row_says_what_was_reached_of_how_many_and_whether_the_bar_holds() -> 
     ]
 
 
-def test_the_docs_hold_the_table_that_was_committed() -> None:
-    found, page = json.loads(SCORE.read_text(encoding="utf-8")), PAGE.read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", list(PAGES))
+def test_the_docs_hold_the_table_that_was_committed(name: str) -> None:
+    found = json.loads(PAGES[name].read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / name).read_text(encoding="utf-8")
     for text in (
         bars_table(found["table"], found["bars"]),
         further_table(found["table"]),
