@@ -55,7 +55,9 @@ def snow(size: tuple[int, int], rate: Any = 2.0) -> BayerWeather:
 
 
 def mixture(size: tuple[int, int], rate: Any = 10.0, mor_m: Any = 30.0) -> BayerWeather:
-    return BayerWeather(Mixture(Rain(rate), Fog(mor_m)), camera(*size), airlight=LIGHT, near_m=2.0, far_m=4.0)
+    patchy = {"patch_log_std": 0.3, "patch_length_m": 10.0}
+    both = Mixture(Rain(rate, **patchy), Fog(mor_m, **patchy))
+    return BayerWeather(both, camera(*size), airlight=LIGHT, near_m=2.0, far_m=4.0)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,8 @@ def snow() -> LidarWeather:
 
 
 def mixture() -> LidarWeather:
-    return LidarWeather(Mixture(Rain(1.0), Fog(mor_m=100.0)), lidar(return_mode="last"))
+    banks = Fog(mor_m=100.0, patch_log_std=0.5, patch_length_m=20.0)
+    return LidarWeather(Mixture(Rain(1.0), banks), lidar(return_mode="last"))
 
 
 @dataclass(frozen=True)

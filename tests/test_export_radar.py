@@ -38,6 +38,7 @@ TOLERANCE_DB = 5e-5
 CLUTTER = 1e-5
 Array = NDArray[Any]
 WET = partial(Snow, melt_fraction=0.8)
+PATCHY: dict[str, Any] = {"patch_log_std": 0.5, "patch_length_m": 20.0}
 
 
 def radar(**more: Any) -> Radar:
@@ -57,7 +58,8 @@ def snow() -> RadarAttenuation:
 
 
 def mixture() -> RadarAttenuation:
-    return RadarAttenuation(Mixture(Rain(1.0), Snow(1.0), Fog(mor_m=100.0)), radar(), radome_film_db=2.0, lost="nan")
+    weather = Mixture(Rain(1.0, **PATCHY), Snow(1.0), Fog(mor_m=100.0))
+    return RadarAttenuation(weather, radar(), radome_film_db=2.0, lost="nan")
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ CASES = {
     "snow": Case(snow, WET, {"rate_mm_per_h": (4.0, 1.0, 10.0)}, clutter=64),
     "mixture": Case(
         mixture,
-        lambda mor, wet, dry: Mixture(Rain(wet), Snow(dry), Fog(mor_m=mor)),
+        lambda mor, wet, dry: Mixture(Rain(wet, **PATCHY), Snow(dry), Fog(mor_m=mor)),
         {
             "mor_m": (300.0, 60.0, 30.0),
             "rain_rate_mm_per_h": (50.0, 9.0, 0.3),

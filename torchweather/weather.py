@@ -66,6 +66,8 @@ ABSURD_RATE_MM_PER_H = 2000.0
 MOR_CONTRAST = 0.05
 # Name and visibilities, m, of the fogs that were measured in the REHEARSE fog chamber (D3.4 Table 5).
 REHEARSE, REHEARSE_MOR_M = "rehearse", (10, 20, 30, 50)
+# Patches are laid out on a grid that follows their length; below this the sectors of a LiDAR would be too coarse.
+PATCH_LENGTH_LOW_M, PATCH_LENGTH_HIGH_M, PATCH_LOG_STD_HIGH = 5.0, 10_000.0, 2.0
 
 
 class Weather:
@@ -73,6 +75,8 @@ class Weather:
 
     kind: ClassVar[str] = ""
     knob_name: ClassVar[str] = ""
+    patch_log_std: Given = 0.0
+    patch_length_m: Given = 100.0
 
     @property
     def knob(self) -> Knob:
@@ -114,7 +118,7 @@ class Weather:
 
     def densest(self) -> Weather:
         """The one with most particles of those that can be drawn: highest rate, least visibility, the rest at will."""
-        pick = {"rate_mm_per_h": max, "mor_m": min}
+        pick = {"rate_mm_per_h": max, "mor_m": min, "patch_log_std": max}
         values = {name: pick.get(name, lambda ends: ends[0])(one.ends()) for name, one in self.random.items()}
         return replace(self, **values) if values else self  # type: ignore[type-var]
 
@@ -134,6 +138,11 @@ class Weather:
             for end in one.ends():
                 replace(self, **{**first, name: end})  # type: ignore[type-var]
         return bool(random)
+
+    def _check_patches(self) -> None:
+        check_between("patch_log_std", self.patch_log_std, 0.0, PATCH_LOG_STD_HIGH, owner=self)
+        lengths_m = (PATCH_LENGTH_LOW_M, PATCH_LENGTH_HIGH_M)
+        check_between("patch_length_m", self.patch_length_m, *lengths_m, unit="m", owner=self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values that ``weather_from_dict`` takes and YAML can hold; a tensor knob is detached."""
@@ -177,6 +186,8 @@ class _Precipitation(Weather):
     close_rate: bool = False
     temperature_c: float = 10.0
     wind_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    patch_log_std: Given = 0.0
+    patch_length_m: Given = 100.0
 
     knob_name: ClassVar[str] = "rate_mm_per_h"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -213,6 +224,7 @@ class _Precipitation(Weather):
         for speed in self.wind_m_per_s:
             check_between("wind_m_per_s", speed, -100.0, 100.0, unit="m/s", owner=self)
         check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        self._check_patches()
         self._warn_outside_fit()
 
     def _warn_outside_fit(self) -> None:
@@ -264,6 +276,8 @@ class Rain(_Precipitation):
         close_rate: scale the distribution so that its flux is exactly the rate.
         temperature_c: water temperature, degrees Celsius.
         wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
+        patch_log_std: spread of the logarithm of the drops' number over the ground, 0 (uniform) to 2; its mean stays.
+        patch_length_m: over which the density of gusts changes, 5 to 10,000 m (``stages/patchy_air.py``).
 
     Example:
         >>> Rain(rate_mm_per_h=25).distribution().total_per_m3 > 1000
@@ -292,6 +306,7 @@ class Snow(_Precipitation):
         melt_fraction: share of a flake's mass that is liquid, 0-1. Radar attenuation and backscatter use it
             (``PHYSICS.md`` 6.7); camera and LiDAR take the flake as dry, and number and fall speed stay those of
             dry snow.
+        patch_log_std, patch_length_m: as in ``Rain``.
 
     Example:
         >>> Snow(rate_mm_per_h=1).albedo
@@ -333,6 +348,9 @@ class Fog(Weather):
             the measured fogs unscaled, interpolated between their nominal 10, 20, 30 and 50 m.
         contrast: contrast threshold of the visibility; 0.05 is the MOR's, 0.02 the older visual range's.
         temperature_c: water temperature, degrees Celsius.
+        patch_log_std: spread of the logarithm of the droplets' number over the ground, 0 (uniform) to 2; the
+            visibility is that of the mean number.
+        patch_length_m: over which the density of banks changes, 5 to 10,000 m (``stages/patchy_air.py``).
 
     Example:
         >>> Fog(mor_m=50).contrast
@@ -346,6 +364,8 @@ class Fog(Weather):
     size_distribution: str = "default"
     contrast: float = 0.05
     temperature_c: float = 10.0
+    patch_log_std: Given = 0.0
+    patch_length_m: Given = 30.0
 
     def __post_init__(self) -> None:
         if self._ends_are_good():
@@ -356,6 +376,7 @@ class Fog(Weather):
             self._check_measured()
         check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
         check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        self._check_patches()
         object.__setattr__(self, "mor_m", _plain_knob(self.knob))
 
     def _check_measured(self) -> None:
@@ -470,6 +491,10 @@ class Mixture(Weather):
                     "extinctions, for fog) into one."
                 )
         self._parts = tuple(sorted(flat, key=lambda part: part.kind))
+        lengths = {part.kind: part.patch_length_m for part in self._parts if part.patch_log_std != 0.0}
+        if len({repr(length) for length in lengths.values()}) > 1:
+            said = ", ".join(f"{kind} {length!r}" for kind, length in lengths.items())
+            raise ValueError(f"Mixture: all patches are of one field and have one patch_length_m, in m; got {said}.")
 
     @property
     def parts(self) -> tuple[Weather, ...]:
@@ -505,7 +530,7 @@ class Mixture(Weather):
 
 WEATHERS: dict[str, type[Rain] | type[Fog] | type[Snow]] = {"rain": Rain, "fog": Fog, "snow": Snow}
 # Short names that the command line takes.
-ALIASES = {"rate": "rate_mm_per_h", "mor": "mor_m"}
+ALIASES = {"rate": "rate_mm_per_h", "mor": "mor_m", "patches": "patch_log_std", "patch_length": "patch_length_m"}
 
 
 def weather_from_dict(values: Mapping[str, Any]) -> Weather:

@@ -109,6 +109,61 @@ def test_gusts_are_of_the_air_and_not_of_a_sensor() -> None:
     assert abs(found[0] - found[1]) > 0.01
 
 
+def densities(fog: tw.Fog, seed: int) -> list[tuple[float, float, float]]:
+    """Mean density of the fog on the way to three places, as camera, LiDAR and radar of one sample see it."""
+    range_m, azimuth = torch.tensor([12.0, 25.0, 40.0]), torch.tensor([0.1, -0.12, 0.05])
+    x, y = range_m * azimuth.cos(), range_m * azimuth.sin()
+    nothing = torch.zeros(3)
+    column = (15.5 - 100.0 * y / x).round().long()
+    depth = torch.full((1, 24, 32), 1000.0)
+    depth[0, :, column] = x
+    given = {
+        "image": torch.full((1, 24, 32), 0.3),
+        "depth": depth,
+        "points": torch.stack([x, y, nothing, nothing + 200.0], -1),
+        "radar": torch.stack([x, y, nothing, nothing, nothing - 60.0, nothing + 10.0], -1),
+    }
+    compose = tw.Compose(transforms(), weather=fog)
+    _, results = compose.run(given, seed=seed)
+    even = transforms(tw.Fog(mor_m=fog.mor_m))
+    alpha = even["image"].chain.stages["extinction_and_airlight"].extinction_per_m(1)[0, 1]  # green
+    found = []
+    for place in range(3):
+        row = 11 if (int(column[place]) + 11) % 2 else 12  # a green pixel of RGGB
+        ray_m = depth[0, row, column[place]] * math.hypot(1.0, (15.5 - float(column[place])) / 100.0)
+        found.append(
+            (
+                float(-results["image"].transmission[0, row, column[place]].log() / (alpha * ray_m)),
+                float(-0.5 * results["points"].transmission[place].log() / even["points"].extinction_per_m)
+                / float(range_m[place]),
+                float(results["radar"].attenuation_db[place] / even["radar"].attenuation_db_per_km)
+                / (2e-3 * float(range_m[place])),
+            )
+        )
+    return found
+
+
+def test_camera_lidar_and_radar_look_into_the_same_patches() -> None:
+    fog = tw.Fog(mor_m=80.0, patch_log_std=0.7, patch_length_m=10.0)
+    seen = [one for seed in (1, 2, 3) for one in densities(fog, seed)]
+    for camera, lidar, radar in seen:
+        # The pixel's own azimuth is up to half a pixel, 0.005 rad, beside the others'.
+        assert camera == pytest.approx(lidar, rel=0.02)
+        assert radar == pytest.approx(lidar, rel=1e-3)
+    lidars = np.array([lidar for _, lidar, _ in seen])
+    assert lidars.std() > 0.2  # from place to place and sample to sample
+
+
+def test_the_patches_of_a_sample_are_its_own_and_come_again() -> None:
+    fog = tw.Fog(mor_m=80.0, patch_log_std=0.7, patch_length_m=10.0)
+    assert densities(fog, 5) == densities(fog, 5)
+    assert densities(fog, 5) != densities(fog, 6)
+    spread = tw.Compose(transforms(), weather=tw.Fog(mor_m=80.0, patch_log_std=tw.Uniform(0.1, 0.9)))
+    drawn = [spread.draw(sample(), seed=seed).weather["patch_log_std"] for seed in range(5)]
+    assert len(set(drawn)) == 5
+    assert all(0.1 <= one <= 0.9 for one in drawn)
+
+
 def test_without_a_weather_of_its_own_it_takes_that_of_the_transforms() -> None:
     plain = tw.Compose(transforms(tw.Rain(33.0)), history="history")
     assert plain(sample(), seed=1)["history"]["weather"]["rate_mm_per_h"] == 33.0

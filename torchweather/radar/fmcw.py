@@ -132,6 +132,8 @@ class FmcwRadar(nn.Module):
         self.cfar = cfar_for(radar, cfar, window_name) if isinstance(cfar, str) else cfar
         self.angles_per_cell, self.dynamic_db, self.noise = int(angles_per_cell), float(dynamic_db), bool(noise)
         parts = () if weather is None else weather.parts
+        if any(part.patch_log_std != 0.0 for part in parts):
+            raise ValueError("FmcwRadar: knows no patches; set patch_log_std=0, or use RadarAttenuation.")
         self.path = PathAttenuation(parts, radar, rain_model, fog_model, snow_model) if parts else None
         rates = [part.knob for part in parts if isinstance(part, Rain)]
         self.radome = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)

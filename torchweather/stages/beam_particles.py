@@ -17,6 +17,7 @@ from torchweather.physics import KnobTable, axial_q_back, melted_diameter_mm, ra
 from torchweather.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam, RangeGrid
+from torchweather.stages.patchy_air import BanksAlongBeams, of_beams
 from torchweather.stages.strongest import expected_number
 from torchweather.weather import Rain, Snow
 
@@ -95,10 +96,12 @@ class BeamParticles(nn.Module):
         self.log_low = math.log(FAINTEST * threshold)
         self.log_step = (math.log(2.0 * max(brightest, threshold)) - self.log_low) / (SIGNAL_NODES - 1)
 
-    def _seen(self, beam: Beam, extinction_per_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _seen(
+        self, beam: Beam, extinction_per_m: Tensor, air: BanksAlongBeams | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Signal of a particle that fills the beam ``(B, cells, G)``; the beam's diameter, area ``(1 or B, ...)``."""
         range_m = self.grid.quadrature_m
-        clear = torch.exp(-2.0 * extinction_per_m[:, None, None] * range_m)
+        clear = torch.exp(-2.0 * extinction_per_m[:, None, None] * (range_m if air is None else air.way_m(range_m)))
         if self.published:
             # A drop as wide as the beam; the same law D^2 / R^2, fixed at the published limit.
             diameter_m = torch.full_like(range_m, 2.0 * PUBLISHED_RADIUS_M)
@@ -111,16 +114,23 @@ class BeamParticles(nn.Module):
         shape = (-1, *range_m.shape)
         return full, beam.diameter_m(range_m).reshape(shape), beam.area_m2(range_m).reshape(shape)
 
-    def between(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
+    def between(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+    ) -> Tensor:
         """Expected number of particles from one node of the signal to the next up to each node of range, ``(B, E, P)``.
 
         Args:
             beam: the sensor's.
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` particles over those of the rate; ``None`` is 1.
+            air: patches along each of the B beams; ``None`` is the same everywhere.
         """
         batch = extinction_per_m.shape[0]
-        full, diameter_m, area_m2 = self._seen(beam, extinction_per_m)
+        full, diameter_m, area_m2 = self._seen(beam, extinction_per_m, air)
         signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES, device=full.device))
         ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
         log_diameter = 0.5 * torch.log(ratio) + torch.log(diameter_m)[:, None]
@@ -133,20 +143,28 @@ class BeamParticles(nn.Module):
         flat = node.flatten(1)
         per_m3 = torch.lerp(tails.gather(1, flat), tails.gather(1, flat + 1), (position - node).flatten(1))
         per_m = torch.where(ratio < 1.0, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2[:, None]
+        if air is not None:
+            per_m = per_m * air.density_at(self.grid.quadrature_m)[:, None]
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
 
     def _tails(self, batch: int) -> Tensor:
         """N_>, m^-3, at the nodes of diameter, ``(B, D)``."""
         tails: Tensor = self.tail(self.rate_mm_per_h.reshape(-1))
-        return (tails - FEW_PER_M3).clamp_min(0.0).expand(batch, DIAMETER_NODES)
+        return of_beams((tails - FEW_PER_M3).clamp_min(0.0), batch)
 
     def expected_above(self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, reach_m: Tensor) -> Tensor:
         """Lambda(e, R): expected number of particles before ``reach_m`` above ``signal``, ``(B, N)``."""
         row = ((torch.log(signal.clamp_min(1e-30)) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
         return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
 
-    def places(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> None:
+    def places(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+    ) -> None:
         """Where particles of a signal are follows from ``between``."""
 
     def start(self, reach_m: Tensor) -> Tensor | None:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchweather.errors import TorchweatherWarning, check_one_of, owner_name
 from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
+from torchweather.sensors import Camera
 from torchweather.stages.by_rows import by_rows, is_exporting
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
@@ -233,6 +234,12 @@ class ExtinctionAndAirlight(Stage):
         if state.extinction_scale is not None:
             extinction = extinction * state.extinction_scale
         density = state.fog_density
+        if state.patches is not None and self.weather.patch_log_std != 0.0:
+            banks = state.patches.banks(self.weather)
+            azimuth_rad, level = ground_rays(state)
+            patchy = banks.mean_to(azimuth_rad, level * state.depth_m.clamp_max(FARTHEST_M)).to(state.signal.dtype)
+            density = patchy if density is None else density * patchy
+            state = replace(state, fog_density=density)
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
         # Zero extinction times infinite depth is zero, and so is its gradient.
@@ -260,6 +267,31 @@ class ExtinctionAndAirlight(Stage):
         return replace(
             state, signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
         )
+
+
+def rays(state: CameraState) -> tuple[Tensor, Tensor]:
+    """x and y of every pixel's ray, scaled to z = 1, in the camera's frame, ``(1 or B, 1, H, W)`` each."""
+    assert state.camera is not None
+    height, width = state.signal.shape[-2:]
+    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(state.signal).unbind(-1))
+    column = torch.arange(width, device=fx.device).to(fx.dtype)
+    row = torch.arange(height, device=fx.device).to(fx.dtype)[:, None]
+    x, y = ((column - cx) / fx).expand(-1, 1, height, width), ((row - cy) / fy).expand(-1, 1, height, width)
+    return state.camera.undistort(x, y)
+
+
+def ground_rays(state: CameraState) -> tuple[Tensor, Tensor]:
+    """Azimuth of every pixel's ray, and metres over ground per metre of depth, ``(1 or B, 1, H, W)`` each."""
+    assert state.camera is not None
+    return over_ground(state.camera, *rays(state))
+
+
+def over_ground(camera: Camera, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Azimuth (from forward to left), and metres over ground per metre of depth, of rays (x, y, 1)."""
+    # The columns of the rotation are the vehicle's axes in the camera's frame.
+    (fx, lx, _), (fy, ly, _), (fz, lz, _) = camera.camera_from_vehicle()
+    forward, left = fx * x + fy * y + fz, lx * x + ly * y + lz
+    return torch.atan2(left, forward), (forward.square() + left.square()).sqrt()
 
 
 def scaled_airlight(airlight: Tensor, state: CameraState) -> Tensor:

@@ -92,8 +92,6 @@ class Effect(Stage):
         needs: fields of the state without which it cannot work.
         cuts: whether it acts on all that lies within its parameter: half of what it does is no work of half of it.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
-        of_the_air: whether its noise belongs to the weather and not to a sensor: ``Compose`` gives it to all sensors of
-            a sample alike.
         unsaid: quantities that it changes although no parameter says by how much, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 
@@ -124,7 +122,6 @@ class Effect(Stage):
     needs: ClassVar[tuple[str, ...]] = ()
     cuts: ClassVar[bool] = False
     each_frame_anew: ClassVar[bool] = False
-    of_the_air: ClassVar[bool] = False
     unsaid: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:

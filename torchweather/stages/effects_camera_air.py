@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchweather.random import Variate
 from torchweather.stages.by_rows import is_exporting
-from torchweather.stages.camera import FADING_COLOUR, FARTHEST_M, OPAQUE
+from torchweather.stages.camera import FADING_COLOUR, FARTHEST_M, OPAQUE, rays
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_camera_particles import per_sample
 from torchweather.stages.effects_lidar_air import transmittance_into_water
@@ -39,17 +39,6 @@ BANK_EDGES_M = (0.0, 20.0, 40.0, 80.0, 160.0, 320.0)  # depths between which a b
 BANK_ROWS, BANK_COLUMNS = 4, 6  # banks over the picture in each depth: about as wide as deep; order of magnitude
 GLOW_WIDTHS_PX = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 SMALL = 1e-3  # below which a quotient is its series
-
-
-def rays(state: CameraState) -> tuple[Tensor, Tensor]:
-    """x and y of every pixel's ray, scaled to z = 1, in the camera's frame, ``(1 or B, 1, H, W)`` each."""
-    assert state.camera is not None
-    height, width = state.signal.shape[-2:]
-    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(state.signal).unbind(-1))
-    column = torch.arange(width, device=fx.device).to(fx.dtype)
-    row = torch.arange(height, device=fx.device).to(fx.dtype)[:, None]
-    x, y = ((column - cx) / fx).expand(-1, 1, height, width), ((row - cy) / fy).expand(-1, 1, height, width)
-    return state.camera.undistort(x, y)
 
 
 def ray_m(state: CameraState) -> Tensor:

@@ -158,7 +158,7 @@ class LidarExtinctionScale(Effect):
         assert state.extinction_per_m is not None
         before = state.extinction_per_m
         after = before * self.value("factor", before)
-        gain = torch.exp(-2.0 * (after - before)[:, None] * state.clear_range_m)
+        gain = torch.exp(-2.0 * (after - before)[:, None] * state.uniform_m)
         return {"extinction_per_m": after, "signal": state.signal * gain[..., None]}
 
 
@@ -238,6 +238,8 @@ class LidarLimitedExtent(Effect):
         assert state.extinction_per_m is not None
         extent_m = self.value("extent_m", state.clear_range_m)
         beyond_m = (state.clear_range_m - extent_m).clamp_min(0.0)
+        if state.path_density is not None:
+            beyond_m = beyond_m * state.path_density
         gain = torch.exp(2.0 * state.extinction_per_m[:, None] * beyond_m)
         return {"signal": state.signal * gain[..., None], "reach_m": torch.minimum(state.reach_m, extent_m)}
 

@@ -368,6 +368,8 @@ class LidarRangeStretch(Effect):
         assert state.extinction_per_m is not None
         # The weather may end in front of the return.
         inside_m = torch.minimum(state.range_m, state.reach_m[..., None])
+        if state.path_density is not None:
+            inside_m = inside_m * state.path_density[..., None]
         depth = state.extinction_per_m[:, None, None] * inside_m
         return {"range_m": _moved(state, self.value("m_per_optical_depth", depth) * depth)}
 

@@ -65,6 +65,10 @@ def haze_depth(
     fields = noise[f"{population.weather.kind}_haze"].to(state.signal.device)  # (B, J, H, W)
     smooth = _streaky(fields, tables, first, last, steep=population.haze_steep, slope=population.haze_slope)
     deviation = _deviation(population, tables, variance, smooth, scale)
+    uniform = mean
+    if tables.path_density is not None:
+        denser = tables.path_density[rows]
+        mean, variance, deviation = mean * denser, variance * denser, deviation * denser.clamp_min(0.0).sqrt()
     # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
     there = (mean > LEAST) & (variance > LEAST)
     variance = torch.where(there, variance, torch.ones_like(variance))
@@ -77,7 +81,7 @@ def haze_depth(
     ray = state.ray_per_depth[rows].float().expand(b, 1, last - first, width)
     longest = state.ray_per_depth.flatten().amax(0).float()
     clear = _mean_clear(population, tables, read, ray, longest, focal, fog_per_m)
-    return optical, optical * clear * scale / mean.clamp_min(FLOOR)
+    return optical, optical * clear * scale / uniform.clamp_min(FLOOR)
 
 
 def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:

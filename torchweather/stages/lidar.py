@@ -31,6 +31,7 @@ from torchweather.stages.intensity import (
     intensity_from_signal,
     reflectivity_from_intensity,
 )
+from torchweather.stages.patchy_air import SECTORS, Banks, PatchField, mean_density, sector_of
 from torchweather.stages.registry import register
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.stages.stage import Stage
@@ -41,6 +42,7 @@ from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
 __all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
 
 DB = math.log(10.0) / 10.0
+TINY_PER_M = 1e-30  # extinction that stands for none
 NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
@@ -52,6 +54,12 @@ def _sensor(sensor: Lidar | Mapping[str, Any]) -> Lidar:
 def _config(sensor: Lidar) -> dict[str, Any]:
     """Plain values of a sensor; the directions belong to the data, not to the stage."""
     return replace(sensor, directions=None).to_dict()
+
+
+def _azimuth_and_level(state: LidarState) -> tuple[Tensor, Tensor]:
+    """Azimuth of each beam and the level part of its direction, ``(B, N)`` each."""
+    x, y, _ = state.direction.unbind(-1)
+    return torch.atan2(y, x), (x * x + y * y).sqrt()
 
 
 def exponential(uniform: Tensor) -> Tensor:
@@ -229,8 +237,24 @@ class Extinction(Stage):
         extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
         if state.density_scale is not None:
             extinction = extinction * state.density_scale.to(extinction)
-        clear = torch.exp(-2.0 * extinction[:, None] * state.clear_range_m)
+        if state.patches is not None:
+            state = self._through_patches(state, state.patches)
+        clear = torch.exp(-2.0 * extinction[:, None] * state.uniform_m)
         return replace(state, signal=state.signal * clear[..., None], extinction_per_m=extinction)
+
+    def _through_patches(self, state: LidarState, patches: PatchField) -> LidarState:
+        """The state with the mean density on each beam's way: of several weathers, weighted by what each takes."""
+        parts: dict[str, _PartExtinction] = dict(self.parts.items())  # type: ignore[arg-type]
+        banks = [patches.banks(part.weather) for part in parts.values()]
+        takes = [part().expand(state.batch).to(state.signal.dtype) for part in parts.values()]
+        total = torch.stack(takes).sum(0).clamp_min(TINY_PER_M)
+        extra_m = torch.stack(
+            [(take / total)[:, None, None] * one.extra_m for take, one in zip(takes, banks, strict=True)]
+        ).sum(0)
+        azimuth_rad, level = _azimuth_and_level(state)
+        # Patches are columns: the mean on a way that rises is that on its shadow.
+        density = mean_density(extra_m, azimuth_rad, level * state.reach_m, patches.step_m)
+        return replace(state, extra_m=extra_m, path_density=density)
 
 
 @register
@@ -307,7 +331,8 @@ class ParticleReturns(Stage):
         beam = self.beam if state.extra_divergence_rad is None else self.beam.widened(state.extra_divergence_rad)
         for kind, part in self.kinds.items():
             arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
-            range_m, signal = self._drawn(part, beam, extinction, arrival, place, state)
+            drawn = self._drawn if state.patches is None else self._drawn_in_patches
+            range_m, signal = drawn(part, beam, extinction, arrival, place, state)
             ranges.append(range_m.to(state.range_m.dtype))
             signals.append(signal.to(state.signal.dtype))
         kinds = [state.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
@@ -338,6 +363,40 @@ class ParticleReturns(Stage):
                 row, column, exists = strongest_before(between, arrived, own_place, reach, start)
             range_m = torch.minimum(part.grid.range_m(column), reach_m)
             ranges.append(range_m * exists)
+            signals.append(part.signal_at(row, beam) * exists)
+        return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
+
+    def _drawn_in_patches(
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        arrival: Tensor,
+        place: Tensor,
+        state: LidarState,
+    ) -> tuple[Tensor, Tensor]:
+        """As ``_drawn``, each beam in the air of its sector, level with the ground."""
+        assert state.patches is not None
+        banks = state.patches.banks(part.weather)
+        way_m = torch.zeros_like(banks.extra_m) if state.extra_m is None else state.extra_m  # of all weather together
+        air = Banks(banks.density.to(extinction), way_m.to(extinction), banks.step_m).of_sectors()
+
+        def each(values: Tensor | None) -> Tensor | None:
+            return None if values is None else values.repeat_interleave(SECTORS, 0)
+
+        if state.extra_divergence_rad is not None:
+            beam = self.beam.widened(state.extra_divergence_rad.repeat_interleave(SECTORS, 0))
+        of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(state.density_scale), air)
+        between, places = part.between(*of_sectors), part.places(*of_sectors)
+        sector = sector_of(_azimuth_and_level(state)[0])
+        reach_m = state.reach_m.to(extinction.dtype)
+        reach = part.grid.position(reach_m)
+        ranges, signals = [], []
+        arrived = torch.zeros_like(reach)
+        for echo in range(part.echoes):
+            arrived, own_place = arrived + exponential(arrival[:, echo].to(reach)), place[:, echo].to(reach)
+            row, column, exists = strongest_before(between, arrived, own_place, reach, None, places, sector)
+            ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
             signals.append(part.signal_at(row, beam) * exists)
         return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
 

@@ -213,7 +213,7 @@ class ParticleVeil(Stage):
         for part in self.parts:
             part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
-        tables = [part.at_rate(state.batch, state.particle_count) for part in self.parts]
+        tables = [part.in_air(state) for part in self.parts]
         contrast = state.particle_contrast
         fog = state.fog_extinction_per_m
         fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()

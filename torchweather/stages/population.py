@@ -15,8 +15,10 @@ from torch import Tensor, nn
 from torchweather.random import ABSENT, Variate
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.camera import ground_rays, over_ground
 from torchweather.stages.depth_blocks import BLOCK_PX, DepthBlocks
 from torchweather.stages.particle_tables import MarkOptics, particle_tables
+from torchweather.stages.patchy_air import Banks
 from torchweather.stages.states import CameraState
 from torchweather.stages.streaks import Marks, add_listed, add_static
 from torchweather.threads import side_by_side
@@ -53,7 +55,18 @@ class _Points:
 
 @dataclass(frozen=True)
 class AtRate:
-    """The tables at each sample's rate."""
+    """The tables at each sample's rate.
+
+    Args:
+        bounds: of each shell, ln of the density of listed particles.
+        outline_m, fall_speed: over the level.
+        haze_depth, haze_variance: over the footprint.
+        kernel_along, kernel_across: of each shell of the haze.
+        falls: ``(B,)`` whether anything falls.
+        count: ``(B,)`` particles at the densest place over those of the rate; ``None`` is 1.
+        banks: where they are dense; ``None`` is everywhere alike.
+        path_density: ``(B, 1, H, W)`` mean density in front of the scene; ``None`` likewise.
+    """
 
     bounds: list[Tensor]
     outline_m: Tensor
@@ -63,6 +76,9 @@ class AtRate:
     kernel_along: Tensor
     kernel_across: Tensor
     falls: Tensor
+    count: Tensor | None = None
+    banks: Banks | None = None
+    path_density: Tensor | None = None
 
 
 class Population(nn.Module):
@@ -199,6 +215,18 @@ class Population(nn.Module):
 
     # ---- tables at a rate --------------------------------------------------------------------------------------
 
+    def in_air(self, state: CameraState) -> AtRate:
+        """The tables at each sample's rate, in the air of the state."""
+        tables = self.at_rate(state.batch, state.particle_count)
+        if state.patches is None or self.weather.patch_log_std == 0.0:
+            return tables
+        banks = state.patches.banks(self.weather)
+        azimuth_rad, level = ground_rays(state)
+        mean = banks.mean_to(azimuth_rad, level * state.depth_m.clamp_max(self.far_m))
+        densest = banks.density.flatten(1).amax(1)
+        count = densest if tables.count is None else densest * tables.count
+        return replace(tables, count=count, banks=banks, path_density=mean.float())
+
     def at_rate(self, batch: int, count: Tensor | None = None) -> AtRate:
         """Interpolate every table in ln(rate), one row per sample; ``count`` ``(B,)`` particles for each one."""
         rate = self.rate_mm_per_h.float().reshape(-1).expand(batch)
@@ -233,6 +261,7 @@ class Population(nn.Module):
             linear(self.along_table),  # type: ignore[arg-type]
             linear(self.across_table),  # type: ignore[arg-type]
             falls,
+            count,
         )
 
     # ---- listed particles --------------------------------------------------------------------------------------
@@ -290,12 +319,13 @@ class Population(nn.Module):
                 kinds = [(chosen.nonzero().squeeze(1), own) for chosen, own in ((~which, False), (which, True))]
                 parts = [_Points(points[rows], sample[rows], own) for rows, own in kinds]
         yield from parts
-        if state.particle_count is None or is_exporting():
+        count = tables.count
+        if count is None or is_exporting():
             return
         most: Tensor = getattr(self, f"tail_most_{number}")
         own = state.intrinsics.detach().float().expand(state.batch, 4)
         room = torch.sqrt(own[:, 0] * own[:, 1]) / self.focal_px * (tables.bounds[number].detach() - most).amax(1).exp()
-        wanted = torch.where(state.particle_count > 1, state.particle_count.detach() * room, 0.0)
+        wanted = torch.where(count > 1, count.detach() * room, 0.0)
         for copy in range(1, math.ceil(float(wanted.max()))):
             for part in parts:
                 yield replace(part, points=_displaced(part.points, copy), copy=copy)
@@ -312,8 +342,8 @@ class Population(nn.Module):
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         focal_of = focal[0] if sample is None else focal[sample]
         thinning = math.log(self.focal_px * self.headroom()) - torch.log(focal_of)
-        if state.particle_count is not None:
-            count = state.particle_count.float()[0 if sample is None else sample]
+        if tables.count is not None:
+            count = tables.count.float()[0 if sample is None else sample]
             thinning = thinning - torch.log(count.clamp_min(FLOOR))
         level = points[:, COLUMN_LEVEL] + part.copy if part.copy else points[:, COLUMN_LEVEL]
         quantiles, most = getattr(self, f"footprint_{number}").float(), getattr(self, f"tail_most_{number}").float()
@@ -326,6 +356,7 @@ class Population(nn.Module):
             if not is_exporting():
                 seen = shown.nonzero().squeeze(1)
                 points, cell, share, log_level = points[seen], cell[seen], share[seen], log_level[seen]
+                cut_level = cut_level[seen]
                 sample = None if sample is None else sample[seen]
                 shown = shown[seen]
         foot = _read(quantiles, cell, share)
@@ -339,7 +370,7 @@ class Population(nn.Module):
             before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
             if len(before) < 0.9 * len(u):
                 u, v, foot, depth_m, log_level = u[before], v[before], foot[before], depth_m[before], log_level[before]
-                shown = shown[before]
+                shown, cut_level = shown[before], cut_level[before]
                 if sample is not None:
                     sample, own, focal_of = sample[before], own[before], focal_of[before]
         x = y = scale = None
@@ -350,12 +381,17 @@ class Population(nn.Module):
             log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share)
             log_level = log_level + thinning + torch.log(scale)
             shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
-        shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
         whose = 0 if sample is None else sample
+        if tables.banks is not None:
+            # So far every place was the densest one: the rest of the slots' particles are not there.
+            densest = tables.banks.density.flatten(1).amax(1)[whose]
+            log_level = log_level + torch.log(densest / self._density(tables.banks, u, v, depth_m, own, sample))
+            shown = shown & (log_level < cut_level)
+        shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
         if state.particle_reach_m is not None:
             shown = shown & (depth_m <= state.particle_reach_m[whose])
-        if part.copy and state.particle_count is not None:
-            shown = shown & (state.particle_count > 1)[whose]
+        if part.copy and tables.count is not None:
+            shown = shown & (tables.count > 1)[whose]
         shown = shown & tables.falls[whose]
         stop, above = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
         outline_m = _read(tables.outline_m, stop, above, sample)
@@ -379,6 +415,13 @@ class Population(nn.Module):
             depth_m=depth_m,
         )
         return marks if state.row_time_s is None else self._row_by_row(marks, state.row_time_s)
+
+    def _density(
+        self, banks: Banks, u: Tensor, v: Tensor, depth_m: Tensor, own: Tensor, sample: Tensor | None
+    ) -> Tensor:
+        """Density where each of the points is, ``(P,)``."""
+        azimuth_rad, level = over_ground(self.camera, *self.undistorted(u, v, own))
+        return banks.at_points(azimuth_rad, level * depth_m, sample).clamp_min(FLOOR)
 
     def _row_by_row(self, marks: Marks, row_time_s: Tensor) -> Marks:
         """Marks of a rolling shutter, which exposes each row later by ``row_time_s`` ``(B,)``.
@@ -469,7 +512,7 @@ class Population(nn.Module):
                             totals[which], fadeds[which] = add_listed(totals[which], fadeds[which], *place, blocks)
 
         tasks = [partial(add, which) for which in range(sums)]
-        moved = (tables.outline_m, state.particle_count, state.path_tangent, state.row_time_s)
+        moved = (tables.outline_m, tables.count, state.path_tangent, state.row_time_s)
         learns = torch.is_grad_enabled() and any(value is not None and value.requires_grad for value in moved)
         if is_exporting() or learns:
             for task in tasks:

@@ -41,6 +41,7 @@ from torchweather.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam, RangeGrid
 from torchweather.stages.fog_optics import FogOptics, mor_range_m
+from torchweather.stages.patchy_air import BanksAlongBeams, of_beams
 from torchweather.stages.strongest import expected_number, table_at
 from torchweather.weather import Fog
 
@@ -144,7 +145,14 @@ class SoftReturn(nn.Module):
         """Expected soft return S over the system constant, ``(B, ...)``, at ranges ``(...)``, 1/(m^2 sr)."""
         return self._waveform(beam, self.mor_m.reshape(-1), extinction_per_m, range_m)[0]
 
-    def _waveform(self, beam: Beam, mor_m: Tensor, extinction_per_m: Tensor, range_m: Tensor) -> tuple[Tensor, Tensor]:
+    def _waveform(
+        self,
+        beam: Beam,
+        mor_m: Tensor,
+        extinction_per_m: Tensor,
+        range_m: Tensor,
+        air: BanksAlongBeams | None = None,
+    ) -> tuple[Tensor, Tensor]:
         """S and its change per metre: the pulse begins and ends with nothing, so that only its shape moves."""
         # Where in the fog the light comes from, (..., 2 PULSE_NODES): the part of the pulse that meets the rising
         # response and that which meets the full one. f is smooth in each: S has no ripples however short the rise.
@@ -159,40 +167,61 @@ class SoftReturn(nn.Module):
         phase = (range_m[..., None, None] - source_m) * (math.pi / self.pulse_length_m)
         source_m = source_m.flatten(-2)
         extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
-        response = beam.near_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * source_m)
+        way_m = source_m if air is None else air.way_m(source_m)
+        response = beam.near_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * way_m)
+        if air is not None:
+            response = response * air.density_at(source_m)
         beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
         pulse = (weight * (0.5 + 0.5 * phase.cos())).flatten(-2)
         changing = (weight * (-0.5 * math.pi / self.pulse_length_m) * phase.sin()).flatten(-2)
         return beta * (response * pulse).sum(-1), beta * (response * changing).sum(-1)
 
-    def between(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
+    def between(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+    ) -> Tensor:
         """Lambda from one node of the reading to the next up to each node of range, ``(B, E, P)``.
 
         Args:
             beam: the sensor's.
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
+            air: patches along each of the B beams; ``None`` is the same everywhere.
         """
-        photons, slope = self._photons(beam, extinction_per_m, density_scale)
+        photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
         steep = slope.abs()
         chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
         per_m = self._read(self.mills_table, photons) * chance.clamp_min(0.0)[:, None]
         crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
         return self._risen(photons) + crossed
 
-    def places(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None = None) -> Tensor:
+    def places(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+    ) -> Tensor:
         """Weight of the places up to each node of range for a reading between two nodes, ``(B, E, P)``."""
-        photons, slope = self._photons(beam, extinction_per_m, density_scale)
+        photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
         alike = torch.exp(-0.5 * slope.square())
         weight = self.grid.integrated(_apart(self._read(self.mills_table, photons) * alike[:, None]))
         return weight + RISING * self._risen(photons)
 
-    def _photons(self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None) -> tuple[Tensor, Tensor]:
+    def _photons(
+        self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None, air: BanksAlongBeams | None
+    ) -> tuple[Tensor, Tensor]:
         """Expected photons of a value at the nodes of the quadrature, and w there, ``(B, cells, G)`` each.
 
         dz/dr is that of -2 sqrt(photons), whose noise is of 1 everywhere.
         """
-        signal, per_m = self._waveform(beam, self.mor_m.reshape(-1), extinction_per_m, self.grid.quadrature_m)
+        mor_m = self.mor_m.reshape(-1)
+        if air is not None:
+            mor_m = of_beams(mor_m, extinction_per_m.shape[0])
+        signal, per_m = self._waveform(beam, mor_m, extinction_per_m, self.grid.quadrature_m, air)
         scale = self.photons_at_threshold / beam.threshold
         if density_scale is not None:
             scale = scale * density_scale.to(signal)[:, None, None]

@@ -41,6 +41,8 @@ class Stage(nn.Module):
     default_name: ClassVar[str] = "stage"
     each_beam_alone: ClassVar[bool] = False
     """Whether a beam of a LiDAR comes out the same whatever the others are, and noise has the beams last."""
+    of_the_air: ClassVar[bool] = False
+    """Whether its noise belongs to the weather and not to a sensor: ``Compose`` gives it to all sensors of a sample."""
 
     def variates(self) -> tuple[Variate, ...]:
         """The standard random numbers that this stage needs; none for a deterministic stage."""

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.stages.patchy_air import PatchField
 from torchweather.weather import Weather
 
 __all__ = ["CameraState", "LidarState", "PointKind", "RadarState"]
@@ -43,6 +44,7 @@ class CameraState:
         particle_contrast: ``(B,)`` what particles change in the picture over the modelled; ``None`` is 1.
         path_tangent: ``(B,)`` sideways over downward speed of falling particles, to the right; ``None`` is 0.
         row_time_s: ``(B,)`` from the exposure of a row to that of the row below; ``None`` is 0.
+        patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
     """
 
     signal: Tensor
@@ -65,6 +67,7 @@ class CameraState:
     particle_contrast: Tensor | None = None
     path_tangent: Tensor | None = None
     row_time_s: Tensor | None = None
+    patches: PatchField | None = None
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -134,6 +137,10 @@ class LidarState:
         integral: ``(B, 1)`` bool, whether the sample's intensities are integers; they then stay integers.
         extinction_per_m: ``(B,)`` effective extinction of all weather together; ``None`` is clear air.
         density_scale: ``(B,)`` particles in the air over those that the weather says; ``None`` is 1.
+        patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
+        extra_m: ``(B, ...)`` by how much longer the ways would be in uniform air, laid out as ``patches``; of all
+            weather together.
+        path_density: ``(B, N)`` mean density on each beam's way to ``reach_m`` over that of the weather; ``None`` is 1.
         extra_divergence_rad: ``(B,)`` by which the beam is wider than the sensor says, full angle; ``None`` is 0.
         threshold_scale: ``(B,)`` threshold of the detection over ``threshold``; ``None`` is 1.
         cos_incidence: ``(1 or B, N)`` cosine between the beam and the normal of the surface it meets; ``None`` where
@@ -157,6 +164,9 @@ class LidarState:
     integral: Tensor
     extinction_per_m: Tensor | None = None
     density_scale: Tensor | None = None
+    patches: PatchField | None = None
+    extra_m: Tensor | None = None
+    path_density: Tensor | None = None
     extra_divergence_rad: Tensor | None = None
     threshold_scale: Tensor | None = None
     cos_incidence: Tensor | None = None
@@ -183,6 +193,11 @@ class LidarState:
             return self.threshold
         return self.threshold * self.threshold_scale.to(self.threshold)[:, None]
 
+    @property
+    def uniform_m(self) -> Tensor:
+        """``(B, N)`` length of uniform air that takes as much as the way to each object."""
+        return self.clear_range_m if self.path_density is None else self.clear_range_m * self.path_density
+
     def of_beams(self, part: slice) -> LidarState:
         """The state of a part of the beams, before detection."""
         cut = {name: value[:, part] for name in PER_BEAM if (value := getattr(self, name)) is not None}
@@ -208,6 +223,7 @@ PER_BEAM = (
     "signal",
     "kind",
     "reach_m",
+    "path_density",
     "cos_incidence",
     "up",
 )
@@ -244,6 +260,7 @@ class RadarState:
         speed_std_m_per_s: ``(B,)`` by which measured speeds scatter more; ``None`` is 0.
         target_class: ``(1 or B, N)`` whole numbers, below 0 where not known; ``None`` where none is.
         frame_number: ``(B,)`` of the frame in its recording, from 0; ``None`` where not known.
+        patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
         past_rain_mm_per_h, past_rain_min: ``(B, T)`` rates of earlier rain, and how many minutes ago; ``None`` where no
             such rain is known of.
     """
@@ -270,6 +287,7 @@ class RadarState:
     speed_std_m_per_s: Tensor | None = None
     target_class: Tensor | None = None
     frame_number: Tensor | None = None
+    patches: PatchField | None = None
     past_rain_mm_per_h: Tensor | None = None
     past_rain_min: Tensor | None = None
 
@@ -295,5 +313,5 @@ class RadarState:
         return level if self.threshold_shift_db is None else level + self.threshold_shift_db
 
 
-for _state in (CameraState, LidarState, RadarState):
+for _state in (PatchField, CameraState, LidarState, RadarState):
     torch.export.register_dataclass(_state, serialized_type_name=f"torchweather.{_state.__name__}")

@@ -41,7 +41,13 @@ LAST_PLACE = 1.0 - 1e-6
 
 
 def strongest_before(
-    between: Tensor, arrivals: Tensor, place: Tensor, reach: Tensor, start: Tensor | None = None
+    between: Tensor,
+    arrivals: Tensor,
+    place: Tensor,
+    reach: Tensor,
+    start: Tensor | None = None,
+    where: Tensor | None = None,
+    sector: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The strongest particles in front of each beam's reach, by bisection.
 
@@ -52,14 +58,16 @@ def strongest_before(
         place: ``(B, N)`` standard uniform u.
         reach: ``(B, N)`` place on the grid up to which particles count, 0 to P - 1.
         start: ``(B, N)`` place from which they count; ``None`` is the first node.
+        where: W where it is not ``between``, of its shape.
+        sector: ``(B, N)`` int64, which of S tables is a beam's; the tables then are ``(B * S, E, P)``.
 
     Returns:
         ``(B, N)`` each: signal, 0 to E - 1; range; and whether there is such a particle at all.
     """
-    signal = _signal(between, arrivals, reach, start)
-    batch, signals, places = between.shape
-    cells = between.reshape(batch, signals * places)
-    base = _below(signal, signals) * places
+    signal = _signal(between, arrivals, reach, start, sector)
+    _, signals, places = between.shape
+    cells = (between if where is None else where).reshape(arrivals.shape[0], -1)
+    base = _below(signal, signals) * places + _first(sector, signals * places)
     column = _below(reach, places)
     wanted = place * _lerp(cells, base + column, reach - column)
     if start is not None:
@@ -127,7 +135,7 @@ class ReturnTable:
         step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
         arrivals = torch.exp(math.log(ARRIVAL_LOW) + step * torch.arange(ARRIVAL_NODES).to(between))
         reach = torch.arange(places).to(between)[:, None].expand(places, ARRIVAL_NODES).reshape(1, -1)
-        signal = _signal(between, arrivals.repeat(places).expand(batch, -1), reach.expand(batch, -1), None)
+        signal = _signal(between, arrivals.repeat(places).expand(batch, -1), reach.expand(batch, -1))
         end = where[..., -1:]
         v = torch.arange(PLACE_NODES).to(between) / (PLACE_NODES - 1)
         base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
@@ -160,17 +168,25 @@ class ReturnTable:
         return signal.clamp_min(0.0), torch.minimum(found, reach), signal > 0.0
 
 
-def _signal(between: Tensor, arrivals: Tensor, reach: Tensor, start: Tensor | None) -> Tensor:
+def _first(sector: Tensor | None, cells: int) -> Tensor | int:
+    """Where the table of each beam's sector begins."""
+    return 0 if sector is None else sector * cells
+
+
+def _signal(
+    between: Tensor, arrivals: Tensor, reach: Tensor, start: Tensor | None = None, sector: Tensor | None = None
+) -> Tensor:
     """Solve ``Lambda(e*, R) = E`` for the signal; 0 or less where there is no such particle."""
-    batch, signals, places = between.shape
-    flat = _above(between).reshape(batch, signals * places)
-    column = _below(reach, places)
+    _, signals, places = between.shape
+    flat = _above(between).reshape(arrivals.shape[0], -1)
+    column, first = _below(reach, places), _first(sector, signals * places)
     begin = column if start is None else _below(start, places)
 
     def before(row: Tensor) -> Tensor:
         """Lambda of a row up to the reach, from the start."""
-        number = _lerp(flat, row * places + column, reach - column)
-        return number if start is None else number - _lerp(flat, row * places + begin, start - begin)
+        of_row = row * places + first
+        number = _lerp(flat, of_row + column, reach - column)
+        return number if start is None else number - _lerp(flat, of_row + begin, start - begin)
 
     row = _last(lambda i: before(i) > arrivals, torch.zeros_like(column), signals - 1)
     # A power law inside the cell: Lambda falls by a factor from node to node.

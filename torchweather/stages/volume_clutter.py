@@ -219,9 +219,14 @@ class VolumeClutter(Stage):
         node_m = self._nodes_m(state)
         bins = self._doppler_bins(fall, fall_std)
         missing = self._missing(node_m, eta, bins, threshold_db, state)
-        range_m, there = self._ranges(node_m, self._cells_per_m(missing, bins), own["arrival"])
+        per_m = self._cells_per_m(missing, bins, self._denser(node_m, state))
+        range_m, there = self._ranges(node_m, per_m, own["arrival"])
         missing = self._missing(range_m, eta, bins, threshold_db, state)
-        azimuth, elevation = self._direction_rad(missing, own["direction"], own["azimuth"], own["elevation"])
+        denser = self._denser(range_m, state)
+        places = (own["direction"], own["azimuth"], own["elevation"])
+        azimuth, elevation, patch = self._direction_rad(missing, *places, denser)
+        if denser is not None:
+            missing = missing / denser.gather(-1, patch[..., None])[..., 0]
         off_db = 2.0 * (self.sensor.gain_dbi(azimuth, elevation) - self.sensor.antenna_gain_dbi)
         peak_db = threshold_db[:, None] - missing.log() / DB
         power_db = _above_db(threshold_db[:, None], peak_db + off_db, own["power"])
@@ -271,25 +276,44 @@ class VolumeClutter(Stage):
         loss_db = 2.0 * (self.sensor.antenna_gain_dbi - self.sensor.gain_dbi(azimuth, elevation))
         return azimuth, elevation, torch.exp(DB * loss_db)
 
-    def _cells_per_m(self, missing: Tensor, bins: Tensor) -> Tensor:
+    def _denser(self, range_m: Tensor, state: RadarState) -> Tensor | None:
+        """Echo over that in uniform air, ``(B, n, G)``, at ranges ``(1 or B, n)`` in the directions of ``_off_axis``.
+
+        More particles there, and more on the way to them and back; the way of other weathers counts as theirs do.
+        """
+        if state.patches is None:
+            return None
+        banks = state.patches.banks(self.falling.weather)
+        azimuth, elevation, _ = self._off_axis(state.gain_db)
+        ground_m = range_m[..., None] * elevation.cos()
+        way_db = 2e-3 * state.attenuation_db_per_km[:, None, None] * range_m[..., None]
+        beyond_db = way_db * (banks.mean_to(azimuth.expand_as(ground_m), ground_m) - 1.0)
+        return banks.at(azimuth.expand_as(ground_m), ground_m) * torch.exp(-DB * beyond_db)
+
+    def _cells_per_m(self, missing: Tensor, bins: Tensor, denser: Tensor | None = None) -> Tensor:
         """Cells above the threshold per metre of range, ``(B, ...)``, over the whole view."""
         azimuth, elevation = two_way_widths_rad(self.sensor)
         beams = max(1.0, math.prod(view_rad(self.sensor)) / (GAUSSIAN_AREA * azimuth * elevation))
         _, _, loss = self._off_axis(missing)
-        above = torch.exp(-missing[..., None] * loss).mean(-1)
+        above = torch.exp(-missing[..., None] * (loss if denser is None else loss / denser)).mean(-1)
         return beams * bins[:, None] / self.sensor.range_resolution_m * above
 
     def _direction_rad(
-        self, missing: Tensor, direction: Tensor, azimuth: Tensor, elevation: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Where in the view each detection lies: ``direction`` picks a patch, the others the place in it."""
+        self, missing: Tensor, direction: Tensor, azimuth: Tensor, elevation: Tensor, denser: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Where in the view each detection lies: ``direction`` picks a part of it, the others the place in the part."""
         middle_azimuth, middle_elevation, loss = self._off_axis(missing)
-        share = torch.exp(-missing[..., None] * (loss - loss.min())).cumsum(-1)
+        seen = loss - loss.min()
+        if denser is not None:
+            loss_there = loss / denser
+            seen = loss_there - loss_there.amin(-1, keepdim=True)
+        share = torch.exp(-missing[..., None] * seen).cumsum(-1)
         patch = (share < (direction * share[..., -1])[..., None]).sum(-1).clamp_max(len(loss) - 1)
         size = [view / n for view, n in zip(view_rad(self.sensor), DIRECTIONS, strict=True)]
         return (
             middle_azimuth[patch] + (azimuth - 0.5) * size[0],
             middle_elevation[patch] + (elevation - 0.5) * size[1],
+            patch,
         )
 
     def _ranges(self, node_m: Tensor, per_m: Tensor, arrival: Tensor) -> tuple[Tensor, Tensor]:

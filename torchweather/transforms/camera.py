@@ -28,6 +28,7 @@ from torchweather.stages import (
 )
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import estimate_airlight, scaled_airlight, three_colours
+from torchweather.stages.patchy_air import PatchyAir, patchy_air
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.transforms.weather_transform import Sizes, WeatherTransform, options_of
 from torchweather.weather import Fog, Rain, Snow, Weather, check_knobs
@@ -116,7 +117,7 @@ class BayerWeather(WeatherTransform):
         weather = weather.densest()
         self.depth_source = None if depth is None else as_depth_source(depth)
         self.airlight = airlight
-        stages: dict[str, Stage] = {}
+        stages: dict[str, Stage] = patchy_air(weather, ego_speed_m_per_s)
         fogs = [part for part in weather.parts if isinstance(part, Fog)]
         falling = [part for part in weather.parts if isinstance(part, (Rain, Snow))]
         if fogs:
@@ -240,7 +241,7 @@ class BayerWeather(WeatherTransform):
         generator: torch.Generator | None = None,
         seed: int | Tensor | None = None,
     ) -> Iterator[dict[str, Tensor]]:
-        """Noise of successive frames in which the particles move with fall speed, wind and ego motion.
+        """Noise of successive frames in which particles and patches move with fall speed, wind and ego motion.
 
         Args:
             bayer: a frame of the sequence; only its shape counts.
@@ -275,13 +276,14 @@ class BayerWeather(WeatherTransform):
         for frame in range(int(frames)):
             if frame:
                 for name, stage in self.chain.stages.items():
+                    own = {k.removeprefix(f"{name}."): v for k, v in noise.items() if k.startswith(f"{name}.")}
                     if isinstance(stage, ParticleVeil):
-                        own = {k.removeprefix(f"{name}."): v for k, v in noise.items() if k.startswith(f"{name}.")}
-                        moved = stage.next_frame(own, (height, width), frame_interval_s, seeds, name, frame)
-                        noise = {**noise, **{f"{name}.{key}": value for key, value in moved.items()}}
+                        own = stage.next_frame(own, (height, width), frame_interval_s, seeds, name, frame)
+                    elif isinstance(stage, PatchyAir):
+                        own = stage.next_frame(own, frame_interval_s)
                     elif isinstance(stage, Effect) and stage.each_frame_anew:
-                        anew = stage.draw(sizes, seed=seeds, name=f"{name}.frame_{frame}")
-                        noise = {**noise, **{f"{name}.{key}": value for key, value in anew.items()}}
+                        own = stage.draw(sizes, seed=seeds, name=f"{name}.frame_{frame}")
+                    noise = {**noise, **{f"{name}.{key}": value for key, value in own.items()}}
             yield {key: value.reshape(*batch, *value.shape[1:]) for key, value in noise.items()}
 
     def state_of(self, bayer: Tensor, depth: Tensor | None = None, normal: Tensor | None = None) -> CameraState:

@@ -17,7 +17,6 @@ from torchweather.distributions import Choice
 from torchweather.errors import check_between, nearest_name
 from torchweather.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
 from torchweather.sensors import Camera
-from torchweather.stages import Effect
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.plans import Plan, plan_of
 from torchweather.transforms.radar import KNOWN, RadarAttenuation
@@ -300,7 +299,7 @@ class Compose(nn.Module):
         noise = transform.draw(value, seed=derived_seed(draw.seed, key))
         inner = transform.transform if plan.method is not None else transform
         for name, stage in inner.chain.stages.items():
-            if isinstance(stage, Effect) and stage.of_the_air:
+            if stage.of_the_air:
                 shared = draw_variates([draw.seed], "air", list(stage.variates()), {})
                 noise |= {
                     f"{name}.{full.removeprefix('air.')}": torch.from_numpy(array[0]) for full, array in shared.items()

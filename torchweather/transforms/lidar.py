@@ -30,6 +30,7 @@ from torchweather.stages import (
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.expected_detection import expected_detection
 from torchweather.stages.intensity import are_integers
+from torchweather.stages.patchy_air import PatchyAir, patchy_air
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms.clouds import Beams, beams_of, check_points
 from torchweather.transforms.weather_transform import WeatherTransform, options_of
@@ -142,8 +143,12 @@ class LidarWeather(WeatherTransform):
         self.lost, self.complete_scan = lost, complete_scan
         published = "d3_4" if variant == "d3_4" else None
         parts = weather.parts
+        air = patchy_air(weather)
+        if air and published:
+            raise ValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
         plain = Chain(
             {
+                **air,
                 "to_energy": ToEnergy(sensor),
                 "extinction": Extinction(parts, sensor, q_eff, fog_extinction, published),
                 "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published),
@@ -231,7 +236,8 @@ class LidarWeather(WeatherTransform):
         source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
         transmission = torch.ones_like(state.reach_m)
         if state.extinction_per_m is not None:
-            transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * state.reach_m)
+            way_m = state.reach_m if state.path_density is None else state.reach_m * state.path_density
+            transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * way_m)
         second = second_source = second_kind = None
         if state.second is not None:
             kind = state.kind[..., 1]
@@ -316,6 +322,7 @@ class LidarWeather(WeatherTransform):
             ``(..., N)`` each; 0 for rows without return. Differentiable in rates, visibility and sensor parameters.
         """
         effects = [stage.id for stage in self.chain.stages.values() if isinstance(stage, Effect)]
+        effects += [name for name, stage in self.chain.stages.items() if isinstance(stage, PatchyAir)]
         if effects:
             raise ValueError(
                 f"{type(self).__name__}: expected knows the plain chain, without {', '.join(effects)}. Average draws "

@@ -29,6 +29,7 @@ from torchweather.stages import (
     with_effects,
 )
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.patchy_air import patchy_air
 from torchweather.stages.radar import POWER
 from torchweather.transforms.clouds import FARTHEST_M
 from torchweather.transforms.weather_transform import WeatherTransform, options_of
@@ -143,6 +144,7 @@ class RadarAttenuation(WeatherTransform):
         self.ego_speed_m_per_s = float(ego_speed_m_per_s)
         plain = Chain(
             {
+                **patchy_air(weather, ego_speed_m_per_s),
                 "path_attenuation": PathAttenuation(
                     weather.parts, sensor, rain_model or "p838", fog_model or "p840", snow_model or "dsd_mie"
                 ),
