@@ -35,6 +35,7 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["b.npz", "bank.png"],
     ),
     "rain_from_disdrometer.py": (["--out", "drops.png"], ["drops.png"]),
+    "fog_banks.py": (["--width", "120", "--columns", "64", "--out", "banks.png"], ["banks.png"]),
     "first_lidar_rain.py": (["--columns", "64", "--out", "cloud.png"], ["cloud.png"]),
     "first_radar_rain.py": (["--out", "radar.png"], ["radar.png"]),
     "metrics_against_detector.py": (
