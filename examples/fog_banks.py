@@ -33,13 +33,13 @@ parser.add_argument("--width", type=int, default=480, help="of the camera's fram
 parser.add_argument("--columns", type=int, default=512, help="of the LiDAR's scan")
 parser.add_argument("--out", type=Path, default=Path("fog_banks.png"), help="picture to write")
 arguments = parser.parse_args()
+RADAR_M = (20.0, 45.0)  # two targets
 
 camera = tw.Camera.preset("lucid-triton").resized(arguments.width // 2 * 2, round(arguments.width * 0.378) * 2)
 lidar = tw.Lidar.preset("ouster-os1-128", columns=arguments.columns)
 radar = tw.Radar.preset("imaging-77ghz")
 view, scan = test_track().view(camera), lidar_view(test_track(), lidar)
-ahead = torch.tensor([[20.0, 3.0, 0.0], [45.0, -4.0, 0.0]])  # two targets
-detections = torch.cat([ahead, torch.tensor([[0.0, -80.0, 10.0]]).expand(2, 3)], 1)
+detections = torch.tensor([[x, 0.0, 0.0, 0.0, -80.0, 10.0] for x in RADAR_M])
 sample = {"image": view.bayer, "depth": view.depth_m, "points": scan.points, "radar": detections}
 
 even = tw.Fog(mor_m=arguments.mor)
@@ -52,9 +52,7 @@ for name, fog in (("one density", even), ("banks", banks)):
     out, results[name] = weather.run(sample, seed=arguments.seed)
     frames[name] = develop(out["image"], camera.bayer_pattern, exposure=1.3)
 
-print(
-    f"fog of {arguments.mor:g} m: two-way transmission of the LiDAR, and the radar's loss {ahead[:, 0].tolist()} m ahead"
-)
+print(f"fog of {arguments.mor:g} m: two-way transmission of the LiDAR's beams; the radar's loss {RADAR_M} m ahead")
 for name, result in results.items():
     seen = result["points"].transmission[scan.hit]
     loss_db = ", ".join(f"{float(db):.4f}" for db in result["radar"].attenuation_db)
