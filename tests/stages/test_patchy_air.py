@@ -16,7 +16,7 @@ from torchweather.random import draw_variates
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import EFFECTS, ExtinctionAndAirlight, ParticleReturns, PointKind, VolumeClutter
 from torchweather.stages.beam_particles import BeamParticles
-from torchweather.stages.patchy_air import LENGTHS, WAVES, PatchyAir
+from torchweather.stages.patchy_air import LENGTHS, SECTORS, WAVES, PatchyAir, sector_of
 from torchweather.transforms import (
     BayerFog,
     BayerRain,
@@ -117,6 +117,22 @@ def test_beyond_the_layout_the_density_is_1() -> None:
     assert mean == pytest.approx((dense + 3.0) / 4.0, rel=1e-5)
 
 
+def test_the_air_of_a_sector_is_that_along_its_middle() -> None:
+    banks = PatchyAir(LENGTH_M).field(noise_of(9)).banks(Rain(5, patch_log_std=0.8))
+    air, range_m = banks.of_sectors(), torch.tensor([0.0, 3.0, 17.0, 90.0])
+    for number in range(SECTORS):
+        middle = 2.0 * math.pi * number / SECTORS - math.pi
+        near = torch.tensor([middle - 0.4 * 2.0 * math.pi / SECTORS, middle + 0.4 * 2.0 * math.pi / SECTORS])
+        turned = torch.atan2(near.sin(), near.cos())  # an azimuth below -pi lies at the other end
+        assert sector_of(turned).tolist() == [number, number]
+        along = torch.full((1, 4), middle)
+        torch.testing.assert_close(
+            air.density_at(range_m)[number], banks.at(along, range_m[None])[0], rtol=1e-4, atol=0
+        )
+        way_m = banks.mean_to(along, range_m[None])[0] * range_m
+        torch.testing.assert_close(air.way_m(range_m)[number], way_m, rtol=1e-4, atol=1e-4)
+
+
 def test_patches_drift_with_the_air() -> None:
     noise, stage = noise_of(5), PatchyAir(LENGTH_M, (3.0, -1.0))
     later = stage.next_frame(noise, 2.0)
@@ -146,11 +162,11 @@ def test_a_lidar_sees_through_the_mean_density_of_each_weather() -> None:
     )
     transform = LidarWeather(weather, LIDAR)
     azimuth, range_m = np.array([-3.1, -1.0, 0.0, 0.4, 2.0]), np.array([60.0, 25.0, 12.0, 40.0, 33.0])
-    points = cloud(azimuth, range_m, height_m=3.0)
+    points = cloud(azimuth, range_m, height_m=12.0)
     result = transform.run(points, in_field(transform, points, noise))
     extinction = {kind: float(part()) for kind, part in transform.chain.stages["extinction"].parts.items()}  # type: ignore[union-attr,operator]
     for one, far, found in zip(azimuth, range_m, result.transmission, strict=True):
-        slant_m = math.hypot(far, 3.0)
+        slant_m = math.hypot(far, 12.0)
         depth = extinction["fog"] * mean_density(noise, 0.5, one, far) + extinction["snow"]
         depth += extinction["rain"] * mean_density(noise, 0.3, one, far)
         assert -math.log(float(found)) / 2 / slant_m == pytest.approx(depth, rel=0.01)
