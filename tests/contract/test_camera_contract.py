@@ -38,7 +38,7 @@ def fog(knob: Any = 60.0, camera: Camera = CAMERA, **more: Any) -> BayerWeather:
 
 
 def mixture(knob: Any = 60.0, camera: Camera = CAMERA, **more: Any) -> BayerWeather:
-    weather = Mixture(Snow(1.0), Fog(knob), Rain(10.0))
+    weather = Mixture(Snow(1.0), Fog(knob, patch_log_std=0.5), Rain(10.0, patch_log_std=0.3, patch_length_m=30.0))
     return BayerWeather(weather, camera, **{"depth": 25.0, "airlight": LIGHT, "far_m": 40.0, **more})
 
 

@@ -48,7 +48,8 @@ def fog(knob: Any = 12.0, **more: Any) -> RadarAttenuation:
 
 
 def mixture(knob: Any = 30.0, **more: Any) -> RadarAttenuation:
-    return RadarAttenuation(Mixture(Snow(2.0, melt_fraction=0.3), Fog(knob), Rain(40.0)), SENSOR, **{**CLUTTER, **more})
+    weather = Mixture(Snow(2.0, melt_fraction=0.3, patch_log_std=0.4), Fog(knob), Rain(40.0))
+    return RadarAttenuation(weather, SENSOR, **{**CLUTTER, **more})
 
 
 def rain_seen(knob: Any = 60.0, **more: Any) -> RadarAttenuation:

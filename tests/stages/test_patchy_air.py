@@ -172,6 +172,33 @@ def test_a_lidar_sees_through_the_mean_density_of_each_weather() -> None:
         assert -math.log(float(found)) / 2 / slant_m == pytest.approx(depth, rel=0.01)
 
 
+def foggy_rain() -> LidarWeather:
+    weather = Mixture(Fog(mor_m=200, patch_log_std=0.5), Rain(20, patch_log_std=0.3, patch_length_m=30.0))
+    return LidarWeather(weather, replace(LIDAR, return_mode="dual"))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_batch_is_its_samples_and_a_cloud_its_beams_bitwise(dtype: torch.dtype) -> None:
+    transform, rng = foggy_rain(), np.random.default_rng(2)
+    points = torch.stack([cloud(rng.uniform(-3.1, 3.1, 400), rng.uniform(2.0, 60.0, 400)) for _ in range(3)]).to(dtype)
+    noise = transform.draw(points, seed=1)
+    whole = transform.run(points, noise)
+    for sample in range(3):
+        own = {name: value[sample] for name, value in noise.items()}
+        alone = transform.run(points[sample], own)
+        assert torch.equal(alone.points, whole.points[sample])
+        assert alone.points.dtype == dtype
+        part = slice(37, 300, 7)
+        cut = {name: value if name.startswith("air.") else value[..., part] for name, value in own.items()}
+        assert torch.equal(transform.run(points[sample, part], cut).points, whole.points[sample, part])
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (2, 0, 4), (0, 5, 4)])
+def test_empty_clouds_come_back_empty(shape: tuple[int, ...]) -> None:
+    transform, nothing = foggy_rain(), torch.zeros(shape)
+    assert transform.run(nothing, transform.draw(nothing, seed=1)).points.shape == shape
+
+
 @pytest.mark.parametrize(
     ("kind", "weather"), [(LidarRain, Rain(50)), (LidarSnow, Snow(1.0)), (LidarFog, Fog(mor_m=60))]
 )

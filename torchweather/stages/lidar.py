@@ -395,7 +395,7 @@ class ParticleReturns(Stage):
         arrived = torch.zeros_like(reach)
         for echo in range(part.echoes):
             arrived, own_place = arrived + exponential(arrival[:, echo].to(reach)), place[:, echo].to(reach)
-            row, column, exists = strongest_before(between, arrived, own_place, reach, None, places, sector)
+            row, column, exists = strongest_before(between, arrived, own_place, reach, None, places, sector, SECTORS)
             ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
             signals.append(part.signal_at(row, beam) * exists)
         return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)

@@ -48,6 +48,7 @@ def strongest_before(
     start: Tensor | None = None,
     where: Tensor | None = None,
     sector: Tensor | None = None,
+    sectors: int = 1,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The strongest particles in front of each beam's reach, by bisection.
 
@@ -59,14 +60,15 @@ def strongest_before(
         reach: ``(B, N)`` place on the grid up to which particles count, 0 to P - 1.
         start: ``(B, N)`` place from which they count; ``None`` is the first node.
         where: W where it is not ``between``, of its shape.
-        sector: ``(B, N)`` int64, which of S tables is a beam's; the tables then are ``(B * S, E, P)``.
+        sector: ``(B, N)`` int64, which of a sample's tables is a beam's; ``None`` is the only one.
+        sectors: so many tables has each sample: they are ``(B * sectors, E, P)``.
 
     Returns:
         ``(B, N)`` each: signal, 0 to E - 1; range; and whether there is such a particle at all.
     """
-    signal = _signal(between, arrivals, reach, start, sector)
+    signal = _signal(between, arrivals, reach, start, sector, sectors)
     _, signals, places = between.shape
-    cells = (between if where is None else where).reshape(arrivals.shape[0], -1)
+    cells = (between if where is None else where).reshape(arrivals.shape[0], sectors * signals * places)
     base = _below(signal, signals) * places + _first(sector, signals * places)
     column = _below(reach, places)
     wanted = place * _lerp(cells, base + column, reach - column)
@@ -174,11 +176,16 @@ def _first(sector: Tensor | None, cells: int) -> Tensor | int:
 
 
 def _signal(
-    between: Tensor, arrivals: Tensor, reach: Tensor, start: Tensor | None = None, sector: Tensor | None = None
+    between: Tensor,
+    arrivals: Tensor,
+    reach: Tensor,
+    start: Tensor | None = None,
+    sector: Tensor | None = None,
+    sectors: int = 1,
 ) -> Tensor:
     """Solve ``Lambda(e*, R) = E`` for the signal; 0 or less where there is no such particle."""
     _, signals, places = between.shape
-    flat = _above(between).reshape(arrivals.shape[0], -1)
+    flat = _above(between).reshape(arrivals.shape[0], sectors * signals * places)
     column, first = _below(reach, places), _first(sector, signals * places)
     begin = column if start is None else _below(start, places)
 
