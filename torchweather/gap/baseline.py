@@ -253,6 +253,7 @@ def baseline(
     means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
     shares, averages = layout.each(lambda group: group.kind == "share"), layout.averages
+    by_chance = layout.each(lambda group: group.statistic in layout.from_clear)
     for number, target in enumerate(measured):
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
@@ -269,12 +270,14 @@ def baseline(
         drawn = spread**2 / (1.0 - pooled)
         own = np.sqrt(np.maximum(drawn, least**2))
         # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
-        totals[name] = own * np.sqrt(1.0 + pooled + np.where(shares | averages, n / target.clear_frames, 0.0))
+        of_clear = np.where(shares | averages | by_chance, n / target.clear_frames, 0.0)
+        totals[name] = own * np.sqrt(1.0 + pooled + of_clear)
         # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
         owns[name] = np.where(averages, least, own)
-        sds[name] = np.where(averages, least * math.sqrt(1.0 + pooled), totals[name])
-        of_clear = elements * math.sqrt(n / target.clear_frames)
-        shared[name] = np.where(averages, of_clear / np.maximum(sds[name], TINY), 0.0)
+        each = np.where(averages, least, own)
+        sds[name] = np.where(averages | by_chance, each * math.sqrt(1.0 + pooled), totals[name])
+        common = np.where(averages, elements, own) * math.sqrt(n / target.clear_frames)
+        shared[name] = np.where(averages | by_chance, common / np.maximum(sds[name], TINY), 0.0)
         means[name], draws[name] = mean, vectors
         used[name] = target.enough & pool.enough(n)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.

@@ -74,6 +74,7 @@ SUMS = {
 # Of a class of targets that all fluctuate none would be left if they counted for less.
 BY_CLASS = ("there", "plain", "plain2")
 VALUES = tuple(dict.fromkeys(name for names in (*SUMS.values(), BY_CLASS) for name in names))
+FROM_CLEAR = ("lost_target_share", "clutter_count", "ghost_count")
 SCALARS = ("detections_root", "power_residual_db", "clutter_root")
 # Scatter from frame to frame below which frames are called alike: of 0.5 of a stabilised count, and in dB.
 STEADY = (0.1, 0.02, 0.35)
@@ -113,7 +114,7 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     whole = (CLUTTER_RANGE_M[0], CLUTTER_RANGE_M[-1])
     groups += [Group("log_ghost_delay", PARTICLE_AXIS, kind, whole) for kind in ("mean", "spread")]
     groups.append(Group("ghost_power_db", PARTICLE_AXIS, "mean", whole))
-    return Layout(tuple(groups), SCALARS, STEADY, ())
+    return Layout(tuple(groups), SCALARS, STEADY, (), FROM_CLEAR)
 
 
 class RadarSums:

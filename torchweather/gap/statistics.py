@@ -85,12 +85,15 @@ class Layout:
         scalars: names of the scalars of a frame; each gives a ``between`` and a ``slope`` entry.
         steady: of each scalar, scatter from frame to frame below which frames are called alike.
         maps: names of the maps of a frame; each gives a ``persistence`` entry.
+        from_clear: shares and counts of what happens in clear frames by chance, as often as those tell: their error is
+            one and the same in all conditions of a scene.
     """
 
     binned: tuple[Group, ...]
     scalars: tuple[str, ...]
     steady: tuple[float, ...]
     maps: tuple[str, ...]
+    from_clear: tuple[str, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:
