@@ -51,6 +51,7 @@ FEWEST_TARGETS = 2.0 * FEWEST["share"]  # targets times frames of a condition: t
 CLUTTER_SHARES = tuple(1e-4 * 2.0**step for step in range(17))  # tried, up to 6.6
 CLUTTER_FRAMES, CLUTTER_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
 FALSE_ALARM_MOVED = 0.3  # standard deviation of the logarithm of their range: about a bin
+FEWEST_FOR_SLOPE = 3  # frames of a condition
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 LOST = int(PointKind.LOST)
 
@@ -349,7 +350,9 @@ def _struck(probability: float, seeds: Sequence[int]) -> Floats:
 
 
 def _lever(frames: int) -> Floats:
-    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of a single one."""
+    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of so few that no slope is looked at."""
+    if frames < FEWEST_FOR_SLOPE:
+        return np.zeros(frames)
     place: Floats = np.arange(frames, dtype=np.float64) - 0.5 * (frames - 1)
     found: Floats = place / max(math.sqrt(float((place**2).mean())), 1e-9)
     return found

@@ -73,8 +73,10 @@ SUMS = {
 }
 # Of a class of targets that all fluctuate none would be left if they counted for less.
 BY_CLASS = ("there", "plain", "plain2")
+FEWEST_CLEAR = 3  # frames, for the spread of a target: all but one, and one more than a mean takes
 VALUES = tuple(dict.fromkeys(name for names in (*SUMS.values(), BY_CLASS) for name in names))
 FROM_CLEAR = ("lost_target_share", "clutter_count", "ghost_count")
+ABOUT_OWN_MEAN = ("power_spread", "speed_spread", "range_spread")
 SCALARS = ("detections_root", "power_residual_db", "clutter_root")
 # Scatter from frame to frame below which frames are called alike: of 0.5 of a stabilised count, and in dB.
 STEADY = (0.1, 0.02, 0.35)
@@ -114,7 +116,7 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     whole = (CLUTTER_RANGE_M[0], CLUTTER_RANGE_M[-1])
     groups += [Group("log_ghost_delay", PARTICLE_AXIS, kind, whole) for kind in ("mean", "spread")]
     groups.append(Group("ghost_power_db", PARTICLE_AXIS, "mean", whole))
-    return Layout(tuple(groups), SCALARS, STEADY, (), FROM_CLEAR)
+    return Layout(tuple(groups), SCALARS, STEADY, (), FROM_CLEAR, ABOUT_OWN_MEAN)
 
 
 class RadarSums:
@@ -212,7 +214,9 @@ class RadarSums:
             "drift": apart * lever[:, None],
         }
         number = over_frames(weight, together)
-        found["free"] = weight * (1.0 - 1.0 / np.maximum(number, 1.0))  # degrees of freedom that each frame brings
+        # Degrees of freedom that each frame brings; of two clear frames the one that is left tells no spread.
+        known = len(scene.clear) >= FEWEST_CLEAR
+        found["free"] = known * weight * (1.0 - 1.0 / np.maximum(number, 1.0))
         for name, kept, least in (
             ("fluctuation", steady, "power_db"),
             ("speed_wide", weight, "speed_m_per_s"),

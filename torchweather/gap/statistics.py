@@ -87,6 +87,8 @@ class Layout:
         maps: names of the maps of a frame; each gives a ``persistence`` entry.
         from_clear: shares and counts of what happens in clear frames by chance, as often as those tell: their error is
             one and the same in all conditions of a scene.
+        about_own_mean: means of squares about an element's own mean over the frames: those of different frames go
+            together.
     """
 
     binned: tuple[Group, ...]
@@ -94,6 +96,7 @@ class Layout:
     steady: tuple[float, ...]
     maps: tuple[str, ...]
     from_clear: tuple[str, ...] = ()
+    about_own_mean: tuple[str, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:
