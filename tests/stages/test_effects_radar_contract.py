@@ -100,8 +100,8 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
     assert list(rain(effects=effects, clutter=True).chain.stages) == [
         "path_attenuation",
         "noise_floor",
-        "cfar_shift",
         "interference",
+        "cfar_shift",
         "path_loss_scale",
         "wet_radome",
         "doppler_spread",
