@@ -29,6 +29,7 @@ from torchweather.gap.radar_scene import (
     RadarScene,
     detection_count,
     detections_of,
+    own_spread,
     radar_edges,
     radar_scene,
 )
@@ -179,9 +180,9 @@ class RadarFrames:
         share = strengths.get("noise", 0.0)
         if share <= 0:
             return []
-        spread = self.scenes[condition.scene].spread
+        clear = self.scenes[condition.scene].clear
         noise = ReceiverNoise(share=min(share, 16.0))
-        errors = (torch.from_numpy(np.sqrt((spread[name] ** 2).mean(0))) for name in ("range_m", "speed_m_per_s"))
+        errors = (torch.from_numpy(own_spread(values)) for values in (clear.range_m, clear.speed_m_per_s))
         return [noise.with_errors(*errors)]
 
     def simulated(

@@ -27,6 +27,7 @@ __all__ = [
     "RadarScene",
     "detection_count",
     "detections_of",
+    "own_spread",
     "radar_edges",
     "radar_scene",
 ]
@@ -197,6 +198,18 @@ def _spreads(values: Floats, least: float) -> Floats:
         squares, degrees = _squares(np.delete(values, row, 0))
         found.append((squares + PRIOR_DEGREES * median) / (degrees + PRIOR_DEGREES) + least**2)
     return np.sqrt(np.stack(found))
+
+
+def own_spread(values: Floats) -> Floats:
+    """Standard deviation ``(N,)`` of each target over the frames ``(K, N)``, that of the median one where two do not
+    have it. Badly known, but not off: drawn towards that of all, strong targets would get the errors of weak ones."""
+    squares, degrees = _squares(values)
+    known = degrees > 0
+    variance = squares[known] / degrees[known]
+    usual = float(np.median(variance)) if known.any() else 0.0
+    found = np.full(len(squares), usual)
+    found[known] = variance
+    return np.asarray(np.sqrt(found))
 
 
 def _squares(values: Floats) -> tuple[Floats, Whole]:
