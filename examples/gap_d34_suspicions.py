@@ -288,9 +288,7 @@ def draw(path: Path, row: Mapping[str, Any], report: GapReport) -> None:
     right.legend(fontsize=9)
     hidden = " and ".join(_short(one) for one in row["hidden"])
     found = " and ".join(_short(one) for one in row["found"]) or row["verdict"]
-    figure.suptitle(
-        f"D3.4 {row['section']}: {row['suspected']}\nhidden: {hidden}\nfound: {found}", fontsize=10.5
-    )
+    figure.suptitle(f"D3.4 {row['section']}: {row['suspected']}\nhidden: {hidden}\nfound: {found}", fontsize=10.5)
     with atomic_write(path) as unfinished:
         figure.savefig(unfinished, dpi=110)
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.gap.candidates import lines
-from torchweather.gap.held_out import HeldOut
 from torchweather.gap.effect_forms import is_another
+from torchweather.gap.held_out import HeldOut
 from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed

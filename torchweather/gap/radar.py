@@ -351,7 +351,7 @@ def _struck(probability: float, seeds: Sequence[int]) -> Floats:
 
 
 def _lever(frames: int) -> Floats:
-    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of so few that no slope is looked at."""
+    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of so few that none has a slope."""
     if frames < FEWEST_FOR_SLOPE:
         return np.zeros(frames)
     place: Floats = np.arange(frames, dtype=np.float64) - 0.5 * (frames - 1)

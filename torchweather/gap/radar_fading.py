@@ -62,8 +62,8 @@ def chance_of_fading(snr_db: Floats, threshold_db: float, typical_db: float, sha
         [0.0001, 0.0649]
     """
     number = (~np.isnan(snr_db)).sum(0)
-    whole = np.where(number > 0, np.nansum(10.0 ** (0.1 * snr_db), 0), np.nan)
-    below = 1.0 - (1.0 + 10.0 ** (0.1 * threshold_db) / whole) ** -number
+    whole = np.where(number > 0, np.nansum(10.0 ** (0.1 * snr_db), 0), 1.0)
+    below = np.where(number > 0, 1.0 - (1.0 + 10.0 ** (0.1 * threshold_db) / whole) ** -number, np.nan)
     found: Floats = below * _posterior(_log_odds(snr_db, threshold_db, typical_db), share)
     return found
 

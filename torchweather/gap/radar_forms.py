@@ -86,8 +86,7 @@ def volume_clutter_form(size: float) -> type[Effect]:
 
 
 class InterferenceForm(RadarInterference, SearchForm):
-    """``radar.interference``, tried at levels of all sizes. What strikes every frame is ``radar.noise_floor``, and is not
-    named."""
+    """``radar.interference``, tried at levels of all sizes. One that strikes every frame is ``radar.noise_floor``."""
 
     another_from: ClassVar[Mapping[str, float]] = {"probability": MOST_STRUCK}
     handicap: ClassVar[float] = A_PARAMETER

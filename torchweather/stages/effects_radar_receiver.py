@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchweather.random import Variate
+from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_radar_echoes import Appending, listed
 from torchweather.stages.effects_radar_path import LOST, of_state, plus
@@ -100,6 +101,7 @@ class RadarCfarShift(Appending):
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     silent: ClassVar[str] = "with a threshold that is no lower"
+    shift_db: Tensor
 
     def lists(self) -> bool:
         """Whether the threshold is lower: a higher one lists no noise."""
@@ -114,9 +116,17 @@ class RadarCfarShift(Appending):
         """By how much the threshold is higher."""
         return {"threshold_shift_db": plus(state.threshold_shift_db, of_state(self, "shift_db", state))}
 
+    def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
+        """The state after the effect; one that requires a gradient needs no noise while it lists none."""
+        if not noise and (is_exporting() or not self.lists()):
+            return self.without_rows(state, noise)
+        changed: RadarState = super().forward(state, noise)
+        return changed
+
     def without_rows(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with a threshold that is no lower."""
-        return Effect.forward(self, state, noise)
+        changed: RadarState = Effect.forward(self, state, noise)
+        return changed
 
     def appended(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with what is detected of noise."""
