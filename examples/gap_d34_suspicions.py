@@ -11,8 +11,8 @@
     exposure    7.4.1.1  the camera exposes longer in rain than in clear  in rain, of a camera
     noise       6.1      noise grows in rain and the threshold does not   in rain, of a radar
 
-D3.4's radar detects more in rain than in clear air, 535 to 543 instead of 340, as its noise is no receiver's: where noise
-rises and the threshold does not, noise is detected.
+D3.4's radar detects more in rain than in clear air, 535 to 543 instead of 340, as its noise is no receiver's: where
+noise rises and the threshold does not, noise is detected.
 
 The frames that stand for measured ones are made from the embedded scene, those of the radar from targets of all ranges
 that this file draws and measures with a receiver of its own, so that the truth is known; the search is told
