@@ -59,7 +59,7 @@ def chance_of_fading(snr_db: Floats, threshold_db: float, typical_db: float, sha
     Example:
         >>> steady, fading = np.array([[20.0], [20.2], [20.1]]), np.array([[20.0], [26.0], [23.0]])
         >>> [round(float(chance_of_fading(snr_db, 12.0, 0.3, 0.3)[0]), 4) for snr_db in (steady, fading)]
-        [0.0001, 0.0649]
+        [0.0002, 0.0652]
     """
     number = (~np.isnan(snr_db)).sum(0)
     whole = np.where(number > 0, np.nansum(10.0 ** (0.1 * snr_db), 0), 1.0)
