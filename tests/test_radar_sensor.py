@@ -97,3 +97,8 @@ def test_active_time_longer_than_the_period_is_refused_with_both_times() -> None
 def test_impossible_radars_are_refused_with_their_numbers(bad: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Radar(**bad)
+
+
+def test_the_range_doppler_map_has_a_cell_for_each_sample_and_chirp() -> None:
+    radar = Radar(samples=256, chirps=64)
+    assert radar.range_doppler_cells == 256 * 64

@@ -19,6 +19,7 @@ from torchweather.gap.baseline import (
     Whitening,
     baseline,
     element_noise,
+    squares_go_together,
     targets,
 )
 from torchweather.gap.lidar import LidarFrames
@@ -301,3 +302,50 @@ def test_a_vector_of_the_simulator_departs_as_much_as_its_draws(study: Study, mo
     moved = Pool(model.layout, model.simulated(aim.condition, window, 0.0, range(90_000, 90_005)))
     weaker = replace(aim, vector=moved.vectors(np.arange(5)[None])[0])
     assert np.sqrt(np.mean(residual(found, weaker)[used] ** 2)) > 3.0
+
+
+# ---- noise that a scene's conditions share ---------------------------------------------------------------------------
+
+
+def test_counts_that_clear_frames_tell_are_off_alike_in_all_conditions(study: Study) -> None:
+    """Poisson counts whose rate the clear frames tell: what a condition departs by is its own noise and theirs."""
+    frames, clear, rate, count = 6, 4, 3.0, 200
+    layout = Layout((Group("a", "x", "count", tuple(range(BINS + 1))),), (), (), (), from_clear=("a",))
+    rng = RNG(0)
+
+    def counted(mean: Any, number: int) -> Pool:
+        value = rng.poisson(np.broadcast_to(mean, (number, BINS))).astype(float)
+        return Pool(layout, Reduced(np.ones_like(value), value, value, np.zeros((number, 0)), np.zeros((number, 0, 1))))
+
+    name = study.conditions[0].id
+    square, product, own, together = 0.0, 0.0, 0.0, 0.0
+    for draw in range(count):
+        mean = counted(rate, clear).frames.value.mean(0)  # as few clear frames as there are say
+        aim = target(study, np.zeros(BINS), frames, clear)
+        found = baseline({name: counted(mean, 48)}, [aim], no_noise(name), None, draw)
+        apart = [
+            (counted(rate, frames).vectors(np.arange(frames)[None])[0] - found.mean[name]) / found.total[name]
+            for _ in range(2)
+        ]
+        square += float(np.mean(np.square(apart))) / count
+        product += float(np.mean(apart[0] * apart[1])) / count
+        own += float(np.mean(found.sd[name] ** 2 / found.total[name] ** 2)) / count
+        together += float(np.mean((found.shared[name] * found.sd[name]) ** 2 / found.total[name] ** 2)) / count
+    # 200 draws of 6 bins: mean squares known to about 6 %.
+    assert square == pytest.approx(1.0, abs=0.15)
+    assert own + together == pytest.approx(1.0, abs=1e-9)
+    assert product == pytest.approx(together, abs=0.15)
+    assert together > 0.5  # 6 frames against 4
+
+
+@pytest.mark.parametrize(("together", "clear"), [(3, 3), (6, 6), (8, 8), (4, 8), (2, 8)])
+def test_squares_about_an_own_mean_have_the_scatter_that_is_said(together: int, clear: int) -> None:
+    """The sum over m frames drawn anew, against m times the scatter from frame to frame of K clear ones in blocks."""
+
+    def squares(number: int) -> Any:
+        values = RNG(number).normal(size=(40_000, number // together, together))
+        return np.square(values - values.mean(-1, keepdims=True))
+
+    true = squares(together).sum(-1).var()
+    known = squares(clear).reshape(-1, clear).var(-1, ddof=1).mean()
+    assert squares_go_together(together, clear) == pytest.approx(true / (together * known), rel=0.05)

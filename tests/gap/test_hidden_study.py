@@ -1,4 +1,4 @@
-"""Studies with effects hidden in them, and ``examples/gap_d34_suspicions.py``, which searches five."""
+"""Studies with effects hidden in them, and ``examples/gap_d34_suspicions.py``, which searches six."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.report.made_up_gaps import report
+from torchweather.gap import find_gap
 from torchweather.gap import hidden_study as module
 from torchweather.gap.hidden_study import HIDEABLE, WEATHERS, HiddenStudy, drawn_effect, drawn_study, hidden_study
 from torchweather.gap.study import Study
@@ -184,14 +185,16 @@ def suspicions(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_each_suspicion_is_hidden_in_its_weather(suspicions: Any) -> None:
-    assert {(one.section, one.effect.id, one.weather) for one in suspicions.SUSPICIONS.values()} == {
+    found = suspicions.SUSPICIONS.values()
+    assert {(one.section, *(effect.id for effect in one.effects), one.weather) for one in found} == {
         ("5.2.2", "lidar.isolated_return_filter", "snow"),
         ("5.3.2", "lidar.extinction_scale", "fog"),
         ("7.4.2", "lidar.limited_extent", "rain"),
         ("7.4.2.1", "lidar.static_structure", "rain"),
         ("7.4.1.1", "camera.exposure_gain", "rain"),
+        ("6.1", "radar.noise_floor", "radar.cfar_shift", "rain"),
     }
-    assert not any(bool(one.effect.at_identity) for one in suspicions.SUSPICIONS.values())
+    assert not any(bool(effect.at_identity) for one in found for effect in one.effects)
 
 
 def test_the_example_writes_what_it_found_and_says_where_it_is_wrong(
@@ -205,7 +208,8 @@ def test_the_example_writes_what_it_found_and_says_where_it_is_wrong(
     assert "5.3.2|lidar.extinction_scale.factor 0.700|-|2.13 -> 1.03|1.00" in table
     assert "|(not lidar.window_loss.loss_db)|0.0200 dB|0.0180 to 0.0220" in table
     rows = json.loads((tmp_path / "suspicions.json").read_text(encoding="utf-8"))
-    assert [row["hidden"]["name"] for row in rows] == ["lidar.extinction_scale", "lidar.limited_extent"]
+    names = [[one["name"] for one in row["hidden"]] for row in rows]
+    assert names == [["lidar.extinction_scale"], ["lidar.limited_extent"]]
     for name in ("extinction", "extent"):
         assert (tmp_path / f"{name}.png").stat().st_size > 0
         assert {file.name for file in (tmp_path / name).iterdir()} == {"gap.json", "model.yaml", "report.html"}
@@ -215,7 +219,7 @@ def test_a_camera_exposes_longer_in_rain_than_in_clear_air(suspicions: Any, monk
     """Near by, where rain hardly takes anything, light is 10 % more; the noise is that of the light on the sensor."""
     monkeypatch.setattr(suspicions, "CAMERA_PX", (64, 48))
     monkeypatch.setattr(suspicions, "RATES_MM_PER_H", {0.5: "fit", 1.0: "holdout"})
-    hidden = suspicions.camera_study(suspicions.SUSPICIONS["exposure"].effect, 3)
+    hidden = suspicions.camera_study(suspicions.SUSPICIONS["exposure"].effects[0], 3)
     assert [(one.id, one.split) for one in hidden.study.conditions] == [("rain-0.5", "fit"), ("rain-1", "holdout")]
     assert all(0.6 < factor < 1.6 and factor != 1.0 for factor in hidden.weather_factor.values())
     assert hidden.truth()["effects"] == [{"name": "camera.exposure_gain", "parameters": {"factor": 1.1}}]
@@ -227,3 +231,40 @@ def test_a_camera_exposes_longer_in_rain_than_in_clear_air(suspicions: Any, monk
     assert np.median((rainy.mean(0) / clear.mean(0))[lit]) == pytest.approx(1.1, abs=0.005)
     noise = clear.var(0, ddof=1)[lit].mean() / (clear.mean(0)[lit].mean() / 10_000.0 + (5.0 / 10_000.0) ** 2)
     assert noise == pytest.approx(1.0, abs=0.1)  # 7 degrees of freedom of each pixel
+
+
+def test_a_radar_whose_noise_grows_in_rain_detects_more(suspicions: Any) -> None:
+    """Its threshold stays in power, so that noise is detected; the floor of empty cells says by how much it grew."""
+    suspicion = suspicions.SUSPICIONS["noise"]
+    hidden = suspicions.radar_study(suspicion.effects, suspicions.NOISE_UP_DB, 3)
+    names = [one["name"] for one in hidden.truth()["effects"]]
+    assert names == ["radar.noise_floor", "radar.cfar_shift"]
+    assert [one.split for one in hidden.study.conditions] == ["fit", "fit", "holdout", "fit"]
+    (scene,) = hidden.study.scenes.values()
+    rainy = [frame for one in hidden.study.conditions for frame in one.frames]
+
+    def listed(frame: Any) -> int:
+        return int(np.isfinite(frame["power_db"]).sum()) + len(frame["clutter"])
+
+    clear, wet = (np.mean([listed(frame) for frame in some]) for some in (scene.clear, rainy))
+    assert wet > 1.3 * clear  # D3.4: 535 to 543 instead of 340
+    # Cells above 12 dB less 4: 32,768 exp(-6.31), of a Poisson law.
+    false = [len(frame["clutter"]) for frame in rainy]
+    assert np.mean(false) == pytest.approx(32_768 * np.exp(-(10.0**0.8)), abs=4.0 * np.sqrt(60.0 / len(rainy)))
+    up_db = np.mean([frame["noise_floor_db"] for frame in rainy]) - np.mean(
+        [frame["noise_floor_db"] for frame in scene.clear]
+    )
+    assert up_db == pytest.approx(4.0, abs=0.06)
+    lowest = min(float(np.nanmin(frame["power_db"])) for frame in [*scene.clear, *rainy])
+    assert lowest >= -125.0 + 12.0
+
+
+@pytest.mark.slow
+def test_the_noise_of_d3_4_is_found_and_named(suspicions: Any) -> None:
+    suspicion = suspicions.SUSPICIONS["noise"]
+    report_ = find_gap(suspicions.radar_study(suspicion.effects, suspicions.NOISE_UP_DB, 0).study)
+    found = {one["name"]: one for one in report_.answer["effects"]}
+    assert report_.verdict == "named"
+    assert list(found) == ["radar.noise_floor", "radar.cfar_shift"]
+    for effect in suspicion.effects:
+        assert found[effect.id]["parameters"]["shift_db"] == pytest.approx(float(effect.shift_db), abs=0.2)

@@ -13,11 +13,13 @@ import torch
 from tests.gap.tiny_radar_study import CLASSES, EFFECTS, SENSOR, WEATHERS, tiny_radar_study
 from torchweather.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
+from torchweather.gap.effect_forms import is_another
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.radar import RadarFrames
-from torchweather.gap.radar_forms import wet_rcs_form
+from torchweather.gap.radar_fading import chance_of_fading, share_of_fading
+from torchweather.gap.radar_forms import MOST_STRUCK, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
-from torchweather.gap.radar_scene import FLICKERS, LEAST_SPREAD, PRIOR_DEGREES, detections_of
+from torchweather.gap.radar_scene import FLICKERS, LEAST_SPREAD, PRIOR_DEGREES, SELDOM, detections_of, own_spread
 from torchweather.gap.radar_sums import FLOOR_STEPS_DB, FLOOR_WEIGHT, SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.stages import RadarState
@@ -90,9 +92,14 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
     edges = {one.axis: one.edges for one in model.layout.binned}
     usual = float(np.median(scene.spread["power_db"][scene.counted]))
     clear_power = np.stack([frame["power_db"] for frame in study.scenes["s0"].clear])
+    variance = [np.nanvar(one, ddof=1) for one in clear_power.T if np.isfinite(one).sum() > 1]
+    typical_db = math.sqrt(float(np.median(variance)) + LEAST_SPREAD["power_db"] ** 2)
+    snr_db = SENSOR.detection_snr_db
+    share = share_of_fading(clear_power - scene.clear.floor_db.mean(), snr_db, typical_db)
     lever = (np.arange(FRAMES) - 1.0) / math.sqrt(2.0 / 3.0)
     for axis in ("range_m", "target_class", "azimuth_rad", "margin_db"):
-        wanted = {name: np.zeros((FRAMES, len(edges[axis]) - 1)) for name in ("lost", "number", "power", "weight")}
+        names = ("lost", "number", "gone", "flicker", "power", "weight")
+        wanted = {name: np.zeros((FRAMES, len(edges[axis]) - 1)) for name in names}
         drift = np.zeros((FRAMES, 2))
         for k, frame in enumerate(condition.frames):
             row = k % CLEAR
@@ -104,12 +111,15 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
                 floor = np.delete(scene.clear.floor_db, row).mean()
                 margin = np.nanmean(others) - floor - SENSOR.detection_snr_db
                 steady = np.isfinite(others).all() and margin > FLICKERS * scene.spread["power_db"][row, n]
+                steady &= bool(chance_of_fading(others[:, None] - floor, snr_db, typical_db, share)[0] < SELDOM)
                 own = {"margin_db": margin}.get(axis) or scene.geometry[axis][n]
                 inner = edges[axis][1:-1]
                 place = sum(own >= edge - 1e-9 for edge in inner)  # sums of dB in another order
                 wanted["number"][k, place] += steady
+                wanted["flicker"][k, place] += not steady
                 if math.isnan(frame["power_db"][n]):
                     wanted["lost"][k, place] += steady
+                    wanted["gone"][k, place] += not steady
                 else:
                     weight = min(2.0 / (1.0 + (scene.spread["power_db"][row, n] / usual) ** 2), 1.0)
                     weight = 1.0 if axis == "target_class" else weight
@@ -119,6 +129,9 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
                     drift[k] += lever[k] ** 2, lever[k] * (frame["range_m"][n] - reference["range_m"][n])
         np.testing.assert_allclose(group(model, found, "lost_target_share", axis), wanted["lost"])
         np.testing.assert_allclose(group(model, found, "lost_target_share", axis, "weight"), wanted["number"])
+        if axis in ("range_m", "margin_db"):
+            np.testing.assert_allclose(group(model, found, "lost_flickering_share", axis), wanted["gone"])
+            np.testing.assert_allclose(group(model, found, "lost_flickering_share", axis, "weight"), wanted["flicker"])
         np.testing.assert_allclose(group(model, found, "power_residual_db", axis), wanted["power"], atol=1e-9)
         np.testing.assert_allclose(group(model, found, "power_residual_db", axis, "weight"), wanted["weight"])
         np.testing.assert_allclose(group(model, found, "range_drift_m", "frame", "weight")[:, 0], drift[:, 0])
@@ -276,11 +289,61 @@ def test_interference_strikes_as_many_frames_as_its_probability_says(model: Rada
     assert sum(0.0 < value < 1.0 for value in struck) == 1
 
 
+def test_an_interferer_that_strikes_every_frame_is_another_effect(model: RadarFrames) -> None:
+    at = {"radar.interference": {"probability": MOST_STRUCK, "level_db": 4.0}}
+    below = {"radar.interference": {"probability": 0.9, "level_db": 4.0}}
+    assert is_another(model, at)
+    assert not is_another(model, below)
+    assert not is_another(model, {"radar.noise_floor": {"shift_db": 4.0}})
+
+
+def test_a_noise_floor_that_rises_makes_targets_noisier(study: Study, model: RadarFrames) -> None:
+    """By as much more as the floor rises, not only by what weather takes from the target."""
+    condition, seeds = model.fit[0], list(range(40))
+    higher = EFFECTS["radar.noise_floor"](shift_db=6.0)
+    lower_threshold = EFFECTS["radar.cfar_shift"](shift_db=-6.0)
+    spreads = []
+    for effects in ([], [higher, lower_threshold]):
+        stages = [*effects, *model.open_stages(condition, {"noise": 1.0})]
+        frames = model.simulated(condition, stages, 0.0, seeds)
+        value, weight = (group(model, frames, "speed_spread", "margin_db", what).sum(0) for what in ("value", "weight"))
+        spreads.append(value / weight)
+    assert (spreads[1] > 1.5 * spreads[0]).all()  # of variances four times as large: log(1 + 4 u^2), about
+
+
+def test_added_errors_are_those_of_each_target(study: Study, model: RadarFrames) -> None:
+    speed = np.stack([frame["speed_m_per_s"] for frame in study.scenes["s0"].clear])
+    found = own_spread(speed)
+    for n in range(NUMBER):
+        values = speed[~np.isnan(speed[:, n]), n]
+        if len(values) > 1:
+            assert found[n] == pytest.approx(values.std(ddof=1), rel=1e-9)
+    some = [values.var(ddof=1) for values in (one[~np.isnan(one)] for one in speed.T) if len(values) > 1]
+    alone = np.flatnonzero(np.isfinite(speed).sum(0) < 2)
+    np.testing.assert_allclose(found[alone], math.sqrt(float(np.median(some))), rtol=1e-9)
+
+
+# ---- few frames ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("clear", "frames", "spreads", "drift"), [(2, 3, False, True), (3, 2, True, False)])
+def test_what_few_frames_do_not_tell_is_not_looked_at(clear: int, frames: int, spreads: bool, drift: bool) -> None:
+    """Of two clear frames one is left: it tells no spread. A slope takes three frames."""
+    few = RadarFrames(tiny_radar_study([], seed=3, number=120, clear=clear, frames=frames))
+    enough = Pool(few.layout, few.measured(few.fit[0])).enough(frames)
+    statistic = few.layout.each(lambda one: one.statistic)
+    for name, looked_at in (("power_spread", spreads), ("speed_spread", spreads), ("range_spread", spreads)):
+        assert bool(enough[statistic == name].any()) == looked_at
+    assert bool(enough[statistic == "range_drift_m"].any()) == drift
+    assert enough[statistic == "power_residual_db"].sum() > 20
+
+
 MOVED: list[tuple[str, dict[str, Any], str, str]] = [
     ("radar.wet_radome", {"loss_db": 2.0}, "power_residual_db", "range_m"),
     ("radar.volume_clutter", {"share": 0.01}, "clutter_count", "particle_range_m"),
     ("radar.noise_floor", {"shift_db": 2.0}, "noise_floor_share", "noise_floor_db"),
-    ("radar.cfar_shift", {"shift_db": 4.0}, "lost_target_share", "margin_db"),
+    ("radar.cfar_shift", {"shift_db": 4.0}, "lost_flickering_share", "margin_db"),
+    ("radar.cfar_shift", {"shift_db": -4.0}, "clutter_count", "particle_range_m"),
     ("radar.path_loss_scale", {"factor": 2.0}, "power_residual_db", "range_m"),
     ("radar.multipath", {"amplitude": 0.4, "delay_m": 6.0}, "ghost_count", "ghost_delay_m"),
     ("radar.doppler_spread", {"std_m_per_s": 0.5}, "speed_spread", "range_m"),
@@ -293,7 +356,7 @@ MOVED: list[tuple[str, dict[str, Any], str, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "values", "statistic", "axis"), MOVED, ids=[one[0] for one in MOVED])
+@pytest.mark.parametrize(("name", "values", "statistic", "axis"), MOVED, ids=[f"{one[0]}-{one[2]}" for one in MOVED])
 def test_every_effect_moves_its_statistic(
     model: RadarFrames, name: str, values: dict[str, Any], statistic: str, axis: str
 ) -> None:
@@ -313,7 +376,7 @@ def test_every_effect_moves_its_statistic(
 
 
 def test_the_catalogue_is_all_that_is_moved(model: RadarFrames) -> None:
-    assert [one[0] for one in MOVED] == model.catalogue
+    assert list(dict.fromkeys(one[0] for one in MOVED)) == model.catalogue
 
 
 # ---- what is left open -----------------------------------------------------------------------------------------------

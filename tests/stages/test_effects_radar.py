@@ -229,7 +229,7 @@ def test_a_lower_level_keeps_what_the_weather_takes(name: str) -> None:
     for shift_db, kind in ((0.0, LOST), (-1.2, LOST), (-1.3, OBJECT)):
         found = rain(effects=[EFFECTS[name](shift_db=shift_db)]).run(points)
         assert isinstance(found.kind, Tensor)
-        assert found.kind.tolist() == [kind]
+        assert found.kind[:1].tolist() == [kind]  # a lower threshold lists noise behind it
 
 
 @pytest.mark.parametrize("name", ["radar.noise_floor", "radar.cfar_shift"])
@@ -245,6 +245,55 @@ def test_clutter_below_the_new_level_is_not_listed(name: str) -> None:
         assert float(power.min()) >= SENSOR.floor_db + SENSOR.detection_snr_db + level_db - 1e-4
         counts.append(len(power))
     assert counts[0] > counts[1] > 0
+
+
+@pytest.mark.parametrize("up_db", [0.0, 2.0])
+def test_a_lower_threshold_lists_the_cells_whose_noise_exceeds_it(transform: RadarAttenuation, up_db: float) -> None:
+    """Against noise of every cell, of exponential power: how many exceed the new threshold and not the old, and by how
+    much. It is the SNR that counts, however high the floor is."""
+    samples, shift_db = 400, -3.0
+    low, high = (10.0 ** (0.1 * (SENSOR.detection_snr_db + shift)) for shift in (shift_db, 0.0))
+    cells = SENSOR.samples * SENSOR.chirps
+    state = transform.state_of(detections()[:1].expand(samples, -1, -1))
+    state = replace(transform.chain.stages["path_attenuation"](state, {}), noise_shift_db=torch.full((samples,), up_db))
+    effect = EFFECTS["radar.cfar_shift"](shift_db=shift_db)
+    noise = draw_variates(range(samples), effect.default_name, effect.variates(), state.sizes)
+    after: RadarState = effect(state, {key.partition(".")[2]: torch.from_numpy(value) for key, value in noise.items()})
+    assert after.clutter is not None
+    assert after.clutter_valid is not None
+    rng = np.random.default_rng(0)
+    exceeding = np.concatenate([one[(one > low) & (one < high)] for one in rng.exponential(size=(samples, cells))])
+    counts = after.clutter_valid.sum(1).numpy()
+    expected = len(exceeding) / samples
+    assert 5.0 < expected < 50.0
+    assert counts.mean() == pytest.approx(expected, abs=4.0 * math.sqrt(2.0 * expected / samples))
+    assert counts.var() == pytest.approx(expected, rel=4.0 * math.sqrt(2.0 / samples))  # Poisson
+    rows = after.clutter[after.clutter_valid].double().numpy()
+    snr = 10.0 ** (0.1 * (rows[:, 4] - SENSOR.floor_db - up_db))
+    assert snr.min() >= low * (1.0 - 1e-5)
+    # Of exponential law behind the threshold: a mean of 1 over it.
+    assert (snr - low).mean() == pytest.approx((exceeding - low).mean(), abs=5.0 / math.sqrt(len(rows)))
+    range_m = np.linalg.norm(rows[:, :3], axis=1)
+    assert range_m.max() <= SENSOR.max_range_m * (1.0 + 1e-6)
+    assert range_m.mean() == pytest.approx(0.5 * SENSOR.max_range_m, rel=4.0 / math.sqrt(3.0 * len(rows)))
+    assert np.abs(rows[:, 3]).max() <= SENSOR.max_speed_m_per_s
+    assert (after.clutter[~after.clutter_valid] == 0).all()
+
+
+def test_a_higher_threshold_lists_nothing_and_draws_nothing(transform: RadarAttenuation) -> None:
+    effect = EFFECTS["radar.cfar_shift"](shift_db=2.0)
+    assert effect.variates() == ()
+    assert many(transform, "radar.cfar_shift", 2, shift_db=2.0).clutter is None
+    state = transform.chain.stages["path_attenuation"](begin(transform), {})
+    with pytest.raises(ValueError, match="it was built with a threshold that is no lower and so draws nothing"):
+        torch.func.functional_call(effect, {"shift_db": torch.tensor(-2.0)}, (state, {}))
+
+
+def test_noise_that_is_listed_is_told_from_what_a_target_reports(transform: RadarAttenuation) -> None:
+    """Through the whole chain: rows behind the targets', of the kind PARTICLE."""
+    plain, lower = outcomes(transform, "radar.cfar_shift", shift_db=-4.0)
+    assert (lower.kind[:, TARGETS:] == PARTICLE).sum(1).min() > 20
+    assert torch.equal(points_of(lower)[:, :TARGETS, 3:], points_of(plain)[..., 3:])
 
 
 def test_an_interferer_raises_the_floor_of_as_many_frames_as_asked_for(transform: RadarAttenuation) -> None:

@@ -100,8 +100,8 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
     assert list(rain(effects=effects, clutter=True).chain.stages) == [
         "path_attenuation",
         "noise_floor",
-        "cfar_shift",
         "interference",
+        "cfar_shift",
         "path_loss_scale",
         "wet_radome",
         "doppler_spread",
@@ -419,6 +419,25 @@ def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
     # Powers near -120 dB have float32 steps of 8e-6, and several sums round them.
     np.testing.assert_allclose(got[0], wanted.points.numpy(), atol=1e-4)  # type: ignore[union-attr]
     np.testing.assert_allclose(got[2], wanted.snr_db.numpy(), atol=1e-4)  # type: ignore[union-attr]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_graph_lists_the_noise_of_a_lower_threshold(tmp_path: Path) -> None:
+    pytest.importorskip("onnxscript")
+    onnxruntime = pytest.importorskip("onnxruntime")
+    transform = rain(effects=[EFFECTS["radar.cfar_shift"](shift_db=-4.0)])
+    to_onnx(transform, tmp_path / "rain.onnx", points=TARGETS + 5, columns=7)
+    session = onnxruntime.InferenceSession(tmp_path / "rain.onnx")
+    points = detections()
+    feed = draw_feed(session, points=TARGETS, seed=[5, 6, 7])
+    knobs = {"rate_mm_per_h": np.full(3, RATE_MM_PER_H, np.float32)}
+    got = session.run(["detections", "kind"], {"points": points.numpy(), **knobs, **feed})
+    wanted = transform.run(points, {key: torch.from_numpy(value) for key, value in feed.items()})
+    assert isinstance(wanted.points, Tensor)
+    assert isinstance(wanted.kind, Tensor)
+    assert int((wanted.kind[:, TARGETS:] == 1).sum()) > 100
+    assert np.array_equal(got[1], wanted.kind.numpy())
+    np.testing.assert_allclose(got[0], wanted.points.numpy(), atol=1e-3)  # metres of a direction's rounding
 
 
 @pytest.mark.parametrize("name", sorted(NOT_IN_A_GRAPH))

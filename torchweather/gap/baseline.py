@@ -253,6 +253,7 @@ def baseline(
     means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
     shares, averages = layout.each(lambda group: group.kind == "share"), layout.averages
+    by_chance = layout.each(lambda group: group.statistic in layout.from_clear)
     for number, target in enumerate(measured):
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
@@ -269,12 +270,14 @@ def baseline(
         drawn = spread**2 / (1.0 - pooled)
         own = np.sqrt(np.maximum(drawn, least**2))
         # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
-        totals[name] = own * np.sqrt(1.0 + pooled + np.where(shares | averages, n / target.clear_frames, 0.0))
+        of_clear = np.where(shares | averages | by_chance, n / target.clear_frames, 0.0)
+        totals[name] = own * np.sqrt(1.0 + pooled + of_clear)
         # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
         owns[name] = np.where(averages, least, own)
-        sds[name] = np.where(averages, least * math.sqrt(1.0 + pooled), totals[name])
-        of_clear = elements * math.sqrt(n / target.clear_frames)
-        shared[name] = np.where(averages, of_clear / np.maximum(sds[name], TINY), 0.0)
+        each = np.where(averages, least, own)
+        sds[name] = np.where(averages | by_chance, each * math.sqrt(1.0 + pooled), totals[name])
+        common = np.where(averages, elements, own) * math.sqrt(n / target.clear_frames)
+        shared[name] = np.where(averages | by_chance, common / np.maximum(sds[name], TINY), 0.0)
         means[name], draws[name] = mean, vectors
         used[name] = target.enough & pool.enough(n)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
@@ -292,15 +295,42 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> 
     size = next(iter(portioned.values())).layout.size
     total = np.zeros((size, size))
     scatter = {}
-    averages = next(iter(portioned.values())).layout.averages
+    layout = next(iter(portioned.values())).layout
+    about_own = layout.each(lambda group: group.statistic in layout.about_own_mean)
+    averages = layout.averages & ~about_own
     for target in measured:
         name, clear = target.condition.id, target.clear_frames
         apart = portioned[name].element_noise(PORTIONS, target.frames, clear)
         # Departures from the mean of the other clear frames are larger than those from the mean of all.
         apart *= np.where(averages, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
+        apart *= np.where(about_own, math.sqrt(squares_go_together(min(target.frames, clear), clear)), 1.0)
         scatter[name] = np.sqrt((apart**2).sum(1).mean(0))
         unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
         unit = np.where(target.enough, unit, 0.0).reshape(-1, size)
         total += unit.T @ unit / len(apart)
     spread = np.sqrt(np.diag(total))
     return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12))
+
+
+def squares_go_together(together: int, clear: int) -> float:
+    """Variance of a sum of squares about an element's own mean, over what so many independent terms of the scatter that
+    they have from frame to frame would give.
+
+    With m frames about their mean the squares have the variance V and correlate by ``1 / (m - 1)^2``, so their sum has
+    ``m V m / (m - 1)``; over K frames in blocks of m they scatter by ``V (1 - 1 / ((m - 1) (K - 1)))`` alone.
+
+    Args:
+        together: m, frames about whose mean they are.
+        clear: K, clear frames from which frames are simulated.
+
+    Returns:
+        The ratio; 1 where two frames cannot tell it, as both squares are one number.
+
+    Example:
+        >>> squares_go_together(3, 3), squares_go_together(6, 6), squares_go_together(2, 2)
+        (2.0, 1.25, 1.0)
+    """
+    if together < 2 or clear < 3:
+        return 1.0
+    m, k = float(together), float(clear)
+    return m / (m - 1.0) / (1.0 - 1.0 / ((m - 1.0) * (k - 1.0)))

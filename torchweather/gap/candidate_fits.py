@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.gap.candidates import lines
+from torchweather.gap.effect_forms import is_another
 from torchweather.gap.held_out import HeldOut
 from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains
 from torchweather.gap.nuisance import Nuisance
@@ -130,7 +131,8 @@ def fitted(
             say("refining " + " and ".join(one.fit.setting.values))
             fit = _refined(search, one.fit)
             found[place] = Candidate(one.id, fit, misfit - fit.misfit)
-    return sorted(found, key=lambda candidate: candidate.fit.misfit)
+    own = [one for one in found if not is_another(search.model, one.fit.setting.values)]
+    return sorted(own or found, key=lambda candidate: candidate.fit.misfit)
 
 
 def _refined(search: Search, fit: Fit) -> Fit:

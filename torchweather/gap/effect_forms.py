@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
 
-__all__ = ["SearchForm", "catalogue_effect", "effect_class", "handicap", "tried_values"]
+__all__ = ["SearchForm", "catalogue_effect", "effect_class", "handicap", "is_another", "tried_values"]
 
 
 class SearchForm(Effect):
@@ -21,10 +21,12 @@ class SearchForm(Effect):
     Class attributes:
         handicap: by how much it must lower the misfit more than others do, as it has more parameters.
         tried: values of parameters that say which or where, at which response curves begin.
+        another_from: values of parameters from which on it is another effect of the catalogue.
     """
 
     handicap: ClassVar[float] = 0.0
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {}
+    another_from: ClassVar[Mapping[str, float]] = {}
 
 
 def effect_class(model: object, name: str) -> type[Effect]:
@@ -42,6 +44,16 @@ def handicap(model: object, name: str) -> float:
     """By how much an effect must lower the misfit more than others."""
     found = effect_class(model, name)
     return found.handicap if issubclass(found, SearchForm) else 0.0
+
+
+def is_another(model: object, values: Mapping[str, Mapping[str, float]]) -> bool:
+    """Whether one of some effects, each with its parameters, is where it is another one."""
+    for name, own in values.items():
+        found = effect_class(model, name)
+        limits = found.another_from if issubclass(found, SearchForm) else {}
+        if any(own[parameter] >= limit for parameter, limit in limits.items()):
+            return True
+    return False
 
 
 def catalogue_effect(effect: Effect) -> Effect:

@@ -29,6 +29,7 @@ from torchweather.gap.radar_scene import (
     RadarScene,
     detection_count,
     detections_of,
+    own_spread,
     radar_edges,
     radar_scene,
 )
@@ -51,6 +52,7 @@ FEWEST_TARGETS = 2.0 * FEWEST["share"]  # targets times frames of a condition: t
 CLUTTER_SHARES = tuple(1e-4 * 2.0**step for step in range(17))  # tried, up to 6.6
 CLUTTER_FRAMES, CLUTTER_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
 FALSE_ALARM_MOVED = 0.3  # standard deviation of the logarithm of their range: about a bin
+FEWEST_FOR_SLOPE = 3  # frames of a condition
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 LOST = int(PointKind.LOST)
 
@@ -178,9 +180,9 @@ class RadarFrames:
         share = strengths.get("noise", 0.0)
         if share <= 0:
             return []
-        spread = self.scenes[condition.scene].spread
+        clear = self.scenes[condition.scene].clear
         noise = ReceiverNoise(share=min(share, 16.0))
-        errors = (torch.from_numpy(np.sqrt((spread[name] ** 2).mean(0))) for name in ("range_m", "speed_m_per_s"))
+        errors = (torch.from_numpy(own_spread(values)) for values in (clear.range_m, clear.speed_m_per_s))
         return [noise.with_errors(*errors)]
 
     def simulated(
@@ -349,7 +351,9 @@ def _struck(probability: float, seeds: Sequence[int]) -> Floats:
 
 
 def _lever(frames: int) -> Floats:
-    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of a single one."""
+    """Place of each frame in a recording, of mean 0 and mean square 1 over it; 0 of so few that none has a slope."""
+    if frames < FEWEST_FOR_SLOPE:
+        return np.zeros(frames)
     place: Floats = np.arange(frames, dtype=np.float64) - 0.5 * (frames - 1)
     found: Floats = place / max(math.sqrt(float((place**2).mean())), 1e-9)
     return found

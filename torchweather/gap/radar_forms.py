@@ -21,6 +21,7 @@ from torchweather.stages.states import RadarState
 
 __all__ = ["InterferenceForm", "volume_clutter_form", "wet_rcs_form"]
 
+MOST_STRUCK = 0.95  # of the frames, by an interferer
 A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
 GAIN = RadarWetRcs.arguments[0]
 
@@ -85,7 +86,8 @@ def volume_clutter_form(size: float) -> type[Effect]:
 
 
 class InterferenceForm(RadarInterference, SearchForm):
-    """``radar.interference``, tried at levels of all sizes. At a probability of 1 it is ``radar.noise_floor``."""
+    """``radar.interference``, tried at levels of all sizes. One that strikes every frame is ``radar.noise_floor``."""
 
+    another_from: ClassVar[Mapping[str, float]] = {"probability": MOST_STRUCK}
     handicap: ClassVar[float] = A_PARAMETER
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"level_db": (0.2, 0.6, 2.0, 6.0, 18.0)}

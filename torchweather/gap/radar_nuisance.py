@@ -30,7 +30,9 @@ class ReceiverNoise(Effect):
     A clear frame holds ``|A + n|^2``, with n of the power of the noise floor. Weather takes A down to ``sqrt(g) A`` and
     leaves n as it is; a simulated frame has ``g |A + n|^2``. Added is ``(1 - g)`` of the floor:
 
-        |sqrt(g P) + sqrt((1 - g) share N) z|^2,  z complex normal of unit power.
+        |sqrt(g P) + sqrt((1 - g) share N) z|^2,  z complex normal of unit power;
+
+    where the floor is f times the clear one, ``(f - g)`` instead of ``(1 - g)``.
 
     Errors of range and speed go as one over the root of the SNR: of their variance in clear air ``share (1 / g - 1)``
     times as much is added.
@@ -65,7 +67,8 @@ class ReceiverNoise(Effect):
         """Gains of the targets."""
         gain = (state.gain_db * DB).exp()
         snr = ((state.points_in[..., POWER] - state.noise_floor_db[:, None]) * DB).exp()
-        lacking = (1.0 - gain).clamp_min(0.0) * of_state(self, "share", state)[:, None]
+        floor = 1.0 if state.noise_shift_db is None else (state.noise_shift_db * DB).exp()[:, None]
+        lacking = (floor - gain).clamp_min(0.0) * of_state(self, "share", state)[:, None]
         one = (0.5 * lacking).sqrt()
         amplitude = (gain * snr).sqrt()
         real = amplitude + one * noise["real"].to(gain)

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.frames import Frame
+from torchweather.gap.radar_fading import chance_of_fading, share_of_fading
 from torchweather.gap.study import StudyScene
 from torchweather.sensors import Radar
 
@@ -25,6 +27,7 @@ __all__ = [
     "RadarScene",
     "detection_count",
     "detections_of",
+    "own_spread",
     "radar_edges",
     "radar_scene",
 ]
@@ -39,6 +42,7 @@ PRIOR_DEGREES = 2.0  # of freedom, that the median spread of all targets counts 
 # No list is read finer (quantisation of series radars, order of magnitude): dB, m, m/s.
 LEAST_SPREAD = {"power_db": 0.05, "range_m": 1e-3, "speed_m_per_s": 1e-3}
 FLICKERS = 3.0  # spreads above the threshold, up to which a target is lost in clear air now and then
+SELDOM = float(stats.norm.sf(FLICKERS))  # how often one there is lost, and at most one that fluctuates
 MEASURED = ("power_db", "range_m", "speed_m_per_s")
 
 
@@ -100,9 +104,9 @@ class RadarScene:
             drawn towards that of all targets.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
         counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
-        steady: ``(K, N)`` those that stand above the threshold by several times their spread: what flickers in clear
-            air is lost in weather by chance, and how often it does so a handful of clear frames tells badly, and
-            equally badly for all conditions.
+        steady: ``(K, N)`` those that stand above the threshold by several times their spread, and by more if they
+            may fluctuate (``radar_fading.py``): what flickers in clear air is lost in weather by chance, and how often
+            it does so a handful of clear frames tells badly, and equally badly for all conditions.
     """
 
     clear: Detections
@@ -150,7 +154,23 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     others = seen.sum(0) - seen
     counted = others >= max(0.5 * (count - 1), 1.0)
     steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
+    steady &= _fading(clear, floor, radar.detection_snr_db) < SELDOM
     return RadarScene(clear, geometry, reference, floor, spread, margin_db, counted, steady)
+
+
+def _fading(clear: Detections, floor_db: Floats, threshold_db: float) -> Floats:
+    """Chance ``(K, N)`` that a frame loses a target because it fluctuates, from all clear frames but one."""
+    snr_db = clear.power_db - clear.floor_db.mean()
+    typical_db = _median_spread(clear.power_db, LEAST_SPREAD["power_db"])
+    share = share_of_fading(snr_db, threshold_db, typical_db)
+    rows = [np.delete(clear.power_db, row, 0) - floor for row, floor in enumerate(floor_db)]
+    return np.stack([chance_of_fading(row, threshold_db, typical_db, share) for row in rows])
+
+
+def _median_spread(values: Floats, least: float) -> float:
+    squares, degrees = _squares(values)
+    known = degrees > 0
+    return float(np.sqrt(np.median(squares[known] / degrees[known]) + least**2)) if known.any() else least
 
 
 def _mean(values: Floats) -> Floats:
@@ -178,6 +198,18 @@ def _spreads(values: Floats, least: float) -> Floats:
         squares, degrees = _squares(np.delete(values, row, 0))
         found.append((squares + PRIOR_DEGREES * median) / (degrees + PRIOR_DEGREES) + least**2)
     return np.sqrt(np.stack(found))
+
+
+def own_spread(values: Floats) -> Floats:
+    """Standard deviation ``(N,)`` of each target over the frames ``(K, N)``, that of the median one where two do not
+    have it. Badly known, but not off: drawn towards that of all, strong targets would get the errors of weak ones."""
+    squares, degrees = _squares(values)
+    known = degrees > 0
+    variance = squares[known] / degrees[known]
+    usual = float(np.median(variance)) if known.any() else 0.0
+    found = np.full(len(squares), usual)
+    found[known] = variance
+    return np.asarray(np.sqrt(found))
 
 
 def _squares(values: Floats) -> tuple[Floats, Whole]:

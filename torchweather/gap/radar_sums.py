@@ -63,6 +63,7 @@ EVERYWHERE = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_cl
 # Weight, value and square of each statistic.
 SUMS = {
     "lost_target_share": ("target", "lost", "lost"),
+    "lost_flickering_share": ("flickers", "gone", "gone"),
     "power_residual_db": ("steady", "power", "power2"),
     "power_spread": ("free", "fluctuation", "fluctuation2"),
     "speed_residual_m_per_s": ("there", "speed", "speed2"),
@@ -73,7 +74,10 @@ SUMS = {
 }
 # Of a class of targets that all fluctuate none would be left if they counted for less.
 BY_CLASS = ("there", "plain", "plain2")
+FEWEST_CLEAR = 3  # frames, for the spread of a target: all but one, and one more than a mean takes
 VALUES = tuple(dict.fromkeys(name for names in (*SUMS.values(), BY_CLASS) for name in names))
+FROM_CLEAR = ("lost_target_share", "lost_flickering_share", "clutter_count", "ghost_count")
+ABOUT_OWN_MEAN = ("power_spread", "speed_spread", "range_spread")
 SCALARS = ("detections_root", "power_residual_db", "clutter_root")
 # Scatter from frame to frame below which frames are called alike: of 0.5 of a stabilised count, and in dB.
 STEADY = (0.1, 0.02, 0.35)
@@ -92,6 +96,7 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
         groups.extend(Group(statistic, axis, kind, edges[axis]) for axis in axes if axis in edges)
 
     add("lost_target_share", "share", *EVERYWHERE)
+    add("lost_flickering_share", "share", "range_m", "margin_db")
     add("power_residual_db", "mean", *EVERYWHERE)
     add("power_spread", "mean", "range_m", "margin_db", "target_class")
     add("speed_residual_m_per_s", "mean", "range_m")
@@ -113,7 +118,7 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     whole = (CLUTTER_RANGE_M[0], CLUTTER_RANGE_M[-1])
     groups += [Group("log_ghost_delay", PARTICLE_AXIS, kind, whole) for kind in ("mean", "spread")]
     groups.append(Group("ghost_power_db", PARTICLE_AXIS, "mean", whole))
-    return Layout(tuple(groups), SCALARS, STEADY, ())
+    return Layout(tuple(groups), SCALARS, STEADY, (), FROM_CLEAR, ABOUT_OWN_MEAN)
 
 
 class RadarSums:
@@ -194,9 +199,12 @@ class RadarSums:
         power = np.where(there, residual("power_db") + loss_db, 0.0)
         speed, apart = residual("speed_m_per_s"), residual("range_m")
         steady = weight * self._weight[row]
+        is_steady = scene.steady[row]
         found = {
-            "target": scene.steady[row].astype(np.float64),
-            "lost": (scene.steady[row] & np.isnan(frames.power_db)).astype(np.float64),
+            "target": is_steady.astype(np.float64),
+            "lost": (is_steady & ~there).astype(np.float64),
+            "flickers": (counted & ~is_steady).astype(np.float64),
+            "gone": (counted & ~is_steady & ~there).astype(np.float64),
             "steady": steady,
             "power": steady * power,
             "power2": steady * power**2,
@@ -211,7 +219,9 @@ class RadarSums:
             "drift": apart * lever[:, None],
         }
         number = over_frames(weight, together)
-        found["free"] = weight * (1.0 - 1.0 / np.maximum(number, 1.0))  # degrees of freedom that each frame brings
+        # Degrees of freedom that each frame brings; of two clear frames the one that is left tells no spread.
+        known = len(scene.clear) >= FEWEST_CLEAR
+        found["free"] = known * weight * (1.0 - 1.0 / np.maximum(number, 1.0))
         for name, kept, least in (
             ("fluctuation", steady, "power_db"),
             ("speed_wide", weight, "speed_m_per_s"),

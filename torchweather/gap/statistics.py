@@ -85,12 +85,18 @@ class Layout:
         scalars: names of the scalars of a frame; each gives a ``between`` and a ``slope`` entry.
         steady: of each scalar, scatter from frame to frame below which frames are called alike.
         maps: names of the maps of a frame; each gives a ``persistence`` entry.
+        from_clear: shares and counts of what happens in clear frames by chance, as often as those tell: their error is
+            one and the same in all conditions of a scene.
+        about_own_mean: means of squares about an element's own mean over the frames: those of different frames go
+            together.
     """
 
     binned: tuple[Group, ...]
     scalars: tuple[str, ...]
     steady: tuple[float, ...]
     maps: tuple[str, ...]
+    from_clear: tuple[str, ...] = ()
+    about_own_mean: tuple[str, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:

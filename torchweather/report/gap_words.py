@@ -47,6 +47,7 @@ STATISTICS = {
     "attenuation_db": "Attenuation",
     "attenuation_after_rain_db": "Attenuation after rain",
     "lost_target_share": "Targets that are not detected",
+    "lost_flickering_share": "Targets that flicker in clear air and are not detected",
     "power_residual_db": "Power over clear air's and the modelled loss",
     "power_spread": "Spread of power over clear air's",
     "speed_residual_m_per_s": "Speed less clear air's",

@@ -164,6 +164,11 @@ class Radar(Sensor):
         """lambda / (4 T_r), receding or approaching: what is faster appears at another speed."""
         return self.wavelength_m / (4.0 * self.repetition_period_s)
 
+    @property
+    def range_doppler_cells(self) -> int:
+        """Cells of the range-Doppler map of a frame: samples times chirps."""
+        return self.samples * self.chirps
+
     # ---- antennas ----------------------------------------------------------------------------------------------
 
     @property

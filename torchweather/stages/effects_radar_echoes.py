@@ -19,7 +19,7 @@ from torchweather.stages.states import PointKind, RadarState
 from torchweather.stages.volume_clutter import DB, VolumeClutter
 from torchweather.weather import Rain, Snow
 
-__all__ = ["RadarMultipath", "RadarVolumeClutter"]
+__all__ = ["Appending", "RadarMultipath", "RadarVolumeClutter", "listed"]
 
 LOST = int(PointKind.LOST)
 SPEED, POWER, RCS = 3, 4, 5  # columns of a list
@@ -29,17 +29,23 @@ MAIN_LOBE_BINS = 2.0  # from the peak of a Hann window's response to its first z
 FAINTEST = 1e-6  # of a power over another, so that logarithms of what cancels stay finite
 
 
-class _Appending(Effect):
-    """An effect that lists detections more. Built at its identity it appends no row and draws nothing."""
+class Appending(Effect):
+    """An effect that lists detections more. Built with values that list none it appends no row and draws nothing."""
+
+    silent: ClassVar[str] = "at its identity"
 
     def __init__(self, **values: float | Sequence[float] | Tensor) -> None:
         super().__init__(**values)
         free = any(getattr(self, parameter.name).requires_grad for parameter in self.arguments)
-        self.appends = free or not bool(self.at_identity.all())
+        self.appends = free or self.lists()
 
     def variates(self) -> tuple[Variate, ...]:
         """Those of the rows; none where none are appended."""
         return self.own_variates() if self.appends else ()
+
+    def lists(self) -> bool:
+        """Whether its values list anything."""
+        return not bool(self.at_identity.all())
 
     def own_variates(self) -> tuple[Variate, ...]:
         """What the effect needs where it acts."""
@@ -48,12 +54,12 @@ class _Appending(Effect):
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state after the effect, with its rows."""
         if not self.appends:
-            if not is_exporting() and not bool(self.at_identity.all()):
+            if not is_exporting() and self.lists():
                 raise ValueError(
-                    f"{type(self).__name__}: it was built at its identity and so draws nothing; got other values "
+                    f"{type(self).__name__}: it was built {self.silent} and so draws nothing; got other values "
                     "since. Build it with values of its own, or with those that require a gradient."
                 )
-            return state
+            return self.without_rows(state, noise)
         changed: RadarState = super().forward(state, noise)
         return self.appended(changed, noise)
 
@@ -61,12 +67,23 @@ class _Appending(Effect):
         """Nothing but the rows."""
         return {}
 
+    def without_rows(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
+        """The state where nothing is listed."""
+        return state
+
     def appended(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with the rows; there are none in samples at the identity."""
         raise NotImplementedError
 
 
-class RadarMultipath(_Appending):
+def listed(state: RadarState, rows: Tensor, there: Tensor) -> RadarState:
+    """The state with rows ``(B, K, 6)`` behind those that it has, and which of them are there."""
+    if state.clutter is not None and state.clutter_valid is not None:
+        rows, there = torch.cat([state.clutter, rows], 1), torch.cat([state.clutter_valid, there], 1)
+    return replace(state, clutter=rows, clutter_valid=there)
+
+
+class RadarMultipath(Appending):
     """A second path, longer by a fixed delay: ghosts behind the targets, or lobing where the two are not resolved.
 
     Through a Hann window two echoes d bins apart meet with ``w = sinc(d) + sinc(d - 1) / 2 + sinc(d + 1) / 2``. The
@@ -138,12 +155,10 @@ class RadarMultipath(_Appending):
         place = state.points_in[..., :3] * longer[..., None]
         rows = torch.cat([place, torch.stack([state.points_in[..., SPEED], power_db, rcs_dbsm], -1)], -1)
         rows = torch.where(there[..., None], rows, 0.0)
-        if state.clutter is not None and state.clutter_valid is not None:
-            rows, there = torch.cat([state.clutter, rows], 1), torch.cat([state.clutter_valid, there], 1)
-        return replace(state, clutter=rows, clutter_valid=there)
+        return listed(state, rows, there)
 
 
-class RadarVolumeClutter(_Appending):
+class RadarVolumeClutter(Appending):
     """Rain and snow are detected themselves: near, falling with R^-2, at the speeds of falling drops.
 
     ``VolumeClutter`` with ``share`` times the reflectivity of the modelled weather; 1 is what the radar equation says.

@@ -13,9 +13,12 @@ import torch
 from torch import Tensor
 
 from torchweather.random import Variate
+from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.effects import Effect, Parameter
+from torchweather.stages.effects_radar_echoes import Appending, listed
 from torchweather.stages.effects_radar_path import LOST, of_state, plus
 from torchweather.stages.states import RadarState
+from torchweather.stages.volume_clutter import DB, clutter_directions_rad
 
 __all__ = [
     "RadarCfarShift",
@@ -27,6 +30,8 @@ __all__ = [
 ]
 
 SPEED = 3  # column of a list
+NOISE_ROWS = 256  # that a lower threshold appends
+FULL = 0.8  # expected share of them that is filled where noise abounds
 
 
 class RadarNoiseFloor(Effect):
@@ -59,15 +64,26 @@ class RadarNoiseFloor(Effect):
         return {"noise_shift_db": plus(state.noise_shift_db, of_state(self, "shift_db", state))}
 
 
-class RadarCfarShift(Effect):
-    """The detector asks for more SNR, or less: weak targets go, powers and floor stay.
+class RadarCfarShift(Appending):
+    """The detector asks for more SNR, or less: weak targets go, or noise is listed; powers and floor stay.
+
+    The power of an empty cell is exponential about the floor. From the SNR T on, a ratio, it is detected in
+    ``cells exp(-T)`` of the cells; a threshold that falls from T0 to T lists ``cells (exp(-T) - exp(-T0))`` more, a
+    Poisson number, with powers of the same law between the two, at ranges and speeds anywhere.
 
     Args:
         shift_db: of the SNR that is detected, -20 to 20 dB.
 
     Note:
-        What the input does not list cannot come back: a lower threshold only keeps what the weather would take, and
-        lists more clutter where the chain has some.
+        What the input does not list cannot come back: a lower threshold only keeps what the weather would take, lists
+        more clutter where the chain has some, and noise. Cells are those of the range-Doppler map,
+        ``Radar.range_doppler_cells``: a radar that averages the powers of its channels lists less noise, one that looks
+        for detections in every direction of a cell more. At most 256 rows, of which four fifths are filled where there
+        would be more.
+
+    References:
+        PHYSICS.md 6.8. Skolnik, Introduction to Radar Systems (false alarms of exponential noise); primary text not
+        seen.
     """
 
     id: ClassVar[str] = "radar.cfar_shift"
@@ -76,17 +92,63 @@ class RadarCfarShift(Effect):
     # A false-alarm rate of 1e-4 instead of 1e-6 costs 1.8 dB: ln(1e6) / ln(1e4) for exponential noise.
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("shift_db", "dB", -20.0, 20.0, scale=2.0, identity=0.0),)
     after: ClassVar[str] = "path_attenuation"
-    rank: ClassVar[int] = -2
-    axes: ClassVar[tuple[str, ...]] = ("margin_db",)
+    rank: ClassVar[int] = -1  # behind the floor, which the noise that is listed exceeds
+    axes: ClassVar[tuple[str, ...]] = ("margin_db", "clutter_range_m")
     confusable_with: ClassVar[Mapping[str, str]] = {
         "radar.noise_floor": "the floor of empty cells; without it the two are one",
         "radar.wet_radome": "powers, which a threshold leaves alone",
         "radar.detection_limit": "the number of detections of frames with many targets: a limit is a ceiling",
     }
+    needs: ClassVar[tuple[str, ...]] = ("sensor",)
+    silent: ClassVar[str] = "with a threshold that is no lower"
+    shift_db: Tensor
+
+    def lists(self) -> bool:
+        """Whether the threshold is lower: a higher one lists no noise."""
+        return bool((self.shift_db < 0).any())
+
+    def own_variates(self) -> tuple[Variate, ...]:
+        """Whether each row is there, and where."""
+        names = ("arrival", "power", "range", "azimuth", "elevation", "speed")
+        return tuple(Variate(name, "uniform", (NOISE_ROWS,)) for name in names)
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """By how much the threshold is higher."""
         return {"threshold_shift_db": plus(state.threshold_shift_db, of_state(self, "shift_db", state))}
+
+    def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
+        """The state after the effect; one that requires a gradient needs no noise while it lists none."""
+        if not noise and (is_exporting() or not self.lists()):
+            return self.without_rows(state, noise)
+        changed: RadarState = super().forward(state, noise)
+        return changed
+
+    def without_rows(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
+        """The state with a threshold that is no lower."""
+        changed: RadarState = Effect.forward(self, state, noise)
+        return changed
+
+    def appended(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
+        """The state with what is detected of noise."""
+        sensor = state.sensor
+        assert sensor is not None
+        drawn = {name: values.to(state.gain_db) for name, values in noise.items()}
+        now_db = (state.detected_from_db - state.floor_db)[:, None]
+        now, before = (DB * now_db).exp(), (DB * (now_db - of_state(self, "shift_db", state)[:, None])).exp()
+        between = 1.0 - (-(before - now).clamp_min(0.0)).exp()  # of what exceeds the lower threshold
+        expected = (sensor.range_doppler_cells * (-now).exp() * between).clamp_max(FULL * NOISE_ROWS)
+        there = -(1.0 - drawn["arrival"]).log().cumsum(1) < expected
+        snr = now - (1.0 - drawn["power"] * between).log()
+        power_db = state.floor_db[:, None] + snr.log() / DB
+        range_m = sensor.max_range_m * (1.0 - drawn["range"])  # never 0, which is no detection
+        azimuth, elevation = clutter_directions_rad(sensor, drawn["azimuth"], drawn["elevation"])
+        flat = elevation.cos()
+        along = torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), elevation.sin()], -1)
+        speed = sensor.max_speed_m_per_s * (2.0 * drawn["speed"] - 1.0)
+        off_db = 2.0 * (sensor.gain_dbi(azimuth, elevation) - sensor.antenna_gain_dbi)
+        rcs_dbsm = power_db - sensor.constant_db - off_db + 4.0 * range_m.log() / DB
+        rows = torch.cat([along * range_m[..., None], torch.stack([speed, power_db, rcs_dbsm], -1)], -1)
+        return listed(state, torch.where(there[..., None], rows, 0.0), there)
 
 
 class RadarInterference(Effect):

@@ -1,0 +1,91 @@
+"""How often a radar target that fluctuates is lost by chance.
+
+A target either stands still, and its power departs by the receiver's noise alone, or its parts move against each other
+and its power is exponential (Swerling's case 1). A handful of clear frames does not tell which by their spread: of
+targets that fluctuate those that chance kept together look as if they stood still, and just those are lost later. So
+both laws are weighed, with the share of targets that fluctuate found from all targets at once:
+
+    p(lost) = q (1 - (1 + t / sum SNR)^-n),   t threshold, n frames,
+
+q the probability that a target fluctuates; the power law is the exponential one, averaged over what n frames leave open
+of its mean.
+
+References:
+    Swerling 1960 (fluctuating targets); primary text not seen. Expectation maximisation: Dempster, Laird & Rubin 1977.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["NOISE_AT_0_DB", "chance_of_fading", "share_of_fading"]
+
+Floats = NDArray[np.float64]
+
+DB = 10.0 / np.log(10.0)
+NOISE_AT_0_DB = DB * np.sqrt(2.0)  # spread of a steady target's power, dB, times the root of its SNR, for large ones
+ROUNDS = 30
+START = 0.3
+
+
+def share_of_fading(snr_db: Floats, threshold_db: float, typical_db: float) -> float:
+    """Share of the targets that fluctuate.
+
+    Args:
+        snr_db: ``(F, N)`` of frames, NaN where not detected.
+        threshold_db: SNR of the detection.
+        typical_db: spread of a steady target that the noise does not explain.
+    """
+    some = (~np.isnan(snr_db)).sum(0) >= 2
+    if not some.any():
+        return START
+    odds = _log_odds(snr_db[:, some], threshold_db, typical_db)
+    share = START
+    for _ in range(ROUNDS):
+        share = float(np.clip(_posterior(odds, share).mean(), 1e-3, 1.0 - 1e-3))
+    return share
+
+
+def chance_of_fading(snr_db: Floats, threshold_db: float, typical_db: float, share: float) -> Floats:
+    """Chance ``(N,)`` that a frame loses each target because it fluctuates; NaN of one that no frame has.
+
+    Args:
+        snr_db: ``(F, N)`` of frames, NaN where not detected.
+        threshold_db: SNR of the detection.
+        typical_db: spread of a steady target that the noise does not explain.
+        share: of all targets that fluctuate (``share_of_fading``).
+
+    Example:
+        >>> steady, fading = np.array([[20.0], [20.2], [20.1]]), np.array([[20.0], [26.0], [23.0]])
+        >>> [round(float(chance_of_fading(snr_db, 12.0, 0.3, 0.3)[0]), 4) for snr_db in (steady, fading)]
+        [0.0002, 0.0652]
+    """
+    number = (~np.isnan(snr_db)).sum(0)
+    whole = np.where(number > 0, np.nansum(10.0 ** (0.1 * snr_db), 0), 1.0)
+    below = np.where(number > 0, 1.0 - (1.0 + 10.0 ** (0.1 * threshold_db) / whole) ** -number, np.nan)
+    found: Floats = below * _posterior(_log_odds(snr_db, threshold_db, typical_db), share)
+    return found
+
+
+def _posterior(log_odds: Floats, share: float) -> Floats:
+    found: Floats = 1.0 / (1.0 + (1.0 - share) / share * np.exp(-np.clip(log_odds, -500.0, 500.0)))
+    return found
+
+
+def _log_odds(snr_db: Floats, threshold_db: float, typical_db: float) -> Floats:
+    """Logarithm ``(N,)`` of how much better the exponential law explains the powers than the noise, each with the mean
+    that explains them best; of those that one frame has it is 0."""
+    there = ~np.isnan(snr_db)
+    number = np.maximum(there.sum(0), 1)
+    snr = np.where(there, 10.0 ** (0.1 * snr_db), 0.0)
+    mean = np.maximum(snr.sum(0) / number, 1e-12)
+    relative = np.where(there, snr / mean, 1.0)
+    # Densities over the decibel. All that is known was detected: the law is that of powers over the threshold.
+    fading = np.where(there, np.log(relative) - relative - np.log(DB) + 10.0 ** (0.1 * threshold_db) / mean, 0.0).sum(0)
+    middle = np.where(there, snr_db, 0.0).sum(0) / number
+    spread = np.maximum(NOISE_AT_0_DB * 10.0 ** (-0.05 * middle), typical_db)
+    apart = np.where(there, (np.where(there, snr_db, 0.0) - middle) / spread, 0.0)
+    steady = (-0.5 * apart**2 - np.where(there, np.log(spread * np.sqrt(2.0 * np.pi)), 0.0)).sum(0)
+    found: Floats = np.where(number >= 2, fading - steady, 0.0)
+    return found
