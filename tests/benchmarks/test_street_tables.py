@@ -5,6 +5,9 @@
 """
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,12 +27,22 @@ def test_the_tables_hold_what_the_reduced_bench_needs():
     assert all(needed <= set(json.loads(path.read_text())) for path in tables)
 
 
+MAKE = """
+import json
+from benchmarks.hidden.lidar.cases import Streets
+from benchmarks.hidden.lidar.design import Size
+made = Streets("ci", 1, None, ("lidar.window_loss",))("rain", 1, Size().smaller_grid())
+print(json.dumps(made.table["lidar.window_loss"]["30"]))
+"""
+
+
 @pytest.mark.slow
 def test_a_table_follows_from_the_seed():
-    name = "lidar.window_loss"
-    made = Streets("ci", 1, None, (name,))("rain", 1, SMALL)
-    kept = Streets("ci", 1, HERE / "streets", (name,))("rain", 1, SMALL)
-    # A strength goes through a whitening with small eigenvalues: by one thread of the linear algebra or by two it
-    # differs by 0.4 %, and the length that is reached as well.
-    assert made.parameters(name, 30.0) == pytest.approx(kept.parameters(name, 30.0), rel=1e-2)
-    assert made.table[name]["30"]["reached"] == pytest.approx(kept.table[name]["30"]["reached"], rel=1e-2)
+    # A strength goes through a whitening with small eigenvalues: by one thread of the linear algebra it differs by 1.7 %
+    # from what it is by two, with which the tables were made.
+    environment = {**os.environ, "OMP_NUM_THREADS": "2", "PYTHONPATH": str(HERE.parents[1])}
+    done = subprocess.run([sys.executable, "-c", MAKE], env=environment, capture_output=True, text=True, check=True)
+    made = json.loads(done.stdout)
+    kept = Streets("ci", 1, HERE / "streets", ("lidar.window_loss",))("rain", 1, SMALL).table["lidar.window_loss"]["30"]
+    assert made["parameters"] == pytest.approx(kept["parameters"], rel=1e-2)
+    assert made["reached"] == pytest.approx(kept["reached"], rel=1e-2)
