@@ -216,6 +216,12 @@ def test_explain_takes_one_sample_at_a_time() -> None:
     assert explain(Fog(mor_m=torch.tensor(30.0)), "camera")["mor_nominal_m"] == 30
 
 
+def test_explain_says_that_a_weather_is_patchy(run: Any) -> None:
+    code, out, _ = run("explain", "--weather", "fog:mor=120,patches=0.7,patch_length=15+rain:rate=5")
+    assert code == 0
+    assert "fog (mor_m=120, in patches, whose mean this is) with rain (rate_mm_per_h=5)" in out
+
+
 def test_explain_as_text_names_units_and_q_eff(run: Any) -> None:
     _, out, _ = run("explain", "--weather", "rain:rate=25", "--sensor", "lidar")
     for text in ("865 nm", "extinction 1/m", "backscatter 1/(m sr)", "q_eff = 1.1 for rain", "g/m^3", "mm/h"):

@@ -278,7 +278,8 @@ def _weather_text(weather: Mapping[str, Any]) -> str:
     if weather["kind"] == "mixture":
         return " with ".join(_weather_text(part) for part in weather["parts"])
     knob = "mor_m" if weather["kind"] == "fog" else "rate_mm_per_h"
-    return f"{weather['kind']} ({knob}={weather[knob]:g})"
+    patches = ", in patches, whose mean this is" if weather["patch_log_std"] else ""
+    return f"{weather['kind']} ({knob}={weather[knob]:g}{patches})"
 
 
 def _metres(value: float) -> str:

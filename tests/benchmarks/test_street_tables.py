@@ -38,7 +38,7 @@ print(json.dumps(made.table["lidar.window_loss"]["30"]))
 
 @pytest.mark.slow
 def test_a_table_follows_from_the_seed():
-    # A strength goes through a whitening with small eigenvalues: by one thread of the linear algebra it differs by 1.7 %
+    # A strength goes through a whitening with small eigenvalues: by one thread of linear algebra it differs by 1.7 %
     # from what it is by two, with which the tables were made.
     environment = {**os.environ, "OMP_NUM_THREADS": "2", "PYTHONPATH": str(HERE.parents[1])}
     done = subprocess.run([sys.executable, "-c", MAKE], env=environment, capture_output=True, text=True, check=True)
