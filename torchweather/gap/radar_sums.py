@@ -25,6 +25,7 @@ __all__ = ["FLOOR_STEPS_DB", "GHOST_DELAY_M", "RadarSums", "floor_ramps", "radar
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 CLUTTER_RANGE_M = (0.0, 2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 1e4)
 # A delay counts in all bins by how near it is to their middles (on a logarithmic axis, by a bell of so many bins): so
@@ -57,6 +58,7 @@ FLOOR_STEPS_DB = (
 FLOOR_WEIGHT = 20.0  # of a frame's floor, which is the mean of very many cells
 # Within which a detection follows a target: a degree or two of direction, a few bins of speed (orders of magnitude).
 SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S = 0.02, 0.4
+ONE_DELAY = 1.5  # factor within which delays are those of one second path, order of magnitude
 # By which the logarithm of a delay, and the power of a ghost in dB, scatter at least: no two paths are known better.
 READ_TO = {"log_ghost_delay": 0.1, "ghost_power_db": 1.0}
 EVERYWHERE = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class")
@@ -264,7 +266,7 @@ class RadarSums:
         delay_m, fainter_db = self._behind(frames)
         one = np.ones(len(frame))
         log_delay = np.log(np.where(delay_m > 0, delay_m, 1.0))
-        behind = np.where(np.isnan(delay_m), np.nan, range_m)
+        behind = np.where(_at_one_delay(delay_m), range_m, np.nan)
         return {
             "row": (one, slot.astype(np.float64)),
             "clutter_count": (range_m, one),
@@ -315,6 +317,17 @@ class RadarSums:
             number = self.scene.counted.shape[1]
             self._portion[portions] = np.random.default_rng(0).permutation(number) * portions // number
         return self._portion[portions]
+
+
+def _at_one_delay(delay_m: Floats) -> Flags:
+    """Which delays lie by their median. Noise that is detected behind a target by chance follows it anyhow, and one
+    such detection at 100 m would move the mean logarithm of fifteen delays of 2.5 m by a quarter."""
+    follows: Flags = ~np.isnan(delay_m)
+    if not follows.any():
+        return follows
+    ratio = np.where(follows, delay_m, 1.0) / np.median(delay_m[follows])
+    found: Flags = follows & (ratio < ONE_DELAY) & (ratio > 1.0 / ONE_DELAY)
+    return found
 
 
 def over_frames(values: Floats, together: int) -> Floats:
