@@ -15,7 +15,7 @@ from torchweather.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.effect_forms import is_another
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.radar import GHOST_AMPLITUDES, RadarFrames
+from torchweather.gap.radar import RadarFrames
 from torchweather.gap.radar_fading import chance_of_fading, share_of_fading
 from torchweather.gap.radar_forms import MOST_STRUCK, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
@@ -238,27 +238,6 @@ def test_a_detection_far_behind_a_target_by_chance_is_no_ghost_of_the_same_path(
     assert _at_one_delay(delays).tolist() == [True, True, False, True, False, True, False]
     assert not _at_one_delay(np.full(3, np.nan)).any()
     assert _at_one_delay(np.zeros(0)).shape == (0,)
-
-
-def test_the_second_path_is_tried_from_where_its_first_ghosts_are_detected(study: Study, model: RadarFrames) -> None:
-    def ghosts(amplitude: float) -> float:
-        """Most ghosts a frame of any condition, 5 m behind their targets and no deeper than the rain takes."""
-        most = 0.0
-        for condition, weather in zip(model.fit, WEATHERS, strict=False):
-            per_km = float(RadarAttenuation(weather, SENSOR).attenuation_db_per_km)
-            number = 0
-            for k in range(4):
-                clear = study.scenes["s0"].clear[k % CLEAR]
-                fainter = 20.0 * math.log10(amplitude) - 2e-3 * per_km * (clear["range_m"] + 5.0)
-                number += int((clear["power_db"] + fainter >= clear["noise_floor_db"] + SENSOR.detection_snr_db).sum())
-            most = max(most, number / 4)
-            assert condition.weather == weather
-        return most
-
-    least = model.forms["radar.multipath"].arguments[0].scale
-    assert least in GHOST_AMPLITUDES
-    before = GHOST_AMPLITUDES[GHOST_AMPLITUDES.index(least) - 1]
-    assert ghosts(before) < 2.0 <= ghosts(least)
 
 
 def test_portions_of_the_targets_add_up(model: RadarFrames) -> None:

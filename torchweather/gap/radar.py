@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
-from torchweather.gap.radar_forms import InterferenceForm, multipath_form, volume_clutter_form, wet_rcs_form
+from torchweather.gap.radar_forms import InterferenceForm, volume_clutter_form, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
 from torchweather.gap.radar_scene import (
     Detections,
@@ -39,7 +39,7 @@ from torchweather.gap.study import Study
 from torchweather.sensors import Radar
 from torchweather.stages import Chain, PathAttenuation, PointKind, RadarState, VolumeClutter, WetRadome
 from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_radar import EFFECTS, RadarInterference, RadarMultipath, RadarVolumeClutter
+from torchweather.stages.effects_radar import EFFECTS, RadarInterference, RadarVolumeClutter
 from torchweather.transforms import RadarAttenuation
 
 __all__ = ["RadarFrames"]
@@ -50,8 +50,7 @@ Whole = NDArray[np.int64]
 SPEED, POWER = 3, 4  # columns of a list
 FEWEST_TARGETS = 2.0 * FEWEST["share"]  # targets times frames of a condition: two bins along an axis that count
 CLUTTER_SHARES = tuple(1e-4 * 2.0**step for step in range(17))  # tried, up to 6.6
-GHOST_AMPLITUDES = tuple(1e-3 * 2.0 ** (0.5 * step) for step in range(20))  # tried, up to 0.7: 3 dB of power apart
-LISTED_FRAMES, LISTED_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
+CLUTTER_FRAMES, CLUTTER_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
 FALSE_ALARM_MOVED = 0.3  # standard deviation of the logarithm of their range: about a bin
 FEWEST_FOR_SLOPE = 3  # frames of a condition
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
@@ -102,22 +101,21 @@ class RadarFrames:
         self.transforms: dict[str, RadarAttenuation] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
         self._lock = threading.RLock()
-        forms["radar.volume_clutter"] = volume_clutter_form(self._least_listed(RadarVolumeClutter, CLUTTER_SHARES))
-        forms["radar.multipath"] = multipath_form(self._least_listed(RadarMultipath, GHOST_AMPLITUDES))
+        forms["radar.volume_clutter"] = volume_clutter_form(self._clutter_share())
 
-    def _least_listed(self, effect: type[Effect], values: Sequence[float]) -> float:
-        """Least of rising values of an effect's first parameter with which some echoes of its own are detected in every
-        frame of some condition; the catalogue's typical one where none does."""
-        for value in values:
-            built = effect(**{effect.arguments[0].name: value})
+    def _clutter_share(self) -> float:
+        """Least share of the reflectivity of rain and snow with which some of it is detected in every frame of some
+        condition; the catalogue's typical one where none does."""
+        for share in CLUTTER_SHARES:
+            effect = RadarVolumeClutter(share=share)
             for condition in self.fit:
-                row = np.arange(LISTED_FRAMES) % self.clear_frames[condition.scene]
+                row = np.arange(CLUTTER_FRAMES) % self.clear_frames[condition.scene]
                 with torch.no_grad():
-                    frames = self._through(condition, row, row, [built], 0.0, list(range(LISTED_FRAMES)))
-                before = len(self._further(condition.scene, range(LISTED_FRAMES))[1])
-                if len(frames.clutter) - before >= LISTED_COUNT * LISTED_FRAMES:
-                    return value
-        return effect.arguments[0].scale
+                    frames = self._through(condition, row, row, [effect], 0.0, list(range(CLUTTER_FRAMES)))
+                before = len(self._further(condition.scene, range(CLUTTER_FRAMES))[1])
+                if len(frames.clutter) - before >= CLUTTER_COUNT * CLUTTER_FRAMES:
+                    return share
+        return RadarVolumeClutter.arguments[0].scale
 
     def _check(self) -> None:
         """Refuse a study whose conditions hold too few targets for any statistic of them."""

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from torchweather.gap.effect_forms import SearchForm
 from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_radar import RadarInterference, RadarMultipath, RadarVolumeClutter, RadarWetRcs
+from torchweather.stages.effects_radar import RadarInterference, RadarVolumeClutter, RadarWetRcs
 from torchweather.stages.states import RadarState
 
-__all__ = ["InterferenceForm", "multipath_form", "volume_clutter_form", "wet_rcs_form"]
+__all__ = ["InterferenceForm", "volume_clutter_form", "wet_rcs_form"]
 
 MOST_STRUCK = 0.95  # of the frames, by an interferer
 A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
@@ -83,24 +83,6 @@ def volume_clutter_form(size: float) -> type[Effect]:
         cuts: ClassVar[bool] = True  # of half the echo nothing may be left above the threshold
 
     return VolumeClutterForm
-
-
-def multipath_form(size: float) -> type[Effect]:
-    """``radar.multipath`` whose typical amplitude is a matter of the study: a ghost is listed where its target exceeds
-    the threshold by more than the second path is fainter.
-
-    Args:
-        size: typical amplitude.
-    """
-    amplitude, *others = RadarMultipath.arguments
-
-    class MultipathForm(RadarMultipath, SearchForm):
-        """The same, moved by other steps."""
-
-        arguments: ClassVar[tuple[Parameter, ...]] = (replace(amplitude, scale=size), *others)
-        cuts: ClassVar[bool] = True  # of half the amplitude nothing may be left above the threshold
-
-    return MultipathForm
 
 
 class InterferenceForm(RadarInterference, SearchForm):
