@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -352,19 +352,15 @@ class ParticleReturns(Stage):
         reach, start = part.grid.position(reach_m), part.start(reach_m)
         density = state.density_scale
         table = self._table(part, beam, extinction, density) if start is None else None
-        ranges, signals = [], []
-        arrived = torch.zeros_like(reach)
-        for echo in range(part.echoes):
-            arrived, own_place = arrived + exponential(arrival[:, echo].to(reach)), place[:, echo].to(reach)
+        between = None if table is not None else part.between(beam, extinction, density)
+
+        def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             if table is not None:
-                row, column, exists = table.strongest_before(arrived, own_place, reach)
-            else:
-                between = part.between(beam, extinction, density)
-                row, column, exists = strongest_before(between, arrived, own_place, reach, start)
-            range_m = torch.minimum(part.grid.range_m(column), reach_m)
-            ranges.append(range_m * exists)
-            signals.append(part.signal_at(row, beam) * exists)
-        return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
+                return table.strongest_before(arrived, own_place, reach)
+            assert between is not None
+            return strongest_before(between, arrived, own_place, reach, start)
+
+        return _echoes(part, beam, reach_m, arrival, place, strongest)
 
     def _drawn_in_patches(
         self,
@@ -391,14 +387,11 @@ class ParticleReturns(Stage):
         sector = sector_of(_azimuth_and_level(state)[0])
         reach_m = state.reach_m.to(extinction.dtype)
         reach = part.grid.position(reach_m)
-        ranges, signals = [], []
-        arrived = torch.zeros_like(reach)
-        for echo in range(part.echoes):
-            arrived, own_place = arrived + exponential(arrival[:, echo].to(reach)), place[:, echo].to(reach)
-            row, column, exists = strongest_before(between, arrived, own_place, reach, None, places, sector, SECTORS)
-            ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
-            signals.append(part.signal_at(row, beam) * exists)
-        return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
+
+        def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            return strongest_before(between, arrived, own_place, reach, None, places, sector, SECTORS)
+
+        return _echoes(part, beam, reach_m, arrival, place, strongest)
 
     def _table(
         self, part: BeamParticles | SoftReturn, beam: Beam, extinction: Tensor, density: Tensor | None
@@ -419,6 +412,33 @@ class ParticleReturns(Stage):
             table = table.expanded(len(extinction)) if shared else table
             self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
         return table
+
+
+def _echoes(
+    part: BeamParticles | SoftReturn,
+    beam: Beam,
+    reach_m: Tensor,
+    arrival: Tensor,
+    place: Tensor,
+    strongest: Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]],
+) -> tuple[Tensor, Tensor]:
+    """Range and signal, ``(B, N, echoes)``, of the strongest, the next strongest and so on; 0 where there is none.
+
+    Args:
+        part: what returns.
+        beam: the sensor's.
+        reach_m: ``(B, N)`` up to which it counts.
+        arrival, place: ``(B, echoes, N)`` its variates.
+        strongest: solves for signal, range and whether there is one, as ``strongest_before`` gives them.
+    """
+    ranges, signals = [], []
+    arrived = torch.zeros_like(reach_m)
+    for echo in range(part.echoes):
+        arrived = arrived + exponential(arrival[:, echo].to(reach_m))
+        row, column, exists = strongest(arrived, place[:, echo].to(reach_m))
+        ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
+        signals.append(part.signal_at(row, beam) * exists)
+    return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
 
 
 def _all_alike(values: Tensor) -> bool:
