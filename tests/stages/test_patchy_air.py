@@ -279,7 +279,7 @@ def test_a_camera_sees_through_the_mean_density_along_its_rays() -> None:
     alpha = float(stage.extinction_per_m(1)[0, 1])
     rotation = np.array(tilted.camera_from_vehicle())
     for row, column in ((10, 1), (10, 121), (80, 61), (50, 11)):
-        assert int(fog.chain and (row + column) % 2) == 1  # a green pixel of RGGB
+        assert (row + column) % 2 == 1  # a green pixel of RGGB
         ray = np.array([(column - 63.5) / 100, (row - 47.5) / 100, 1.0])
         forward, left, _ = rotation.T @ ray * depth_m
         mean = mean_density(noise, log_std, math.atan2(left, forward), math.hypot(forward, left))
@@ -360,12 +360,14 @@ def test_clutter_follows_the_density() -> None:
     transform = RadarAttenuation(Rain(20, patch_log_std=log_std), RADAR, clutter=True, clutter_points=400)
     stage = transform.chain.stages["rain_clutter"]
     assert isinstance(stage, VolumeClutter)
-    state = transform.state_of(torch.tensor([[50.0, 0.0, 0.0, 0.0, -60.0, 10.0]]))
+    detection = torch.tensor([[50.0, 0.0, 0.0, 0.0, -60.0, 10.0]])
+    state = transform.state_of(detection)
     state = transform.chain.stages["path_attenuation"](replace(state), {})
     noise = stage.draw(state, seed=[3])
     air = transform.chain.stages["air"]
     assert isinstance(air, PatchyAir)
-    found = stage(replace(state, patches=air.field(even(g))), noise)
+    attenuation, before = transform.chain.stages["path_attenuation"], transform.state_of(detection)
+    found = stage(attenuation(replace(before, patches=air.field(even(g))), {}), noise)
     denser = VolumeClutter(Rain(20), RADAR, share=density, capacity=400)
     wanted = denser(replace(state, attenuation_db_per_km=density * state.attenuation_db_per_km), noise)
     assert int(wanted.clutter_valid.sum()) > 100
@@ -375,10 +377,27 @@ def test_clutter_follows_the_density() -> None:
     left = []
     for of_seed in range(10):
         patches = PatchyAir(LENGTH_M).field(one_wave(0.0, 1.0, 0.75))
-        uneven = stage(replace(state, patches=patches), stage.draw(state, seed=[of_seed]))
+        uneven = stage(attenuation(replace(before, patches=patches), {}), stage.draw(state, seed=[of_seed]))
         left.append(uneven.clutter[uneven.clutter_valid][:, 1] > 0)
     share = torch.cat(left).double()
     assert float(share.mean()) > 0.5 + 8 * 0.5 / math.sqrt(len(share))
+
+
+def test_the_way_to_clutter_goes_through_the_patches_of_the_other_weather() -> None:
+    """Snow that falls evenly, seen through rain that is dense everywhere."""
+    density = math.exp(0.5 * 1.2 - 0.125)
+    transform = RadarAttenuation(Mixture(Rain(50, patch_log_std=0.5), Snow(1.0)), RADAR, clutter=True)
+    stage, attenuation, air = (transform.chain.stages[name] for name in ("snow_clutter", "path_attenuation", "air"))
+    assert isinstance(stage, VolumeClutter)
+    assert isinstance(air, PatchyAir)
+    state = transform.state_of(torch.tensor([[50.0, 0.0, 0.0, 0.0, -60.0, 10.0]]))
+    found = stage._denser(torch.tensor([[20.0, 60.0]]), attenuation(replace(state, patches=air.field(even(1.2))), {}))
+    assert found is not None
+    per_km = float(attenuation.parts["rain"]())  # type: ignore[union-attr,operator,index]
+    for place, range_m in enumerate((20.0, 60.0)):
+        wanted = 10.0 ** (-0.1 * 2e-3 * per_km * range_m * (density - 1.0))
+        assert float(found[0, place].min()) == pytest.approx(wanted, rel=1e-3)
+        assert float(found[0, place].max()) == pytest.approx(wanted, rel=1e-3)
 
 
 # ---- what it refuses ---------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from torchweather.stages.intensity import (
     intensity_from_signal,
     reflectivity_from_intensity,
 )
-from torchweather.stages.patchy_air import SECTORS, Banks, PatchField, mean_density, sector_of
+from torchweather.stages.patchy_air import SECTORS, Banks, PatchField, mean_density, mean_extra_m, sector_of
 from torchweather.stages.registry import register
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.stages.stage import Stage
@@ -42,7 +42,6 @@ from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
 __all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
 
 DB = math.log(10.0) / 10.0
-TINY_PER_M = 1e-30  # extinction that stands for none
 NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
@@ -245,12 +244,8 @@ class Extinction(Stage):
     def _through_patches(self, state: LidarState, patches: PatchField) -> LidarState:
         """The state with the mean density on each beam's way: of several weathers, weighted by what each takes."""
         parts: dict[str, _PartExtinction] = dict(self.parts.items())  # type: ignore[arg-type]
-        banks = [patches.banks(part.weather) for part in parts.values()]
         takes = [part().expand(state.batch).to(state.signal.dtype) for part in parts.values()]
-        total = torch.stack(takes).sum(0).clamp_min(TINY_PER_M)
-        extra_m = torch.stack(
-            [(take / total)[:, None, None] * one.extra_m for take, one in zip(takes, banks, strict=True)]
-        ).sum(0)
+        extra_m = mean_extra_m(patches, [part.weather for part in parts.values()], takes)
         azimuth_rad, level = _azimuth_and_level(state)
         # Patches are columns: the mean on a way that rises is that on its shadow.
         density = mean_density(extra_m, azimuth_rad, level * state.reach_m, patches.step_m)

@@ -32,13 +32,24 @@ from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 from torchweather.weather import PATCH_LENGTH_LOW_M, Weather, check_drawn
 
-__all__ = ["Banks", "BanksAlongBeams", "PatchField", "PatchyAir", "mean_density", "of_beams", "patchy_air", "sector_of"]
+__all__ = [
+    "Banks",
+    "BanksAlongBeams",
+    "PatchField",
+    "PatchyAir",
+    "mean_density",
+    "mean_extra_m",
+    "of_beams",
+    "patchy_air",
+    "sector_of",
+]
 
 WAVES = 64
 AZIMUTHS = 192  # of the layout, and so 1.9 degrees apart
 STEPS_PER_LENGTH, LENGTHS = 8, 16  # ranges are an eighth of a patch apart, up to 16 patches; beyond, the density is 1
 NODES = STEPS_PER_LENGTH * LENGTHS + 1
 SECTORS = 32  # of beams that see one air in front of them
+NOTHING = 1e-30  # per metre, that stands for no loss at all
 SHORTEST_M = 1e-3  # a way of 0 m has the density where it begins
 
 
@@ -118,6 +129,16 @@ class PatchField:
         cells_m = (0.5 * self.step_m) * (excess[..., 1:] + excess[..., :-1])
         extra_m = torch.nn.functional.pad(cells_m.cumsum(-1), (1, 0))
         return Banks(1.0 + excess, extra_m, self.step_m)
+
+
+def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequence[Tensor]) -> Tensor:
+    """``Banks.extra_m`` of several weathers together, each weighted by what it takes per metre, ``(B,)`` each."""
+    total = torch.stack(list(takes)).sum(0).clamp_min(NOTHING)
+    shares = [(take / total)[:, None, None] for take in takes]
+    return sum(
+        (share * patches.banks(weather).extra_m for share, weather in zip(shares, weathers, strict=True)),
+        torch.zeros_like(patches.normal),
+    )
 
 
 def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float) -> Tensor:

@@ -25,7 +25,7 @@ from torchweather.physics import (
 from torchweather.sensors import Radar
 from torchweather.stages.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
 from torchweather.stages.fog_optics import mor_range_m
-from torchweather.stages.patchy_air import PatchField
+from torchweather.stages.patchy_air import mean_density, mean_extra_m
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import RadarState
@@ -184,30 +184,24 @@ class PathAttenuation(Stage):
         """The state with weaker targets."""
         per_km = self.attenuation_db_per_km(state.batch).to(state.gain_db.dtype)
         parts: dict[str, _PartAttenuation] = dict(self.parts.items())  # type: ignore[arg-type]
-        loss_db = self.two_way_db(state.range_m)
+        loss_db, extra_m = self.two_way_db(state.range_m), None
         if state.patches is not None:
-            loss_db = self._through_patches(state, state.patches)
+            takes = [part().expand(state.batch).to(per_km) for part in parts.values()]
+            extra_m = mean_extra_m(state.patches, [part.weather for part in parts.values()], takes)
+            x, y, _ = state.points_in[..., :3].unbind(-1)
+            ground_m = (x * x + y * y).sqrt()
+            loss_db = loss_db * mean_density(extra_m, torch.atan2(y, x), ground_m, state.patches.step_m)
         return replace(
             state,
             gain_db=state.gain_db - loss_db,
             attenuation_db_per_km=state.attenuation_db_per_km + per_km,
+            extra_m=extra_m,
             sensor=self.sensor,
             weathers=tuple(part.at_rest for part in parts.values()),
             rates_mm_per_h={
                 kind: part.knob.expand(state.batch) for kind, part in parts.items() if not isinstance(part.weather, Fog)
             },
         )
-
-    def _through_patches(self, state: RadarState, patches: PatchField) -> Tensor:
-        """What the ways to the targets and back lose, dB ``(B, N)``, each weather by its mean density on the way."""
-        x, y, _ = state.points_in[..., :3].unbind(-1)
-        azimuth_rad, ground_m = torch.atan2(y, x), (x * x + y * y).sqrt()
-        loss_db = torch.zeros_like(state.range_m)
-        for part in self.parts.values():
-            per_km = part().expand(state.batch).to(loss_db.dtype)[:, None]
-            density = patches.banks(part.weather).mean_to(azimuth_rad, ground_m)  # type: ignore[arg-type]
-            loss_db = loss_db + 2e-3 * per_km * state.range_m * density
-        return loss_db
 
 
 @register

@@ -260,7 +260,7 @@ class RadarState:
         speed_std_m_per_s: ``(B,)`` by which measured speeds scatter more; ``None`` is 0.
         target_class: ``(1 or B, N)`` whole numbers, below 0 where not known; ``None`` where none is.
         frame_number: ``(B,)`` of the frame in its recording, from 0; ``None`` where not known.
-        patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
+        patches, extra_m: where about the vehicle the air is dense, as of a LiDAR; ``None`` is everywhere alike.
         past_rain_mm_per_h, past_rain_min: ``(B, T)`` rates of earlier rain, and how many minutes ago; ``None`` where no
             such rain is known of.
     """
@@ -288,6 +288,7 @@ class RadarState:
     target_class: Tensor | None = None
     frame_number: Tensor | None = None
     patches: PatchField | None = None
+    extra_m: Tensor | None = None
     past_rain_mm_per_h: Tensor | None = None
     past_rain_min: Tensor | None = None
 

@@ -32,6 +32,7 @@ from torchweather.random import Variate
 from torchweather.sensors import Radar
 from torchweather.stages.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.patchy_air import mean_density
 from torchweather.stages.path_attenuation import radar_of
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
@@ -279,16 +280,20 @@ class VolumeClutter(Stage):
     def _denser(self, range_m: Tensor, state: RadarState) -> Tensor | None:
         """Echo over that in uniform air, ``(B, n, G)``, at ranges ``(1 or B, n)`` in the directions of ``_off_axis``.
 
-        More particles there, and more on the way to them and back; the way of other weathers counts as theirs do.
+        More particles of this kind there, and more of all weather on the way to them and back.
         """
         if state.patches is None:
             return None
         banks = state.patches.banks(self.falling.weather)
         azimuth, elevation, _ = self._off_axis(state.gain_db)
         ground_m = range_m[..., None] * elevation.cos()
+        azimuth = azimuth.expand_as(ground_m)
+        there = banks.at(azimuth, ground_m)
+        if state.extra_m is None:  # a chain without path attenuation
+            return there
         way_db = 2e-3 * state.attenuation_db_per_km[:, None, None] * range_m[..., None]
-        beyond_db = way_db * (banks.mean_to(azimuth.expand_as(ground_m), ground_m) - 1.0)
-        return banks.at(azimuth.expand_as(ground_m), ground_m) * torch.exp(-DB * beyond_db)
+        more = mean_density(state.extra_m, azimuth, ground_m, banks.step_m) - 1.0
+        return there * torch.exp(-DB * way_db * more)
 
     def _cells_per_m(self, missing: Tensor, bins: Tensor, denser: Tensor | None = None) -> Tensor:
         """Cells above the threshold per metre of range, ``(B, ...)``, over the whole view."""
