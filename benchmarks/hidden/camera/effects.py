@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -267,7 +267,7 @@ class RollingShutter(Known):
 
 def _rolled(crowd: Crowd, row_time_s: float) -> Crowd:
     share = 1.0 - min(crowd.down_px * row_time_s / EXPOSURE_S, 0.9)
-    return Crowd(crowd.per_px * share, crowd.area_px / share, crowd.down_px / share, crowd.depth_m)
+    return replace(crowd, per_px=crowd.per_px * share, area_px=crowd.area_px / share, down_px=crowd.down_px / share)
 
 
 CATALOGUE: dict[str, type[Known]] = {

@@ -8,6 +8,7 @@ smooth veil of the mean optical depth.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -66,19 +67,20 @@ def population(kind: str, rate_mm_per_h: float) -> Population:
 
 @dataclass(frozen=True)
 class Crowd:
-    """Many like particles of one depth, counted pixel by pixel.
+    """Many like particles of one layer of depth, counted pixel by pixel.
 
     Args:
         per_px: mean number in a pixel.
         area_px: that each covers.
         down_px: path of the exposure.
-        depth_m: along the axis.
+        near_m, far_m: ends of their layer along the axis.
     """
 
     per_px: float
     area_px: float
     down_px: float
-    depth_m: float
+    near_m: float
+    far_m: float
 
 
 @dataclass
@@ -135,11 +137,11 @@ def draw(
     number_per_m = count * found.number_per_m3[:, None] * (layer_m > 0)
     veil = (number_per_m * 0.25e-6 * np.pi * found.diameter_mm[:, None] ** 2 * ~seen).sum(0) * layer_m / np.diff(edges)
     many = seen & (number_per_m * layer_m * eye.width * eye.height * (middle / focal) ** 2 > LISTED) & (cover < DENSE)
-    crowds = _crowds(number_per_m * layer_m * (middle / focal) ** 2 * many, width, path, middle)
+    crowds = _crowds(number_per_m * layer_m * (middle / focal) ** 2 * many, width, path, edges)
     seen = seen & ~many
     margin = 2.0 + 0.6 * path + width  # px beyond the frame from where a streak may reach in
-    area = (eye.width + 2 * margin) * (eye.height + 2 * margin) * (middle / focal) ** 2
-    mean = number_per_m * area * layer_m * seen
+    volume = np.diff(np.minimum(edges, max(reach_m, NEAR_M)) ** 3) / (3.0 * focal**2)  # m^3 behind a pixel, by layers
+    mean = count * found.number_per_m3[:, None] * volume * (eye.width + 2 * margin) * (eye.height + 2 * margin) * seen
     drawn = rng.poisson(mean)
     size, layer = (np.repeat(index.ravel(), drawn.ravel()) for index in np.indices(drawn.shape))
     # Inside a layer the volume grows as the square of the depth.
@@ -156,18 +158,18 @@ def draw(
     )
 
 
-def _crowds(per_px: FloatArray, width: FloatArray, path: FloatArray, depth_m: FloatArray) -> list[Crowd]:
-    """Classes of neighbouring sizes at one depth as one, of the mean and the variance of their optical depth."""
+def _crowds(per_px: FloatArray, width: FloatArray, path: FloatArray, edges_m: FloatArray) -> list[Crowd]:
+    """Classes of neighbouring sizes in one layer as one, of the mean and the variance of their optical depth."""
     found = []
     area = 0.25 * np.pi * width**2
-    for layer, depth in enumerate(depth_m):
+    for layer, (near, far) in enumerate(itertools.pairwise(edges_m.tolist())):
         for first in range(0, SIZES, GROUPED):
             some = slice(first, first + GROUPED)
             mean = float((per_px[some, layer] * area[some, layer]).sum())
             square = float((per_px[some, layer] * area[some, layer] ** 2).sum())
             if mean > 0:
                 down = float((per_px[some, layer] * area[some, layer] * path[some, layer]).sum()) / mean
-                found.append(Crowd(mean**2 / square, square / mean, down, float(depth)))
+                found.append(Crowd(mean**2 / square, square / mean, down, near, far))
     return found
 
 
@@ -178,7 +180,8 @@ def optical_depth(street: Street, streaks: Streaks, rng: np.random.Generator) ->
     upto = np.concatenate([[0.0], np.cumsum(streaks.veil_per_m * np.diff(streaks.veil_edges_m))])
     total = np.interp(depth, streaks.veil_edges_m, upto)
     for crowd in streaks.crowds:
-        total += _counted(crowd, street, streaks.slant, rng) * (street.depth_m > crowd.depth_m)
+        before = np.clip((depth - crowd.near_m) / (crowd.far_m - crowd.near_m), 0.0, 1.0)  # share of the layer
+        total += _counted(crowd, street, streaks.slant, rng) * before
     narrow = np.maximum(streaks.width_px, 0.0) < WIDE_PX
     _splat(total, street.depth_m, streaks, narrow)
     inside = (np.abs(streaks.column_px - 0.5 * eye.width) < 0.5 * eye.width + streaks.width_px + 64) & (
@@ -195,10 +198,12 @@ def _counted(crowd: Crowd, street: Street, slant: float, rng: np.random.Generato
     Where in a pixel the path begins is drawn once for all of them.
     """
     shape = street.depth_m.shape
-    counts = rng.poisson(crowd.per_px, shape).astype(np.float64) * crowd.area_px
     side = BOX_OF_DISK * np.sqrt(crowd.area_px * 4.0 / np.pi)
-    counts = ndimage.correlate1d(counts, _shares(side, rng.random()), axis=1, mode="wrap")
-    along = _shares(crowd.down_px + side, rng.random())
+    aside, along = _shares(side, rng.random()), _shares(crowd.down_px + side, rng.random())
+    # Of a pixel that a share m is covered of, the optical depth is -ln(1 - m) = m + m^2 / 2 + ...
+    depth_px = crowd.area_px * (1.0 + 0.5 * crowd.area_px * (aside**2).sum() * (along**2).sum())
+    counts = rng.poisson(crowd.per_px, shape) * depth_px
+    counts = ndimage.correlate1d(counts, aside, axis=1, mode="wrap")
     if slant == 0.0:
         return np.asarray(ndimage.correlate1d(counts, along, axis=0, mode="wrap"))
     found = np.zeros(shape)

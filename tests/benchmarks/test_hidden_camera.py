@@ -1,0 +1,35 @@
+"""The camera's generator of studies with a hidden effect against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden.camera.particles import NEAR_M, draw, optical_depth, population
+from benchmarks.hidden.camera.scene import Eye, Street
+
+DEPTHS_M = (8.0, 20.0, 60.0)
+FRAMES = 12
+
+
+def _fronts(eye: Eye) -> Street:
+    """Three walls across, one below the other."""
+    depth_m = np.repeat(DEPTHS_M, eye.height // 3)[:, None] * np.ones((1, eye.width))
+    nothing = np.zeros((*depth_m.shape, 3))
+    return Street(eye, depth_m, nothing, np.zeros(depth_m.shape, dtype=np.int64), nothing, (0, ()))
+
+
+@pytest.mark.parametrize(("kind", "rate_mm_per_h"), [("rain", 40.0), ("snow", 1.0)])
+def test_particles_cover_what_beer_and_lambert_say(kind, rate_mm_per_h):
+    # Independent particles that each cover a share of the exposure leave exp(-sum of n pi D^2 / 4 times the way).
+    street, found = _fronts(Eye(160, 120)), population(kind, rate_mm_per_h)
+    area_per_m = float((found.number_per_m3 * 0.25e-6 * math.pi * found.diameter_mm**2).sum())
+    expected = -np.expm1(-area_per_m * (np.array(DEPTHS_M) - NEAR_M))
+    rng = np.random.default_rng(5)
+    covered = []
+    for _ in range(FRAMES):
+        streaks = draw(street, kind, rate_mm_per_h, 1.0, math.inf, rng)
+        covered.append(-np.expm1(-optical_depth(street, streaks, rng)).reshape(3, -1).mean(1))
+    error = np.std(covered, 0, ddof=1) / math.sqrt(FRAMES)
+    np.testing.assert_array_less(np.abs(np.mean(covered, 0) - expected), 4.0 * error)
+    assert error[-1] < 0.01 * expected[-1]
