@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.hidden.camera.effects import KINDS, path_weights
 from benchmarks.hidden.camera.particles import NEAR_M, draw, optical_depth, population
 from benchmarks.hidden.camera.scene import Eye, Street
 
@@ -33,3 +34,23 @@ def test_particles_cover_what_beer_and_lambert_say(kind, rate_mm_per_h):
     error = np.std(covered, 0, ddof=1) / math.sqrt(FRAMES)
     np.testing.assert_array_less(np.abs(np.mean(covered, 0) - expected), 4.0 * error)
     assert error[-1] < 0.01 * expected[-1]
+
+
+@pytest.mark.parametrize("length_px", [0.3, 0.8, 1.0, 2.5, 3.0, 8.0])
+def test_weights_along_a_path_have_its_variance(length_px):
+    weights = path_weights(length_px)
+    place = np.arange(len(weights)) - len(weights) // 2
+    assert weights.sum() == pytest.approx(1.0)
+    assert (weights * place**2).sum() == pytest.approx(length_px**2 / 12.0)
+    assert weights.min() >= 0.0
+    assert weights.max() <= 1.0 / max(1.0, length_px - 1.0)
+
+
+def test_a_narrow_defocus_has_the_variance_of_its_disk():
+    light = np.zeros((33, 33, 3))
+    light[16, 16] = 1.0
+    seen = KINDS["camera.defocus"]({"radius_px": 0.6}).on_light(None, light)[..., 0]
+    place = np.arange(33) - 16
+    assert seen.sum() == pytest.approx(1.0)
+    for axis in (0, 1):
+        assert (seen.sum(axis) * place**2).sum() == pytest.approx(0.6**2 / 4.0)

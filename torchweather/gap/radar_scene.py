@@ -39,6 +39,8 @@ CLUTTER_COLUMNS = 5  # range, azimuth, elevation, speed, power; the Doppler widt
 BINS = 5  # along each axis, of about as many targets each
 AXES = ("range_m", "azimuth_rad", "elevation_rad", "margin_db")
 PRIOR_DEGREES = 2.0  # of freedom, that the median spread of all targets counts beside a target's own
+LEVEL_ROUNDS = 4  # in which what a frame's targets share is told from what each has of its own
+LEAST_LEVEL_SHARE = 1 / 64  # of the median variance: a target tells of the level at most as if it had so little
 # No list is read finer (quantisation of series radars, order of magnitude): dB, m, m/s.
 LEAST_SPREAD = {"power_db": 0.05, "range_m": 1e-3, "speed_m_per_s": 1e-3}
 FLICKERS = 3.0  # spreads above the threshold, up to which a target is lost in clear air now and then
@@ -102,6 +104,8 @@ class RadarScene:
         reference_floor_db: ``(K,)``.
         spread: of each measured quantity ``(K, N)``, standard deviation of a target over all clear frames but one,
             drawn towards that of all targets.
+        level_weight: of each measured quantity ``(K, N)``, what a target tells of what all share in a frame: the
+            inverse square of what is left of it when that is taken away, over all clear frames but one.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
         counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
         steady: ``(K, N)`` those that stand above the threshold by several times their spread, and by more if they
@@ -114,6 +118,7 @@ class RadarScene:
     reference: Mapping[str, Floats]
     reference_floor_db: Floats
     spread: Mapping[str, Floats]
+    level_weight: Mapping[str, Floats]
     margin_db: Floats
     counted: NDArray[np.bool_]
     steady: NDArray[np.bool_]
@@ -151,11 +156,12 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     floor = (clear.floor_db.sum() - clear.floor_db) / max(count - 1, 1)
     margin_db = reference["power_db"] - floor[:, None] - radar.detection_snr_db
     spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
+    level_weight = {name: _level_weights(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
     others = seen.sum(0) - seen
     counted = others >= max(0.5 * (count - 1), 1.0)
     steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
     steady &= _fading(clear, floor, radar.detection_snr_db) < SELDOM
-    return RadarScene(clear, geometry, reference, floor, spread, margin_db, counted, steady)
+    return RadarScene(clear, geometry, reference, floor, spread, level_weight, margin_db, counted, steady)
 
 
 def _fading(clear: Detections, floor_db: Floats, threshold_db: float) -> Floats:
@@ -198,6 +204,27 @@ def _spreads(values: Floats, least: float) -> Floats:
         squares, degrees = _squares(np.delete(values, row, 0))
         found.append((squares + PRIOR_DEGREES * median) / (degrees + PRIOR_DEGREES) + least**2)
     return np.sqrt(np.stack(found))
+
+
+def _level_weights(values: Floats, least: float) -> Floats:
+    """Inverse squares ``(K, N)`` of the spread of each target about its own mean and the frame's, over all frames but
+    one. The frame's is the mean of all targets by these weights, so they are found in turns; a lower limit keeps one
+    target from being that mean."""
+    found = []
+    for row in range(len(values)):
+        others = np.delete(values, row, 0)
+        there = ~np.isnan(others)
+        apart = np.where(there, others - _mean(others), 0.0)
+        weight = np.ones(values.shape[1])
+        for _ in range(LEVEL_ROUNDS):
+            level = (weight * apart).sum(1) / np.maximum((weight * there).sum(1), 1e-9 * weight.max())
+            squares = np.where(there, apart - level[:, None], 0.0) ** 2
+            degrees = np.maximum(there.sum(0) - 1, 0)
+            variance = squares.sum(0) / np.maximum(degrees, 1)
+            usual = float(np.median(variance[degrees > 0])) if (degrees > 0).any() else 0.0
+            weight = np.where(degrees > 0, 1.0 / (variance + LEAST_LEVEL_SHARE * usual + least**2 / 12.0), 0.0)
+        found.append(weight)
+    return np.stack(found)
 
 
 def own_spread(values: Floats) -> Floats:

@@ -224,13 +224,10 @@ class RadarSums:
         # Degrees of freedom that each frame brings; of two clear frames the one that is left tells no spread.
         known = len(scene.clear) >= FEWEST_CLEAR
         found["free"] = known * weight * (1.0 - 1.0 / np.maximum(number, 1.0))
-        for name, kept, least in (
-            ("fluctuation", steady, "power_db"),
-            ("speed_wide", weight, "speed_m_per_s"),
-            ("wide", weight, "range_m"),
-        ):
+        for name, least in (("fluctuation", "power_db"), ("speed_wide", "speed_m_per_s"), ("wide", "range_m")):
             of = np.where(there, getattr(frames, least), 0.0)
             of = of - over_frames(of, together) / np.maximum(number, 1.0)
+            kept = weight * scene.level_weight[least][row]
             common = (kept * of).sum(1, keepdims=True) / np.maximum(kept.sum(1, keepdims=True), 1e-9)
             scatter = weight * (of - common) ** 2 * number / np.maximum(number - 1.0, 1.0)
             # Grows with the spread, and hardly with what lies far out.

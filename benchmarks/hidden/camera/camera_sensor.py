@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from scipy import ndimage
 
 from torchweather.physics import extinction_per_m
 from torchweather.sensors import Camera
@@ -184,8 +183,3 @@ def mosaic(light: FloatArray) -> FloatArray:
         for column in (0, 1):
             found[row::2, column::2] = light[row::2, column::2, CFA[row, column]]
     return found
-
-
-def blurred(light: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Each colour convolved; the picture's edge is continued."""
-    return np.stack([ndimage.convolve(light[..., colour], kernel, mode="nearest") for colour in range(3)], -1)

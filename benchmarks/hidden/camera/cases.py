@@ -40,6 +40,7 @@ class Places:
         self._designs: dict[tuple[str, Size], Design] = {}
         self._detectors: dict[tuple[str, Size], Detector] = {}
         self._tables: dict[tuple[str, Size, str], Table] = {}
+        self._strengths: dict[tuple[str, Size, str, float], float | None] = {}
 
     def design(self, weather: str, size: Size) -> Design:
         """The streets of a weather."""
@@ -64,7 +65,11 @@ class Places:
         """Strength of an effect at a d'; ``None`` where none has it."""
         if weather not in KINDS[name].weathers:
             return None
-        return self.table(weather, size, name)[1].strength_for(level)
+        key = (weather, self.design(weather, size).size, name, level)
+        if key not in self._strengths:
+            detector, table = self.table(weather, size, name)
+            self._strengths[key] = detector.strength_for(table, level)
+        return self._strengths[key]
 
     def confused(self, weather: str, size: Size, name: str, strength: float) -> dict[str, float] | None:
         """With what an effect can be confused there (``None``: not looked at)."""

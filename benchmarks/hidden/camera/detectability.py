@@ -1,7 +1,9 @@
 """How strong an effect is in a study, and whether it can be told apart: fixed from the truth before any search runs.
 
 The signature of an effect is the change of coarse statistics of the fitted conditions, whitened by their scatter over
-frames and freed of what an error of each condition's weather record does. Its length is the detectability d'. Products
+frames and freed of what an error of each condition's weather record does. A picture has so many pixels that their noise
+leaves a mean known to 1e-5; what weather does to it is known to nobody as well as that, so a share of it counts as
+scatter, and so does what cameras of one type differ by. The signature's length is the detectability d'. Products
 are taken between two sets of seeds, so that noise of the estimate enters neither lengths nor cosines.
 """
 
@@ -14,7 +16,7 @@ import numpy as np
 
 from .camera_sensor import Effect, Weather, shoot
 from .design import Design
-from .effects import CATALOGUE, KINDS, Known
+from .effects import CATALOGUE, KINDS
 from .scene import SKY, FloatArray, Street
 
 __all__ = ["IDENTIFIABLE_BELOW", "STRENGTHS", "Detector", "Table"]
@@ -26,9 +28,12 @@ SHRINKAGE = 0.4
 RATE_STEP = 1.2
 DEPTHS_M = (0.0, 9.0, 18.0, 40.0, 1e6)
 LAGS = ((0, 2), (2, 0), (2, 2), (2, -2), (0, 4), (8, 0))
-DARKEST, LEAST_SCATTER = 2e-3, 1e-4
+DARKEST = 2e-3
+LEAST_SCATTER = 1e-3  # of a logarithm or a share, of the mean over a condition's frames
+KNOWN_TO = 0.01  # of what weather does to a statistic
 NOISE_CUT = 2.0  # whitened changes below this many standard deviations count for nothing in a direction
 SHOWS_FROM = 5.0
+BISECTIONS, NEAR = 7, (0.8, 1.25)  # d' over its level that counts as the level
 
 
 class _Coarse:
@@ -90,18 +95,13 @@ class Table:
     lengths: FloatArray
     signatures: FloatArray
 
-    def strength_for(self, length: float) -> float | None:
-        """The weakest strength whose d' reaches a length; ``None`` where none does, or where the weakest is beyond."""
+    def about(self, length: float) -> tuple[float, float] | None:
+        """Two strengths between whose d' a length lies; ``None`` where no strength reaches it, or all do."""
         rising = np.minimum.accumulate(self.lengths[::-1])[::-1]
         above = np.flatnonzero(rising >= length)
-        if not len(above):
+        if not len(above) or above[0] == 0:
             return None
-        high = int(above[0])
-        if high == 0:
-            return None if rising[0] > 2.0 * length else STRENGTHS[0]
-        start, end = np.log(max(rising[high - 1], 0.3)), np.log(rising[high])
-        share = (np.log(length) - start) / max(end - start, 1e-9)
-        return float(STRENGTHS[high - 1] + share * (STRENGTHS[high] - STRENGTHS[high - 1]))
+        return STRENGTHS[int(above[0]) - 1], STRENGTHS[int(above[0])]
 
 
 class Detector:
@@ -122,8 +122,10 @@ class Detector:
         residuals, self._spread = [], []
         for number, one in enumerate(self.conditions):
             rows = self._rows(number, one.weather, (), SCATTER_FRAMES, 9)
-            spread = np.maximum(rows.std(0, ddof=1), LEAST_SCATTER)
-            self._spread.append(spread / np.sqrt(design.size.frames))
+            spread = np.maximum(rows.std(0, ddof=1), 1e-9)
+            clear = self._rows(number, Weather(), (), FRAMES, 8).mean(0)
+            known = np.hypot(KNOWN_TO * (rows.mean(0) - clear), LEAST_SCATTER)
+            self._spread.append(np.hypot(spread / np.sqrt(design.size.frames), known))
             residuals.append((rows - rows.mean(0)) / spread)
         width = max(row.shape[1] for row in residuals)
         self._whiten = []
@@ -172,10 +174,19 @@ class Detector:
         found = [self.signature((KINDS[name].at(strength),)) for strength in STRENGTHS]
         return Table(name, np.array([_length(one) for one in found]), np.stack(found, 1))
 
-    def effect(self, table: Table, level: float) -> Known | None:
-        """The effect at a d'; ``None`` where it cannot be met."""
-        strength = table.strength_for(level)
-        return None if strength is None else KINDS[table.name].at(strength)
+    def strength_for(self, table: Table, level: float) -> float | None:
+        """A strength of an effect whose d' is a level, by bisection; ``None`` where none was found."""
+        ends = table.about(level)
+        if ends is None:
+            return None
+        low, high = ends
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            found = _length(self.signature((KINDS[table.name].at(middle),)))
+            if NEAR[0] * level <= found <= NEAR[1] * level:
+                return middle
+            low, high = (middle, high) if found < level else (low, middle)
+        return None
 
 
 def _length(signature: FloatArray) -> float:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, special
 
-from .camera_sensor import Effect, Shot, blurred
+from .camera_sensor import Effect, Shot
 from .particles import EXPOSURE_S, Crowd, Streaks
 from .scene import ROAD, FloatArray
 
@@ -117,7 +117,10 @@ class Defocus(Known):
     name, swept, weak, strong, same_form = "camera.defocus", "radius_px", 0.05, 3.0, False
 
     def on_light(self, shot: Shot, light: FloatArray) -> FloatArray:
-        return np.asarray(ndimage.gaussian_filter(light, (0.5 * self.value, 0.5 * self.value, 0), mode="nearest"))
+        reach = 3 + int(np.ceil(2.5 * self.value))
+        # The discrete Gaussian: of samples of the continuous one a narrow one would be hardly any blur.
+        weights = special.ive(np.arange(-reach, reach + 1), 0.25 * self.value**2)
+        return _blurred(_blurred(light, weights, 0), weights, 1)
 
 
 class EgoBlur(Known):
@@ -125,11 +128,26 @@ class EgoBlur(Known):
     others: ClassVar[dict[str, float]] = {"angle_rad": 0.0}
 
     def on_light(self, shot: Shot, light: FloatArray) -> FloatArray:
-        half = int(np.ceil(0.5 * self.value)) + 1
-        place = np.arange(-half, half + 1)
-        ends = np.clip(place[:, None] + np.array([-0.5, 0.5]), -0.5 * self.value, 0.5 * self.value)
-        kernel = np.diff(ends, axis=1)[:, 0] / self.value
-        return blurred(light, kernel[None])
+        return _blurred(light, path_weights(self.value), 1)
+
+
+def path_weights(length_px: float) -> FloatArray:
+    """Weights of the pixels along a path: even ones and two weaker ends, of the path's variance ``length^2 / 12``.
+
+    Shares of whole pixels would be no blur at all for a path of less than one.
+    """
+    half = int((np.hypot(length_px, 1.0) - 1.0) / 2.0)
+    inner = np.arange(-half, half + 1)
+    own, beyond = float((inner**2).sum()), 2.0 * (half + 1) ** 2
+    variance, count = length_px**2 / 12.0, len(inner)
+    # count a + 2 b = 1; own a + beyond b = variance
+    end = (variance - own / count) / (beyond - 2.0 * own / count)
+    return np.concatenate([[end], np.full(count, (1.0 - 2.0 * end) / count), [end]])
+
+
+def _blurred(light: FloatArray, weights: FloatArray, axis: int) -> FloatArray:
+    """Convolved along an axis with symmetric weights; the picture's edge is continued."""
+    return np.asarray(ndimage.correlate1d(light, weights / weights.sum(), axis=axis, mode="nearest"))
 
 
 class AdherentDrops(Known):
