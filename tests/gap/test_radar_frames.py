@@ -19,7 +19,15 @@ from torchweather.gap.radar import RadarFrames
 from torchweather.gap.radar_fading import chance_of_fading, share_of_fading
 from torchweather.gap.radar_forms import MOST_STRUCK, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
-from torchweather.gap.radar_scene import FLICKERS, LEAST_SPREAD, PRIOR_DEGREES, SELDOM, detections_of, own_spread
+from torchweather.gap.radar_scene import (
+    FLICKERS,
+    LEAST_SPREAD,
+    PRIOR_DEGREES,
+    SELDOM,
+    detections_of,
+    level_weights,
+    own_spread,
+)
 from torchweather.gap.radar_sums import (
     FLOOR_STEPS_DB,
     FLOOR_WEIGHT,
@@ -155,7 +163,8 @@ def test_spreads_are_about_the_target_s_own_mean_and_the_frame_s(study: Study, m
         there = {n for n in range(NUMBER) if scene.counted[k, n] and math.isfinite(power[k, n])}
         with_ = {n: [j for j in range(FRAMES) if scene.counted[j, n] and math.isfinite(power[j, n])] for n in there}
         own = {n: speed[k, n] - speed[with_[n], n].mean() for n in there}
-        common = sum(own.values()) / len(own)
+        weight_of = scene.level_weight["speed_m_per_s"][k]
+        common = sum(weight_of[n] * value for n, value in own.items()) / sum(weight_of[n] for n in own)
         wanted, degrees = np.zeros(CLASSES), np.zeros(CLASSES)
         for n in there:
             number = len(with_[n])
@@ -166,6 +175,30 @@ def test_spreads_are_about_the_target_s_own_mean_and_the_frame_s(study: Study, m
             wanted[place] += free * math.log1p(scatter / scene.spread["speed_m_per_s"][k, n] ** 2)
         np.testing.assert_allclose(found[k], wanted, rtol=1e-9)
         np.testing.assert_allclose(weight[k], degrees, rtol=1e-9)
+
+
+def test_what_all_targets_share_in_a_frame_is_read_from_the_quiet_ones() -> None:
+    rng = np.random.default_rng(3)
+    own_db = np.repeat([0.02, 0.3, 5.0], [10, 20, 30])  # of quiet, of usual and of fluctuating targets
+    shared_db = 0.1 * rng.standard_normal((8, 1))
+    power_db = shared_db + own_db * rng.standard_normal((8, 60))
+    power_db[2, 3] = np.nan
+    weights = level_weights(power_db, 0.05)
+    assert weights.shape == (8, 60)
+    quiet, usual, fluctuating = (weights[:, part].mean() for part in (slice(10), slice(10, 30), slice(30, 60)))
+    assert quiet > 10.0 * usual > 500.0 * fluctuating
+    for row, weight in enumerate(weights):
+        others = np.delete(power_db, row, 0)
+        there = ~np.isnan(others)
+        apart = np.where(there, others - np.nanmean(others, 0), 0.0)
+        level = (weight * apart).sum(1) / (weight * there).sum(1)
+        true = np.delete(shared_db, row, 0)[:, 0]
+        # Ten targets of 0.02 dB know it to 0.006 dB; equal weights of all would know it to 0.5 dB.
+        assert np.abs(level - (true - true.mean())).max() < 0.03
+
+
+def test_a_single_other_frame_tells_of_no_level() -> None:
+    np.testing.assert_array_equal(level_weights(np.ones((2, 4)), 0.05), 1.0)
 
 
 def test_what_is_the_same_in_all_frames_is_no_fluctuation(study: Study, model: RadarFrames) -> None:

@@ -27,6 +27,7 @@ __all__ = [
     "RadarScene",
     "detection_count",
     "detections_of",
+    "level_weights",
     "own_spread",
     "radar_edges",
     "radar_scene",
@@ -40,7 +41,7 @@ BINS = 5  # along each axis, of about as many targets each
 AXES = ("range_m", "azimuth_rad", "elevation_rad", "margin_db")
 PRIOR_DEGREES = 2.0  # of freedom, that the median spread of all targets counts beside a target's own
 LEVEL_ROUNDS = 4  # in which what a frame's targets share is told from what each has of its own
-LEAST_LEVEL_SHARE = 1 / 64  # of the median variance: a target tells of the level at most as if it had so little
+LEAST_LEVEL_SHARE = 1 / 16  # of the quiet quarter's variance: a target tells of the level as if it had so much more
 # No list is read finer (quantisation of series radars, order of magnitude): dB, m, m/s.
 LEAST_SPREAD = {"power_db": 0.05, "range_m": 1e-3, "speed_m_per_s": 1e-3}
 FLICKERS = 3.0  # spreads above the threshold, up to which a target is lost in clear air now and then
@@ -156,7 +157,7 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     floor = (clear.floor_db.sum() - clear.floor_db) / max(count - 1, 1)
     margin_db = reference["power_db"] - floor[:, None] - radar.detection_snr_db
     spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
-    level_weight = {name: _level_weights(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
+    level_weight = {name: level_weights(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
     others = seen.sum(0) - seen
     counted = others >= max(0.5 * (count - 1), 1.0)
     steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
@@ -206,10 +207,12 @@ def _spreads(values: Floats, least: float) -> Floats:
     return np.sqrt(np.stack(found))
 
 
-def _level_weights(values: Floats, least: float) -> Floats:
+def level_weights(values: Floats, least: float) -> Floats:
     """Inverse squares ``(K, N)`` of the spread of each target about its own mean and the frame's, over all frames but
     one. The frame's is the mean of all targets by these weights, so they are found in turns; a lower limit keeps one
-    target from being that mean."""
+    target from being that mean. One other frame tells nothing: all weigh the same."""
+    if len(values) < 3:
+        return np.ones_like(values)
     found = []
     for row in range(len(values)):
         others = np.delete(values, row, 0)
@@ -217,12 +220,13 @@ def _level_weights(values: Floats, least: float) -> Floats:
         apart = np.where(there, others - _mean(others), 0.0)
         weight = np.ones(values.shape[1])
         for _ in range(LEVEL_ROUNDS):
-            level = (weight * apart).sum(1) / np.maximum((weight * there).sum(1), 1e-9 * weight.max())
+            level = (weight * apart).sum(1) / np.maximum((weight * there).sum(1), 1e-9)
             squares = np.where(there, apart - level[:, None], 0.0) ** 2
             degrees = np.maximum(there.sum(0) - 1, 0)
             variance = squares.sum(0) / np.maximum(degrees, 1)
-            usual = float(np.median(variance[degrees > 0])) if (degrees > 0).any() else 0.0
-            weight = np.where(degrees > 0, 1.0 / (variance + LEAST_LEVEL_SHARE * usual + least**2 / 12.0), 0.0)
+            known = degrees > 0
+            quiet = float(np.quantile(variance[known], 0.25)) if known.any() else 0.0
+            weight = known / (variance + LEAST_LEVEL_SHARE * quiet + least**2 / 12.0)
         found.append(weight)
     return np.stack(found)
 
