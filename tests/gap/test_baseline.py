@@ -338,6 +338,38 @@ def test_counts_that_clear_frames_tell_are_off_alike_in_all_conditions(study: St
     assert together > 0.5  # 6 frames against 4
 
 
+def test_of_two_clear_frames_spreads_are_known_as_badly_as_their_elements_tell(study: Study) -> None:
+    """Departures from the one other clear frame are d and -d: their squares are the same in all simulated frames."""
+    elements, count = 80, 150
+    layout = Layout((Group("a", "x", "mean", tuple(range(BINS + 1))),), (), (), (), from_clear=("a",))
+    rng = RNG(2)
+
+    def reduced(apart: Any) -> Pool:
+        wide = np.log1p(np.square(apart))  # (frames, bins, elements)
+        number = len(apart)
+        weight = np.full((number, BINS), float(elements))
+        sums = (weight, wide.sum(-1), np.square(wide).sum(-1))
+        return Pool(layout, Reduced(*sums, np.zeros((number, 0)), np.zeros((number, 0, 1))))
+
+    name = study.conditions[0].id
+    aim = target(study, np.zeros(BINS), 2, 2)
+    square, product, together = 0.0, 0.0, 0.0
+    for draw in range(count):
+        clear = rng.normal(size=(2, BINS, elements))
+        found = baseline({name: reduced(np.tile(clear - clear[::-1], (12, 1, 1)))}, [aim], no_noise(name), None, draw)
+        apart = [
+            (reduced(rng.normal(size=clear.shape) - clear).vectors(np.arange(2)[None])[0] - found.mean[name])
+            / found.total[name]
+            for _ in range(2)
+        ]
+        square += float(np.mean(np.square(apart))) / count
+        product += float(np.mean(apart[0] * apart[1])) / count
+        together += float(np.mean((found.shared[name] * found.sd[name]) ** 2 / found.total[name] ** 2)) / count
+    # 150 draws of 6 bins: mean squares known to about 6 %. More than stated would be false alarms.
+    assert 0.6 < square < 1.06
+    assert 0.3 < product < together < 0.8
+
+
 @pytest.mark.parametrize(("together", "clear"), [(3, 3), (6, 6), (8, 8), (4, 8), (2, 8)])
 def test_squares_about_an_own_mean_have_the_scatter_that_is_said(together: int, clear: int) -> None:
     """The sum over m frames drawn anew, against m times the scatter from frame to frame of K clear ones in blocks."""

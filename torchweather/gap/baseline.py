@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from torchweather.gap.conditions import Condition
-from torchweather.gap.statistics import TINY, Layout, Pool, Reduced
+from torchweather.gap.statistics import INDEPENDENT, TINY, Layout, Pool, Reduced
 from torchweather.stages.effects import Effect
 
 __all__ = [
@@ -44,6 +44,8 @@ Floats = NDArray[np.float64]
 DRAWS = 256  # of the vector from the pool
 PORTIONS = 128  # of the elements of a frame
 PORTIONED_FRAMES = 8  # of each condition
+# Two clear frames are as far apart from each other either way: how spreads scatter does not show.
+FEWEST_FOR_SPREAD = 3
 SHRINKAGE = 0.1  # of the correlations towards none
 
 
@@ -254,6 +256,7 @@ def baseline(
     layout = next(iter(pools.values())).layout
     shares, averages = layout.each(lambda group: group.kind == "share"), layout.averages
     by_chance = layout.each(lambda group: group.statistic in layout.from_clear)
+    of_spread = by_chance & layout.each(lambda group: group.kind in ("spread", "mean"))
     for number, target in enumerate(measured):
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
@@ -263,20 +266,23 @@ def baseline(
         mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
         # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
         pooled = min(n / count, 0.5)
-        spreads[name] = least = pool.least_scatter(n, target.misplaced)
+        least = pool.least_scatter(n, target.misplaced)
+        few = of_spread & (target.clear_frames < FEWEST_FOR_SPREAD)
+        tell = np.where(few, 1, target.clear_frames)  # frames that tell what is in clear air
+        spreads[name] = least = np.where(few, least / INDEPENDENT, least)
         grown = 1.0 if start is None else np.maximum(least / np.maximum(start.least[name], TINY), 1.0)
-        elements = noise.scatter[name] * np.where(averages, grown, 1.0)
+        elements = np.where(few, least, noise.scatter[name] * np.where(averages, grown, 1.0))
         least = np.maximum(least, np.where(shares, 0.0, elements))
         drawn = spread**2 / (1.0 - pooled)
         own = np.sqrt(np.maximum(drawn, least**2))
         # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
-        of_clear = np.where(shares | averages | by_chance, n / target.clear_frames, 0.0)
+        of_clear = np.where(shares | averages | by_chance, n / tell, 0.0)
         totals[name] = own * np.sqrt(1.0 + pooled + of_clear)
         # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
         owns[name] = np.where(averages, least, own)
         each = np.where(averages, least, own)
         sds[name] = np.where(averages | by_chance, each * math.sqrt(1.0 + pooled), totals[name])
-        common = np.where(averages, elements, own) * math.sqrt(n / target.clear_frames)
+        common = np.where(averages, elements, own) * np.sqrt(n / tell)
         shared[name] = np.where(averages | by_chance, common / np.maximum(sds[name], TINY), 0.0)
         means[name], draws[name] = mean, vectors
         used[name] = target.enough & pool.enough(n)

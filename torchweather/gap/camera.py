@@ -38,7 +38,7 @@ from torchweather.transforms import BayerWeather
 
 __all__ = ["CameraFrames"]
 
-CONTRAST_SD = 0.03  # relative, of how much particles stand out; what two implementations of one physics differ by
+CONTRAST_SD = 0.01  # relative, of how much particles stand out; what two implementations of one physics differ by
 # Of the scatter of the sky's light from place to place, by which the airlight may be off; order of magnitude.
 UNEVEN_SHARE = 0.25
 LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even

@@ -49,6 +49,7 @@ SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_
 STEADY_COUNT = 0.35  # of 0.5, the scatter of a stabilised count, below which frames are called alike
 STEADY_RATIO = 1e-3  # of a mean logarithm over thousands of beams
 MAPS = ("particles",)
+FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that simulated frames have from clear ones
 
 
 def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, beams: int) -> Layout:
@@ -82,7 +83,7 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
         groups.append(Group("log_particle_intensity_spread", "particle_range_m", "spread", PARTICLE_RANGE_M))
     add("lost_share_of_thin_targets", "share", ("isolated",))
     steady = (STEADY_COUNT / math.sqrt(max(beams, 1)), STEADY_COUNT, STEADY_RATIO, STEADY_COUNT)
-    return Layout(tuple(groups), SCALARS, steady, MAPS)
+    return Layout(tuple(groups), SCALARS, steady, MAPS, FROM_CLEAR)
 
 
 def map_cells() -> list[tuple[float, float]]:

@@ -28,7 +28,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
-__all__ = ["COUNTED", "COUNTING", "FEWEST", "FEW_COUNTS", "PARTICLE_AXIS", "TINY", "Group", "Layout", "Pool", "Reduced"]
+__all__ = [
+    "COUNTED",
+    "COUNTING",
+    "FEWEST",
+    "FEW_COUNTS",
+    "INDEPENDENT",
+    "PARTICLE_AXIS",
+    "TINY",
+    "Group",
+    "Layout",
+    "Pool",
+    "Reduced",
+]
 
 Floats = NDArray[np.float64]
 
@@ -85,8 +97,8 @@ class Layout:
         scalars: names of the scalars of a frame; each gives a ``between`` and a ``slope`` entry.
         steady: of each scalar, scatter from frame to frame below which frames are called alike.
         maps: names of the maps of a frame; each gives a ``persistence`` entry.
-        from_clear: shares and counts of what happens in clear frames by chance, as often as those tell: their error is
-            one and the same in all conditions of a scene.
+        from_clear: shares, counts and spreads of what happens in clear frames by chance, as often and as far as those
+            tell: their error is one and the same in all conditions of a scene.
         about_own_mean: means of squares about an element's own mean over the frames: those of different frames go
             together.
     """
