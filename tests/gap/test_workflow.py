@@ -129,6 +129,8 @@ def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(
     assert _verdict(screening(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
     far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
     assert _verdict(screening(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
+    # ... but ten floors are not a rest, whatever was explained.
+    assert _verdict(screening(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0)) == "unknown"
 
 
 def test_the_chance_of_an_excess_is_counted_and_beyond_the_nulls_that_of_a_gumbel_law() -> None:

@@ -63,6 +63,7 @@ REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such 
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
 UNKNOWN_GAP, UNKNOWN_HELD = 3.0, 0.1
+FAR_GAP = 10.0  # held-out gap over its floor, from which nothing was found whatever it explains
 
 
 @dataclass(frozen=True)
@@ -306,7 +307,8 @@ def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) ->
     excess = screening.rest.excess(left)
     share = excess / max(excess + explained, 1e-9) if screening.rest.p_value(left) < REST_P else 0.0
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
-    if share > UNKNOWN_SHARE or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):
+    far = after.gap > FAR_GAP * after.floor
+    if share > UNKNOWN_SHARE or far or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):
         return "unknown"
     return "named_and_rest" if share > REST_SHARE or after.gap > REST_GAP * after.floor else "named"
 
