@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -12,7 +13,7 @@ import pytest
 import torch
 
 from torchweather.errors import TorchweatherError
-from torchweather.gap import Study, find_gap
+from torchweather.gap import Study, camera_particles, find_gap
 from torchweather.gap.baseline import FrameModel
 from torchweather.gap.camera import CameraFrames
 from torchweather.gap.camera_particles import LEAST_STEP
@@ -327,6 +328,34 @@ def test_between_two_rates_particles_are_taken_along_a_line(models: dict[str, Ca
     low, middle, high = means
     assert min(low, high) < middle < max(low, high)
     assert middle == pytest.approx(0.5 * (low + high), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "value"),
+    [
+        (EFFECTS["camera.particle_count"](depth_max_m=14.8), "particle_reach_m", 14.8),
+        (EFFECTS["camera.wind_slant"](angle_rad=math.atan(0.37)), "path_tangent", 0.37),
+        (EFFECTS["camera.rolling_shutter"](row_time_s=2.4e-5), "row_time_s", 2.4e-5),
+    ],
+)
+def test_between_two_ways_particles_are_taken_along_a_line(
+    models: dict[str, CameraFrames], effect: Effect, name: str, value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As frames of exactly that way are, to a tenth of what one frame differs from another by; without: not at all."""
+
+    def vectors(effects: list[Effect]) -> np.ndarray:
+        model = CameraFrames(Study.from_arrays(**values_of(kind="rain")))
+        pool = Pool(model.layout, model.simulated(model.fit[1], effects, 0.0, SEEDS))
+        return pool.vectors(np.arange(len(SEEDS))[:, None])
+
+    between = vectors([effect])
+    monkeypatch.setattr(camera_particles, "_ends", lambda which, _: [(value if which == name else math.nan, 1.0)])
+    exact, without = vectors([effect]), vectors([])
+    scatter = np.maximum(exact.std(0), 1e-9)
+    off, moved = (np.abs(one.mean(0) - exact.mean(0)) / scatter for one in (between, without))
+    print(off.max(), moved.max())
+    assert off.max() < 0.1
+    assert moved.max() > 0.5
 
 
 def test_drops_on_the_window_stay_over_the_frames_of_a_condition(model: CameraFrames) -> None:

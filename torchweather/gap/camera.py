@@ -34,11 +34,13 @@ from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Stage
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_camera import EFFECTS
+from torchweather.stages.particle_veil import REFLECTED_SHARE
 from torchweather.transforms import BayerWeather
 
 __all__ = ["CameraFrames"]
 
 CONTRAST_SD = 0.01  # relative, of how much particles stand out; what two implementations of one physics differ by
+DROP_LIGHT_SD = 0.01  # relative, of each colour of drops: they show more of the surroundings than the frame does
 # Of the scatter of the sky's light from place to place, by which the airlight may be off; order of magnitude.
 UNEVEN_SHARE = 0.25
 LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
@@ -142,10 +144,21 @@ class CameraFrames:
         return found
 
     def _airlight_sd(self, condition: Condition) -> dict[str, float]:
-        """Relative standard deviation of the airlight of each colour, where it is a matter of a noisy sky."""
-        _, sd = self._airlight[condition.scene]
-        fog = condition.weather is not None and any(part.kind == "fog" for part in condition.weather.parts)
-        return sd if fog and "airlight" not in self.options else {}
+        """Relative standard deviation of the airlight by colour: in fog of a noisy sky, in rain as drops show it."""
+        airlight, sky_sd = self._airlight[condition.scene]
+        assert condition.weather is not None
+        kinds = {part.kind for part in condition.weather.parts}
+        if "fog" in kinds:
+            return sky_sd if "airlight" not in self.options else {}
+        if "rain" not in kinds:
+            return {}
+        mean = self._mean_light(self.scenes[condition.scene])
+        sky = mean if airlight is None else dict(zip(COLOURS, airlight, strict=True))
+        return {
+            colour: DROP_LIGHT_SD * mean[colour] / (REFLECTED_SHARE * sky[colour])
+            for colour in self._colours
+            if sky[colour] > 0 and mean[colour] > 0
+        }
 
     def misplaced(self, condition: Condition) -> float:
         """No statistic has particles along their own range."""
@@ -260,6 +273,11 @@ class CameraFrames:
         red, green, blue = mean.clamp(0.0, 1.0).tolist()
         known = {colour: float(error[COLOURS.index(colour)]) for colour in self._colours}
         return (red, green, blue), {colour: sd for colour, sd in known.items() if sd > 0}
+
+    def _mean_light(self, scene: CameraScene) -> dict[str, float]:
+        """Of each colour, over the clear frames."""
+        mean = cell_colours(scene.reference[-1:], self._pattern).mean((0, 2, 3)).tolist()
+        return dict(zip(self._colours, mean, strict=True))
 
     def _chain(self, condition: Condition, effects: Sequence[Effect]) -> Chain:
         """The chain of a condition with effects, those of the catalogue and those of ``camera_nuisance.py``."""

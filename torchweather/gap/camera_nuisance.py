@@ -36,7 +36,7 @@ class ParticleContrast(Effect):
 
 
 class AirlightError(Effect):
-    """The airlight as far as the sky of a few noisy frames does not tell it.
+    """The airlight as far as the sky of a few noisy frames, or the light that drops show, does not tell it.
 
     Args:
         red, green, blue: of the airlight, more.

@@ -1,8 +1,9 @@
-"""What particles cover of a camera's frames: rendered at a few rates for each seed, and taken between them.
+"""What particles cover of a camera's frames: rendered at a few settings for each seed, and taken between them.
 
 The optical depth of drops and flakes grows with their number; between two neighbouring rates, and between two numbers
 of particles, it is taken as a line. The few particles that one of the two has more are then seen in part: at steps of
-``exp(0.1)`` in the rate one particle in ten.
+``exp(0.1)`` in the rate one particle in ten. So it is between two depths up to which there are particles, and, at steps
+that move the end of a streak by a fraction of a pixel, between two slants.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import itertools
 import math
 import threading
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -26,7 +28,9 @@ LEAST_STEP, MOST_STEP = 0.04, 0.12  # of the logarithm of the rate between two t
 COUNT_STEP = 0.2  # of that of the number of particles
 LEAST_COUNT = math.exp(-10 * COUNT_STEP)  # fewer are those, fainter
 KEPT_BYTES = 100e6  # of optical depths, of a condition
-ON_THEIR_WAY = ("particle_reach_m", "path_tangent", "row_time_s")  # fields of the state that move particles
+REACH_STEP = 0.1  # of that of the depth up to which there are particles
+TANGENT_STEP = 0.02
+WAYS = ("particle_reach_m", "path_tangent", "row_time_s")  # fields of the state that move particles
 ALIKE = 1e-6  # of a step: a rate that is one of those rendered
 
 
@@ -44,6 +48,7 @@ class Rendered:
         self.step = min(max(condition.rel_sd, LEAST_STEP), MOST_STEP)
         self.rates = [part.rate_mm_per_h for part in stage.parts]
         self._kept: OrderedDict[object, Tensor] = OrderedDict()
+        self._drawn: tuple[list[int], dict[str, Tensor]] | None = None
         self._lock = threading.Lock()
 
     def __call__(self, state: CameraState, log_knob: float, seeds: list[int]) -> CameraState:
@@ -79,15 +84,32 @@ class Rendered:
             return total
         more = max(count, LEAST_COUNT)
         rates, counts = _between(log_knob, self.step), _between(math.log(more), COUNT_STEP)
-        for (rate, share), (number, part) in itertools.product(rates, counts):
-            nodes = self._nodes(state, rate, number, seeds)
-            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part)
+        ways = {name: ends for name in WAYS if (ends := self._ends(name, getattr(state, name))) is not None}
+        for (rate, share), (number, part), way in itertools.product(rates, counts, itertools.product(*ways.values())):
+            moved = {name: value for name, (value, _) in zip(ways, way, strict=True)}
+            weight = share * part * math.prod(of for _, of in way)
+            nodes = self._nodes(state, rate, number, moved, seeds)
+            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=weight)
         return total * (count / more)
 
-    def _nodes(self, state: CameraState, rate: int, number: int, seeds: list[int]) -> dict[int, Tensor]:
-        """Optical depth ``(1, H, W)`` of each seed at one of the rates and numbers that are rendered, as float16."""
-        given = {name: value[:1] for name in ON_THEIR_WAY if (value := getattr(state, name)) is not None}
-        setting = (rate, number, *((name, float(value)) for name, value in given.items()))
+    def _ends(self, name: str, given: Tensor | None) -> list[tuple[float, float]] | None:
+        """Values of a field that are rendered, below and above that of all frames, with their shares."""
+        if given is None:
+            return None
+        value = float(given[0])
+        if name == "path_tangent":
+            return [(place * TANGENT_STEP, share) for place, share in _on_a_line(value / TANGENT_STEP)]
+        if name == "particle_reach_m":
+            nearest, farthest = (self.stage.options[end] for end in ("near_m", "far_m"))
+            share = min(max(value, nearest), farthest) / farthest
+            return [(farthest * math.exp(k * REACH_STEP), of) for k, of in _between(math.log(share), REACH_STEP)]
+        return [(value, 1.0)]  # a shutter that rolls moves near streaks by whole pixels
+
+    def _nodes(
+        self, state: CameraState, rate: int, number: int, moved: Mapping[str, float], seeds: list[int]
+    ) -> dict[int, Tensor]:
+        """Optical depth ``(1, H, W)`` of each seed at one of the settings that are rendered, as float16."""
+        setting = (rate, number, *moved.items())
         found: dict[int, Tensor] = {}
         with self._lock:
             for seed in dict.fromkeys(seeds):
@@ -97,7 +119,7 @@ class Rendered:
         missing = [seed for seed in dict.fromkeys(seeds) if seed not in found]
         if not missing:
             return found
-        moved = {name: value.expand(len(missing)) for name, value in given.items()}
+        way = {name: state.signal.new_full((len(missing),), value) for name, value in moved.items()}
         bare = replace(
             state,
             signal=state.signal[: len(missing)],
@@ -106,18 +128,23 @@ class Rendered:
             particle_count=None if number == 0 else torch.full((len(missing),), math.exp(number * COUNT_STEP)),
             particle_contrast=None,
             airlight_scale=None,
-            particle_reach_m=moved.get("particle_reach_m"),
-            path_tangent=moved.get("path_tangent"),
-            row_time_s=moved.get("row_time_s"),
+            particle_reach_m=way.get("particle_reach_m"),
+            path_tangent=way.get("path_tangent"),
+            row_time_s=way.get("row_time_s"),
         )
-        noise = self.stage.draw(bare, seed=torch.tensor(missing), name=self.stage.default_name)
-        mask = self._at(rate * self.step)(bare, noise).particle_mask
+        mask = self._at(rate * self.step)(bare, self._noise(bare, missing)).particle_mask
         with self._lock:
             for seed, optical in zip(missing, (-torch.log1p(-mask)).half().unbind(0), strict=True):
                 found[seed] = self._kept[setting, seed] = optical.clone()
             while len(self._kept) * optical.numel() * 2 > KEPT_BYTES:
                 self._kept.popitem(last=False)
         return found
+
+    def _noise(self, state: CameraState, seeds: list[int]) -> dict[str, Tensor]:
+        """Random numbers of some seeds; those of the last ones are kept, as a few settings follow one another."""
+        if self._drawn is None or self._drawn[0] != seeds:
+            self._drawn = (seeds, self.stage.draw(state, seed=torch.tensor(seeds), name=self.stage.default_name))
+        return self._drawn[1]
 
 
 def _between(value: float, step: float) -> list[tuple[int, float]]:
@@ -129,10 +156,17 @@ def _between(value: float, step: float) -> list[tuple[int, float]]:
         >>> [(number, round(share, 3)) for number, share in _between(0.05, 0.1)]
         [(0, 0.512), (1, 0.488)]
     """
-    place = value / step
-    nearest = round(place)
-    if abs(place - nearest) < ALIKE:
-        return [(nearest, 1.0)]
-    below = math.floor(place)
+    found = _on_a_line(value / step)
+    if len(found) == 1:
+        return found
+    below = found[0][0]
     share = math.expm1(value - below * step) / math.expm1(step)
     return [(below, 1.0 - share), (below + 1, share)]
+
+
+def _on_a_line(place: float) -> list[tuple[int, float]]:
+    """Whole numbers below and above, with their shares; one alone if it is that."""
+    nearest, below = round(place), math.floor(place)
+    if abs(place - nearest) < ALIKE:
+        return [(nearest, 1.0)]
+    return [(below, below + 1 - place), (below + 1, place - below)]

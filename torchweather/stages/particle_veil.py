@@ -23,7 +23,7 @@ from torchweather.stages.states import CameraState, by_cells
 from torchweather.threads import one_thread_an_operation
 from torchweather.weather import Rain, Snow, weather_from_dict
 
-__all__ = ["ParticleVeil"]
+__all__ = ["REFLECTED_SHARE", "ParticleVeil"]
 
 REFLECTED_SHARE = 0.06  # of the light of a drop comes from its outside: Garg & Nayar 2007, PHYSICS.md 4.1
 UPPER_SHARE = 0.6  # of the rows is the part of the frame seen through a drop in D3.4's code
