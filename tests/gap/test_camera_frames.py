@@ -13,15 +13,16 @@ import pytest
 import torch
 
 from torchweather.errors import TorchweatherError
-from torchweather.gap import Study, camera_particles, find_gap
+from torchweather.gap import Study, find_gap
 from torchweather.gap.baseline import FrameModel
 from torchweather.gap.camera import CameraFrames
-from torchweather.gap.camera_particles import LEAST_STEP
+from torchweather.gap.camera_particles import LEAST_STEP, Rendered
 from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, cell_colours, in_blocks
 from torchweather.gap.camera_sums import ASIDE, SHARED_CELLS, TAILS_SD, lag_name
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.scenes import SCENES
 from torchweather.sensors import Camera
+from torchweather.stages import CameraState, ParticleVeil
 from torchweather.stages.effects import Effect
 from torchweather.stages.effects_camera import EFFECTS
 from torchweather.transforms import BayerWeather
@@ -331,31 +332,27 @@ def test_between_two_rates_particles_are_taken_along_a_line(models: dict[str, Ca
 
 
 @pytest.mark.parametrize(
-    ("effect", "name", "value"),
-    [
-        (EFFECTS["camera.particle_count"](depth_max_m=14.8), "particle_reach_m", 14.8),
-        (EFFECTS["camera.wind_slant"](angle_rad=math.atan(0.37)), "path_tangent", 0.37),
-        (EFFECTS["camera.rolling_shutter"](row_time_s=2.4e-5), "row_time_s", 2.4e-5),
-    ],
+    ("name", "value", "without"),
+    [("particle_reach_m", 14.1, math.inf), ("particle_reach_m", 190.0, math.inf), ("path_tangent", 0.31, 0.0)],
 )
-def test_between_two_ways_particles_are_taken_along_a_line(
-    models: dict[str, CameraFrames], effect: Effect, name: str, value: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As frames of exactly that way are, to a tenth of what one frame differs from another by; without: not at all."""
+def test_between_two_ways_particles_are_taken_along_a_line(name: str, value: float, without: float) -> None:
+    """As the stage itself renders them, as far as that differs from how they were without."""
+    camera = replace(CAMERA, exposure_s=0.02)
+    stage = ParticleVeil([Rain(40.0)], camera, ambient=0.4)
+    condition = Study.from_arrays(**values_of(kind="rain")).fit[1]
+    state = BayerWeather(Rain(40.0), camera, depth=500.0).state_of(torch.full((2, 1, HEIGHT, WIDTH), 0.3))
+    bare = replace(state, keep_truth=True)
 
-    def vectors(effects: list[Effect]) -> np.ndarray:
-        model = CameraFrames(Study.from_arrays(**values_of(kind="rain")))
-        pool = Pool(model.layout, model.simulated(model.fit[1], effects, 0.0, SEEDS))
-        return pool.vectors(np.arange(len(SEEDS))[:, None])
+    def at(value: float) -> CameraState:
+        return replace(bare, **{name: torch.full((2,), value)})
 
-    between = vectors([effect])
-    monkeypatch.setattr(camera_particles, "_ends", lambda which, _: [(value if which == name else math.nan, 1.0)])
-    exact, without = vectors([effect]), vectors([])
-    scatter = np.maximum(exact.std(0), 1e-9)
-    off, moved = (np.abs(one.mean(0) - exact.mean(0)) / scatter for one in (between, without))
-    print(off.max(), moved.max())
-    assert off.max() < 0.1
-    assert moved.max() > 0.5
+    noise = stage.draw(bare, seed=torch.tensor([1, 2]), name=stage.default_name)
+    exact, before = (torch.log1p(-stage(at(end), noise).particle_mask) for end in (value, without))
+    between = torch.log1p(-Rendered(stage, condition)(at(value), 0.0, [1, 2]).particle_mask)
+    apart, moved = ((one - exact).square().mean().sqrt() for one in (between, before))
+    print(float(apart / moved), float(between.mean() / exact.mean()))
+    assert apart < 0.15 * moved
+    assert float(between.mean()) == pytest.approx(float(exact.mean()), rel=0.01)
 
 
 def test_drops_on_the_window_stay_over_the_frames_of_a_condition(model: CameraFrames) -> None:
