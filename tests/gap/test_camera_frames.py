@@ -331,6 +331,18 @@ def test_between_two_rates_particles_are_taken_along_a_line(models: dict[str, Ca
     assert middle == pytest.approx(0.5 * (low + high), rel=0.05)
 
 
+@pytest.mark.parametrize("kind", ["rain", "snow"])
+def test_particles_can_be_rendered_about_the_farthest_weather(kind: str) -> None:
+    model = CameraFrames(Study.from_arrays(**values_of(kind=kind)))
+    condition = model.fit[1]
+    farthest = 4.5 * max(condition.rel_sd, LEAST_STEP)  # that a derivative goes to
+    exact = model.simulated(condition, [], farthest, SEEDS)
+    model.render_near(condition, 3.3 * max(condition.rel_sd, LEAST_STEP))
+    between = model.simulated(condition, [], farthest + 1e-9, SEEDS)  # not taken from what is kept
+    brightness = [group(model, one, "log_ratio_green", "depth_m").sum() for one in (exact, between)]
+    assert brightness[1] == pytest.approx(brightness[0], rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "without"),
     [("particle_reach_m", 14.1, math.inf), ("particle_reach_m", 190.0, math.inf), ("path_tangent", 0.31, 0.0)],

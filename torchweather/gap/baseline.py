@@ -99,6 +99,10 @@ class FrameModel(Protocol):
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
         ...
 
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """What is simulated of the condition from here on lies about this weather."""
+        ...
+
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""
         ...

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torchweather.gap.camera_change import refuse_changed
 from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
-from torchweather.gap.camera_particles import LEAST_STEP, Rendered
+from torchweather.gap.camera_particles import LEAST_STEP, MOST_STEP, Rendered
 from torchweather.gap.camera_scene import COLOURS, CameraScene, camera_scene, cell_colours
 from torchweather.gap.camera_sums import CameraSums, camera_layout, colours_of
 from torchweather.gap.statistics import Reduced
@@ -46,7 +46,7 @@ UNEVEN_SHARE = 0.25
 LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
 TOGETHER = 6  # frames: those of a response; particles of several are rendered faster
 KEPT_FRAMES = 6000  # reduced ones
-FARTHEST_SD = 5.0  # standard deviations of the record for which a draw has slots
+FARTHEST_SD = 5.0  # standard deviations of the record for which, and for a step of rates more, a draw has slots
 # Stages in front of the first of which the noise of the clear frame comes in; the last of them is in every chain.
 BEHIND_THE_NOISE = ("sensor_noise", "saturation", "tone_curve", "quantise")
 OF_THE_CONDITION = "adherent_drops"  # stages whose draw is one for all frames of a condition
@@ -123,8 +123,8 @@ class CameraFrames:
                 weather, options = condition.weather, dict(self.options)
                 assert weather is not None
                 if len(weather.parts) == 1 and weather.kind != "fog":
-                    highest = float(weather.knob) * math.exp(FARTHEST_SD * max(condition.rel_sd, LEAST_STEP))
-                    options.setdefault("rate_capacity_mm_per_h", highest)
+                    farthest = FARTHEST_SD * max(condition.rel_sd, LEAST_STEP) + MOST_STEP
+                    options.setdefault("rate_capacity_mm_per_h", float(weather.knob) * math.exp(farthest))
                 options.setdefault("ego_speed_m_per_s", condition.ego_speed_m_per_s or 0.0)
                 camera = self.sensor
                 if condition.exposure_s is not None:
@@ -163,6 +163,12 @@ class CameraFrames:
     def misplaced(self, condition: Condition) -> float:
         """No statistic has particles along their own range."""
         return 0.0
+
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """Render particles at this rate, and at those about it."""
+        with self._lock:
+            if condition.id in self._rendered:
+                self._rendered[condition.id].log_rate = log_knob
 
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchweather.gap.study import Condition
 from torchweather.stages import CameraState, ParticleVeil
 
-__all__ = ["LEAST_STEP", "Rendered"]
+__all__ = ["LEAST_STEP", "MOST_STEP", "Rendered"]
 
 LEAST_STEP, MOST_STEP = 0.04, 0.12  # of the logarithm of the rate between two that are rendered
 COUNT_STEP = 0.2  # of that of the number of particles
@@ -47,6 +47,7 @@ class Rendered:
         self.alone = len(stage.parts) == 1
         self.step = min(max(condition.rel_sd, LEAST_STEP), MOST_STEP)
         self.rates = [part.rate_mm_per_h for part in stage.parts]
+        self.log_rate = 0.0  # logarithm over the record about which rates are rendered
         self._kept: OrderedDict[object, Tensor] = OrderedDict()
         self._drawn: tuple[list[int], dict[str, Tensor]] | None = None
         self._lock = threading.Lock()
@@ -83,12 +84,15 @@ class Rendered:
         if count == 0.0:
             return total
         more = max(count, LEAST_COUNT)
-        rates, counts = _between(log_knob, self.step), _between(math.log(more), COUNT_STEP)
+        steps, counts = _between(log_knob - self.log_rate, self.step), _between(math.log(more), COUNT_STEP)
+        rates = [(round(self.log_rate + number * self.step, 12), share) for number, share in steps]
         ways = {name: ends for name in WAYS if (ends := self._ends(name, getattr(state, name))) is not None}
-        for (rate, share), (number, part), way in itertools.product(rates, counts, itertools.product(*ways.values())):
+        for (log_rate, share), (number, part), way in itertools.product(
+            rates, counts, itertools.product(*ways.values())
+        ):
             moved = {name: value for name, (value, _) in zip(ways, way, strict=True)}
             weight = share * part * math.prod(of for _, of in way)
-            nodes = self._nodes(state, rate, number, moved, seeds)
+            nodes = self._nodes(state, log_rate, number, moved, seeds)
             total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=weight)
         return total * (count / more)
 
@@ -106,10 +110,10 @@ class Rendered:
         return [(value, 1.0)]  # a shutter that rolls moves near streaks by whole pixels
 
     def _nodes(
-        self, state: CameraState, rate: int, number: int, moved: Mapping[str, float], seeds: list[int]
+        self, state: CameraState, log_rate: float, number: int, moved: Mapping[str, float], seeds: list[int]
     ) -> dict[int, Tensor]:
         """Optical depth ``(1, H, W)`` of each seed at one of the settings that are rendered, as float16."""
-        setting = (rate, number, *moved.items())
+        setting = (log_rate, number, *moved.items())
         found: dict[int, Tensor] = {}
         with self._lock:
             for seed in dict.fromkeys(seeds):
@@ -132,7 +136,7 @@ class Rendered:
             path_tangent=way.get("path_tangent"),
             row_time_s=way.get("row_time_s"),
         )
-        mask = self._at(rate * self.step)(bare, self._noise(bare, missing)).particle_mask
+        mask = self._at(log_rate)(bare, self._noise(bare, missing)).particle_mask
         with self._lock:
             for seed, optical in zip(missing, (-torch.log1p(-mask)).half().unbind(0), strict=True):
                 found[seed] = self._kept[setting, seed] = optical.clone()

@@ -133,6 +133,9 @@ class LidarFrames:
         assert condition.weather is not None
         return FOG_MISPLACED if "fog" in {part.kind for part in condition.weather.parts} else 0.0
 
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """Every weather is simulated as it is asked for."""
+
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0.
 

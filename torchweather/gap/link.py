@@ -157,6 +157,9 @@ class LinkFrames:
         """No particles."""
         return 0.0
 
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """Every weather is simulated as it is asked for."""
+
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """None."""
         return []

@@ -175,6 +175,9 @@ class RadarFrames:
         """No particles that a model could misplace."""
         return 0.0
 
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """Every weather is simulated as it is asked for."""
+
     def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""
         share = strengths.get("noise", 0.0)

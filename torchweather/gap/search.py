@@ -362,6 +362,9 @@ class Search:
         setting = self._scanned(setting)
         base = self.at(setting)
         setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), ROUNDS)
+        if not setting.values:
+            for target in self.measured:
+                self.model.render_near(target.condition, setting.log_knob.get(target.condition.id, 0.0))
         final = self.at(setting)
         residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
         misfit = nuisance.misfit(residual) + self._wider(final)

@@ -30,6 +30,7 @@ DEPTHS_M = (0.0, 9.0, 18.0, 40.0, 1e6)
 LAGS = ((0, 2), (2, 0), (2, 2), (2, -2), (0, 4), (8, 0))
 DARKEST = 2e-3
 LEAST_SCATTER = 1e-3  # of a logarithm or a share, of the mean over a condition's frames
+LEAST_OF_SPREAD = 0.01  # of the logarithm of a standard deviation: noise and texture are known less well
 KNOWN_TO = 0.01  # of what weather does to a statistic
 NOISE_CUT = 2.0  # whitened changes below this many standard deviations count for nothing in a direction
 SHOWS_FROM = 5.0
@@ -57,6 +58,9 @@ class _Coarse:
         masks += [(x < 0.0), (x >= 0.0)]
         self.masks = [mask for mask in masks if mask.sum() > 30]
         self.near = street.depth_m < 20.0
+        kinds_of_depth, lags = len(self.masks[: len(DEPTHS_M)]), 2 * len(LAGS)
+        spread = [False] * (3 * len(self.masks)) + [True] * kinds_of_depth + [True, False] * lags + [False] * 8
+        self.least = np.where(spread, LEAST_OF_SPREAD, LEAST_SCATTER)
 
     def __call__(self, frame: FloatArray) -> FloatArray:
         """``(S,)`` of one frame."""
@@ -124,7 +128,7 @@ class Detector:
             rows = self._rows(number, one.weather, (), SCATTER_FRAMES, 9)
             spread = np.maximum(rows.std(0, ddof=1), 1e-9)
             clear = self._rows(number, Weather(), (), FRAMES, 8).mean(0)
-            known = np.hypot(KNOWN_TO * (rows.mean(0) - clear), LEAST_SCATTER)
+            known = np.hypot(KNOWN_TO * (rows.mean(0) - clear), self._coarse[one.street].least)
             self._spread.append(np.hypot(spread / np.sqrt(design.size.frames), known))
             residuals.append((rows - rows.mean(0)) / spread)
         width = max(row.shape[1] for row in residuals)
