@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -22,7 +21,7 @@ from torchweather.gap.camera_sums import ASIDE, SHARED_CELLS, TAILS_SD, lag_name
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.scenes import SCENES
 from torchweather.sensors import Camera
-from torchweather.stages import CameraState, ParticleVeil
+from torchweather.stages import ParticleVeil
 from torchweather.stages.effects import Effect
 from torchweather.stages.effects_camera import EFFECTS
 from torchweather.transforms import BayerWeather
@@ -343,28 +342,17 @@ def test_particles_can_be_rendered_about_the_farthest_weather(kind: str) -> None
     assert brightness[1] == pytest.approx(brightness[0], rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "without"),
-    [("particle_reach_m", 14.1, math.inf), ("particle_reach_m", 190.0, math.inf), ("path_tangent", 0.31, 0.0)],
-)
-def test_between_two_ways_particles_are_taken_along_a_line(name: str, value: float, without: float) -> None:
-    """As the stage itself renders them, as far as that differs from how they were without."""
+@pytest.mark.parametrize(("name", "value"), [("particle_reach_m", 14.1), ("path_tangent", 0.31), ("row_time_s", 2e-5)])
+def test_what_moves_particles_is_rendered_as_the_stage_does(name: str, value: float) -> None:
     camera = replace(CAMERA, exposure_s=0.02)
     stage = ParticleVeil([Rain(40.0)], camera, ambient=0.4)
     condition = Study.from_arrays(**values_of(kind="rain")).fit[1]
     state = BayerWeather(Rain(40.0), camera, depth=500.0).state_of(torch.full((2, 1, HEIGHT, WIDTH), 0.3))
-    bare = replace(state, keep_truth=True)
-
-    def at(value: float) -> CameraState:
-        return replace(bare, **{name: torch.full((2,), value)})
-
-    noise = stage.draw(bare, seed=torch.tensor([1, 2]), name=stage.default_name)
-    exact, before = (torch.log1p(-stage(at(end), noise).particle_mask) for end in (value, without))
-    between = torch.log1p(-Rendered(stage, condition)(at(value), 0.0, [1, 2]).particle_mask)
-    apart, moved = ((one - exact).square().mean().sqrt() for one in (between, before))
-    print(float(apart / moved), float(between.mean() / exact.mean()))
-    assert apart < 0.15 * moved
-    assert float(between.mean()) == pytest.approx(float(exact.mean()), rel=0.01)
+    moved = replace(state, keep_truth=True, **{name: torch.full((2,), value)})
+    noise = stage.draw(moved, seed=torch.tensor([1, 2]), name=stage.default_name)
+    exact, other = stage(moved, noise), Rendered(stage, condition)(moved, 0.0, [1, 2])
+    torch.testing.assert_close(other.particle_mask, exact.particle_mask, rtol=2e-3, atol=1e-6)  # float16
+    assert not torch.allclose(stage(replace(moved, **{name: None}), noise).particle_mask, exact.particle_mask)
 
 
 def test_drops_on_the_window_stay_over_the_frames_of_a_condition(model: CameraFrames) -> None:

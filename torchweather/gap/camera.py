@@ -26,6 +26,7 @@ from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
 from torchweather.gap.camera_particles import LEAST_STEP, MOST_STEP, Rendered
 from torchweather.gap.camera_scene import COLOURS, CameraScene, camera_scene, cell_colours
 from torchweather.gap.camera_sums import CameraSums, camera_layout, colours_of
+from torchweather.gap.effect_forms import counted_form
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
 from torchweather.image.bayer import cfa_colour_index
@@ -83,6 +84,8 @@ class CameraFrames:
             for name, effect in EFFECTS.items()
             if name.startswith("camera.") and (with_normals or "normal" not in effect.needs)
         ]
+        # A line along a diagonal blurs nearly as a disk does; with two numbers it always explains a little more.
+        self.forms = {name: counted_form(EFFECTS[name]) for name in self.catalogue if len(EFFECTS[name].arguments) > 1}
         self.as_record: AbstractSet[str] = frozenset()
         self.open_shifts: AbstractSet[str] = frozenset()
         self.map_cells: list[tuple[float, float]] = []

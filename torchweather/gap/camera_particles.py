@@ -1,9 +1,8 @@
-"""What particles cover of a camera's frames: rendered at a few settings for each seed, and taken between them.
+"""What particles cover of a camera's frames: rendered at a few rates for each seed, and taken between them.
 
 The optical depth of drops and flakes grows with their number; between two neighbouring rates, and between two numbers
 of particles, it is taken as a line. The few particles that one of the two has more are then seen in part: at steps of
-``exp(0.1)`` in the rate one particle in ten. So it is between two depths up to which there are particles, and, at steps
-that move the end of a streak by a fraction of a pixel, between two slants.
+``exp(0.1)`` in the rate one particle in ten. What moves particles, or ends them at a depth, is rendered as it is.
 """
 
 from __future__ import annotations
@@ -28,8 +27,6 @@ LEAST_STEP, MOST_STEP = 0.04, 0.12  # of the logarithm of the rate between two t
 COUNT_STEP = 0.2  # of that of the number of particles
 LEAST_COUNT = math.exp(-10 * COUNT_STEP)  # fewer are those, fainter
 KEPT_BYTES = 100e6  # of optical depths, of a condition
-REACH_STEP = 0.1  # of that of the depth up to which there are particles
-TANGENT_STEP = 0.02
 WAYS = ("particle_reach_m", "path_tangent", "row_time_s")  # fields of the state that move particles
 ALIKE = 1e-6  # of a step: a rate that is one of those rendered
 
@@ -84,36 +81,19 @@ class Rendered:
         if count == 0.0:
             return total
         more = max(count, LEAST_COUNT)
+        way = {name: float(given[0]) for name in WAYS if (given := getattr(state, name)) is not None}
+        if way:  # seldom twice the same
+            rendered = self._render(state, log_knob, math.log(more), way, seeds)
+            return rendered.float() * (count / more)
         steps, counts = _between(log_knob - self.log_rate, self.step), _between(math.log(more), COUNT_STEP)
-        rates = [(round(self.log_rate + number * self.step, 12), share) for number, share in steps]
-        ways = {name: ends for name in WAYS if (ends := self._ends(name, getattr(state, name))) is not None}
-        for (log_rate, share), (number, part), way in itertools.product(
-            rates, counts, itertools.product(*ways.values())
-        ):
-            moved = {name: value for name, (value, _) in zip(ways, way, strict=True)}
-            weight = share * part * math.prod(of for _, of in way)
-            nodes = self._nodes(state, log_rate, number, moved, seeds)
-            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=weight)
+        for (rate, share), (number, part) in itertools.product(steps, counts):
+            nodes = self._nodes(state, round(self.log_rate + rate * self.step, 12), number, seeds)
+            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part)
         return total * (count / more)
 
-    def _ends(self, name: str, given: Tensor | None) -> list[tuple[float, float]] | None:
-        """Values of a field that are rendered, below and above that of all frames, with their shares."""
-        if given is None:
-            return None
-        value = float(given[0])
-        if name == "path_tangent":
-            return [(place * TANGENT_STEP, share) for place, share in _on_a_line(value / TANGENT_STEP)]
-        if name == "particle_reach_m":
-            nearest, farthest = (self.stage.options[end] for end in ("near_m", "far_m"))
-            share = min(max(value, nearest), farthest) / farthest
-            return [(farthest * math.exp(k * REACH_STEP), of) for k, of in _between(math.log(share), REACH_STEP)]
-        return [(value, 1.0)]  # a shutter that rolls moves near streaks by whole pixels
-
-    def _nodes(
-        self, state: CameraState, log_rate: float, number: int, moved: Mapping[str, float], seeds: list[int]
-    ) -> dict[int, Tensor]:
-        """Optical depth ``(1, H, W)`` of each seed at one of the settings that are rendered, as float16."""
-        setting = (log_rate, number, *moved.items())
+    def _nodes(self, state: CameraState, log_rate: float, number: int, seeds: list[int]) -> dict[int, Tensor]:
+        """Optical depth ``(1, H, W)`` of each seed at one of the rates and numbers that are rendered, as float16."""
+        setting = (log_rate, number)
         found: dict[int, Tensor] = {}
         with self._lock:
             for seed in dict.fromkeys(seeds):
@@ -123,26 +103,35 @@ class Rendered:
         missing = [seed for seed in dict.fromkeys(seeds) if seed not in found]
         if not missing:
             return found
-        way = {name: state.signal.new_full((len(missing),), value) for name, value in moved.items()}
-        bare = replace(
-            state,
-            signal=state.signal[: len(missing)],
-            keep_truth=True,
-            normal=None,
-            particle_count=None if number == 0 else torch.full((len(missing),), math.exp(number * COUNT_STEP)),
-            particle_contrast=None,
-            airlight_scale=None,
-            particle_reach_m=way.get("particle_reach_m"),
-            path_tangent=way.get("path_tangent"),
-            row_time_s=way.get("row_time_s"),
-        )
-        mask = self._at(log_rate)(bare, self._noise(bare, missing)).particle_mask
+        rendered = self._render(state, log_rate, number * COUNT_STEP, {}, missing)
         with self._lock:
-            for seed, optical in zip(missing, (-torch.log1p(-mask)).half().unbind(0), strict=True):
+            for seed, optical in zip(missing, rendered.unbind(0), strict=True):
                 found[seed] = self._kept[setting, seed] = optical.clone()
-            while len(self._kept) * optical.numel() * 2 > KEPT_BYTES:
+            while len(self._kept) * rendered[0].numel() * 2 > KEPT_BYTES:
                 self._kept.popitem(last=False)
         return found
+
+    def _render(
+        self, state: CameraState, log_rate: float, log_count: float, way: Mapping[str, float], seeds: list[int]
+    ) -> Tensor:
+        """Optical depth ``(F, 1, H, W)`` of the frame of each seed, as float16."""
+        number = len(seeds)
+        moved = {name: torch.full((number,), value) for name, value in way.items()}
+        count = None if log_count == 0.0 else torch.full((number,), math.exp(log_count))
+        bare = replace(
+            state,
+            signal=state.signal[:1].expand(number, -1, -1, -1),
+            keep_truth=True,
+            normal=None,
+            particle_count=count,
+            particle_contrast=None,
+            airlight_scale=None,
+            particle_reach_m=moved.get("particle_reach_m"),
+            path_tangent=moved.get("path_tangent"),
+            row_time_s=moved.get("row_time_s"),
+        )
+        mask = self._at(log_rate)(bare, self._noise(bare, seeds)).particle_mask
+        return (-torch.log1p(-mask)).half()
 
     def _noise(self, state: CameraState, seeds: list[int]) -> dict[str, Tensor]:
         """Random numbers of some seeds; those of the last ones are kept, as a few settings follow one another."""
@@ -160,17 +149,10 @@ def _between(value: float, step: float) -> list[tuple[int, float]]:
         >>> [(number, round(share, 3)) for number, share in _between(0.05, 0.1)]
         [(0, 0.512), (1, 0.488)]
     """
-    found = _on_a_line(value / step)
-    if len(found) == 1:
-        return found
-    below = found[0][0]
-    share = math.expm1(value - below * step) / math.expm1(step)
-    return [(below, 1.0 - share), (below + 1, share)]
-
-
-def _on_a_line(place: float) -> list[tuple[int, float]]:
-    """Whole numbers below and above, with their shares; one alone if it is that."""
-    nearest, below = round(place), math.floor(place)
+    place = value / step
+    nearest = round(place)
     if abs(place - nearest) < ALIKE:
         return [(nearest, 1.0)]
-    return [(below, below + 1 - place), (below + 1, place - below)]
+    below = math.floor(place)
+    share = math.expm1(value - below * step) / math.expm1(step)
+    return [(below, 1.0 - share), (below + 1, share)]

@@ -12,7 +12,18 @@ from typing import ClassVar
 
 from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
 
-__all__ = ["SearchForm", "catalogue_effect", "effect_class", "handicap", "is_another", "tried_values"]
+__all__ = [
+    "A_PARAMETER",
+    "SearchForm",
+    "catalogue_effect",
+    "counted_form",
+    "effect_class",
+    "handicap",
+    "is_another",
+    "tried_values",
+]
+
+A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
 
 
 class SearchForm(Effect):
@@ -27,6 +38,16 @@ class SearchForm(Effect):
     handicap: ClassVar[float] = 0.0
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     another_from: ClassVar[Mapping[str, float]] = {}
+
+
+def counted_form(effect: type[Effect]) -> type[Effect]:
+    """An effect that must explain more than one with a single parameter, as each further one can explain noise.
+
+    Example:
+        >>> counted_form(EFFECTS["camera.ego_blur"]).handicap
+        5.0
+    """
+    return type(effect.__name__, (SearchForm, effect), {"handicap": A_PARAMETER * (len(effect.arguments) - 1)})
 
 
 def effect_class(model: object, name: str) -> type[Effect]:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.gap.effect_forms import SearchForm
+from torchweather.gap.effect_forms import A_PARAMETER, SearchForm
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_radar import RadarInterference, RadarVolumeClutter, RadarWetRcs
 from torchweather.stages.states import RadarState
@@ -22,7 +22,6 @@ from torchweather.stages.states import RadarState
 __all__ = ["InterferenceForm", "volume_clutter_form", "wet_rcs_form"]
 
 MOST_STRUCK = 0.95  # of the frames, by an interferer
-A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
 GAIN = RadarWetRcs.arguments[0]
 
 
