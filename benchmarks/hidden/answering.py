@@ -60,13 +60,15 @@ def draw_confusion(confusion: dict[str, dict[str, int]], path: Path) -> None:
     answers = sorted({one for row in confusion.values() for one in row}, key=lambda one: (one not in truths, one))
     counts = np.array([[confusion[truth].get(one, 0) for one in answers] for truth in truths], dtype=float)
     figure, axes = plt.subplots(figsize=(0.32 * len(answers) + 4.0, 0.3 * len(truths) + 3.0), layout="constrained")
-    axes.imshow(counts, cmap="Blues", aspect="auto")
+    share = counts / counts.sum(1, keepdims=True)
+    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     axes.set_xticks(range(len(answers)), [short_name(one) for one in answers], rotation=90, fontsize=7)
     axes.set_yticks(range(len(truths)), [short_name(one) for one in truths], fontsize=7)
-    axes.set(xlabel="answered", ylabel="hidden")
+    axes.set(xlabel="answered (number of studies; darker: larger share of a row)", ylabel="hidden")
     for (row, column), value in np.ndenumerate(counts):
         if value:
-            axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=6)
+            ink = "white" if share[row, column] > 0.5 else "black"
+            axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=6, color=ink)
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
