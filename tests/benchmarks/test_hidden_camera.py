@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden.camera.effects import KINDS, path_weights
-from benchmarks.hidden.camera.particles import NEAR_M, draw, optical_depth, population
+from benchmarks.hidden.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
 from benchmarks.hidden.camera.scene import Eye, Street
 
 DEPTHS_M = (8.0, 20.0, 60.0)
@@ -54,3 +54,18 @@ def test_a_narrow_defocus_has_the_variance_of_its_disk():
     assert seen.sum() == pytest.approx(1.0)
     for axis in (0, 1):
         assert (seen.sum(axis) * place**2).sum() == pytest.approx(0.6**2 / 4.0)
+
+
+@pytest.mark.parametrize(("width_px", "down_px"), [(0.8, 6.0), (2.0, 3.0), (2.4, 0.8), (3.0, 2.0)])
+def test_a_slanted_streak_leans_by_the_path_of_its_disk(width_px, down_px):
+    """The disk moves, it is not sheared: covariance of a uniform path, variance of the disk and of pixels besides."""
+    aside_px, one = 0.4 * down_px, np.ones(1)
+    at = {"column_px": 20.3 * one, "row_px": 20.6 * one, "depth_m": 5.0 * one, "peak": 0.01 * one}
+    path = {"width_px": width_px * one, "aside_px": aside_px * one, "down_px": down_px * one}
+    streaks = Streaks(**at, **path, crowds=[], slant=0.0, veil_per_m=np.zeros(1), veil_edges_m=np.array([0.5, 200.0]))
+    found = optical_depth(_fronts(Eye(42, 42)), streaks, np.random.default_rng(0))
+    rows, columns = np.indices(found.shape)
+    weight = found / found.sum()
+    x, y = columns - (weight * columns).sum(), rows - (weight * rows).sum()
+    assert (weight * x * y).sum() == pytest.approx(aside_px * down_px / 12.0, abs=0.01, rel=0.03)
+    assert (weight * y**2).sum() == pytest.approx(down_px**2 / 12.0 + width_px**2 / 16.0 + 1.0 / 12.0, rel=0.1)

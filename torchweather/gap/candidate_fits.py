@@ -117,6 +117,10 @@ def fitted(
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
         shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
+        if stands_far(setting) and not setting.values:
+            # What is left open has gone where the effect should be; from there it may not find back.
+            rest = Setting(values)
+            starts.append((rest, base.nuisance.moved(search.offset(rest))))
         if shadowed and place < SETTLED_BESIDE and not setting.values:
             # The nuisances have moved to look like the effect while it was not there: let them settle with it.
             starts.append(_settled_along(search, base, setting, node, misfit))

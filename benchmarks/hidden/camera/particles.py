@@ -208,7 +208,10 @@ def _counted(crowd: Crowd, street: Street, slant: float, rng: np.random.Generato
         return np.asarray(ndimage.correlate1d(counts, along, axis=0, mode="wrap"))
     found = np.zeros(shape)
     for step, share in enumerate(along):
-        found += share * np.roll(counts, (step, round((step - 0.5 * len(along)) * slant)), (0, 1))
+        shift = slant * float(_middle(np.asarray(step - 0.5 * (len(along) - 1)), crowd.down_px, side))
+        whole = int(np.floor(shift))
+        for aside_px, part in ((whole, whole + 1 - shift), (whole + 1, shift - whole)):
+            found += share * part * np.roll(counts, (step - len(along) // 2, aside_px), (0, 1))
     return found
 
 
@@ -234,8 +237,10 @@ def _splat(total: FloatArray, depth_m: FloatArray, streaks: Streaks, which: np.n
     middle, flat, ramp = v[owner], 0.5 * np.abs(down - side)[owner], np.minimum(down, side)[owner]
     share = _below(row + 0.5 - middle, flat, ramp) - _below(row - 0.5 - middle, flat, ramp)
     area = (0.25 * np.pi * streaks.width_px[which] ** 2 * streaks.peak[which])[owner]
-    z, across = streaks.depth_m[which][owner], side[owner] + np.abs(slope[owner])  # inside of a row it moves aside
-    column = u[owner] + (row - v[owner]) * slope[owner]
+    # While a row is covered the disk moves aside.
+    moves = np.abs(slope[owner]) * np.minimum(down[owner], np.hypot(1.0, side[owner]))
+    z, across = streaks.depth_m[which][owner], side[owner] + moves
+    column = u[owner] + _middle(row - v[owner], down[owner], side[owner]) * slope[owner]
     left = np.floor(column - 0.5 * across + 0.5).astype(int)
     for aside in range(int(np.ceil(BOX_OF_DISK * WIDE_PX)) + 4):
         c = left + aside
@@ -245,6 +250,13 @@ def _splat(total: FloatArray, depth_m: FloatArray, streaks: Streaks, which: np.n
         cover = np.minimum(area[ok] * share[ok] * overlap[ok] / across[ok], MOST_COVER)
         weight = np.where(z[ok] < depth_m[r, c], -np.log1p(-cover), 0.0)
         total += np.bincount(r * width + c, weight, height * width).reshape(height, width)
+
+
+def _middle(row: FloatArray, down: FloatArray | float, side: FloatArray | float) -> FloatArray:
+    """Where on its path, from -down / 2 to down / 2, a disk is in the mean while it covers part of a row."""
+    reach = 0.5 * np.hypot(1.0, side)
+    half = 0.5 * np.asarray(down)
+    return np.asarray(0.5 * (np.clip(row - reach, -half, half) + np.clip(row + reach, -half, half)))
 
 
 def _below(place: FloatArray, flat: FloatArray, ramp: FloatArray) -> FloatArray:
