@@ -117,10 +117,6 @@ def fitted(
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
         shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
-        if stands_far(setting) and not setting.values:
-            # What is left open has gone where the effect should be; from there it may not find back.
-            rest = Setting(values)
-            starts.append((rest, base.nuisance.moved(search.offset(rest))))
         if shadowed and place < SETTLED_BESIDE and not setting.values:
             # The nuisances have moved to look like the effect while it was not there: let them settle with it.
             starts.append(_settled_along(search, base, setting, node, misfit))
@@ -128,6 +124,10 @@ def fitted(
         for start, nuisance in starts:
             fits.append(search.fit(placed(search, start, node.id, base), nuisance, base.base, QUICK))
         fit = min(fits, key=lambda one: one.misfit)
+        if stands_far(fit.setting) and place < SETTLED_BESIDE and not setting.values:
+            # What is left open may have gone astray: let it settle from rest beside the effect as it was found.
+            start, nuisance, _ = search.settle_beside(Setting(fit.setting.values), base, SETTLED_ROUNDS)
+            fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)
         found.append(Candidate(node.id, fit, misfit - fit.misfit))
     least = min(candidate.fit.misfit for candidate in found)
     for place, one in enumerate(found):
