@@ -16,7 +16,7 @@ DESCRIPTION = """Compares every condition of a study folder (frames measured in 
 scene) with its simulation, looks for the effect of the catalogue that explains the difference, and tests it on
 conditions held out. Writes gap.json (the answer), model.yaml (the effects to add) and report.html. That nothing is
 missing, and that something is missing which no effect explains, are answers too: the exit code is 0 whatever the
-verdict. Built for LiDAR studies so far.
+verdict. Takes studies of LiDARs, cameras, radars and microwave links.
 
 torchweather gap demo --out DIR makes a small study of the embedded scene in which an effect drawn at random, or none,
 is hidden, searches it, and shows side by side what was hidden and what was found. A study folder of that name is
