@@ -49,7 +49,7 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "camera.airlight_scale": {"red": 1.0, "green": 1.0, "blue": 1.0},
     "camera.extinction_scale": {"factor": 1.0, "wavelength_exponent": 0.0},
     "camera.stray_light": {"offset": 0.0, "share": 0.0},
-    "camera.aerosol_glow": {"share_per_optical_depth": 0.0, "width_px_per_optical_depth": 0.0},
+    "camera.aerosol_glow": {"share_per_optical_depth": 0.0, "width_px_per_optical_depth": None},
     "camera.defocus": {"radius_px": 0.0},
     "camera.ego_blur": {"length_px": 0.0, "angle_rad": None},
     "camera.adherent_drops": {"cover": 0.0},

@@ -220,7 +220,7 @@ class CameraAerosolGlow(Effect):
 
     Args:
         share_per_optical_depth: a, 0 to 5.
-        width_px_per_optical_depth: b, 0 to 32 px.
+        width_px_per_optical_depth: b, 0 to 32 px; 4 px unless told.
     """
 
     id: ClassVar[str] = "camera.aerosol_glow"
@@ -229,7 +229,7 @@ class CameraAerosolGlow(Effect):
     # Narasimhan & Nayar 2003 for the form; droplets scatter half of the light within some degrees, order of magnitude.
     arguments: ClassVar[tuple[Parameter, ...]] = (
         Parameter("share_per_optical_depth", "1", 0.0, 5.0, scale=0.3, identity=0.0),
-        Parameter("width_px_per_optical_depth", "px", 0.0, 32.0, scale=4.0, identity=0.0),
+        Parameter("width_px_per_optical_depth", "px", 0.0, 32.0, scale=4.0, default=4.0),
     )
     after: ClassVar[str] = "extinction_and_airlight"
     axes: ClassVar[tuple[str, ...]] = ("edge_width_px", "depth_m")

@@ -65,6 +65,8 @@ class Places:
         """Strength of an effect at a d'; ``None`` where none has it."""
         if weather not in KINDS[name].weathers:
             return None
+        if KINDS[name].given is not None:
+            return KINDS[name].given
         key = (weather, self.design(weather, size).size, name, level)
         if key not in self._strengths:
             detector, table = self.table(weather, size, name)

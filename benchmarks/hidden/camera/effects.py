@@ -24,6 +24,7 @@ class Known(Effect):
         swept: parameter that is swept, from ``weak`` at strength 0 to ``strong`` at 1, geometrically, away from its
             ``identity``; an infinite one from large to small.
         weathers: in which it shows.
+        given: strength of one that no mean over frames shows, and so no d' tells.
     """
 
     parameters: dict[str, float] = field(default_factory=dict)
@@ -37,6 +38,7 @@ class Known(Effect):
     weathers: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
     shows_along: ClassVar[tuple[str, ...]] = ()
     others: ClassVar[dict[str, float]] = {}
+    given: ClassVar[float | None] = None
 
     @classmethod
     def at(cls, strength: float) -> Known:
@@ -327,6 +329,7 @@ class Flicker(Known):
     """The gain differs from frame to frame."""
 
     name, swept, weak, strong, same_form = "outside.flicker", "log_std", 1e-3, 0.2, False
+    given = 0.7  # 4 % from frame to frame
     shows_along = ("frame", "depth", "signal")
 
     def on_light(self, shot: Shot, light: FloatArray) -> FloatArray:
