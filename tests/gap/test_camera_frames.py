@@ -330,6 +330,18 @@ def test_between_two_rates_particles_are_taken_along_a_line(models: dict[str, Ca
     assert middle == pytest.approx(0.5 * (low + high), rel=0.05)
 
 
+def test_the_colour_of_drops_is_known_to_a_hundredth(models: dict[str, CameraFrames]) -> None:
+    """0.06 of a drop's light is the sky's; one standard deviation of that is a hundredth of the mean light."""
+    model = models["rain"]
+    condition, scene = model.fit[0], model.scenes[model.fit[0].scene]
+    (stage,) = model.open_stages(condition, {f"airlight green {condition.scene}": 1.0})
+    green = cell_colours(scene.clear.mean(0, keepdim=True), CAMERA.bayer_pattern)[0, 1]
+    sky = torch.isinf(scene.depth_m[0]).view(HEIGHT // 2, 2, WIDTH // 2, 2).all(3).all(1)
+    assert 0.06 * float(green[sky].mean()) * float(stage.green) == pytest.approx(0.01 * float(green.mean()), rel=0.02)
+    snow = models["snow"]
+    assert not [name for name in snow.open(snow.fit[0]) if name.startswith("airlight")]
+
+
 @pytest.mark.parametrize("kind", ["rain", "snow"])
 def test_particles_can_be_rendered_about_the_farthest_weather(kind: str) -> None:
     model = CameraFrames(Study.from_arrays(**values_of(kind=kind)))
