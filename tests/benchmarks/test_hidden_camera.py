@@ -5,6 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.hidden.camera.cases import Case, Places, build
+from benchmarks.hidden.camera.design import Size
+from benchmarks.hidden.camera.detectability import Table
 from benchmarks.hidden.camera.effects import KINDS, path_weights
 from benchmarks.hidden.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
 from benchmarks.hidden.camera.scene import Eye, Street
@@ -69,3 +72,31 @@ def test_a_slanted_streak_leans_by_the_path_of_its_disk(width_px, down_px):
     x, y = columns - (weight * columns).sum(), rows - (weight * rows).sum()
     assert (weight * x * y).sum() == pytest.approx(aside_px * down_px / 12.0, abs=0.01, rel=0.03)
     assert (weight * y**2).sum() == pytest.approx(down_px**2 / 12.0 + width_px**2 / 16.0 + 1.0 / 12.0, rel=0.1)
+
+
+class _NothingShows(Places):
+    """Streets on which no effect reaches a level; the strongest has a d' of 2.3."""
+
+    def strength(self, weather, size, name, level):
+        return None
+
+    def table(self, weather, size, name):
+        return None, Table(name, np.array([0.0, 2.3]), np.zeros((2, 2, 1)))
+
+
+def test_an_effect_that_shows_nowhere_is_hidden_at_its_strongest():
+    size = Size(width=64, height=48, streets=1, clear_frames=2, rates=2, frames=2)
+    case = Case("x", "single", "fog", ("camera.rolling_shutter",), (30.0,), size, (1, 2, 3))
+    _, truth = build(case, _NothingShows((1, 2), few=True))
+    effect = truth["effects"][0]
+    assert truth["weather"] == "snow"  # the next one in which it could show
+    assert effect["level"] == 2.3
+    assert effect["parameters"]["row_time_s"] == pytest.approx(2e-4)
+
+
+def test_a_pair_of_which_one_shows_nowhere_is_not_made():
+    size = Size(width=64, height=48, streets=1, clear_frames=2, rates=2, frames=2)
+    names = ("camera.defocus", "camera.wind_slant")
+    case = Case("x", "pair", "rain", names, (30.0, 30.0), size, (1, 2, 3))
+    with pytest.raises(ValueError, match=r"x: no street shows camera.defocus, camera.wind_slant at any level"):
+        build(case, _NothingShows((1, 2), few=True))

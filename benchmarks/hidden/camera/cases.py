@@ -16,7 +16,7 @@ from ..bench_sensor import BenchSensor
 from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from .decoys import DECOYS
 from .design import Design, Size, draw_design, study_of, with_record
-from .detectability import Detector, Table, confusable
+from .detectability import STRENGTHS, Detector, Table, confusable
 from .effects import CATALOGUE, KINDS, OUTSIDE
 
 __all__ = ["GROUPS", "SENSOR", "Case", "Places", "build", "plan"]
@@ -195,7 +195,10 @@ def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
 
 
 def _where_it_shows(case: Case, places: Places) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
-    """A weather in which the effects reach their levels, or weaker or stronger ones: it, the levels, the strengths."""
+    """A weather in which the effects reach their levels, or weaker or stronger ones: it, the levels, the strengths.
+
+    A single effect that no street shows at any level is hidden at its strongest, at the d' that it has there.
+    """
     last = len(LEVELS) - 1
     turned = [WEATHERS[(WEATHERS.index(case.weather) + turn) % 3] for turn in range(3)]
     for weaker in (0, 1, 2, -1, -2):
@@ -206,7 +209,11 @@ def _where_it_shows(case: Case, places: Places) -> tuple[str, tuple[float, ...],
             ]
             if None not in found:
                 return weather, levels, tuple(one for one in found if one is not None)
-    raise ValueError(f"{case.id}: no street shows {', '.join(case.names)} at any level.")
+    if len(case.names) > 1:
+        raise ValueError(f"{case.id}: no street shows {', '.join(case.names)} at any level.")
+    weather = next(weather for weather in turned if weather in KINDS[case.names[0]].weathers)
+    strongest = float(places.table(weather, case.size, case.names[0])[1].lengths[-1])
+    return weather, (round(max(strongest, 0.0), 1),), (STRENGTHS[-1],)
 
 
 def _cases(set_name: str, seed: int, groups: Sequence[str], small: bool) -> list[Case]:
