@@ -124,7 +124,7 @@ def test_references_leave_one_clear_frame_out(study: Study, model: CameraFrames)
 
 def test_a_clear_frame_comes_out_where_its_own_noise_goes_in(model: CameraFrames) -> None:
     scene, row = model.scenes["s0"], torch.arange(CLEAR)
-    found = scene.with_noise(scene.reference[row], None, row)
+    found = scene.with_noise(scene.reference[row], None, None, row)
     torch.testing.assert_close(found, scene.clear, atol=1e-6, rtol=0)
 
 
@@ -132,9 +132,24 @@ def test_noise_of_other_light_is_that_of_the_pixels(model: CameraFrames) -> None
     """Where nothing is left of the scene a frame has the shot noise of the light that is there."""
     scene, row = model.scenes["s0"], torch.arange(CLEAR)
     light = torch.full_like(scene.clear, 0.5)
-    found = scene.with_noise(light, torch.zeros_like(light), row)
+    found = scene.with_noise(light, torch.zeros_like(light), None, row)
     # The variance of the pixels is taken from medians of few frames: to some ten percent.
     assert float((found - 0.5).std()) == pytest.approx(np.sqrt(0.5 / ELECTRONS), rel=0.2)
+
+
+@pytest.mark.parametrize("clear", [2, 4])
+@pytest.mark.parametrize(("covered", "transmission"), [(0.0, 1.0), (0.3, 1.0), (0.9, 1.0), (0.4, 0.6)])
+def test_noise_under_particles_is_that_of_a_frame_of_its_own(clear, covered, transmission) -> None:
+    """What particles hide of the scene they hide of the clear frames' noise, too; what it is compared with has it."""
+    model = CameraFrames(Study.from_arrays(**values_of(clear=clear, frames=1)))
+    scene, row, light = model.scenes["s0"], torch.arange(clear), view().bayer
+    air = (1.0 - transmission) * light  # particles and air as bright as what they hide: only noise is left
+    signal = (1.0 - covered) * (transmission * scene.reference[row] + air) + covered * light
+    shares = (torch.full_like(signal, share) for share in (transmission, covered))
+    departure = scene.with_noise(signal, *shares, row) - (transmission * scene.reference[row] + air)
+    expected = (1.0 + transmission**2 / (clear - 1)) * light / ELECTRONS
+    chance = (2.0 / light.numel()) ** 0.5  # of a mean of squares of normal values, each frame's counted as one
+    assert float(departure.square().mean() / expected.mean()) == pytest.approx(1.0, abs=5.0 * chance)
 
 
 def test_catalogue_without_normals_has_no_wet_surface() -> None:

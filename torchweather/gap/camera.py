@@ -303,10 +303,11 @@ class CameraFrames:
         normal = None if scene.normal is None else scene.normal[None]
         # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
         state = self.transform(condition).state_of(scene.reference[row], scene.depth_m[None], normal)
-        state, noisy = replace(state, keep_truth="extinction_and_airlight" in chain.stages), False
+        state, noisy = replace(state, keep_truth=True), False
         for name, stage in chain.stages.items():
             if not noisy and name in BEHIND_THE_NOISE:
-                state, noisy = replace(state, signal=scene.with_noise(state.signal, state.transmission, row)), True
+                light = scene.with_noise(state.signal, state.transmission, _covered(state), row)
+                state, noisy = replace(state, signal=light), True
             if isinstance(stage, ParticleVeil):
                 state = self._veiled(stage, condition, state, log_knob, seeds)
             else:
@@ -352,6 +353,12 @@ def _frames(condition: Condition) -> Tensor:
     """Frames of a condition ``(F, 1, H, W)``."""
     frames = [condition.frames[number]["bayer"] for number in range(len(condition.frames))]
     return torch.stack([torch.from_numpy(np.array(frame, dtype=np.float32)) for frame in frames])[:, None]
+
+
+def _covered(state: CameraState) -> Tensor | None:
+    """Share of the exposure in which particles hide what is behind them, ``(F, 1, H, W)``."""
+    mask, contrast = state.particle_mask, state.particle_contrast
+    return mask if mask is None or contrast is None else (mask * contrast.view(-1, 1, 1, 1)).clamp(0.0, 1.0)
 
 
 def _at_visibility(stage: Stage, factor: float) -> ExtinctionAndAirlight:

@@ -98,25 +98,29 @@ class CameraScene:
         up = torch.nn.functional.avg_pool2d(self.normal[None, 2:], 2 * BLOCK_CELLS)[0, 0]
         return up > LEVEL_GROUND
 
-    def with_noise(self, signal: Tensor, transmission: Tensor | None, row: Tensor) -> Tensor:
+    def with_noise(self, signal: Tensor, transmission: Tensor | None, covered: Tensor | None, row: Tensor) -> Tensor:
         """Frames with the noise of clear frames: what each is over the mean of the others, at the light of now.
 
-        In clear air the clear frame itself comes out. Its noise has a variance of ``c + v I``, and the mean of the
-        other clear frames a share of that, which fades with them: where nothing of them is seen, a difference between
-        the two is too much by that share.
+        In clear air the clear frame itself comes out. Noise of a frame has a variance of ``c + v I``; that of the
+        mean of the other clear frames a share m of it, and is in the signal as far as the scene is seen in it. With g,
+        what the light of now makes of the variance, t of the medium and c of the exposure under particles, a of the
+        difference ``clear - mean`` is added so that a frame departs from ``t mean``, what it is compared with, by the
+        variance of a frame of its own: ``a^2 + m (a + c t)^2 = g + m t^2``.
 
         Args:
             signal: ``(F, 1, H, W)`` without noise.
-            transmission: share of the scene's light that is left, of the same shape; ``None`` is 1.
+            transmission: share of the scene's light that the medium leaves, of the same shape; ``None`` is 1.
+            covered: share of the exposure in which particles hide the scene, of the same shape; ``None`` is 0.
             row: ``(F,)`` clear frame of each.
         """
         constant, growing = self.noise_variance
         before, of_mean = self.reference[row], 1.0 / (len(self.clear) - 1)
         grown = (constant + growing * signal) / (constant + growing * before).clamp_min(LEAST_VARIANCE)
-        left = 1.0 if transmission is None else transmission.square()
-        share = (grown + of_mean * left) / (1.0 + of_mean)
-        noise = (self.clear[row] - before) * share.clamp(0.0, MOST_GROWN).sqrt()
-        return (signal + noise).clamp_(0.0, 1.0)
+        left = 1.0 if transmission is None else transmission
+        lost = 0.0 if covered is None else covered * left
+        square = grown.clamp(0.0, MOST_GROWN) + of_mean * (left * left - lost * lost)
+        share = (((1.0 + of_mean) * square + (of_mean * lost) ** 2).sqrt() - of_mean * lost) / (1.0 + of_mean)
+        return (signal + (self.clear[row] - before) * share).clamp_(0.0, 1.0)
 
 
 def cell_colours(bayer: Tensor, pattern: str) -> Tensor:
