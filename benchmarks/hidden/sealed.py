@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["append_line", "read_json", "read_lines", "sha256_of", "write_json"]
+__all__ = ["append_line", "plain", "read_json", "read_lines", "sha256_of", "write_json"]
 
 
 def plain(value: Any) -> Any:

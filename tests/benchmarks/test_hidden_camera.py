@@ -1,5 +1,6 @@
 """The camera's generator of studies with a hidden effect against closed forms."""
 
+import json
 import math
 
 import numpy as np
@@ -11,6 +12,7 @@ from benchmarks.hidden.camera.detectability import Table
 from benchmarks.hidden.camera.effects import KINDS, path_weights
 from benchmarks.hidden.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
 from benchmarks.hidden.camera.scene import Eye, Street
+from benchmarks.hidden.sealed import plain
 
 DEPTHS_M = (8.0, 20.0, 60.0)
 FRAMES = 12
@@ -92,6 +94,16 @@ def test_an_effect_that_shows_nowhere_is_hidden_at_its_strongest():
     assert truth["weather"] == "snow"  # the next one in which it could show
     assert effect["level"] == 2.3
     assert effect["parameters"]["row_time_s"] == pytest.approx(2e-4)
+
+
+def test_a_sealed_truth_gives_its_study_again():
+    size = Size(width=64, height=48, streets=1, clear_frames=2, rates=2, frames=2)
+    case = Case("x", "single", "snow", ("camera.particle_count",), (30.0,), size, (1, 2, 3))
+    study, truth = build(case, _NothingShows((1, 2), few=True))
+    again, same = build(case, Places((1, 2), few=True), json.loads(json.dumps(plain(truth))))
+    assert plain(same) == plain(truth)
+    for one, other in zip(study.conditions, again.conditions, strict=True):
+        np.testing.assert_array_equal(one.frames[0]["bayer"], other.frames[0]["bayer"])
 
 
 def test_a_pair_of_which_one_shows_nowhere_is_not_made():

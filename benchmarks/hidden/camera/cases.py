@@ -14,6 +14,7 @@ from torchweather.gap.study import Study
 from ..bars import other_bars
 from ..bench_sensor import BenchSensor
 from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
+from ..sealed import read_json
 from .decoys import DECOYS
 from .design import Design, Size, draw_design, study_of, with_record
 from .detectability import STRENGTHS, Detector, Table, confusable
@@ -151,28 +152,14 @@ def plan(set_name: str, seed: int, groups: Sequence[str], size: Size) -> Iterato
     return cases_of(GROUPS, groups, set_name, seed, sized, "camera-")
 
 
-def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
-    """The study of a case, and its truth."""
+def build(case: Case, places: Places, before: dict[str, Any] | None = None) -> tuple[Study, dict[str, Any]]:
+    """The study of a case, and its truth; ``before`` is that truth, where it was made before."""
     rng = np.random.default_rng(list(case.seed))
-    weather, levels, strengths = _where_it_shows(case, places)
+    weather, hidden = _hidden(case, places) if before is None else (before["weather"], before["effects"])
     streets = replace(places.design(weather, case.size), size=case.size)
     design = with_record(streets, rng, record_sd=case.options.get("record_sd"))
-    truth: dict[str, Any] = {**asdict(case), "weather": weather, "record": design.record, "effects": []}
-    effects = []
-    for name, level, strength in zip(case.names, levels, strengths, strict=True):
-        effect, confused = KINDS[name].at(strength), places.confused(weather, case.size, name, strength)
-        effects.append(effect)
-        truth["effects"].append(
-            {
-                "name": name,
-                "parameters": effect.parameters,
-                "same_form": KINDS[name].same_form,
-                "level": level,
-                "confusable_with": confused,
-                "identifiable": None if confused is None else not confused,
-                "axes": KINDS[name].shows_along if name in OUTSIDE else None,
-            }
-        )
+    truth: dict[str, Any] = {**asdict(case), "weather": weather, "record": design.record, "effects": hidden}
+    effects = tuple(KINDS[one["name"]]({k: float(v) for k, v in one["parameters"].items()}) for one in hidden)
     if "decoy" in case.options:
         decoy = DECOYS[case.options["decoy"]](design, rng)
         truth["right"] = {"verdicts": decoy.verdicts, "names": decoy.names}
@@ -186,12 +173,32 @@ def build(case: Case, places: Places) -> tuple[Study, dict[str, Any]]:
             repeated=decoy.repeated,
         )
     else:
-        study = study_of(design, tuple(effects), rng)
+        study = study_of(design, effects, rng)
     truth["conditions"] = [
         {"id": one.id, "recorded": one.recorded, "true": one.weather.amount, "split": one.split}
         for one in design.conditions
     ]
     return study, truth
+
+
+def _hidden(case: Case, places: Places) -> tuple[str, list[dict[str, Any]]]:
+    """The weather of a case, and what the truth says of each of its effects."""
+    weather, levels, strengths = _where_it_shows(case, places)
+    found = []
+    for name, level, strength in zip(case.names, levels, strengths, strict=True):
+        confused = places.confused(weather, case.size, name, strength)
+        found.append(
+            {
+                "name": name,
+                "parameters": KINDS[name].at(strength).parameters,
+                "same_form": KINDS[name].same_form,
+                "level": level,
+                "confusable_with": confused,
+                "identifiable": None if confused is None else not confused,
+                "axes": KINDS[name].shows_along if name in OUTSIDE else None,
+            }
+        )
+    return weather, found
 
 
 def _where_it_shows(case: Case, places: Places) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
@@ -223,9 +230,11 @@ def _cases(set_name: str, seed: int, groups: Sequence[str], small: bool) -> list
 def _builder(
     set_name: str, seed: int, sealed: Path, cases: Sequence[Case], few: bool
 ) -> Callable[[Case], tuple[Study, dict[str, Any]]]:
-    """What builds the cases."""
+    """What builds the cases, those that were made before from the sealed truth."""
     places = Places((label_key(set_name), seed), few)
-    return lambda case: build(case, places)
+    path = sealed / "truth.json"
+    truths = read_json(path) if path.exists() else {}
+    return lambda case: build(case, places, truths.get(case.id))
 
 
 SENSOR = BenchSensor(
