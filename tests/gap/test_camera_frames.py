@@ -152,6 +152,15 @@ def test_noise_under_particles_is_that_of_a_frame_of_its_own(clear, covered, tra
     assert float(departure.square().mean() / expected.mean()) == pytest.approx(1.0, abs=5.0 * chance)
 
 
+def test_levels_of_saturation_are_tried_from_the_highest_signal_down() -> None:
+    cut = EFFECTS["camera.saturation"](level=0.3)
+    levels = CameraFrames(Study.from_arrays(**values_of([cut], frames=1))).sizes["level"]
+    assert isinstance(levels, tuple)
+    noise = np.sqrt(0.3 / ELECTRONS)
+    assert 0.3 < levels[0] < 0.3 + 4.0 * noise
+    assert list(levels) == sorted(levels, reverse=True)
+
+
 def test_catalogue_without_normals_has_no_wet_surface() -> None:
     given = values_of(frames=1)
     del given["scenes"][0]["geometry"]["normal"]

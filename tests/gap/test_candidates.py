@@ -124,3 +124,8 @@ def test_what_cuts_is_tried_so_closely_that_nothing_is_stepped_over() -> None:
     assert [high / low for low, high in itertools.pairwise(values)] == pytest.approx([1.2] * (len(values) - 1))
     assert list(line.first) == list(range(len(values)))
     assert [name for name in NAMES if EFFECTS[name].cuts] == ["lidar.blind_zone"]
+
+
+def test_values_that_are_a_matter_of_the_data_are_tried_as_they_are() -> None:
+    (line,) = lines(EFFECTS["camera.saturation"], (), {"level": (0.71, 0.69, 0.4)})
+    assert [dict(one) for one in line.settings] == [{"level": 0.71}, {"level": 0.69}, {"level": 0.4}]

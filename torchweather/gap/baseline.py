@@ -80,7 +80,7 @@ class FrameModel(Protocol):
     layout: Layout
     effects: list[Effect]  # that it has already
     map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
-    sizes: Mapping[str, float]  # typical sizes of parameters that are a matter of the data
+    sizes: Mapping[str, float | Sequence[float]]  # as in candidates.lines
     open_shifts: AbstractSet[str]  # statistics whose even shift by the clear frames' own error is among what is open
 
     def measured(self, condition: Condition) -> Reduced:

@@ -45,6 +45,9 @@ DROP_LIGHT_SD = 0.01  # relative, of each colour of drops: they show more of the
 # Of the scatter of the sky's light from place to place, by which the airlight may be off; order of magnitude.
 UNEVEN_SHARE = 0.25
 LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
+# Of the signal, that one pixel in a thousand exceeds: frames saturate near it, if they do. Levels that are tried.
+HIGHEST = 0.999
+LEVELS = (1.0, 0.985, 0.97, 0.955, 0.93, 0.9, 0.8, 0.6, 0.3)
 TOGETHER = 6  # frames: those of a response; particles of several are rendered faster
 KEPT_FRAMES = 6000  # reduced ones
 FARTHEST_SD = 5.0  # standard deviations of the record for which, and for a step of rates more, a draw has slots
@@ -89,7 +92,8 @@ class CameraFrames:
         self.as_record: AbstractSet[str] = frozenset()
         self.open_shifts: AbstractSet[str] = frozenset()
         self.map_cells: list[tuple[float, float]] = []
-        self.sizes: Mapping[str, float] = {"level": 1.0}
+        highest = max(float(torch.quantile(_frames(one)[0], HIGHEST)) for one in (*self.fit, *self.holdout))
+        self.sizes: Mapping[str, float | Sequence[float]] = {"level": tuple(share * highest for share in LEVELS)}
         self.layout = camera_layout(next(iter(self.scenes.values())), colours)
         self._pattern, self._colours = pattern, colours
         self.transforms: dict[str, BayerWeather] = {}

@@ -68,13 +68,16 @@ def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = STEPS
     return found
 
 
-def lines(effect: type[Effect], places: Sequence[float], sizes: Mapping[str, float] | None = None) -> list[Line]:
+def lines(
+    effect: type[Effect], places: Sequence[float], sizes: Mapping[str, float | Sequence[float]] | None = None
+) -> list[Line]:
     """Lines of settings of an effect.
 
     Args:
         effect: its class.
         places: azimuths, rad, at which it is tried if it has one.
-        sizes: of parameters whose typical size is a matter of the data, such as an intensity.
+        sizes: of parameters whose typical size is a matter of the data, such as an intensity; several are all values
+            that are tried, from weak to strong.
     """
     deciding = [parameter for parameter in effect.arguments if parameter.identity is not None]
     telling = [parameter for parameter in effect.arguments if parameter.identity is None]
@@ -91,10 +94,12 @@ def lines(effect: type[Effect], places: Sequence[float], sizes: Mapping[str, flo
     found = []
     for fixed in itertools.product(*choices):
         for parameter in deciding:
+            size = (sizes or {}).get(parameter.name, parameter.scale)
+            if isinstance(size, Sequence):
+                along = [list(size)]
+            else:
+                along = _strengths(parameter, size, CUT_STEPS if effect.cuts else STEPS)
             found += [
-                Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
-                for values in _strengths(
-                    parameter, (sizes or {}).get(parameter.name, parameter.scale), CUT_STEPS if effect.cuts else STEPS
-                )
+                Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values)) for values in along
             ]
     return found

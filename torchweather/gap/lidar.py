@@ -85,7 +85,7 @@ class LidarFrames:
         azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
         self._sums = {name: LidarSums(scene, self.layout, self.grid, azimuth) for name, scene in self.scenes.items()}
         self.map_cells = map_cells()
-        self.sizes: Mapping[str, float] = {
+        self.sizes: Mapping[str, float | Sequence[float]] = {
             "saturation": max(float(scene.intensity.max()) for scene in self.scenes.values())
         }
         self.transforms: dict[str, LidarWeather] = {}

@@ -58,7 +58,7 @@ class LinkFrames:
         self.catalogue = list(LINK_EFFECTS)
         self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}
         self.map_cells: list[tuple[float, float]] = []
-        self.sizes: Mapping[str, float] = {}
+        self.sizes: Mapping[str, float | Sequence[float]] = {}
         self.open_shifts: AbstractSet[str] = frozenset()
         held = np.asarray(study.links["split"]) == 1
         self._check(held)

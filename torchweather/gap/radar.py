@@ -97,7 +97,7 @@ class RadarFrames:
         self._sums = {name: RadarSums(scene, self.layout) for name, scene in self.scenes.items()}
         self.map_cells: list[tuple[float, float]] = []
         most = max((detection_count(detections_of(list(one.frames))).max() for one in self.fit), default=2)
-        self.sizes: Mapping[str, float] = {"max_count": float(max(most, 2))}
+        self.sizes: Mapping[str, float | Sequence[float]] = {"max_count": float(max(most, 2))}
         self.transforms: dict[str, RadarAttenuation] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
         self._lock = threading.RLock()
