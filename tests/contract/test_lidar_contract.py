@@ -153,8 +153,12 @@ def test_every_dtype_sees_the_same_weather(make: Maker, dtype: torch.dtype) -> N
     noise = transform.draw(given, seed=1)
     wanted = transform(given.float(), noise)
     got = transform(given, noise)
-    # A float64 cloud is computed in float64: the table's cell of a beam on a border may differ, here it does not.
-    assert torch.allclose(got.float(), wanted.to(dtype).float(), rtol=1e-4, atol=1e-4)
+    apart = (got.float() - wanted.to(dtype).float()).abs()
+    # A float64 cloud is computed in float64: where a beam lies on the border of two cells of a table, which of them it
+    # takes depends on the processor's rounding, and a particle stands some millimetres elsewhere.
+    elsewhere = (apart > 1e-4 + 1e-4 * wanted.float().abs()).any(-1)
+    assert int(elsewhere.sum()) <= (2 if dtype == torch.float64 else 0)
+    assert bool((apart < 5e-3).all())
 
 
 @every_transform

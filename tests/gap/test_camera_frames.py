@@ -16,7 +16,7 @@ from torchweather.gap import Study, find_gap
 from torchweather.gap.baseline import FrameModel
 from torchweather.gap.camera import CameraFrames
 from torchweather.gap.camera_particles import LEAST_STEP, Rendered
-from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, cell_colours, in_blocks
+from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, CameraScene, cell_colours, in_blocks
 from torchweather.gap.camera_sums import ASIDE, SHARED_CELLS, TAILS_SD, lag_name
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.scenes import SCENES
@@ -137,12 +137,17 @@ def test_noise_of_other_light_is_that_of_the_pixels(model: CameraFrames) -> None
     assert float((found - 0.5).std()) == pytest.approx(np.sqrt(0.5 / ELECTRONS), rel=0.2)
 
 
+@lru_cache
+def scene_of(clear: int) -> CameraScene:
+    """A scene with so many clear frames."""
+    return CameraFrames(Study.from_arrays(**values_of(clear=clear, frames=1))).scenes["s0"]
+
+
 @pytest.mark.parametrize("clear", [2, 4])
 @pytest.mark.parametrize(("covered", "transmission"), [(0.0, 1.0), (0.3, 1.0), (0.9, 1.0), (0.4, 0.6)])
 def test_noise_under_particles_is_that_of_a_frame_of_its_own(clear, covered, transmission) -> None:
     """What particles hide of the scene they hide of the clear frames' noise, too; what it is compared with has it."""
-    model = CameraFrames(Study.from_arrays(**values_of(clear=clear, frames=1)))
-    scene, row, light = model.scenes["s0"], torch.arange(clear), view().bayer
+    scene, row, light = scene_of(clear), torch.arange(clear), view().bayer
     air = (1.0 - transmission) * light  # particles and air as bright as what they hide: only noise is left
     signal = (1.0 - covered) * (transmission * scene.reference[row] + air) + covered * light
     shares = (torch.full_like(signal, share) for share in (transmission, covered))

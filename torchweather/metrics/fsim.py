@@ -62,4 +62,4 @@ def fsim_of(pair: Pair, *, chromatic: bool = True) -> Tensor:
     local = likeness(features[0], features[1], PHASE) * likeness(slopes[0], slopes[1], GRADIENT)
     if chromatic and x.shape[1] == 3:
         local = local * chroma_likeness(x[:, 1:], y[:, 1:], CHROMA, CHROMA_POWER)
-    return pair.per_image(weighted_mean(local, torch.maximum(features[0], features[1])))
+    return pair.per_image(weighted_mean(local, torch.maximum(features[0], features[1])).clamp_max(1.0))  # sums round

@@ -73,7 +73,7 @@ def sr_sim_of(pair: Pair, *, chromatic: bool = False) -> Tensor:
     local = likeness(salient[0], salient[1], SALIENCY) * likeness(slopes[0], slopes[1], GRADIENT) ** GRADIENT_POWER
     if chromatic and x.shape[1] == 3:
         local = local * chroma_likeness(yiq(x)[:, 1:], yiq(y)[:, 1:], CHROMA, CHROMA_POWER)
-    return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])))
+    return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])).clamp_max(1.0))  # sums round
 
 
 def _saliency(plane: Tensor) -> Tensor:

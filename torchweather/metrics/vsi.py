@@ -77,7 +77,7 @@ def vsi_of(pair: Pair) -> Tensor:
     turned = torch.where(chroma < 0, math.cos(CHROMA_POWER * math.pi), torch.ones_like(chroma))
     local = likeness(salient[0], salient[1], SALIENCY) * power(likeness(slopes[0], slopes[1], GRADIENT), GRADIENT_POWER)
     local = local * power(chroma.abs(), CHROMA_POWER) * turned
-    return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])))
+    return pair.per_image(weighted_mean(local, torch.maximum(salient[0], salient[1])).clamp_max(1.0))  # sums round
 
 
 def _shrunk(image: Tensor, factor: int) -> Tensor:
