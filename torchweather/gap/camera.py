@@ -92,7 +92,8 @@ class CameraFrames:
         self.as_record: AbstractSet[str] = frozenset()
         self.open_shifts: AbstractSet[str] = frozenset()
         self.map_cells: list[tuple[float, float]] = []
-        highest = max(float(torch.quantile(_frames(one)[0], HIGHEST)) for one in (*self.fit, *self.holdout))
+        # Of the conditions that are fitted to: those held out tell nothing before the end.
+        highest = max((float(np.quantile(one.frames[0]["bayer"], HIGHEST)) for one in self.fit), default=1.0)
         self.sizes: Mapping[str, float | Sequence[float]] = {"level": tuple(share * highest for share in LEVELS)}
         self.layout = camera_layout(next(iter(self.scenes.values())), colours)
         self._pattern, self._colours = pattern, colours
