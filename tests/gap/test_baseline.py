@@ -128,6 +128,24 @@ def test_what_whole_frames_do_to_means_of_elements_is_in_their_total_scatter_alo
         )
 
 
+@pytest.mark.parametrize("scatters", [False, True])
+def test_means_of_frames_that_an_effect_scatters_are_known_no_better_than_those_frames_tell(
+    study: Study, scatters: bool
+) -> None:
+    """What it adds to how frames differ without it, which is a nuisance; without an effect that scatters, nothing."""
+    count, frames, common, more = 40, 4, 0.1, 0.3
+    aim = target(study, np.zeros(BINS), frames)
+    name = aim.condition.id
+    before, after = pool(count, 5, common=common), pool(count, 5, common=more)
+    start = baseline({name: before}, [aim], no_noise(name), None, 0)
+    found = baseline({name: after}, [aim], no_noise(name), start, 0, scatters)
+    added = scatters * (more**2 - common**2) / frames * (1.0 + frames / count)
+    # 40 draws of the common part: 11 %, three of those.
+    np.testing.assert_allclose(found.sd[name], np.sqrt(start.sd[name] ** 2 + added), rtol=0.35 if scatters else 0.05)
+    less = baseline({name: pool(count, 5)}, [aim], no_noise(name), start, 0, scatters)
+    np.testing.assert_allclose(less.sd[name], start.sd[name], rtol=0.05)
+
+
 def test_shares_and_means_of_elements_carry_the_noise_of_the_clear_frames(study: Study) -> None:
     """Frames that are all alike: a share has its least scatter, a mean that of its elements where it is larger."""
     groups = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,15 @@ from tests.gap.tiny_study import tiny_study
 from torchweather.gap import screening as screening_module
 from torchweather.gap import workflow
 from torchweather.gap.baseline import targets
-from torchweather.gap.candidate_fits import LEAST_AMPLITUDE, Candidate, _start, best_nodes, best_pairs, hidden_nodes
+from torchweather.gap.candidate_fits import (
+    LEAST_AMPLITUDE,
+    Candidate,
+    _start,
+    best_nodes,
+    best_pairs,
+    hidden_nodes,
+    scattering,
+)
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.find import find_gap
 from torchweather.gap.held_out import HeldOut
@@ -153,9 +162,11 @@ def further(
     excess: float = 0.0,
     rest_p: float = 1.0,
     refitted: float = 0.0,
-) -> int:
-    """Number of effects that are kept where the best one leaves a misfit, and so much more than noise does, and another
-    one lowers it by a gain, of which the best one would gain a part by itself, fitted again."""
+    lost: float = math.inf,
+) -> list[str]:
+    """Effects that are kept where the best one leaves a misfit, and so much more than noise does, and another one
+    lowers it by a gain, of which the best one would gain a part by itself, fitted again; the other one by itself would
+    lose so much."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
@@ -180,8 +191,10 @@ def further(
     monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
 
     def fit(setting: Setting, nuisance: Any, base: Any) -> Any:
-        assert list(setting.values) == list(window)
-        return SimpleNamespace(misfit=misfit - refitted)
+        if list(setting.values) == list(window):
+            return SimpleNamespace(misfit=misfit - refitted)
+        assert list(setting.values) == list(noise)
+        return fitted(noise, misfit - gain + lost, 0.0).fit
 
     search: Any = SimpleNamespace(origin=Setting(), seed=0, model=SimpleNamespace(as_record=frozenset()), fit=fit)
     other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
@@ -192,7 +205,9 @@ def further(
     )
     base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.array([30.0, 0.0, 0.0, 0.0]))
     singles = [rounds.pop(0)]
-    return len(_rounds(search, other, base, found, BEFORE, singles, lambda text: None))  # type: ignore[arg-type]
+    kept = _rounds(search, other, base, found, singles, lambda text: None)  # type: ignore[arg-type]
+    assert [len(one[0].fit.setting.values) for one in kept] == list(range(1, len(kept) + 1))
+    return list(kept[-1][0].fit.setting.values)
 
 
 @pytest.mark.parametrize(
@@ -208,8 +223,8 @@ def further(
 def test_a_further_effect_explains_most_of_what_is_left_or_a_tenth_of_all(
     monkeypatch: pytest.MonkeyPatch, misfit: float, threshold: float, excess: float, needed: float
 ) -> None:
-    assert further(monkeypatch, misfit, needed - 0.5, threshold, excess) == 1
-    assert further(monkeypatch, misfit, needed + 0.5, threshold, excess) == 2
+    assert len(further(monkeypatch, misfit, needed - 0.5, threshold, excess)) == 1
+    assert len(further(monkeypatch, misfit, needed + 0.5, threshold, excess)) == 2
 
 
 @pytest.mark.parametrize(("rest_p", "needed"), [(2.0 * REST_P, 150.0), (0.5 * REST_P, 90.0)])
@@ -218,13 +233,13 @@ def test_what_explains_most_of_a_rest_that_is_no_noise_need_not_compare_with_the
 ) -> None:
     """Of 5,000 that is explained 3 % are 150; of an excess of 150 six tenths are 90."""
     for gain, number in ((needed - 1.0, 1), (needed + 1.0, 2)):
-        assert further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=rest_p) == number
+        assert len(further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=rest_p)) == number
 
 
 def test_what_may_be_taken_for_the_first_compares_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workflow, "_confusable", lambda name, other: (name, other) == CONFUSED)
     for gain, number in ((149.0, 1), (151.0, 2)):
-        assert further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=0.5 * REST_P) == number
+        assert len(further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=0.5 * REST_P)) == number
 
 
 CONFUSED = ("lidar.range_noise", "lidar.window_loss")
@@ -239,7 +254,39 @@ def test_the_catalogue_says_what_may_be_taken_for_what_in_either_place() -> None
 
 def test_a_first_effect_that_was_not_at_its_best_is_no_merit_of_the_second(monkeypatch: pytest.MonkeyPatch) -> None:
     for refitted, number in ((41.0, 1), (39.0, 2)):  # of 100; 60 are needed
-        assert further(monkeypatch, 300.0, 100.0, excess=100.0, refitted=refitted) == number
+        assert len(further(monkeypatch, 300.0, 100.0, excess=100.0, refitted=refitted)) == number
+
+
+@pytest.mark.parametrize(
+    ("lost", "kept"),
+    [(49.0, ["lidar.range_noise"]), (51.0, ["lidar.window_loss", "lidar.range_noise"])],  # noise gains 50
+)
+def test_a_first_effect_that_only_stood_for_the_second_goes(
+    monkeypatch: pytest.MonkeyPatch, lost: float, kept: list[str]
+) -> None:
+    assert further(monkeypatch, 300.0, 100.0, threshold=50.0, excess=100.0, lost=lost) == kept
+
+
+def test_of_three_effects_the_one_that_is_idle_goes() -> None:
+    explains = {"first": 10.0, "second": 500.0, "third": 500.0}
+
+    def fit(setting: Setting, nuisance: Any, base: Any) -> Any:
+        misfit = 1000.0 - sum(explains[name] for name in setting.values)
+        return SimpleNamespace(setting=setting, misfit=misfit, nuisance=nuisance, base=base)
+
+    whole = fit(Setting({name: {} for name in explains}), NOTHING, None)
+    found = workflow._without_idle(SimpleNamespace(fit=fit), Candidate("third", whole, 500.0), 50.0)  # type: ignore[arg-type]
+    assert list(found.setting.values) == ["second", "third"]
+    # Two that are idle only each beside the other: one of them stays.
+    explains.update(first=0.0, second=0.0)
+    either = {1: 30.0, 2: -20.0, 3: -20.0}
+
+    def alike(setting: Setting, nuisance: Any, base: Any) -> Any:
+        return SimpleNamespace(setting=setting, misfit=either[len(setting.values)], nuisance=nuisance, base=base)
+
+    whole = alike(Setting({name: {} for name in explains}), NOTHING, None)
+    found = workflow._without_idle(SimpleNamespace(fit=alike), Candidate("third", whole, 500.0), 40.0)  # type: ignore[arg-type]
+    assert list(found.setting.values) == ["second", "third"]
 
 
 @pytest.mark.parametrize(
@@ -282,7 +329,7 @@ def test_an_effect_may_hide_behind_what_is_left_open(
     monkeypatch.setattr(workflow, "screen", quiet)
     monkeypatch.setattr(Search, "begin", begin)
     monkeypatch.setattr(workflow, "_singles", singles)
-    monkeypatch.setattr(workflow, "_rounds", lambda *given: [list(given[5])])
+    monkeypatch.setattr(workflow, "_rounds", lambda *given: [list(given[4])])
     monkeypatch.setattr(workflow, "_verdict", lambda *given: "named")
     found = find_gap(study, effects=["lidar.window_loss"])
     assert asked == ([0.5] if open_sd > 2.0 else [])
@@ -461,6 +508,28 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
     with pytest.raises(ValueError, match=r"effect must be one of .*Did you mean 'lidar.window_loss'"):
         find_gap(study, effects=["lidar.window_los"], say=said.append)
     assert said == []
+
+
+@pytest.mark.parametrize(("least", "kept"), [(99.0, [0.2]), (101.0, [])])
+def test_an_effect_that_scatters_is_tried_at_its_likeliest_strength(least: float, kept: list[float]) -> None:
+    """Where its mean response gains 100 of what departs, whatever it says of the strength."""
+    steps = Line(EFFECTS["lidar.patchy_weather"], tuple({"log_std": one} for one in (0.01, 0.1, 0.2, 0.9)))
+    nodes = [*NODES, *(Node(steps, one, steps.settings[one], np.eye(4)[3] * one) for one in (0, 2))]
+    misfit = {0.01: 900.0, 0.1: 600.0, 0.2: 500.0, 0.9: 700.0}
+
+    def fit(setting: Setting, nuisance: Any, base: Any, iterations: int) -> Any:
+        assert (setting.log_knob, nuisance, base, iterations) == ({"c0": 0.1}, NOTHING, "start", 0)
+        return SimpleNamespace(setting=setting, misfit=misfit[setting.values["lidar.patchy_weather"]["log_std"]])
+
+    base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.array([99.0, 0.0, 0.0, 10.0]), base="start")
+    origin = Setting(log_knob={"c0": 0.1})
+    search: Any = SimpleNamespace(origin=origin, fit=fit)
+    # Scaled to at most 1.35 times, 2 explains 100 of 10 squared with 5 wanted: 2 * 1.35 * 20 - 1.35 ** 2 * 4.
+    gain = 2.0 * 1.35 * 20.0 - 1.35**2 * 4.0
+    found = scattering(search, base, nodes, least / 100.0 * gain)
+    assert [own.setting.values["lidar.patchy_weather"]["log_std"] for own, _ in found] == kept
+    for own, (setting, chosen, amplitude) in found:
+        assert (setting, chosen.values, amplitude) == (origin, own.setting.values["lidar.patchy_weather"], 1.0)
 
 
 @pytest.mark.parametrize(("gain", "kept"), [(149.0, False), (151.0, True)])

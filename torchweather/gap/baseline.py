@@ -245,6 +245,7 @@ def baseline(
     noise: ElementNoise,
     start: Baseline | None,
     seed: int,
+    scatters: bool = False,
 ) -> Baseline:
     """The distribution of the vectors that pools of simulated frames give.
 
@@ -255,6 +256,8 @@ def baseline(
         start: the model without effects, whose whitening is kept; ``None`` where this is it. The noise of elements is
             its noise, and grows as the elements' own spread does.
         seed: of the draws.
+        scatters: whether whole frames differ by more than those of the start; what they do to means is then scatter
+            of each.
     """
     means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
@@ -284,7 +287,10 @@ def baseline(
         totals[name] = own * np.sqrt(1.0 + pooled + of_clear)
         # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
         owns[name] = np.where(averages, least, own)
-        each = np.where(averages, least, own)
+        frames_apart = np.zeros_like(own)
+        if scatters and start is not None:
+            frames_apart = np.maximum(drawn - start.draws[name].var(0, ddof=1) / (1.0 - pooled), 0.0)
+        each = np.where(averages, np.sqrt(least**2 + frames_apart), own)
         sds[name] = np.where(averages | by_chance, each * math.sqrt(1.0 + pooled), totals[name])
         common = np.where(averages, elements, own) * np.sqrt(n / tell)
         shared[name] = np.where(averages | by_chance, common / np.maximum(sds[name], TINY), 0.0)

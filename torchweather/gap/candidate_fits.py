@@ -21,7 +21,7 @@ from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed
 from torchweather.gap.search import SETTLED, Fit, Search, Setting
 
-__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "hidden_nodes", "stands_far"]
+__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "hidden_nodes", "scattering", "stands_far"]
 
 Floats = NDArray[np.float64]
 
@@ -99,6 +99,34 @@ def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: floa
         if len(names) == 2 and names not in found:
             found[names] = (replace(origin, values={nodes[one].id: _start(nodes[one], 1.0)}), nodes[other], 1.0)
     return list(found.values())
+
+
+def scattering(search: Search, base: Fit, nodes: Sequence[Node], least: float) -> list[tuple[Fit, Proposal]]:
+    """The likeliest strength of each effect by which whole frames differ and whose response gains enough.
+
+    The mean of a few such frames is off by more than the mean response of many: what explains that is the scatter.
+
+    Args:
+        search: its simulator.
+        base: the fit without effects.
+        nodes: responses.
+        least: gain of a response from which its effect is looked at.
+
+    Returns:
+        The simulator with each effect, to begin a fit from, and the proposal of that strength.
+    """
+    own = [node for node in nodes if node.line.effect.scatters]
+    gain = gains(own, base.nuisance.left(base.residual)[None], base.nuisance)[0] if own else np.zeros(0)
+    found = []
+    for name in dict.fromkeys(node.id for node, one in zip(own, gain, strict=True) if one >= least):
+        tried = []
+        for line in {id(node.line): node.line for node in own if node.id == name}.values():
+            for number, values in enumerate(line.settings):
+                fit = search.fit(replace(search.origin, values={name: values}), base.nuisance, base.base, 0)
+                tried.append((fit, Node(line, number, values, base.residual)))
+        best, node = min(tried, key=lambda one: one[0].misfit)
+        found.append((best, (search.origin, node, 1.0)))
+    return found
 
 
 def stands_far(setting: Setting) -> bool:

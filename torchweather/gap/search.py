@@ -172,7 +172,8 @@ class Search:
     def at(self, setting: Setting) -> Baseline:
         """The distribution of the vectors at a setting; whitened as the model without effects is."""
         pools = self.pools(setting, self.pool_frames)
-        found = baseline(pools, self.measured, self.noise, getattr(self, "start", None), self.seed)
+        scatters = any(effect_class(self.model, effect).scatters for effect in setting.values)
+        found = baseline(pools, self.measured, self.noise, getattr(self, "start", None), self.seed, scatters)
         unsaid = {name for effect in setting.values for name in effect_class(self.model, effect).unsaid}
         return self._loosened(found, unsaid) if unsaid else found
 

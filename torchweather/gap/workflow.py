@@ -29,6 +29,7 @@ from torchweather.gap.candidate_fits import (
     best_pairs,
     fitted,
     hidden_nodes,
+    scattering,
     stands_far,
 )
 from torchweather.gap.clear_air import ClearAir, clear_air
@@ -146,7 +147,7 @@ def find_gap_with(
         return GapResult(
             "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
         )
-    rounds = _rounds(search, held, base, screening, before, singles, say)
+    rounds = _rounds(search, held, base, screening, singles, say)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
     verdict = _verdict(screening, best, before, after)
     after = before if verdict == "none" else after  # nothing is added
@@ -168,6 +169,10 @@ def _singles(
         hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
         best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
     found = fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
+    for own, proposal in scattering(search, base, screening.nodes, _threshold(screening)):
+        promised.add(proposal[1].id)
+        found += fitted(search, own, [proposal], screening.misfit, say)
+    found.sort(key=lambda one: -one.gain)
     # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
     least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(screening)
     return [one for one in found if one.id in promised or one.gain > least]
@@ -178,14 +183,13 @@ def _rounds(
     held: Search,
     base: Fit,
     screening: Screening,
-    before: HeldOut,
     singles: list[Candidate],
     say: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
     threshold = _threshold(screening)
     rounds = [list(singles)]
-    held_gap = before
+    led: set[str] = set()  # effects that have taken the place of one that stood for them
     while True:
         best = rounds[-1][0]
         values = best.fit.setting.values
@@ -199,9 +203,9 @@ def _rounds(
         excess = OF_THE_REST * screening.rest.excess(left)
         significant = screening.rest.p_value(left) < REST_P
         needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
-        if len(rounds) > 1 and held_gap.misfit - after.misfit < HELD_GAIN:
+        earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
+        if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
-        held_gap = after
         if len(values) == MOST_EFFECTS:
             return rounds
         rest = _further(search, screening, best)
@@ -222,7 +226,29 @@ def _rounds(
         kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
         if not kept:
             return rounds
-        rounds.append(kept)
+        needful = _without_idle(search, kept[0], threshold)
+        number = len(needful.setting.values)
+        if number < len(kept[0].fit.setting.values) and kept[0].id not in led:
+            led.add(kept[0].id)
+            earlier = rounds[number - 2][0].fit.misfit if number > 1 else screening.misfit
+            others = [one for one in rounds[number - 1] if one.id != kept[0].id]
+            rounds = [*rounds[: number - 1], [Candidate(kept[0].id, needful, earlier - needful.misfit), *others]]
+        else:
+            rounds.append(kept)
+
+
+def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
+    """A further effect with those of the others that are needed beside it: a first effect may only have stood for it,
+    and explains no more than noise where it is."""
+    fit = further.fit
+    for name in further.fit.setting.values:
+        if name == further.id:
+            continue
+        values = {one: given for one, given in fit.setting.values.items() if one != name}
+        without = search.fit(replace(fit.setting, values=values), fit.nuisance, fit.base)
+        if without.misfit - further.fit.misfit < threshold:
+            fit = without
+    return fit
 
 
 def _own_gain(search: Search, further: Candidate) -> float:

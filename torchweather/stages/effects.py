@@ -91,6 +91,8 @@ class Effect(Stage):
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
         needs: fields of the state without which it cannot work.
         cuts: whether it acts on all that lies within its parameter: half of what it does is no work of half of it.
+        scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
+            many are on average.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
         unsaid: quantities that it changes although no parameter says by how much, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
@@ -121,6 +123,7 @@ class Effect(Stage):
     percollect: ClassVar[str | None] = None
     needs: ClassVar[tuple[str, ...]] = ()
     cuts: ClassVar[bool] = False
+    scatters: ClassVar[bool] = False
     each_frame_anew: ClassVar[bool] = False
     unsaid: ClassVar[tuple[str, ...]] = ()
 

@@ -133,6 +133,7 @@ class CameraPatchyFog(Effect):
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("log_std", "1", 0.0, 2.0, scale=0.3, identity=0.0),)
     after: ClassVar[str] = "scene"
     axes: ClassVar[tuple[str, ...]] = ("frame", "place")
+    scatters: ClassVar[bool] = True
     of_the_air: ClassVar[bool] = True
     confusable_with: ClassVar[Mapping[str, str]] = {
         "camera.height_fog": "frames: height layers stay, banks move",

@@ -399,6 +399,7 @@ class LidarPatchyWeather(Effect):
     )
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("frame",)
+    scatters: ClassVar[bool] = True
     of_the_air: ClassVar[bool] = True
 
     def variates(self) -> tuple[Variate, ...]:
