@@ -76,6 +76,22 @@ def test_a_slanted_streak_leans_by_the_path_of_its_disk(width_px, down_px):
     assert (weight * y**2).sum() == pytest.approx(down_px**2 / 12.0 + width_px**2 / 16.0 + 1.0 / 12.0, rel=0.1)
 
 
+@pytest.mark.parametrize("slope", [0.1, 0.3, 0.6])
+def test_a_slanted_streak_is_as_wide_in_each_row_as_its_disk_that_moves_on(slope):
+    """Variance across: of the disk, of the columns, and by the slope of how far down it is seen in a row."""
+    width_px, down_px, one = 0.8, 30.0, np.ones(1)
+    path = {"width_px": width_px * one, "aside_px": slope * down_px * one, "down_px": down_px * one}
+    beside = {"crowds": [], "slant": 0.0, "veil_per_m": np.zeros(1), "veil_edges_m": np.array([0.5, 200.0])}
+    variances, column = [], np.arange(42)
+    for place in np.linspace(0.0, 1.0, 16, endpoint=False):  # what pixels add depends on where in them it lies
+        at = {"column_px": 20.0 + place * one, "row_px": 20.6 * one, "depth_m": 5.0 * one, "peak": 0.01 * one}
+        rows = optical_depth(_fronts(Eye(42, 42)), Streaks(**at, **path, **beside), np.random.default_rng(0))[12:30]
+        middle = 20.0 + place + slope * (np.arange(12, 30)[:, None] - 20.6)
+        variances.append((rows * (column - middle) ** 2).sum(1) / rows.sum(1))
+    of_disk = width_px**2 / 16.0
+    assert np.mean(variances) == pytest.approx((1.0 + slope**2) * (of_disk + 1.0 / 12.0), rel=0.02)
+
+
 class _NothingShows(Places):
     """Streets on which no effect reaches a level; the strongest has a d' of 2.3."""
 

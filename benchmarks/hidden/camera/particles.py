@@ -237,17 +237,19 @@ def _splat(total: FloatArray, depth_m: FloatArray, streaks: Streaks, which: np.n
     middle, flat, ramp = v[owner], 0.5 * np.abs(down - side)[owner], np.minimum(down, side)[owner]
     share = _below(row + 0.5 - middle, flat, ramp) - _below(row - 0.5 - middle, flat, ramp)
     area = (0.25 * np.pi * streaks.width_px[which] ** 2 * streaks.peak[which])[owner]
-    # While a row is covered the disk moves aside.
+    # While a row is covered the disk moves aside: a box that a box is smeared over.
     moves = np.abs(slope[owner]) * np.minimum(down[owner], np.hypot(1.0, side[owner]))
     z, across = streaks.depth_m[which][owner], side[owner] + moves
+    level, rise = 0.5 * np.abs(side[owner] - moves), np.minimum(side[owner], moves)
     column = u[owner] + _middle(row - v[owner], down[owner], side[owner]) * slope[owner]
     left = np.floor(column - 0.5 * across + 0.5).astype(int)
     for aside in range(int(np.ceil(BOX_OF_DISK * WIDE_PX)) + 4):
         c = left + aside
-        overlap = np.minimum(column + 0.5 * across, c + 0.5) - np.maximum(column - 0.5 * across, c - 0.5)
-        ok = (overlap > 0) & (row >= 0) & (row < height) & (c >= 0) & (c < width)
+        ok = (np.abs(c - column) < 0.5 * across + 0.5) & (row >= 0) & (row < height) & (c >= 0) & (c < width)
         r, c = row[ok], c[ok]
-        cover = np.minimum(area[ok] * share[ok] * overlap[ok] / across[ok], MOST_COVER)
+        apart = c - column[ok]
+        upto, before = (_below(apart + end, level[ok], rise[ok]) for end in (0.5, -0.5))
+        cover = np.minimum(area[ok] * share[ok] * (upto - before), MOST_COVER)
         weight = np.where(z[ok] < depth_m[r, c], -np.log1p(-cover), 0.0)
         total += np.bincount(r * width + c, weight, height * width).reshape(height, width)
 
