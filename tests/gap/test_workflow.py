@@ -512,21 +512,36 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
 
 @pytest.mark.parametrize(("least", "kept"), [(99.0, [0.2]), (101.0, [])])
 def test_an_effect_that_scatters_is_tried_at_its_likeliest_strength(least: float, kept: list[float]) -> None:
-    """Where its mean response gains 100 of what departs, whatever it says of the strength."""
-    steps = Line(EFFECTS["lidar.patchy_weather"], tuple({"log_std": one} for one in (0.01, 0.1, 0.2, 0.9)))
-    nodes = [*NODES, *(Node(steps, one, steps.settings[one], np.eye(4)[3] * one) for one in (0, 2))]
-    misfit = {0.01: 900.0, 0.1: 600.0, 0.2: 500.0, 0.9: 700.0}
+    """Where its response gains 100 in what is no mean: means are off either way, here against what it does."""
+    values = (0.01, 0.1, 0.2, 0.9)
+    misfit = dict(zip(values, (900.0, 600.0, 500.0, 700.0), strict=True))
+    steps = Line(EFFECTS["lidar.patchy_weather"], tuple({"log_std": one} for one in values))
+    nodes = [*NODES, *(Node(steps, one, steps.settings[one], np.zeros(4)) for one in (0, 2))]
+    origin = Setting(log_knob={"c0": 0.1})
 
     def fit(setting: Setting, nuisance: Any, base: Any, iterations: int) -> Any:
         assert (setting.log_knob, nuisance, base, iterations) == ({"c0": 0.1}, NOTHING, "start", 0)
         return SimpleNamespace(setting=setting, misfit=misfit[setting.values["lidar.patchy_weather"]["log_std"]])
 
-    base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.array([99.0, 0.0, 0.0, 10.0]), base="start")
-    origin = Setting(log_knob={"c0": 0.1})
-    search: Any = SimpleNamespace(origin=origin, fit=fit)
-    # Scaled to at most 1.35 times, 2 explains 100 of 10 squared with 5 wanted: 2 * 1.35 * 20 - 1.35 ** 2 * 4.
-    gain = 2.0 * 1.35 * 20.0 - 1.35**2 * 4.0
-    found = scattering(search, base, nodes, least / 100.0 * gain)
+    def mean(setting: Setting, frames: int) -> list[Any]:
+        log_std = setting.values.get("lidar.patchy_weather", {"log_std": 0.0})["log_std"]
+        return [10.0 + log_std * np.array([50.0, 3.0, 4.0, 100.0])]
+
+    start = SimpleNamespace(
+        used={"c0": np.array([True, True, True, False])},
+        total={"c0": np.array([1.0, 2.0, 2.0, 1.0])},
+        z=lambda target: np.array([-80.0, 6.0, 8.0, 90.0]),  # the first is a mean, the last does not count
+    )
+    search: Any = SimpleNamespace(
+        origin=origin,
+        fit=fit,
+        mean=mean,
+        start=start,
+        measured=[SimpleNamespace(condition=SimpleNamespace(id="c0"))],
+        model=SimpleNamespace(layout=SimpleNamespace(averages=np.array([True, False, False, False]))),
+    )
+    base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.zeros(4), base="start")
+    found = scattering(search, base, nodes, least)
     assert [own.setting.values["lidar.patchy_weather"]["log_std"] for own, _ in found] == kept
     for own, (setting, chosen, amplitude) in found:
         assert (setting, chosen.values, amplitude) == (origin, own.setting.values["lidar.patchy_weather"], 1.0)

@@ -19,7 +19,7 @@ from torchweather.gap.held_out import HeldOut
 from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed
-from torchweather.gap.search import SETTLED, Fit, Search, Setting
+from torchweather.gap.search import SCREEN_FRAMES, SETTLED, Fit, Search, Setting
 
 __all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "hidden_nodes", "scattering", "stands_far"]
 
@@ -102,23 +102,22 @@ def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: floa
 
 
 def scattering(search: Search, base: Fit, nodes: Sequence[Node], least: float) -> list[tuple[Fit, Proposal]]:
-    """The likeliest strength of each effect by which whole frames differ and whose response gains enough.
+    """The likeliest strength of each effect by which whole frames differ, and which other statistics than means show.
 
-    The mean of a few such frames is off by more than the mean response of many: what explains that is the scatter.
+    The mean of a few such frames is off either way, by more than the mean response of many: its scatter explains that.
 
     Args:
         search: its simulator.
         base: the fit without effects.
         nodes: responses.
-        least: gain of a response from which its effect is looked at.
+        least: gain of a response in other statistics than means from which its effect is looked at.
 
     Returns:
         The simulator with each effect, to begin a fit from, and the proposal of that strength.
     """
     own = [node for node in nodes if node.line.effect.scatters]
-    gain = gains(own, base.nuisance.left(base.residual)[None], base.nuisance)[0] if own else np.zeros(0)
     found = []
-    for name in dict.fromkeys(node.id for node, one in zip(own, gain, strict=True) if one >= least):
+    for name in dict.fromkeys(node.id for node in own if _gain_beside_means(search, node) >= least):
         tried = []
         for line in {id(node.line): node.line for node in own if node.id == name}.values():
             for number, values in enumerate(line.settings):
@@ -127,6 +126,21 @@ def scattering(search: Search, base: Fit, nodes: Sequence[Node], least: float) -
         best, node = min(tried, key=lambda one: one[0].misfit)
         found.append((best, (search.origin, node, 1.0)))
     return found
+
+
+def _gain_beside_means(search: Search, node: Node) -> float:
+    """By how much a response, scaled, lowers the squares of what departs in entries that are no means of elements."""
+    there, here = (
+        search.mean(replace(search.origin, values=values), SCREEN_FRAMES) for values in ({node.id: node.values}, {})
+    )
+    along = norm = 0.0
+    for target, moved, still in zip(search.measured, there, here, strict=True):
+        name = target.condition.id
+        counted = search.start.used[name] & ~search.model.layout.averages
+        response = np.where(counted, (moved - still) / search.start.total[name], 0.0)
+        along += float(response @ search.start.z(target))
+        norm += float(response @ response)
+    return max(along, 0.0) ** 2 / max(norm, 1e-12)
 
 
 def stands_far(setting: Setting) -> bool:
