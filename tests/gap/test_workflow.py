@@ -568,3 +568,24 @@ def test_what_promised_nothing_must_be_clearly_better(monkeypatch: pytest.Monkey
     singles = workflow._singles(search, base, found, 4, lambda text: None)  # type: ignore[arg-type]
     assert ("lidar.crosstalk" in [one.id for one in singles]) is kept
     assert {one.id for one in singles} >= {"lidar.window_loss", "lidar.range_noise"}
+
+
+@pytest.mark.parametrize(("again", "best"), [(90.0, 100.0), (110.0, 110.0)])
+def test_what_is_fitted_twice_is_a_candidate_once(monkeypatch: pytest.MonkeyPatch, again: float, best: float) -> None:
+    """At its likeliest strength, by which frames scatter, and from its mean response."""
+
+    def fitted(search: Any, base: Any, proposed: Any, misfit: float, say: Any) -> list[Candidate]:
+        gain = {"own": again, "base": 100.0}[base.name]
+        return [Candidate("lidar.window_loss", Any, gain)]  # type: ignore[arg-type]
+
+    setting = Setting()
+    node = NODES[0]
+    monkeypatch.setattr(workflow, "fitted", fitted)
+    monkeypatch.setattr(workflow, "scattering", lambda *given: [(SimpleNamespace(name="own"), (setting, node, 1.0))])
+    base: Any = SimpleNamespace(
+        nuisance=NOTHING, residual=np.array([30.0, 0.0, 0.0, 0.0]), setting=setting, name="base"
+    )
+    found = SimpleNamespace(**{**vars(screening()), "best_null": np.full(100, 50.0)}, nodes=NODES)
+    search: Any = SimpleNamespace(origin=setting, measured=[])
+    singles = workflow._singles(search, base, found, 4, lambda text: None)  # type: ignore[arg-type]
+    assert [(one.id, one.gain) for one in singles] == [("lidar.window_loss", best)]

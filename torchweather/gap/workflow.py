@@ -172,7 +172,8 @@ def _singles(
     for own, proposal in scattering(search, base, screening.nodes, _threshold(screening)):
         promised.add(proposal[1].id)
         found += fitted(search, own, [proposal], screening.misfit, say)
-    found.sort(key=lambda one: -one.gain)
+    # The better one of what was fitted twice; best first.
+    found = list({one.id: one for one in sorted(found, key=lambda one: one.gain)}.values())[::-1]
     # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
     least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(screening)
     return [one for one in found if one.id in promised or one.gain > least]
