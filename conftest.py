@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import os
 
+import pytest
 import torch
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # read as numpy is loaded
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before the processes are started: linear algebra of each on the cores that it has."""
+    workers = getattr(config.option, "tx", None)
+    if workers:
+        for name in THREADS:
+            os.environ.setdefault(name, str(max(1, (os.cpu_count() or 1) // len(workers))))

@@ -62,7 +62,7 @@ def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(exa
         made_wads(tmp_path, 1.0, seed)
     study = example.study_of(tmp_path, 1.0, 0.1, intensity_unit="none")
     assert [one.split for one in study.conditions] == ["fit", "holdout"]
-    rivals = ["last_return", "isolated_return_filter", "particle_backscatter", "threshold_shift", "blind_zone"]
+    rivals = ["last_return", "particle_backscatter", "threshold_shift"]
     found = find_gap(study, effects=[f"lidar.{name}" for name in rivals]).answer
     assert [one["name"] for one in found["effects"]] == ["lidar.last_return"]
     assert found["effects"][0]["parameters"]["probability"] > 0.9

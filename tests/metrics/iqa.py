@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,13 +18,30 @@ from tests.oracles import iqa_inputs
 __all__ = ["Case", "cases"]
 
 
-class Case(NamedTuple):
-    """One pair and its score."""
+@dataclass(frozen=True)
+class Case:
+    """One pair and its score. The images ``(C, H, W)`` in [0, 1] are made when they are asked for."""
 
     name: str
-    distorted: Tensor
-    reference: Tensor
+    pair: dict[str, Any]
+    dtype: torch.dtype
     score: float
+
+    @property
+    def distorted(self) -> Tensor:
+        """The worse image, checked against the oracle's hash."""
+        worse = self._images[0]
+        assert iqa_inputs.sha(worse) == self.pair["sha256_distorted"]
+        return _tensor(worse, self.dtype)
+
+    @property
+    def reference(self) -> Tensor:
+        """The clear image."""
+        return _tensor(self._images[1], self.dtype)
+
+    @property
+    def _images(self) -> tuple[np.ndarray, np.ndarray]:
+        return _images(*(self.pair[key] for key in ("reference", "kind", "level", "colour")))
 
 
 @lru_cache(maxsize=1)
@@ -46,13 +64,10 @@ def _tensor(image: np.ndarray, dtype: torch.dtype) -> Tensor:
 
 
 def cases(score: str, precision: str = "float64") -> Iterator[Case]:
-    """Pairs ``(C, H, W)`` in [0, 1] for which the oracle has this score at this precision."""
+    """Pairs for which the oracle has this score at this precision."""
     for pair in _pairs():
         value = pair.get(precision, {}).get(score)
         if not isinstance(value, float):  # not defined there, or an error of the implementation
             continue
-        worse, clear = _images(pair["reference"], pair["kind"], pair["level"], pair["colour"])
-        assert iqa_inputs.sha(worse) == pair["sha256_distorted"]
-        dtype = getattr(torch, precision)
         name = f"{pair['reference']}-{pair['kind']}-{pair['level']}" + ("" if pair["colour"] else "-grey")
-        yield Case(name, _tensor(worse, dtype), _tensor(clear, dtype), value)
+        yield Case(name, pair, getattr(torch, precision), value)

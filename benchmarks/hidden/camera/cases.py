@@ -129,7 +129,7 @@ def _reduced(seed: int) -> Iterator[Row]:
     yield "fog", ("camera.airlight_scale",), (30.0,), None, {}
     yield "fog", (), (), None, {}
     yield "fog", (), (), None, {"record_sd": 2.0}
-    yield "fog", ("outside.row_noise",), (30.0,), None, {}
+    yield "fog", ("outside.flicker",), (30.0,), None, {}
 
 
 GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {

@@ -71,7 +71,7 @@ def _reduced(seed: int) -> Iterator[Row]:
     yield "fog", ("radar.noise_floor",), (30.0,), None, {}
     yield "rain", (), (), None, {}
     yield "snow", (), (), None, {"record_sd": 2.0}
-    yield "rain", ("outside.missing_class",), (30.0,), None, {}
+    yield "rain", ("outside.range_gain_step",), (30.0,), None, {}
     yield "rain", (), (), None, {"decoy": "decoy.no_target"}
 
 
