@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
+from tests.running_examples import EXAMPLES, run_example
 from torchweather.io import FALLING_SNOW, PointLabels, read_image, write_labels
 from torchweather.scenes import lidar_view
 from torchweather.scenes import test_track as track
 from torchweather.sensors.scan import scan_directions
 
 ROOT = Path(__file__).parents[1]
-EXAMPLES = ROOT / "examples"
 
 # What each example is called with, and the files that it must write.
 RUNS: dict[str, tuple[list[str], list[str]]] = {
@@ -80,16 +80,7 @@ ELSEWHERE = {
 
 
 def run(name: str, arguments: list[str], folder: Path) -> str:
-    without_data = {key: value for key, value in os.environ.items() if key != "TORCHWEATHER_REAL_DATA"}
-    environment = {**without_data, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = run_example(name, arguments, folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -129,15 +120,14 @@ def test_the_bank_is_read_again_and_agrees_with_the_full_render(tmp_path: Path) 
     assert bank == pytest.approx(full, rel=0.15)
 
 
+def test_an_example_runs_from_the_command_line(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", str(EXAMPLES / "first_rain.py"), *RUNS["first_rain.py"][0]]
+    subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=300)
+    assert (tmp_path / "rain.png").stat().st_size > 0
+
+
 def test_an_image_without_its_cloud_is_refused(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / "kitti_in_weather.py"), "--image", "x.png"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = run_example("kitti_in_weather.py", ["--image", "x.png"], tmp_path)
     assert done.returncode == 2
     assert "--image, --points and --calibration go together" in done.stderr
 
@@ -223,14 +213,6 @@ def test_the_model_is_held_against_the_recordings(name: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", list(MEASURED))
 def test_without_a_recording_the_example_says_what_it_needs(name: str, tmp_path: Path) -> None:
-    environment = {key: value for key, value in os.environ.items() if key != "TORCHWEATHER_REAL_DATA"}
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name)],
-        cwd=tmp_path,
-        env={**environment, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = run_example(name, [], tmp_path)
     assert done.returncode == 1
     assert "TORCHWEATHER_REAL_DATA" in done.stderr

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +11,16 @@ import numpy as np
 import pytest
 import torch
 
+from tests.running_examples import load_example, run_example
 from tests.test_examples import made_wads
-from torchweather.gap import find_gap
+from torchweather.gap import Study, find_gap
 
-ROOT = Path(__file__).parents[1]
-EXAMPLE = ROOT / "examples" / "gap_wads_snow.py"
+EXAMPLE = "gap_wads_snow.py"
 
 
 @pytest.fixture(scope="module")
 def example() -> Any:
-    sys.path.insert(0, str(EXAMPLE.parent))  # as where a script runs: it takes the beams from its neighbour
-    try:
-        import gap_wads_snow
-
-        return gap_wads_snow
-    finally:
-        sys.path.remove(str(EXAMPLE.parent))
+    return load_example(EXAMPLE)
 
 
 def test_a_frame_is_divided_into_every_so_many_columns(example: Any) -> None:
@@ -53,6 +46,13 @@ def test_the_first_echo_is_the_nearest_that_is_there(example: Any) -> None:
     assert example.first_echoes(beams, along, False).points.tolist() == [[9.0, 0.0, 0.0, 7.0], [0.0, 0.0, 4.0, 8.0]]
 
 
+def a_third(study: Study) -> Study:
+    """Four of the twelve scans of each frame: enough beams to tell the effect, in a third of the time."""
+    conditions = tuple(replace(one, frames=one.frames[:4]) for one in study.conditions)
+    scenes = {name: replace(scene, clear=scene.clear[:4]) for name, scene in study.scenes.items()}
+    return replace(study, conditions=conditions, scenes=scenes)
+
+
 def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(example: Any, tmp_path: Path) -> None:
     """The made recording has the strongest and the last echo: a flake that is fainter than what is behind is missing.
 
@@ -60,7 +60,7 @@ def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(exa
     """
     for seed in (1, 2):
         made_wads(tmp_path, 1.0, seed)
-    study = example.study_of(tmp_path, 1.0, 0.1, intensity_unit="none")
+    study = a_third(example.study_of(tmp_path, 1.0, 0.1, scans=12, intensity_unit="none"))
     assert [one.split for one in study.conditions] == ["fit", "holdout"]
     rivals = ["last_return", "particle_backscatter", "threshold_shift"]
     found = find_gap(study, effects=[f"lidar.{name}" for name in rivals]).answer
@@ -69,21 +69,9 @@ def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(exa
     assert found["nuisance"]["rate_factor"] == pytest.approx(1.0, abs=0.1)  # what the record leaves open
 
 
-def run(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    without = {key: value for key, value in os.environ.items() if key != "TORCHWEATHER_REAL_DATA"}
-    return subprocess.run(
-        [sys.executable, str(EXAMPLE), *arguments],
-        cwd=folder,
-        env={**without, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"},
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
-
-
 def test_without_a_recording_the_example_says_what_it_needs(tmp_path: Path) -> None:
-    assert "TORCHWEATHER_REAL_DATA" in run([], tmp_path).stderr
-    done = run(["--data", "."], tmp_path)
+    assert "TORCHWEATHER_REAL_DATA" in run_example(EXAMPLE, [], tmp_path).stderr
+    done = run_example(EXAMPLE, ["--data", "."], tmp_path)
     assert done.returncode == 1
     assert "two frames or more" in done.stderr
 
@@ -93,7 +81,7 @@ def test_real_snow_is_searched(tmp_path: Path) -> None:
     root = os.environ.get("TORCHWEATHER_REAL_DATA")
     if not root or not (Path(root) / "wads_snow").is_dir():
         pytest.skip("TORCHWEATHER_REAL_DATA holds no wads_snow")
-    done = run(["--data", str(Path(root) / "wads_snow"), "--out", "page"], tmp_path)
+    done = run_example(EXAMPLE, ["--data", str(Path(root) / "wads_snow"), "--out", "page"], tmp_path)
     assert done.returncode == 0, done.stderr
     # What the tables of docs/lidar.md say by hand: these objects could not have been seen with 30 m at 10 %.
     assert "without intensities: named_and_rest, lidar.threshold_shift: shift_db −" in done.stdout

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +13,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.running_examples import load_example, run_example
+
 Array = NDArray[Any]
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]  # dimensions, data, attributes
 ROOT = Path(__file__).parents[1]
-EXAMPLE = ROOT / "examples" / "links_against_p838.py"
+EXAMPLE = "links_against_p838.py"
 # ITU-R P.838-3, table 5, 30 GHz: k and alpha
 HORIZONTAL, VERTICAL = (0.2403, 0.9485), (0.2291, 0.9129)
 
 
 @pytest.fixture(scope="module")
 def links() -> Any:
-    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[EXAMPLE.stem] = module  # its dataclasses look themselves up
-    spec.loader.exec_module(module)
-    return module
+    return load_example(EXAMPLE)
 
 
 def column(values: list[float]) -> Array:
@@ -271,19 +264,6 @@ def made_gothenburg(folder: Path) -> None:
     write(folder / "openMRG_city_gauges_20150827.nc", gauges)
 
 
-def run(arguments: list[str], folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    clean = {key: value for key, value in os.environ.items() if key != "TORCHWEATHER_REAL_DATA"}
-    path = os.pathsep.join([str(ROOT), str(folder)])
-    return subprocess.run(
-        [sys.executable, "-W", "error", str(EXAMPLE), *arguments],
-        cwd=folder,
-        env={**clean, "PYTHONPATH": path, **environment},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-
-
 def score(output: str, name: str) -> float:
     found = re.search(rf"^\| {name} \| (\S+) ± \S+ \|$", output, re.MULTILINE)
     assert found is not None, output
@@ -293,7 +273,7 @@ def score(output: str, name: str) -> float:
 @pytest.mark.parametrize("film_db", [0.0, 1.0])
 def test_what_a_made_link_measures_beyond_the_recommendation_is_found(film_db: float, tmp_path: Path) -> None:
     made_germany(tmp_path / "made", film_db)
-    done = run(["--data", "made"], tmp_path)
+    done = run_example(EXAMPLE, ["--data", "made"], tmp_path)
     assert done.returncode == 0, done.stderr
     assert "8 of 8 links, 384 wet samples." in done.stdout
     # Levels are stored in steps of 0.1 dB, so a sample is off by up to 0.05, and figures have two decimals.
@@ -307,7 +287,7 @@ def test_what_a_made_link_measures_beyond_the_recommendation_is_found(film_db: f
 
 def test_along_a_path_the_attenuation_is_averaged_and_not_the_rain(tmp_path: Path) -> None:
     made_gothenburg(tmp_path / "above" / "made")
-    done = run([], tmp_path, TORCHWEATHER_REAL_DATA=str(tmp_path / "above"))
+    done = run_example(EXAMPLE, [], tmp_path, TORCHWEATHER_REAL_DATA=str(tmp_path / "above"))
     assert done.returncode == 0, done.stderr
     assert "8 of 8 links, 384 wet samples." in done.stdout
     # Steps of 0.01 dBZ are 0.1 % of the rain. Attenuation of the mean rain would be 0.12 dB higher at 12 mm/h.
@@ -319,13 +299,13 @@ def test_along_a_path_the_attenuation_is_averaged_and_not_the_rain(tmp_path: Pat
 def test_the_files_are_found_in_an_installed_pycomlink(tmp_path: Path) -> None:
     made_germany(tmp_path / "pycomlink" / "io" / "example_data", 0.0)
     (tmp_path / "pycomlink" / "__init__.py").write_text("raise ImportError('is looked up, not imported')")
-    done = run([], tmp_path)
+    done = run_example(EXAMPLE, [], tmp_path)
     assert done.returncode == 0, done.stderr
     assert "8 of 8 links" in done.stdout
 
 
 def test_without_link_files_the_example_says_where_it_looks(tmp_path: Path) -> None:
-    done = run(["--data", "."], tmp_path)
+    done = run_example(EXAMPLE, ["--data", "."], tmp_path)
     assert done.returncode == 1
     for word in ("--data", "TORCHWEATHER_REAL_DATA", "pycomlink", "example_cml_data.nc"):
         assert word in done.stderr
@@ -336,7 +316,7 @@ def test_the_residual_of_the_measured_links_is_as_published_beside_them() -> Non
     root = os.environ.get("TORCHWEATHER_REAL_DATA")
     if not root or not all(Path(root, name).is_dir() for name in ("cml_germany", "cml_openmrg")):
         pytest.skip("TORCHWEATHER_REAL_DATA holds no cml_germany and cml_openmrg")
-    done = run([], ROOT, TORCHWEATHER_REAL_DATA=root)
+    done = run_example(EXAMPLE, [], ROOT, TORCHWEATHER_REAL_DATA=root)
     assert done.returncode == 0, done.stderr
     germany, gothenburg = done.stdout.split("## Gothenburg")
     # The figures of an earlier study under the same rules, which ask for 0.05 dB of the conditional bias; ten halves

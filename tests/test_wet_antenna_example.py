@@ -5,29 +5,22 @@ from __future__ import annotations
 import math
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.running_examples import load_example, run_example
 from torchweather.stages.effects_radar import RadarPathLossScale, RadarWetRadome
 
 ROOT = Path(__file__).parents[1]
-EXAMPLE = ROOT / "examples" / "gap_wet_antenna.py"
+EXAMPLE = "gap_wet_antenna.py"
 
 
 @pytest.fixture(scope="module")
 def example() -> Any:
-    sys.path.insert(0, str(EXAMPLE.parent))  # as where a script runs: it takes the links from its neighbour
-    try:
-        import gap_wet_antenna
-
-        return gap_wet_antenna
-    finally:
-        sys.path.remove(str(EXAMPLE.parent))
+    return load_example(EXAMPLE)
 
 
 def recording(example: Any, rain: np.ndarray) -> Any:
@@ -79,15 +72,8 @@ def test_a_study_holds_out_links_and_days(example: Any) -> None:
     assert np.isfinite(both.frames[0]["attenuation_db"]).all()
 
 
-def run(arguments: list[str], folder: Path, **more: str) -> subprocess.CompletedProcess[str]:
-    without = {key: value for key, value in os.environ.items() if key != "TORCHWEATHER_REAL_DATA"}
-    environment = {**without, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", **more}
-    command = [sys.executable, str(EXAMPLE), *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=900)
-
-
 def test_without_link_files_the_example_says_where_it_looks(tmp_path: Path) -> None:
-    done = run(["--data", "."], tmp_path)
+    done = run_example(EXAMPLE, ["--data", "."], tmp_path)
     assert done.returncode == 1
     for word in ("--data", "TORCHWEATHER_REAL_DATA", "pycomlink", "openMRG_example.nc"):
         assert word in done.stderr
@@ -104,7 +90,7 @@ def test_measured_links_lose_at_their_wet_ends(tmp_path: Path) -> None:
     root = os.environ.get("TORCHWEATHER_REAL_DATA")
     if not root or not all(Path(root, name).is_dir() for name in ("cml_germany", "cml_openmrg")):
         pytest.skip("TORCHWEATHER_REAL_DATA holds no cml_germany and cml_openmrg")
-    done = run(["--halves", "2", "--out", str(tmp_path)], tmp_path, TORCHWEATHER_REAL_DATA=root)
+    done = run_example(EXAMPLE, ["--halves", "2", "--out", str(tmp_path)], tmp_path, TORCHWEATHER_REAL_DATA=root)
     assert done.returncode == 0, done.stderr
     gothenburg, germany = done.stdout.split("## Germany")
     assert gothenburg.count("| named | radar.wet_radome(") == 3  # two halves, and the first again beside its rival
