@@ -84,7 +84,10 @@ CASES = {
         directions=True,
     ),
 }
-every_case = pytest.mark.parametrize("name", list(CASES))
+LONG = ("mixture",)
+every_case = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in CASES]
+)
 
 
 def cloud_and_directions(batch: int, points: int, columns: int = 4) -> tuple[Tensor, Tensor]:
