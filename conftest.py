@@ -19,3 +19,4 @@ def pytest_configure(config: pytest.Config) -> None:
     if workers:
         for name in THREADS:
             os.environ.setdefault(name, str(max(1, (os.cpu_count() or 1) // len(workers))))
+        os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # a thread that waits leaves its core to the other process
