@@ -515,16 +515,16 @@ def test_an_effect_that_scatters_is_tried_at_its_likeliest_strength(least: float
     """Where its response gains 100 in what is no mean: means are off either way, here against what it does."""
     values = (0.01, 0.1, 0.2, 0.9)
     misfit = dict(zip(values, (900.0, 600.0, 500.0, 700.0), strict=True))
-    steps = Line(EFFECTS["lidar.patchy_weather"], tuple({"log_std": one} for one in values))
+    steps = Line(EFFECTS["camera.patchy_fog"], tuple({"log_std": one} for one in values))
     nodes = [*NODES, *(Node(steps, one, steps.settings[one], np.zeros(4)) for one in (0, 2))]
     origin = Setting(log_knob={"c0": 0.1})
 
     def fit(setting: Setting, nuisance: Any, base: Any, iterations: int) -> Any:
         assert (setting.log_knob, nuisance, base, iterations) == ({"c0": 0.1}, NOTHING, "start", 0)
-        return SimpleNamespace(setting=setting, misfit=misfit[setting.values["lidar.patchy_weather"]["log_std"]])
+        return SimpleNamespace(setting=setting, misfit=misfit[setting.values["camera.patchy_fog"]["log_std"]])
 
     def mean(setting: Setting, frames: int) -> list[Any]:
-        log_std = setting.values.get("lidar.patchy_weather", {"log_std": 0.0})["log_std"]
+        log_std = setting.values.get("camera.patchy_fog", {"log_std": 0.0})["log_std"]
         return [10.0 + log_std * np.array([50.0, 3.0, 4.0, 100.0])]
 
     start = SimpleNamespace(
@@ -542,9 +542,9 @@ def test_an_effect_that_scatters_is_tried_at_its_likeliest_strength(least: float
     )
     base: Any = SimpleNamespace(nuisance=NOTHING, residual=np.zeros(4), base="start")
     found = scattering(search, base, nodes, least)
-    assert [own.setting.values["lidar.patchy_weather"]["log_std"] for own, _ in found] == kept
+    assert [own.setting.values["camera.patchy_fog"]["log_std"] for own, _ in found] == kept
     for own, (setting, chosen, amplitude) in found:
-        assert (setting, chosen.values, amplitude) == (origin, own.setting.values["lidar.patchy_weather"], 1.0)
+        assert (setting, chosen.values, amplitude) == (origin, own.setting.values["camera.patchy_fog"], 1.0)
 
 
 @pytest.mark.parametrize(("gain", "kept"), [(149.0, False), (151.0, True)])

@@ -399,7 +399,8 @@ class LidarPatchyWeather(Effect):
     )
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("frame",)
-    scatters: ClassVar[bool] = True
+    # Not ``scatters``: tried at its likeliest strength it is named for what differs along the scan in all frames alike,
+    # as a ripple over the azimuth, because the search does not yet count against it that the frames agree.
     of_the_air: ClassVar[bool] = True
 
     def variates(self) -> tuple[Variate, ...]:
