@@ -399,8 +399,8 @@ class LidarPatchyWeather(Effect):
     )
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("frame",)
-    # Not ``scatters``: tried at its likeliest strength it is named for what differs along the scan in all frames alike,
-    # as a ripple over the azimuth, because the search does not yet count against it that the frames agree.
+    # Not ``scatters``: the search takes what that does to each entry for scatter of its own, though one density moves
+    # them all together, and names it for what differs along the scan in all frames alike, as a ripple over the azimuth.
     of_the_air: ClassVar[bool] = True
 
     def variates(self) -> tuple[Variate, ...]:
