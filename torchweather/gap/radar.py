@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
-from torchweather.gap.radar_forms import InterferenceForm, volume_clutter_form, wet_rcs_form
+from torchweather.gap.radar_forms import InterferenceForm, multipath_form, volume_clutter_form, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
 from torchweather.gap.radar_scene import (
     Detections,
@@ -51,6 +51,7 @@ SPEED, POWER = 3, 4  # columns of a list
 FEWEST_TARGETS = 2.0 * FEWEST["share"]  # targets times frames of a condition: two bins along an axis that count
 CLUTTER_SHARES = tuple(1e-4 * 2.0**step for step in range(17))  # tried, up to 6.6
 CLUTTER_FRAMES, CLUTTER_COUNT = 4, 2.0  # frames of each, and detections a frame that are some
+GHOST_STEP = 1.4  # from an amplitude of a second path to the next that is tried: 3 dB
 FALSE_ALARM_MOVED = 0.3  # standard deviation of the logarithm of their range: about a bin
 FEWEST_FOR_SLOPE = 3  # frames of a condition
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
@@ -97,11 +98,20 @@ class RadarFrames:
         self._sums = {name: RadarSums(scene, self.layout) for name, scene in self.scenes.items()}
         self.map_cells: list[tuple[float, float]] = []
         most = max((detection_count(detections_of(list(one.frames))).max() for one in self.fit), default=2)
-        self.sizes: Mapping[str, float | Sequence[float]] = {"max_count": float(max(most, 2))}
+        amplitudes = self._ghost_amplitudes()
+        self.sizes: Mapping[str, float | Sequence[float]] = {"max_count": float(max(most, 2)), "amplitude": amplitudes}
         self.transforms: dict[str, RadarAttenuation] = {}
         self._drawn: dict[object, dict[str, Tensor]] = {}
         self._lock = threading.RLock()
+        forms["radar.multipath"] = multipath_form(amplitudes[0])
         forms["radar.volume_clutter"] = volume_clutter_form(self._clutter_share())
+
+    def _ghost_amplitudes(self) -> list[float]:
+        """Amplitudes of a second path, from that whose ghost of the strongest target is detected."""
+        margin_db = max(float(np.nanmax(scene.axes["margin_db"])) for scene in self.scenes.values())
+        faintest = 10.0 ** (-0.05 * max(margin_db, 0.0))
+        steps = math.ceil(math.log(1.0 / faintest) / math.log(GHOST_STEP))
+        return [float(one) for one in np.geomspace(faintest, 1.0, steps + 2)[1:]]
 
     def _clutter_share(self) -> float:
         """Least share of the reflectivity of rain and snow with which some of it is detected in every frame of some

@@ -19,12 +19,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NOISE_AT_0_DB", "chance_of_fading", "share_of_fading"]
+__all__ = ["FADING_SPREAD_DB", "NOISE_AT_0_DB", "chance_of_fading", "fading", "share_of_fading"]
 
 Floats = NDArray[np.float64]
 
 DB = 10.0 / np.log(10.0)
 NOISE_AT_0_DB = DB * np.sqrt(2.0)  # spread of a steady target's power, dB, times the root of its SNR, for large ones
+FADING_SPREAD_DB = DB * np.pi / np.sqrt(6.0)  # of an exponential power: the logarithm has a Gumbel law
 ROUNDS = 30
 START = 0.3
 
@@ -47,6 +48,11 @@ def share_of_fading(snr_db: Floats, threshold_db: float, typical_db: float) -> f
     return share
 
 
+def fading(snr_db: Floats, threshold_db: float, typical_db: float, share: float) -> Floats:
+    """Probability ``(N,)`` that each target fluctuates, from frames ``(F, N)``; arguments as in ``chance_of_fading``."""
+    return _posterior(_log_odds(snr_db, threshold_db, typical_db), share)
+
+
 def chance_of_fading(snr_db: Floats, threshold_db: float, typical_db: float, share: float) -> Floats:
     """Chance ``(N,)`` that a frame loses each target because it fluctuates; NaN of one that no frame has.
 
@@ -64,7 +70,7 @@ def chance_of_fading(snr_db: Floats, threshold_db: float, typical_db: float, sha
     number = (~np.isnan(snr_db)).sum(0)
     whole = np.where(number > 0, np.nansum(10.0 ** (0.1 * snr_db), 0), 1.0)
     below = np.where(number > 0, 1.0 - (1.0 + 10.0 ** (0.1 * threshold_db) / whole) ** -number, np.nan)
-    found: Floats = below * _posterior(_log_odds(snr_db, threshold_db, typical_db), share)
+    found: Floats = below * fading(snr_db, threshold_db, typical_db, share)
     return found
 
 

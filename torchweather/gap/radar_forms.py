@@ -16,10 +16,10 @@ from torch import Tensor
 
 from torchweather.gap.effect_forms import A_PARAMETER, SearchForm
 from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_radar import RadarInterference, RadarVolumeClutter, RadarWetRcs
+from torchweather.stages.effects_radar import RadarInterference, RadarMultipath, RadarVolumeClutter, RadarWetRcs
 from torchweather.stages.states import RadarState
 
-__all__ = ["InterferenceForm", "volume_clutter_form", "wet_rcs_form"]
+__all__ = ["InterferenceForm", "multipath_form", "volume_clutter_form", "wet_rcs_form"]
 
 MOST_STRUCK = 0.95  # of the frames, by an interferer
 GAIN = RadarWetRcs.arguments[0]
@@ -82,6 +82,24 @@ def volume_clutter_form(size: float) -> type[Effect]:
         cuts: ClassVar[bool] = True  # of half the echo nothing may be left above the threshold
 
     return VolumeClutterForm
+
+
+def multipath_form(size: float) -> type[Effect]:
+    """``radar.multipath`` whose typical amplitude is a matter of the study: below that of the ghost that the strongest
+    target needs to be detected nothing is seen, and no derivative leads there.
+
+    Args:
+        size: typical amplitude.
+    """
+    amplitude, delay_m = RadarMultipath.arguments
+
+    class MultipathForm(RadarMultipath, SearchForm):
+        """The same, moved by other steps."""
+
+        arguments: ClassVar[tuple[Parameter, ...]] = (replace(amplitude, scale=size), delay_m)
+        cuts: ClassVar[bool] = True  # of half the amplitude nothing may be left above the threshold
+
+    return MultipathForm
 
 
 class InterferenceForm(RadarInterference, SearchForm):

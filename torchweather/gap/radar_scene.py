@@ -17,7 +17,7 @@ from scipy import stats
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.frames import Frame
-from torchweather.gap.radar_fading import chance_of_fading, share_of_fading
+from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, fading, share_of_fading
 from torchweather.gap.study import StudyScene
 from torchweather.sensors import Radar
 
@@ -105,6 +105,9 @@ class RadarScene:
         reference_floor_db: ``(K,)``.
         spread: of each measured quantity ``(K, N)``, standard deviation of a target over all clear frames but one,
             drawn towards that of all targets.
+        mean_weight: ``(K, N)`` what the power of a target tells of a mean of several, over that of a usual one: the
+            inverse of its variance. Of those that fluctuate all weigh the same, as fluctuating powers have one law: a
+            handful of frames that are alike by chance lacks the deep fades, and is too strong.
         level_weight: of each measured quantity ``(K, N)``, what a target tells of what all share in a frame: the
             inverse square of what is left of it when that is taken away, over all clear frames but one.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
@@ -119,6 +122,7 @@ class RadarScene:
     reference: Mapping[str, Floats]
     reference_floor_db: Floats
     spread: Mapping[str, Floats]
+    mean_weight: Floats
     level_weight: Mapping[str, Floats]
     margin_db: Floats
     counted: NDArray[np.bool_]
@@ -161,17 +165,24 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     others = seen.sum(0) - seen
     counted = others >= max(0.5 * (count - 1), 1.0)
     steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
-    steady &= _fading(clear, floor, radar.detection_snr_db) < SELDOM
-    return RadarScene(clear, geometry, reference, floor, spread, level_weight, margin_db, counted, steady)
+    fluctuates, fades = _fading(clear, floor, radar.detection_snr_db)
+    steady &= fades < SELDOM
+    usual = float(np.median(spread["power_db"][counted])) ** 2
+    variance = (1.0 - fluctuates) * spread["power_db"] ** 2 + fluctuates * FADING_SPREAD_DB**2
+    weight = usual / variance
+    return RadarScene(clear, geometry, reference, floor, spread, weight, level_weight, margin_db, counted, steady)
 
 
-def _fading(clear: Detections, floor_db: Floats, threshold_db: float) -> Floats:
-    """Chance ``(K, N)`` that a frame loses a target because it fluctuates, from all clear frames but one."""
+def _fading(clear: Detections, floor_db: Floats, threshold_db: float) -> tuple[Floats, Floats]:
+    """From all clear frames but one: probability ``(K, N)`` that a target fluctuates, and that a frame loses it so."""
     snr_db = clear.power_db - clear.floor_db.mean()
     typical_db = _median_spread(clear.power_db, LEAST_SPREAD["power_db"])
     share = share_of_fading(snr_db, threshold_db, typical_db)
     rows = [np.delete(clear.power_db, row, 0) - floor for row, floor in enumerate(floor_db)]
-    return np.stack([chance_of_fading(row, threshold_db, typical_db, share) for row in rows])
+    fluctuates, fades = (
+        np.stack([law(row, threshold_db, typical_db, share) for row in rows]) for law in (fading, chance_of_fading)
+    )
+    return fluctuates, fades
 
 
 def _median_spread(values: Floats, least: float) -> float:

@@ -74,10 +74,8 @@ SUMS = {
     "range_spread": ("free", "wide", "wide2"),
     "range_drift_m": ("lever", "drift", "apart2"),
 }
-# Of a class of targets that all fluctuate none would be left if they counted for less.
-BY_CLASS = ("there", "plain", "plain2")
 FEWEST_CLEAR = 3  # frames, for the spread of a target: all but one, and one more than a mean takes
-VALUES = tuple(dict.fromkeys(name for names in (*SUMS.values(), BY_CLASS) for name in names))
+VALUES = tuple(dict.fromkeys(name for names in SUMS.values() for name in names))
 FROM_CLEAR = ("lost_target_share", "lost_flickering_share", "clutter_count", "ghost_count")
 ABOUT_OWN_MEAN = ("power_spread", "speed_spread", "range_spread")
 SCALARS = ("detections_root", "power_residual_db", "clutter_root")
@@ -141,9 +139,7 @@ class RadarSums:
                 place = np.where(scene.counted, np.minimum(place, group.bins - 1), -1)
                 self._hot[group.axis] = (place[..., None] == np.arange(group.bins)).astype(np.float64)
         self._hot["frame"] = scene.counted[..., None].astype(np.float64)
-        usual = float(np.median(scene.spread["power_db"][scene.counted]))
-        # What fluctuates tells less of a mean; most targets count as one.
-        self._weight = np.minimum(2.0 / (1.0 + (scene.spread["power_db"] / usual) ** 2), 1.0)
+        self._evenly = {axis: _as_many(scene.mean_weight, hot) for axis, hot in self._hot.items()}
         self._portion: dict[int, Whole] = {}
 
     def __call__(
@@ -171,9 +167,9 @@ class RadarSums:
         further = self._further(frames, portions)
         for group in self.layout.binned:
             if group.statistic in SUMS:
-                by_class = (group.statistic, group.axis) == ("power_residual_db", "target_class")
-                names = BY_CLASS if by_class else SUMS[group.statistic]
-                weight, value, square = (sums[name, group.axis] for name in names)
+                weight, value, square = (sums[name, group.axis] for name in SUMS[group.statistic])
+                if group.statistic == "power_residual_db":
+                    weight, value, square = (one * self._evenly[group.axis] for one in (weight, value, square))
             elif group.statistic == "noise_floor_share":
                 weight, value, square = self._floor(frames, row, portions)
             elif group.statistic == "ghost_count":
@@ -200,7 +196,7 @@ class RadarSums:
 
         power = np.where(there, residual("power_db") + loss_db, 0.0)
         speed, apart = residual("speed_m_per_s"), residual("range_m")
-        steady = weight * self._weight[row]
+        steady = weight * scene.mean_weight[row]
         is_steady = scene.steady[row]
         found = {
             "target": is_steady.astype(np.float64),
@@ -210,8 +206,6 @@ class RadarSums:
             "steady": steady,
             "power": steady * power,
             "power2": steady * power**2,
-            "plain": power,
-            "plain2": power**2,
             "there": weight,
             "speed": speed,
             "speed2": speed**2,
@@ -314,6 +308,14 @@ class RadarSums:
             number = self.scene.counted.shape[1]
             self._portion[portions] = np.random.default_rng(0).permutation(number) * portions // number
         return self._portion[portions]
+
+
+def _as_many(weight: Floats, hot: Floats) -> Floats:
+    """Factor ``(bins,)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets of equal
+    weight that would tell its mean as well: a bin in which all weigh little is known badly, but counts."""
+    own = weight[..., None] * hot
+    found: Floats = own.sum((0, 1)) / np.maximum((own**2).sum((0, 1)), 1e-300)
+    return found
 
 
 def _at_one_delay(delay_m: Floats) -> Flags:

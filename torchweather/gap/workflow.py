@@ -210,23 +210,29 @@ def _rounds(
         if len(values) == MOST_EFFECTS:
             return rounds
         rest = _further(search, screening, best)
-        fresh, proposed = _on_top(
-            search, rest, best, needed, threshold, max(threshold, excess) if significant else math.inf
-        )
+        sure = max(threshold, excess) if significant else math.inf
+        pairs: list[Proposal] = []
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             nodes = _beside(search, screening)
-            pairs = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
-            found = best_pairs(nodes, pairs, search.origin, best.gain + needed)
-            proposed = proposed or (_best_on_top(best, rest) if found else [])
-            proposed += found
-        if not proposed:
-            return rounds
-        more = fitted(search, base, proposed, best.fit.misfit, say)
-        kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
-        kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
-        if not kept:
-            return rounds
+            gain = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
+            pairs = best_pairs(nodes, gain, search.origin, best.gain + needed)
+        kept: list[Candidate] = []
+        while not kept:
+            fresh, proposed = _on_top(search, rest, best, needed, threshold, sure)
+            if pairs:
+                proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
+            if not proposed:
+                return rounds
+            more = fitted(search, base, proposed, best.fit.misfit, say)
+            kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
+            kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
+            # What only makes things worse where it is simulated was promised by a response that no longer holds there:
+            # it must not keep others out.
+            broken = {one.id for one in more if one.gain < 0}
+            if not kept and not broken:
+                return rounds
+            rest, pairs = [node for node in rest if node.id not in broken], []
         needful = _without_idle(search, kept[0], threshold)
         number = len(needful.setting.values)
         if number < len(kept[0].fit.setting.values) and kept[0].id not in led:
