@@ -49,7 +49,7 @@ def share_of_fading(snr_db: Floats, threshold_db: float, typical_db: float) -> f
 
 
 def fading(snr_db: Floats, threshold_db: float, typical_db: float, share: float) -> Floats:
-    """Probability ``(N,)`` that each target fluctuates, from frames ``(F, N)``; arguments as in ``chance_of_fading``."""
+    """Probability ``(N,)`` that each target fluctuates; arguments as of ``chance_of_fading``."""
     return _posterior(_log_odds(snr_db, threshold_db, typical_db), share)
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.ndimage import median_filter
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.frames import Frame
@@ -40,6 +41,7 @@ CLUTTER_COLUMNS = 5  # range, azimuth, elevation, speed, power; the Doppler widt
 BINS = 5  # along each axis, of about as many targets each
 AXES = ("range_m", "azimuth_rad", "elevation_rad", "margin_db")
 PRIOR_DEGREES = 2.0  # of freedom, that the median spread of all targets counts beside a target's own
+LIKE_DEGREES, ALIKE = 4.0, 17  # the same of the median one of so many targets of about its power
 LEVEL_ROUNDS = 4  # in which what a frame's targets share is told from what each has of its own
 LEAST_LEVEL_SHARE = 1 / 16  # of the quiet quarter's variance: a target tells of the level as if it had so much more
 # No list is read finer (quantisation of series radars, order of magnitude): dB, m, m/s.
@@ -105,11 +107,10 @@ class RadarScene:
         reference_floor_db: ``(K,)``.
         spread: of each measured quantity ``(K, N)``, standard deviation of a target over all clear frames but one,
             drawn towards that of all targets.
-        mean_weight: ``(K, N)`` what the power of a target tells of a mean of several, over that of a usual one: the
-            inverse of its variance. Of those that fluctuate all weigh the same, as fluctuating powers have one law: a
-            handful of frames that are alike by chance lacks the deep fades, and is too strong.
-        level_weight: of each measured quantity ``(K, N)``, what a target tells of what all share in a frame: the
-            inverse square of what is left of it when that is taken away, over all clear frames but one.
+        level_weight: of each measured quantity ``(K, N)``, what a target tells of what several share in a frame: the
+            inverse square of what is left of it when that is taken away, over all clear frames but one. Powers of
+            those that fluctuate weigh all the same, as they have one law: a handful of frames that are alike by chance
+            lacks the deep fades, and is too strong.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
         counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
         steady: ``(K, N)`` those that stand above the threshold by several times their spread, and by more if they
@@ -122,7 +123,6 @@ class RadarScene:
     reference: Mapping[str, Floats]
     reference_floor_db: Floats
     spread: Mapping[str, Floats]
-    mean_weight: Floats
     level_weight: Mapping[str, Floats]
     margin_db: Floats
     counted: NDArray[np.bool_]
@@ -161,16 +161,18 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     floor = (clear.floor_db.sum() - clear.floor_db) / max(count - 1, 1)
     margin_db = reference["power_db"] - floor[:, None] - radar.detection_snr_db
     spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
-    level_weight = {name: level_weights(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
+    fluctuates, fades = _fading(clear, floor, radar.detection_snr_db)
+    level_weight = {
+        name: level_weights(
+            getattr(clear, name), LEAST_SPREAD[name], reference["power_db"], fluctuates if name == "power_db" else None
+        )
+        for name in MEASURED
+    }
     others = seen.sum(0) - seen
     counted = others >= max(0.5 * (count - 1), 1.0)
     steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
-    fluctuates, fades = _fading(clear, floor, radar.detection_snr_db)
     steady &= fades < SELDOM
-    usual = float(np.median(spread["power_db"][counted])) ** 2
-    variance = (1.0 - fluctuates) * spread["power_db"] ** 2 + fluctuates * FADING_SPREAD_DB**2
-    weight = usual / variance
-    return RadarScene(clear, geometry, reference, floor, spread, weight, level_weight, margin_db, counted, steady)
+    return RadarScene(clear, geometry, reference, floor, spread, level_weight, margin_db, counted, steady)
 
 
 def _fading(clear: Detections, floor_db: Floats, threshold_db: float) -> tuple[Floats, Floats]:
@@ -218,10 +220,18 @@ def _spreads(values: Floats, least: float) -> Floats:
     return np.sqrt(np.stack(found))
 
 
-def level_weights(values: Floats, least: float) -> Floats:
+def level_weights(values: Floats, least: float, power_db: Floats, fluctuates: Floats | None = None) -> Floats:
     """Inverse squares ``(K, N)`` of the spread of each target about its own mean and the frame's, over all frames but
     one. The frame's is the mean of all targets by these weights, so they are found in turns; a lower limit keeps one
-    target from being that mean. One other frame tells nothing: all weigh the same."""
+    target from being that mean. A handful of frames tells a spread badly: it is drawn towards that of targets of about
+    the same power, as noise goes with the power. One other frame tells nothing: all weigh the same.
+
+    Args:
+        values: ``(K, N)`` of the frames, NaN where not detected.
+        least: spread that no list is read finer than.
+        power_db: ``(K, N)`` mean power over all frames but one.
+        fluctuates: ``(K, N)`` probability that a target's power does; ``None`` where that is no matter.
+    """
     if len(values) < 3:
         return np.ones_like(values)
     found = []
@@ -229,17 +239,30 @@ def level_weights(values: Floats, least: float) -> Floats:
         others = np.delete(values, row, 0)
         there = ~np.isnan(others)
         apart = np.where(there, others - _mean(others), 0.0)
+        degrees = np.maximum(there.sum(0) - 1, 0)
+        known = degrees > 0
         weight = np.ones(values.shape[1])
         for _ in range(LEVEL_ROUNDS):
             level = (weight * apart).sum(1) / np.maximum((weight * there).sum(1), 1e-9)
             squares = np.where(there, apart - level[:, None], 0.0) ** 2
-            degrees = np.maximum(there.sum(0) - 1, 0)
             variance = squares.sum(0) / np.maximum(degrees, 1)
-            known = degrees > 0
+            alike = _of_alike(variance, known, power_db[row])
+            variance = (squares.sum(0) + LIKE_DEGREES * alike) / (degrees + LIKE_DEGREES)
+            if fluctuates is not None:
+                chance = np.where(known, fluctuates[row], 0.0)
+                variance = (1.0 - chance) * variance + chance * FADING_SPREAD_DB**2
             quiet = float(np.quantile(variance[known], 0.25)) if known.any() else 0.0
             weight = known / (variance + LEAST_LEVEL_SHARE * quiet + least**2 / 12.0)
         found.append(weight)
     return np.stack(found)
+
+
+def _of_alike(variance: Floats, known: NDArray[np.bool_], power_db: Floats) -> Floats:
+    """Median variance ``(N,)`` of the targets next to each one in power."""
+    order = np.flatnonzero(known)[np.argsort(power_db[known])]
+    found = np.zeros_like(variance)
+    found[order] = median_filter(variance[order], min(ALIKE, len(order)), mode="nearest")
+    return found
 
 
 def own_spread(values: Floats) -> Floats:

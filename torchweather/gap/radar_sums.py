@@ -139,7 +139,7 @@ class RadarSums:
                 place = np.where(scene.counted, np.minimum(place, group.bins - 1), -1)
                 self._hot[group.axis] = (place[..., None] == np.arange(group.bins)).astype(np.float64)
         self._hot["frame"] = scene.counted[..., None].astype(np.float64)
-        self._evenly = {axis: _as_many(scene.mean_weight, hot) for axis, hot in self._hot.items()}
+        self._evenly = {axis: _as_many(scene.level_weight["power_db"], hot) for axis, hot in self._hot.items()}
         self._portion: dict[int, Whole] = {}
 
     def __call__(
@@ -196,7 +196,7 @@ class RadarSums:
 
         power = np.where(there, residual("power_db") + loss_db, 0.0)
         speed, apart = residual("speed_m_per_s"), residual("range_m")
-        steady = weight * scene.mean_weight[row]
+        steady = weight * scene.level_weight["power_db"][row]
         is_steady = scene.steady[row]
         found = {
             "target": is_steady.astype(np.float64),
@@ -311,8 +311,8 @@ class RadarSums:
 
 
 def _as_many(weight: Floats, hot: Floats) -> Floats:
-    """Factor ``(bins,)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets of equal
-    weight that would tell its mean as well: a bin in which all weigh little is known badly, but counts."""
+    """Factor ``(bins,)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets that
+    would tell its mean as well if all weighed the same: a bin in which all weigh little is known badly, but counts."""
     own = weight[..., None] * hot
     found: Floats = own.sum((0, 1)) / np.maximum((own**2).sum((0, 1)), 1e-300)
     return found
