@@ -30,6 +30,10 @@ RATE_STEP = 1.1
 NOISE_CUT = 2.0  # standard deviations of its own noise, below which a change is set to 0 in a direction
 BISECTIONS, NEAR_ENOUGH = 7, 0.2
 LEAST = 1e-3  # scatter of a statistic
+CLUTTER_M = ((0.0, 4.0), (4.0, 10.0), (10.0, 25.0), (25.0, 1e4))  # ranges in which others are counted
+# Scatter of a stabilised count of one frame, at least. Where hardly ever anything is counted it hardly scatters, and a
+# handful of counts would be tens of its scatters off; the likelihood of Poisson's law says how many they are.
+LEAST_OF_COUNT = 0.2
 
 
 class Statistics:
@@ -50,6 +54,12 @@ class Statistics:
             *_binned(targets.azimuth_rad, (-0.7, -0.4, -0.15, 0.15, 0.4, 0.7), self.often),
             *_binned(targets.elevation_rad, (-0.1, -0.03, 0.03, 0.1), self.often),
         ]
+
+    @property
+    def counts(self) -> slice:
+        """Places of the counts: behind three statistics of each group, four of speeds and ranges, three of the floor."""
+        start = 3 * len(self.groups) + 4 + 3
+        return slice(start, start + len(CLUTTER_M) + 1)
 
     def __call__(self, report: Report, recordings: int) -> Floats:
         """Statistics ``(recordings, K)`` of frames, as many of each recording."""
@@ -74,7 +84,7 @@ class Statistics:
         columns += [floor, np.clip(floor, 0.0, 1.0), np.clip(floor - 3.0, 0.0, 1.0)]
         count = len(report.floor_db)
         others = np.bincount(report.clutter_frame, minlength=count)
-        for low, high in ((0.0, 4.0), (4.0, 10.0), (10.0, 25.0), (25.0, 1e4)):
+        for low, high in CLUTTER_M:
             inside = (report.clutter[:, 0] >= low) & (report.clutter[:, 0] < high)
             columns.append(np.sqrt(np.bincount(report.clutter_frame[inside], minlength=count) + 0.375))
         columns.append(np.sqrt(self._followers(report, count) + 0.375))
@@ -148,10 +158,13 @@ class Detector:
         self.conditions = [one for one in design.conditions if one.split == "fit"]
         self._statistics = [Statistics(targets, seed) for targets in design.scenes]
         rows = [self._recorded(place, (), 9, BASE_RECORDINGS) for place in range(len(self.conditions))]
-        self._spread = [np.maximum(one.std(0, ddof=1), LEAST) for one in rows]
+        least = np.full(rows[0].shape[1], LEAST)
+        least[self._statistics[0].counts] = LEAST_OF_COUNT / np.sqrt(design.size.frames)
+        self._spread = [np.maximum(one.std(0, ddof=1), least) for one in rows]
         scaled = np.concatenate([(one - one.mean(0)) / spread for one, spread in zip(rows, self._spread, strict=True)])
         size = scaled.shape[1]
         correlation = (1.0 - SHRINKAGE) * scaled.T @ scaled / len(scaled) + SHRINKAGE * np.eye(size)
+        np.fill_diagonal(correlation, 1.0)  # also where a statistic scatters less than it counts
         values, vectors = np.linalg.eigh(correlation)
         self._whiten = vectors / np.sqrt(values)
         self._base = [self._whitened((), side) for side in (0, 1)]
