@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from torchweather.gap.radar_fading import NOISE_AT_0_DB, chance_of_fading, share_of_fading
+from torchweather.gap.radar_fading import NOISE_AT_0_DB, chance_of_fading, fading, share_of_fading, shares_by_class
 
 THRESHOLD_DB, TYPICAL_DB, SHARE = 12.0, 0.3, 0.3
 Floats = NDArray[np.float64]
@@ -78,3 +78,22 @@ def test_of_one_frame_only_the_share_of_all_targets_is_known() -> None:
     assert said[:2] == pytest.approx([0.2 * threshold / (threshold + 10.0**power) for power in (1.5, 3.0)])
     assert np.isnan(said[2])
     assert share_of_fading(snr_db, THRESHOLD_DB, TYPICAL_DB) == 0.3  # nothing tells it
+
+
+def test_a_class_of_cars_fluctuates_and_one_of_posts_does_not() -> None:
+    """A target that a handful of frames find alike is a post among posts, and a car by chance among cars."""
+    rng = np.random.default_rng(7)
+    mean_db = rng.uniform(20.0, 40.0, 60)
+    target_class = np.repeat([0.0, 1.0], [40, 20])
+    seen = listed(frames(rng, mean_db, target_class == 1.0, 8))
+    seen[:, 59] = 30.0 + 0.3 * rng.standard_normal(8)
+    seen[4:, 59] = np.nan
+    shares = shares_by_class(seen, THRESHOLD_DB, TYPICAL_DB, target_class)
+    assert shares[0] < 0.1
+    assert shares[59] > 0.85
+    among_posts, among_cars = (fading(seen[:4], THRESHOLD_DB, TYPICAL_DB, one)[59] for one in (shares[0], shares[59]))
+    assert among_cars > 10.0 * among_posts
+    # A post 18 dB over the threshold would not be missing in half of the frames.
+    assert fading(seen, THRESHOLD_DB, TYPICAL_DB, shares[0])[59] > 0.99
+    single = shares_by_class(seen[:, :1], THRESHOLD_DB, TYPICAL_DB, target_class[:1])
+    assert 0.0 < single[0] < 1.0

@@ -19,7 +19,7 @@ from torchweather.gap.effect_forms import is_another
 from torchweather.gap.frames import Frames, FrameSource
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.radar import GHOST_STEP, RadarFrames
-from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, share_of_fading
+from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, shares_by_class
 from torchweather.gap.radar_forms import MOST_STRUCK, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise
 from torchweather.gap.radar_scene import (
@@ -114,7 +114,9 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
     variance = [np.nanvar(one, ddof=1) for one in clear_power.T if np.isfinite(one).sum() > 1]
     typical_db = math.sqrt(float(np.median(variance)) + LEAST_SPREAD["power_db"] ** 2)
     snr_db = SENSOR.detection_snr_db
-    share = share_of_fading(clear_power - scene.clear.floor_db.mean(), snr_db, typical_db)
+    shares = shares_by_class(
+        clear_power - scene.clear.floor_db.mean(), snr_db, typical_db, scene.geometry["target_class"]
+    )
     lever = (np.arange(FRAMES) - 1.0) / math.sqrt(2.0 / 3.0)
     weights_of = scene.level_weight["power_db"]
     for axis in ("range_m", "target_class", "azimuth_rad", "margin_db"):
@@ -131,7 +133,7 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
                 floor = np.delete(scene.clear.floor_db, row).mean()
                 margin = np.nanmean(others) - floor - SENSOR.detection_snr_db
                 steady = np.isfinite(others).all() and margin > FLICKERS * scene.spread["power_db"][row, n]
-                steady &= bool(chance_of_fading(others[:, None] - floor, snr_db, typical_db, share)[0] < SELDOM)
+                steady &= bool(chance_of_fading(others[:, None] - floor, snr_db, typical_db, shares[n])[0] < SELDOM)
                 own = {"margin_db": margin}.get(axis) or scene.geometry[axis][n]
                 inner = edges[axis][1:-1]
                 place = sum(own >= edge - 1e-9 for edge in inner)  # sums of dB in another order
@@ -151,12 +153,14 @@ def test_sums_of_targets_are_those_of_a_loop(study: Study, model: RadarFrames) -
         if axis in ("range_m", "margin_db"):
             np.testing.assert_allclose(group(model, found, "lost_flickering_share", axis), wanted["gone"])
             np.testing.assert_allclose(group(model, found, "lost_flickering_share", axis, "weight"), wanted["flicker"])
-        # A bin holds as many targets as would tell its mean as well if all weighed the same, over all clear frames.
-        weights: list[list[float]] = [[] for _ in range(len(edges[axis]) - 1)]
-        for row, n in zip(*scene.counted.nonzero(), strict=True):
-            own = scene.axes[axis][row, n]
-            weights[sum(own >= edge - 1e-9 for edge in edges[axis][1:-1])].append(weights_of[row, n])
-        as_many = np.array([sum(own) / max(sum(one**2 for one in own), 1e-300) for own in weights])
+        # A bin holds as many targets as would tell its mean as well if all weighed the same.
+        as_many = np.zeros((FRAMES, len(edges[axis]) - 1))
+        for k in range(FRAMES):
+            weights: list[list[float]] = [[] for _ in as_many[k]]
+            for n in scene.counted[k].nonzero()[0]:
+                own = scene.axes[axis][k, n]
+                weights[sum(own >= edge - 1e-9 for edge in edges[axis][1:-1])].append(weights_of[k, n])
+            as_many[k] = [sum(own) / max(sum(one**2 for one in own), 1e-300) for own in weights]
         values, weight = (group(model, found, "power_residual_db", axis, what) for what in ("value", "weight"))
         np.testing.assert_allclose(values, as_many * wanted["power"], rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(weight, as_many * wanted["weight"], rtol=1e-6)

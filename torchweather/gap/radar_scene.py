@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 
 from torchweather.errors import TorchweatherError
 from torchweather.gap.frames import Frame
-from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, fading, share_of_fading
+from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, fading, shares_by_class
 from torchweather.gap.study import StudyScene
 from torchweather.sensors import Radar
 
@@ -161,7 +161,7 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     floor = (clear.floor_db.sum() - clear.floor_db) / max(count - 1, 1)
     margin_db = reference["power_db"] - floor[:, None] - radar.detection_snr_db
     spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
-    fluctuates, fades = _fading(clear, floor, radar.detection_snr_db)
+    fluctuates, fades = _fading(clear, floor, radar.detection_snr_db, geometry["target_class"])
     level_weight = {
         name: level_weights(
             getattr(clear, name), LEAST_SPREAD[name], reference["power_db"], fluctuates if name == "power_db" else None
@@ -175,11 +175,11 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     return RadarScene(clear, geometry, reference, floor, spread, level_weight, margin_db, counted, steady)
 
 
-def _fading(clear: Detections, floor_db: Floats, threshold_db: float) -> tuple[Floats, Floats]:
+def _fading(clear: Detections, floor_db: Floats, threshold_db: float, target_class: Floats) -> tuple[Floats, Floats]:
     """From all clear frames but one: probability ``(K, N)`` that a target fluctuates, and that a frame loses it so."""
     snr_db = clear.power_db - clear.floor_db.mean()
     typical_db = _median_spread(clear.power_db, LEAST_SPREAD["power_db"])
-    share = share_of_fading(snr_db, threshold_db, typical_db)
+    share = shares_by_class(snr_db, threshold_db, typical_db, target_class)
     rows = [np.delete(clear.power_db, row, 0) - floor for row, floor in enumerate(floor_db)]
     fluctuates, fades = (
         np.stack([law(row, threshold_db, typical_db, share) for row in rows]) for law in (fading, chance_of_fading)

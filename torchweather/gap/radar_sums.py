@@ -169,7 +169,8 @@ class RadarSums:
             if group.statistic in SUMS:
                 weight, value, square = (sums[name, group.axis] for name in SUMS[group.statistic])
                 if group.statistic == "power_residual_db":
-                    weight, value, square = (one * self._evenly[group.axis] for one in (weight, value, square))
+                    evenly = self._evenly[group.axis][row].repeat(portions, 0)
+                    weight, value, square = (one * evenly for one in (weight, value, square))
             elif group.statistic == "noise_floor_share":
                 weight, value, square = self._floor(frames, row, portions)
             elif group.statistic == "ghost_count":
@@ -311,10 +312,10 @@ class RadarSums:
 
 
 def _as_many(weight: Floats, hot: Floats) -> Floats:
-    """Factor ``(bins,)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets that
-    would tell its mean as well if all weighed the same: a bin in which all weigh little is known badly, but counts."""
+    """Factor ``(K, bins)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets that
+    would tell its mean as well if all weighed the same: where all weigh little it is known badly, but counts."""
     own = weight[..., None] * hot
-    found: Floats = own.sum((0, 1)) / np.maximum((own**2).sum((0, 1)), 1e-300)
+    found: Floats = own.sum(1) / np.maximum((own**2).sum(1), 1e-300)
     return found
 
 

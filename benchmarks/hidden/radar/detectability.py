@@ -57,7 +57,7 @@ class Statistics:
 
     @property
     def counts(self) -> slice:
-        """Places of the counts: behind three statistics of each group, four of speeds and ranges, three of the floor."""
+        """Places of the counts: behind three of each group, four of speeds and ranges, three of the floor."""
         start = 3 * len(self.groups) + 4 + 3
         return slice(start, start + len(CLUTTER_M) + 1)
 
