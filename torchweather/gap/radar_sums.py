@@ -312,8 +312,8 @@ class RadarSums:
 
 
 def _as_many(weight: Floats, hot: Floats) -> Floats:
-    """Factor ``(K, bins)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets that
-    would tell its mean as well if all weighed the same: where all weigh little it is known badly, but counts."""
+    """Factor ``(K, bins)`` by which weights ``(K, N)`` in each bin ``(K, N, bins)`` sum up to the number of targets
+    that would tell its mean as well if all weighed the same: where all weigh little it is known badly, but counts."""
     own = weight[..., None] * hot
     found: Floats = own.sum(1) / np.maximum((own**2).sum(1), 1e-300)
     return found
