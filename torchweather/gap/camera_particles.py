@@ -116,8 +116,9 @@ class Rendered:
     ) -> Tensor:
         """Optical depth ``(F, 1, H, W)`` of the frame of each seed, as float16."""
         number = len(seeds)
-        moved = {name: torch.full((number,), value) for name, value in way.items()}
-        count = None if log_count == 0.0 else torch.full((number,), math.exp(log_count))
+        # One value for all frames: what it is looked up for is then looked up once.
+        moved = {name: torch.full((1,), value) for name, value in way.items()}
+        count = None if log_count == 0.0 else torch.full((1,), math.exp(log_count))
         bare = replace(
             state,
             signal=state.signal[:1].expand(number, -1, -1, -1),

@@ -190,10 +190,10 @@ def _steps(number: int, like: Tensor) -> Tensor:
 
 def _shares(inner: Tensor, dim: int) -> Tensor:
     """Shares between consecutive edges from the distribution function at the inner edges; they sum to one."""
-    shape = list(inner.shape)
-    shape[dim] = 1
-    ends = torch.zeros(shape, dtype=inner.dtype, device=inner.device)
-    return torch.diff(inner, dim=dim, prepend=ends, append=ends + 1)
+    # Pads come last dimension first.
+    aside = (0, 0) * (inner.ndim - 1 - dim % inner.ndim)
+    pad = torch.nn.functional.pad
+    return pad(inner, (*aside, 0, 1), value=1.0) - pad(inner, (*aside, 1, 0))
 
 
 def _coverage(frame: _Frame, rows: int, columns: int) -> tuple[Tensor, Tensor]:
@@ -255,21 +255,25 @@ def _pixels(
     """Index of every footprint's pixels in the flattened batch, ``(P, rows, columns)``, and which lie in the image."""
     height, width = size
     _, rows, columns = shape
-    along = frame.first_major[:, None, None] + _steps(rows, frame.major)[:, None]
-    aside = first_minor + _steps(columns, frame.major)
-    if frame.steep is None:
-        row, column = along, aside
-    else:
+    along = frame.first_major[:, None, None] + _steps(rows, frame.major)[:, None]  # (P, rows, 1)
+    aside = first_minor + _steps(columns, frame.major)  # (P, 1 or rows, columns)
+    # Where the picture ends along and aside, and pixels from one step to the next.
+    end: Tensor | float = height - 1.0
+    end_aside: Tensor | float = width - 1.0
+    step: Tensor | int = width
+    step_aside: Tensor | int = 1
+    if frame.steep is not None:
         steep = frame.steep[:, None, None]
-        row, column = torch.where(steep, along, aside), torch.where(steep, aside, along)
+        end, end_aside = torch.where(steep, end, end_aside), torch.where(steep, end_aside, end)
+        step, step_aside = torch.where(steep, width, 1), torch.where(steep, 1, width)
     inside = None
     if clip:
-        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        row, column = row.clamp(0, height - 1), column.clamp(0, width - 1)
-    pixel = row.long() * width + column.long()
+        inside = ((along >= 0) & (along <= end)) & ((aside >= 0) & (aside <= end_aside))
+        along, aside = along.clamp_min(0).clamp_max(end), aside.clamp_min(0).clamp_max(end_aside)
+    first = along.long() * step
     if frame.sample is not None:
-        pixel = pixel + (frame.sample * (height * width))[:, None, None]
-    return pixel, inside
+        first = first + (frame.sample * (height * width))[:, None, None]
+    return first + aside.long() * step_aside, inside
 
 
 def _deposit(
@@ -293,7 +297,7 @@ def _deposit(
         seen = before if inside is None else before & inside
     if seen is not None:
         coverage = torch.where(seen, coverage, torch.zeros_like(coverage))
-    optical = -torch.log1p(-coverage.clamp(0.0, FULL))
+    optical = coverage.clamp(0.0, FULL).neg_().log1p_().neg_()
     add = torch.Tensor.scatter_add if is_exporting() else torch.Tensor.scatter_add_
     total = add(total, 0, pixel, optical.reshape(-1))
     if faded is not None and frame.clearness is not None:
