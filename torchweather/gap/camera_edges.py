@@ -47,7 +47,11 @@ class Edges:
         clear = green.flatten(1).double().numpy()
         self.place: dict[Key, slice] = {}
         self._cells, self.number = clear.shape[1], CLASSES * len(scene.sharp)
-        firsts, seconds, bins, befores, scales = [], [], [], [], []
+        firsts: list[Any] = []
+        seconds: list[Any] = []
+        bins: list[Any] = []
+        befores: list[Floats] = []
+        scales: list[Floats] = []
         for lag, pairs in scene.sharp.items():
             start = len(bins) * CLASSES
             self.place[f"edge_contrast_{lag_name(lag)}", "depth_m"] = slice(start, start + CLASSES)
@@ -82,7 +86,8 @@ class Edges:
     def numbers(self, row: Tensor, portion: Tensor | None, portions: int) -> Floats:
         """Sums of ``before^2`` ``(F * portions, bins)``."""
         if portion is None:
-            return self._numbers[row.numpy()]
+            found: Floats = self._numbers[row.numpy()]
+            return found
         return np.concatenate(
             [self.summed(self.before[k] ** 2, portion, portions) / self.scale[k] for k in row.tolist()]
         )
@@ -90,7 +95,8 @@ class Edges:
     def summed(self, values: Floats, portion: Tensor | None, portions: int) -> Floats:
         """Sums ``(portions, bins)`` of a value of each pair ``(P,)``."""
         place = self._place(portion)
-        return np.bincount(place, values, minlength=portions * self.number).reshape(portions, self.number)
+        found: Floats = np.bincount(place, values, minlength=portions * self.number).astype(np.float64)
+        return found.reshape(portions, self.number)
 
     def _place(self, portion: Tensor | None) -> NDArray[np.int64]:
         found: NDArray[np.int64] = self.bin if portion is None else portion.numpy()[self.first] * self.number + self.bin
@@ -110,4 +116,5 @@ class Edges:
 
 def _mean_square(values: Floats) -> Floats:
     """Over the pairs, ``(K + 1,)``; 0 where there is none."""
-    return (values**2).sum(1) / max(values.shape[1], 1)
+    found: Floats = (values**2).sum(1) / max(values.shape[1], 1)
+    return found

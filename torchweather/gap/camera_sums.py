@@ -310,7 +310,7 @@ class CameraSums:
         frame, cell = np.nonzero(np.abs(values) >= TAILS_SD[0])
         frame, cell = (one[kinds[cell] >= 0] for one in (frame, cell))
         out = values[frame, cell]
-        height = np.searchsorted(np.float32(TAILS_SD[:-1]), np.abs(out), side="right") - 1
+        height = np.searchsorted(np.array(TAILS_SD[:-1], np.float32), np.abs(out), side="right") - 1
         index = ((frame * portions + owner[cell]) * 2 * classes + 2 * kinds[cell] + (out < 0)) * bins + height
         shape = (len(values) * portions, classes, 2, bins)
         counts = np.bincount(index, minlength=int(np.prod(shape))).reshape(shape) / SHARED_CELLS

@@ -114,7 +114,7 @@ def _blurring(variance_px2: float, size: int) -> Tensor:
     seen = np.arange(size)[:, None] + np.arange(-reach, reach + 1)
     found = np.zeros((size, size))
     np.add.at(found, (np.arange(size)[:, None], seen.clip(0, size - 1)), weights)
-    return torch.from_numpy(found).float()
+    return torch.from_numpy(found)
 
 
 @lru_cache(maxsize=32)

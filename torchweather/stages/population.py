@@ -353,7 +353,8 @@ class Population(nn.Module):
         if not self.camera.distorted and not is_exporting():
             # None of a higher level is there at any depth: most of the slots are for higher rates.
             highest = float((bound.detach() - most).max() - thin.detach().min())
-            some = (points[:, COLUMN_LEVEL] < math.exp(min(highest, 50.0)) * (1 + 1e-4) - part.copy).nonzero().squeeze(1)
+            limit = math.exp(min(highest, 50.0)) * (1 + 1e-4) - part.copy  # a little more than rounding can move it
+            some = (points[:, COLUMN_LEVEL] < limit).nonzero().squeeze(1)
             points, sample = points.index_select(0, some), None if sample is None else sample.index_select(0, some)
         columns = points.T if is_exporting() else points.T.contiguous()
         drawn_u, drawn_v, drawn_depth, drawn_level = (columns[k] for k in range(COLUMNS))
@@ -570,8 +571,10 @@ def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
 
 def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | None = None) -> Tensor:
     """``table (n,)``, or ``table (1 or B, n)`` at a row each, between the nodes ``cell`` and ``cell + 1``."""
-    one = row is None or (not is_exporting() and table.numel() == table.shape[-1])
-    at = cell if one else row * table.shape[-1] + cell
+    if row is None or (not is_exporting() and table.numel() == table.shape[-1]):
+        at = cell
+    else:
+        at = row * table.shape[-1] + cell
     flat = table.reshape(-1)
     low = flat.index_select(0, at)
     return torch.lerp(low, flat.index_select(0, at + 1), share)
