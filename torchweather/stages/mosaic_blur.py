@@ -23,7 +23,7 @@ __all__ = ["blurred_along", "disk_points_px", "gaussian_blur", "line_points_px",
 PHASE_PX = 2.0  # from a pixel to the next one of its phase
 POINTS_OF_QUARTER, POINTS_OF_LINE = 64, 65
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-DENSE = 16  # pixels of an axis for each of a kernel, up to which a blur is a product with a dense matrix
+PART = 48  # pixels of an axis that are blurred at once
 FREQUENCIES = 512  # of the discrete Gaussian's transform; more than twice its longest kernel
 
 
@@ -87,11 +87,15 @@ def _cubic(distance: Tensor) -> Tensor:
 def gaussian_blur(planes: Tensor, variance_px2: float) -> Tensor:
     """Phases ``(B, 4, H/2, W/2)`` blurred by a Gaussian of a variance in full-resolution pixels."""
     height, width = planes.shape[-2:]
-    # A product with a dense matrix does twenty times as many sums in a second as a convolution of one channel.
-    if is_exporting() or max(height, width) > DENSE * len(_gaussian(variance_px2)):
+    # Products with the dense parts of a band matrix do many more sums in a second than convolutions of one channel.
+    if is_exporting():
         return _convolved(planes, variance_px2)
-    down, across = (_blurring(variance_px2, size).to(planes) for size in (height, width))
-    return down @ planes @ across.T
+    batch, number = planes.shape[:2]
+    rows = planes.reshape(-1, width)
+    across = [rows[:, seen] @ part.to(planes).T for seen, part in _blurring(variance_px2, width)]
+    columns = torch.cat(across, 1).view(batch * number, height, width)
+    down = [part.to(planes) @ columns[:, seen] for seen, part in _blurring(variance_px2, height)]
+    return torch.cat(down, 1).view(batch, number, height, width)
 
 
 def _convolved(planes: Tensor, variance_px2: float) -> Tensor:
@@ -107,14 +111,21 @@ def _convolved(planes: Tensor, variance_px2: float) -> Tensor:
 
 
 @lru_cache(maxsize=32)
-def _blurring(variance_px2: float, size: int) -> Tensor:
-    """Matrix ``(size, size)`` that blurs an axis; beyond its ends stands what is there."""
+def _blurring(variance_px2: float, size: int) -> list[tuple[slice, Tensor]]:
+    """Parts of the band matrix ``(size, size)`` that blurs an axis: what each sees, and weights ``(part, seen)``.
+
+    Beyond the ends of the axis stands what is there.
+    """
     weights = np.array(_gaussian(variance_px2))
     reach = len(weights) // 2
-    seen = np.arange(size)[:, None] + np.arange(-reach, reach + 1)
-    found = np.zeros((size, size))
-    np.add.at(found, (np.arange(size)[:, None], seen.clip(0, size - 1)), weights)
-    return torch.from_numpy(found)
+    near = np.arange(size)[:, None] + np.arange(-reach, reach + 1)
+    whole = np.zeros((size, size))
+    np.add.at(whole, (np.arange(size)[:, None], near.clip(0, size - 1)), weights)
+    found = []
+    for first in range(0, size, PART):
+        seen = slice(max(first - reach, 0), min(first + PART + reach, size))
+        found.append((seen, torch.from_numpy(whole[first : first + PART, seen].copy())))
+    return found
 
 
 @lru_cache(maxsize=32)
