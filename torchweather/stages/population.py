@@ -529,7 +529,7 @@ class Population(nn.Module):
             side_by_side(tasks)
         total, faded = totals[0], fadeds[0]
         for more, more_faded in zip(totals[1:], fadeds[1:], strict=True):
-            total = total + more
+            total = total + more if is_exporting() or learns else total.add_(more)
             faded = None if faded is None or more_faded is None else faded + more_faded
         shape = (b, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
