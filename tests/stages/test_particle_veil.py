@@ -449,3 +449,13 @@ def test_what_samples_share_may_be_given_once_or_for_each() -> None:
             part.rate_mm_per_h = rate
         masks_found.append(stage(given, noise).particle_mask)
     torch.testing.assert_close(*masks_found, rtol=0, atol=0)
+
+
+def test_the_optical_depth_alone_is_that_of_the_rendered_mask() -> None:
+    camera = camera_of()
+    transform = BayerWeather(Mixture(Rain(30.0), Snow(2.0)), camera, airlight=0.8)
+    state = replace(transform.state_of(frame(camera)[None], torch.full((1, 96, 96), 60.0)), keep_truth=True)
+    stage = veil_of(transform)
+    noise = stage.draw(state, seed=3)
+    mask = stage(state, noise).particle_mask
+    torch.testing.assert_close(-torch.expm1(-stage.optical_depth(state, noise)), mask, rtol=1e-6, atol=1e-7)

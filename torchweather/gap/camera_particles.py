@@ -122,7 +122,6 @@ class Rendered:
         bare = replace(
             state,
             signal=state.signal[:1].expand(number, -1, -1, -1),
-            keep_truth=True,
             normal=None,
             particle_count=count,
             particle_contrast=None,
@@ -131,8 +130,7 @@ class Rendered:
             path_tangent=moved.get("path_tangent"),
             row_time_s=moved.get("row_time_s"),
         )
-        mask = self._at(log_rate)(bare, self._noise(bare, seeds)).particle_mask
-        return mask.neg().log1p_().neg_().half()
+        return self._at(log_rate).optical_depth(bare, self._noise(bare, seeds)).half()
 
     def _noise(self, state: CameraState, seeds: list[int]) -> dict[str, Tensor]:
         """Random numbers of some seeds; those of the last ones are kept, as a few settings follow one another."""

@@ -367,9 +367,10 @@ class Population(nn.Module):
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
             if not is_exporting():
                 seen = shown.nonzero().squeeze(1)
-                drawn_u, drawn_v, cell, share = drawn_u[seen], drawn_v[seen], cell[seen], share[seen]
-                log_level, cut_level, shown = log_level[seen], cut_level[seen], shown[seen]
-                sample = None if sample is None else sample[seen]
+                drawn_u, drawn_v, cell, share, log_level, cut_level, shown = (
+                    one.index_select(0, seen) for one in (drawn_u, drawn_v, cell, share, log_level, cut_level, shown)
+                )
+                sample = None if sample is None else sample.index_select(0, seen)
         foot = _read(quantiles, cell, share)
         u = drawn_u * (width + 2 * reach_u) - (reach_u + 0.5)
         v = drawn_v * (height + 2 * reach_v) - (reach_v + 0.5)
@@ -378,9 +379,10 @@ class Population(nn.Module):
         if blocks is not None and stays and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
             before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
             if len(before) < 0.9 * len(u):
-                u, v, foot, depth_m, log_level = u[before], v[before], foot[before], depth_m[before], log_level[before]
-                shown, cut_level = shown[before], cut_level[before]
-                sample = None if sample is None else sample[before]
+                u, v, foot, depth_m, log_level, cut_level, shown = (
+                    one.index_select(0, before) for one in (u, v, foot, depth_m, log_level, cut_level, shown)
+                )
+                sample = None if sample is None else sample.index_select(0, before)
         own, focal_of = _own(intrinsics, sample), _own(focal, sample)
         x = y = scale = None
         if not self.vertical or part.slanted:
