@@ -207,7 +207,7 @@ class ParticleVeil(Stage):
             state: the frame, whose signal does not matter.
             noise: as for ``forward``.
         """
-        total = torch.zeros_like(state.signal)
+        total, shape = torch.zeros_like(state.signal), state.signal.shape
         with one_thread_an_operation():
             for part in self.parts:
                 part.check_rate()
@@ -217,9 +217,9 @@ class ParticleVeil(Stage):
                 def band(
                     first: int, last: int, into: Tensor | None, part: Population = part, table: AtRate = table
                 ) -> tuple[Tensor]:
-                    return (haze_depth(part, state, noise, table, first, last)[0].expand_as(total[..., first:last, :]),)
+                    return (haze_depth(part, state, noise, table, first, last)[0].expand(shape[0], -1, -1, -1),)
 
-                (haze,) = by_rows(band, state.signal.shape, state.signal, apart=True)
+                (haze,) = by_rows(band, shape, state.signal, apart=True)
                 total += sharp.add_(haze)
         return total
 
