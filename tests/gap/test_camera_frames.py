@@ -15,9 +15,10 @@ from torchweather.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.baseline import FrameModel
 from torchweather.gap.camera import CameraFrames
+from torchweather.gap.camera_edges import SHARED_CELLS, lag_name
 from torchweather.gap.camera_particles import LEAST_STEP, Rendered
 from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, CameraScene, cell_colours, in_blocks
-from torchweather.gap.camera_sums import ASIDE, SHARED_CELLS, TAILS_SD, lag_name
+from torchweather.gap.camera_sums import ASIDE, MAP_BLOCKS, TAILS_SD
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.scenes import SCENES
 from torchweather.sensors import Camera
@@ -135,6 +136,27 @@ def test_noise_of_other_light_is_that_of_the_pixels(model: CameraFrames) -> None
     found = scene.with_noise(light, torch.zeros_like(light), None, row)
     # The variance of the pixels is taken from medians of few frames: to some ten percent.
     assert float((found - 0.5).std()) == pytest.approx(np.sqrt(0.5 / ELECTRONS), rel=0.2)
+
+
+@pytest.mark.parametrize("with_medium", [False, True])
+@pytest.mark.parametrize("with_particles", [False, True])
+def test_noise_solves_the_equation_of_its_docstring(model: CameraFrames, with_medium, with_particles) -> None:
+    """``a^2 + m (a + c t)^2 = g + m t^2``, pixel by pixel."""
+    scene, row = model.scenes["s0"], torch.tensor([3, 0, 3])
+    generator = torch.Generator().manual_seed(4)
+    light, left, share = (torch.rand(3, 1, HEIGHT, WIDTH, generator=generator) for _ in range(3))
+    light = 0.3 + 0.4 * light
+    transmission, covered = left if with_medium else None, share if with_particles else None
+    found = scene.with_noise(light, transmission, covered, row).double()
+    before, apart = scene.reference[row].double(), (scene.clear - scene.reference[:-1])[row].double()
+    constant, growing = scene.noise_variance
+    m, g = 1.0 / (CLEAR - 1), (constant + growing * light) / (constant + growing * before)
+    t = left.double() if with_medium else torch.ones_like(before)
+    c = share.double() if with_particles else torch.zeros_like(before)
+    inside = ((found > 0) & (found < 1)) & (apart.abs() > 2e-3)  # of smaller ones rounding is a larger share
+    a = ((found - light) / apart)[inside]
+    left_side, right_side = a**2 + m * (a + (c * t)[inside]) ** 2, (g + m * t**2)[inside]
+    torch.testing.assert_close(left_side, right_side, rtol=1e-3, atol=1e-3)
 
 
 @lru_cache
@@ -275,6 +297,24 @@ def test_texture_and_tails_of_a_clear_frame(model: CameraFrames) -> None:
         for kind, where in enumerate(("near", "far")):
             found = group(model, clear, f"{side}_share_{where}", "residual_sd")[0] * SHARED_CELLS
             np.testing.assert_allclose(found, counted[kind], atol=1.0)  # one on an edge of a bin
+
+
+def test_the_map_is_what_parts_are_over_the_model_without_what_all_of_a_depth_are(model: CameraFrames) -> None:
+    scene, sums = model.scenes["s0"], model._clear_sums["s0"]
+    over = torch.randn(2, len(scene.block_depth_m), generator=torch.Generator().manual_seed(3))
+    depth, columns = scene.bins["depth_m"].numpy(), WIDTH // 4
+    across = -(-columns // MAP_BLOCKS)
+    for frame, found in zip(over.double().numpy(), sums._over_model(over), strict=True):
+        cells: dict[int, list[float]] = {}
+        for block, value in enumerate(frame):
+            if depth[block] >= 0:
+                row, column = divmod(block, columns)
+                cell = row // MAP_BLOCKS * across + column // MAP_BLOCKS
+                cells.setdefault(cell, []).append(value - frame[depth == depth[block]].mean())
+        expected = np.zeros(len(found))
+        for cell, values in cells.items():
+            expected[cell] = 100.0 * np.mean(values)
+        np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_portions_add_up(model: CameraFrames) -> None:

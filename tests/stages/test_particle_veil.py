@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -422,3 +423,39 @@ def test_measured_drops_fall_too() -> None:
 def test_impossible_options_are_refused(options: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
         BayerRain(Rain(5.0), camera_of(), airlight=0.7, **options)
+
+
+def test_what_samples_share_may_be_given_once_or_for_each() -> None:
+    """One depth map, rate, count, reach and slant for all, or a row of each for every sample: the same bits."""
+    camera = camera_of()
+    transform = BayerWeather(Rain(30.0), camera)
+    bayer = frame(camera).reshape(1, 1, camera.height, camera.width).expand(3, -1, -1, -1)
+    depth_m = torch.linspace(3.0, 60.0, camera.height)[:, None].repeat(1, 1, 1, camera.width)
+    depth_m[..., :4, :] = torch.inf  # sky
+    state = replace(transform.state_of(bayer, depth_m), keep_truth=True)
+    stage = veil_of(transform)
+    noise = stage.draw(state, seed=5)
+    shared = {"particle_count": 1.3, "particle_reach_m": 40.0, "path_tangent": 0.2}
+    once = replace(state, **{name: torch.full((1,), value) for name, value in shared.items()})
+    each = replace(
+        state,
+        depth_m=depth_m.repeat(3, 1, 1, 1),
+        intrinsics=state.intrinsics.repeat(3, 1),
+        **{name: torch.full((3,), value) for name, value in shared.items()},
+    )
+    masks_found = []
+    for given, rate in ((once, torch.tensor(30.0)), (each, torch.full((3,), 30.0))):
+        for part in stage.parts:
+            part.rate_mm_per_h = rate
+        masks_found.append(stage(given, noise).particle_mask)
+    torch.testing.assert_close(*masks_found, rtol=0, atol=0)
+
+
+def test_the_optical_depth_alone_is_that_of_the_rendered_mask() -> None:
+    camera = camera_of()
+    transform = BayerWeather(Mixture(Rain(30.0), Snow(2.0)), camera, airlight=0.8)
+    state = replace(transform.state_of(frame(camera)[None], torch.full((1, 96, 96), 60.0)), keep_truth=True)
+    stage = veil_of(transform)
+    noise = stage.draw(state, seed=3)
+    mask = stage(state, noise).particle_mask
+    torch.testing.assert_close(-torch.expm1(-stage.optical_depth(state, noise)), mask, rtol=1e-6, atol=1e-7)

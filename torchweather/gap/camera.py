@@ -260,7 +260,8 @@ class CameraFrames:
             with torch.no_grad():
                 state = transform.state_of(scene.reference, scene.depth_m[None])
                 modelled = Chain(fog)(state, {}).signal if fog else scene.reference
-            found = CameraSums(scene, self.layout, self._pattern, self._colours, modelled)
+            edges = self._clear_sums[condition.scene].edges
+            found = CameraSums(scene, self.layout, self._pattern, self._colours, modelled, edges)
             with self._lock:
                 self._sums[condition.id] = found
         return found

@@ -60,7 +60,7 @@ class Rendered:
         if not self.alone or state.fog_extinction_per_m is not None:
             noise = self.stage.draw(state, seed=torch.tensor(seeds), name=self.stage.default_name)
             return self._at(log_knob)(state, noise)  # type: ignore[no-any-return]
-        return self.stage.behind(state, -torch.expm1(-self._optical(state, log_knob, seeds)))
+        return self.stage.behind(state, self._optical(state, log_knob, seeds).neg_().expm1_().neg_())
 
     def _at(self, log_knob: float) -> ParticleVeil:
         """The stage at another rate."""
@@ -84,12 +84,12 @@ class Rendered:
         way = {name: float(given[0]) for name in WAYS if (given := getattr(state, name)) is not None}
         if way:  # seldom twice the same
             rendered = self._render(state, log_knob, math.log(more), way, seeds)
-            return rendered.float() * (count / more)
+            return rendered.float().mul_(count / more)
         steps, counts = _between(log_knob - self.log_rate, self.step), _between(math.log(more), COUNT_STEP)
         for (rate, share), (number, part) in itertools.product(steps, counts):
             nodes = self._nodes(state, round(self.log_rate + rate * self.step, 12), number, seeds)
             total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part)
-        return total * (count / more)
+        return total.mul_(count / more)
 
     def _nodes(self, state: CameraState, log_rate: float, number: int, seeds: list[int]) -> dict[int, Tensor]:
         """Optical depth ``(1, H, W)`` of each seed at one of the rates and numbers that are rendered, as float16."""
@@ -116,12 +116,12 @@ class Rendered:
     ) -> Tensor:
         """Optical depth ``(F, 1, H, W)`` of the frame of each seed, as float16."""
         number = len(seeds)
-        moved = {name: torch.full((number,), value) for name, value in way.items()}
-        count = None if log_count == 0.0 else torch.full((number,), math.exp(log_count))
+        # One value for all frames: what it is looked up for is then looked up once.
+        moved = {name: torch.full((1,), value) for name, value in way.items()}
+        count = None if log_count == 0.0 else torch.full((1,), math.exp(log_count))
         bare = replace(
             state,
             signal=state.signal[:1].expand(number, -1, -1, -1),
-            keep_truth=True,
             normal=None,
             particle_count=count,
             particle_contrast=None,
@@ -130,8 +130,7 @@ class Rendered:
             path_tangent=moved.get("path_tangent"),
             row_time_s=moved.get("row_time_s"),
         )
-        mask = self._at(log_rate)(bare, self._noise(bare, seeds)).particle_mask
-        return (-torch.log1p(-mask)).half()
+        return self._at(log_rate).optical_depth(bare, self._noise(bare, seeds)).half()
 
     def _noise(self, state: CameraState, seeds: list[int]) -> dict[str, Tensor]:
         """Random numbers of some seeds; those of the last ones are kept, as a few settings follow one another."""

@@ -13,12 +13,15 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.gap.camera_bins import Binned, Key
+from torchweather.gap.camera_edges import SHARED_CELLS, Edges, lag_name
 from torchweather.gap.camera_scene import (
     BLOCK_CELLS,
     COLOURS,
@@ -28,7 +31,6 @@ from torchweather.gap.camera_scene import (
     NEAR_M,
     SKY_M,
     CameraScene,
-    Pairs,
     cell_colours,
     in_blocks,
     place_in,
@@ -36,6 +38,10 @@ from torchweather.gap.camera_scene import (
 from torchweather.gap.statistics import Group, Layout, Reduced
 
 __all__ = ["CameraSums", "camera_layout"]
+
+Floats = NDArray[np.float64]
+Sums = dict[Key, tuple[Floats, Floats, Floats]]
+"""Statistic and axis to the sums ``(F * portions, bins)`` of weights, of values and of squares."""
 
 SIGNAL = (0.0, 0.02, 0.04, 0.07, 0.11, 0.16, 0.23, 0.32, 0.45, 0.6, 0.8, 1.01)  # of saturation
 NOISE_SIGNAL = (0.0, 0.04, 0.1, 0.2, 0.35, 0.6, 1.01)
@@ -52,22 +58,11 @@ TAIL_TEXTURE = 0.05  # of the modelled difference, which counts as noise
 STREAK_LAGS = ((1, 0), (2, 0), (4, 0), (8, 0), (1, 1), (1, -1), (2, 1), (2, -1), (4, 1), (4, -1), (4, 2), (4, -2))
 HIGHEST = 12.0  # standard deviations of a single cell that count in those
 TAIL_FROM_M = (0.0, 30.0, 1e6)  # depths of the scene: in front of what is near there are few particles
-SHARED_CELLS = 4.0  # neighbouring cells that one streak or one blurred edge makes depend on each other
 SCALARS = ("near_log_ratio", "far_log_ratio", "sky_log_ratio", "log_difference_spread")
 STEADY = (1e-3, 1e-3, 1e-3, 5e-3)  # of these, scatter below which frames are called alike
 MAP_BLOCKS = 4  # blocks that a part of the map is high and wide
 MAP_UNIT = 0.01  # of a logarithm
 MAPS = ("log_ratio_map",)
-
-
-def lag_name(lag: tuple[int, int]) -> str:
-    """A lag in pixels down and to the right, as part of a name.
-
-    Example:
-        >>> lag_name((8, -2))
-        '16_-4_px'
-    """
-    return f"{2 * lag[0]}_{2 * lag[1]}_px"
 
 
 def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
@@ -96,38 +91,6 @@ def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
     return Layout(tuple(groups), SCALARS, STEADY, MAPS)
 
 
-class _Binned:
-    """Elements of a frame, summed up in the bins of some axes.
-
-    Args:
-        axes: axis to the bin of each element ``(N,)``, -1 for none, and the number of bins.
-    """
-
-    def __init__(self, axes: Mapping[str, tuple[Tensor, int]]) -> None:
-        self.axes = dict(axes)
-        self.place: dict[str, slice] = {}
-        start, hot = 0, []
-        for axis, (bins, count) in self.axes.items():
-            one = torch.zeros(len(bins), count + 1)
-            one.scatter_(1, bins.where(bins >= 0, count)[:, None].long(), 1.0)
-            hot.append(one[:, :count])
-            self.place[axis] = slice(start, start + count)
-            start += count
-        self._hot = torch.cat(hot, 1)
-
-    def sums(self, values: Tensor, portion: Tensor | None, portions: int) -> Tensor:
-        """Sums ``(F * portions, R, bins)`` of values ``(F, R, N)``; ``portion (N,)`` tells the rows apart."""
-        if portion is None:
-            return (values.flatten(0, 1) @ self._hot).double().reshape(*values.shape[:2], -1)
-        parts = []
-        for bins, count in self.axes.values():
-            index = torch.where(bins >= 0, portion * count + bins, portions * count).expand(values.shape)
-            total = torch.zeros(*values.shape[:2], portions * count + 1, dtype=torch.float64)
-            total.scatter_add_(2, index, values.double())
-            parts.append(total[..., :-1].reshape(*total.shape[:2], portions, count))
-        return torch.cat(parts, 3).transpose(1, 2).flatten(0, 1)
-
-
 class CameraSums:
     """Reduces frames of one scene in one weather.
 
@@ -138,17 +101,24 @@ class CameraSums:
         colours: in rising order.
         modelled: ``(K + 1, 1, H, W)`` the references in this weather, as the model without effects and particles has
             them.
+        edges: of the scene, where they are known already.
     """
 
     def __init__(
-        self, scene: CameraScene, layout: Layout, pattern: str, colours: Sequence[str], modelled: Tensor
+        self,
+        scene: CameraScene,
+        layout: Layout,
+        pattern: str,
+        colours: Sequence[str],
+        modelled: Tensor,
+        edges: Edges | None = None,
     ) -> None:
         self.scene, self.layout, self.pattern, self.colours = scene, layout, pattern, tuple(colours)
         self.green = self.colours.index("green")
-        self._reference = cell_colours(scene.reference, pattern)  # (K + 1, C, h, w)
+        reference = cell_colours(scene.reference, pattern)  # (K + 1, C, h, w)
         in_weather = cell_colours(modelled, pattern)
         self._modelled = in_weather[:, self.green]  # (K + 1, h, w)
-        self._log_reference = in_blocks(self._reference).clamp_min(DARKEST).log()
+        self._log_reference = in_blocks(reference).clamp_min(DARKEST).log()
         blocks = in_blocks(in_weather)
         self._noise = {
             colour: _noise_of_logarithm(blocks[-1, number], scene.noise_variance, colour)
@@ -161,32 +131,59 @@ class CameraSums:
         axes["modelled_signal"] = (signal, len(SIGNAL) - 1)
         known = {name: axes[name] for name in (*ALL_COLOURS, *GREEN_ALONE) if name in axes}
         self._blocks = {
-            colour: _Binned({a: known[a] for a in known if colour == "green" or a in ALL_COLOURS})
+            colour: Binned(
+                {(f"log_ratio_{colour}", a): known[a] for a in known if colour == "green" or a in ALL_COLOURS}
+            )
             for colour in self.colours
         }
-        self._flat = {lag: self._pairs(lag, pairs, by_signal=lag in BY_SIGNAL) for lag, pairs in scene.flat.items()}
-        self._sharp = {lag: self._pairs(lag, pairs, by_signal=False) for lag, pairs in scene.sharp.items()}
+        self._depths = Binned({("log_ratio_spread", "depth_m"): axes["depth_m"]})
+        self._noise_sums = {
+            colour: self._blocks[colour].sums(noise[:, None], None, 1) for colour, noise in self._noise.items()
+        }
+        self._first = torch.cat([pairs.first for pairs in scene.flat.values()])
+        self._second = torch.cat([pairs.second for pairs in scene.flat.values()])
+        self._flat = self._flat_pairs()
+        self.edges = edges or Edges(scene, reference[:, self.green])
+        self._edge_noise = self._noise_across_edges()
+        self._edge_noise_sums = self.edges.summed(self._edge_noise, None, 1)
         self._tail_noise, self._tail_class = self._tails()
         self._streak_bins = {lag: self._streak(lag) for lag in STREAK_LAGS}
-        self._streak_count: dict[tuple[tuple[int, int], int], Tensor] = {}
-        self._map_cells = self._map()
+        self._map_bins, self._map_known = self._map()
+        self._parts = self._distances()
 
-    def _pairs(self, lag: tuple[int, int], pairs: Pairs, *, by_signal: bool) -> _Binned:
-        axes = {"depth_m": (pairs.depth_class, len(DEPTH_CLASSES_M) - 1)}
-        if by_signal:
-            level = self._modelled[-1].flatten()[pairs.first]
-            axes["modelled_signal"] = (place_in(level, NOISE_SIGNAL), len(NOISE_SIGNAL) - 1)
-        return _Binned(axes)
+    def _flat_pairs(self) -> Binned:
+        """The pairs on flat places, lag by lag, by the depth and some by the signal."""
+        groups: dict[Key, tuple[Tensor, int]] = {}
+        start, number = 0, len(self._first)
 
-    def _streak(self, lag: tuple[int, int]) -> _Binned:
-        """Pairs of cells at a lag by the class of depth that they share."""
-        height, width = self.scene.cells
-        down, aside = lag
-        left, right = max(-aside, 0), width - max(aside, 0)
-        first = self._tail_class[: height - down, left:right]
-        second = self._tail_class[down:, left + aside : right + aside]
-        classes = first.where(first == second, -1).flatten()
-        return _Binned({"depth_m": (classes, len(TAIL_FROM_M) - 1)})
+        def among_all(bins: Tensor) -> Tensor:
+            found = torch.full((number,), -1)
+            found[start : start + len(bins)] = bins
+            return found
+
+        for lag, pairs in self.scene.flat.items():
+            statistic = f"difference_spread_{lag_name(lag)}"
+            groups[statistic, "depth_m"] = among_all(pairs.depth_class), len(DEPTH_CLASSES_M) - 1
+            if lag in BY_SIGNAL:
+                level = self._modelled[-1].flatten()[pairs.first]
+                groups[statistic, "modelled_signal"] = among_all(place_in(level, NOISE_SIGNAL)), len(NOISE_SIGNAL) - 1
+            start += len(pairs.first)
+        return Binned(groups)
+
+    def _noise_across_edges(self) -> Floats:
+        """Variance of the difference of each pair across an edge ``(P,)`` by the noise of its cells."""
+        constant, growing = self.scene.noise_variance
+        modelled = self._modelled[-1].flatten().double().numpy()
+        found: Floats = 2.0 * constant + growing * (modelled[self.edges.second] + modelled[self.edges.first])
+        return found
+
+    def _streak(self, lag: tuple[int, int]) -> Binned:
+        """Cells by the class of depth that they share with the one at a lag."""
+        first, second = self._tail_class.flatten(), torch.full((self._tail_class.numel(),), -1)
+        offset = lag[0] * self.scene.cells[1] + lag[1]
+        second[: len(first) - offset] = first[offset:]
+        classes = first.where(first == second, -1)
+        return Binned({(f"streak_correlation_{lag_name(lag)}", "depth_m"): (classes, len(TAIL_FROM_M) - 1)})
 
     def _tails(self) -> tuple[Tensor, Tensor]:
         """Standard deviation of what the tails are told from ``(h, w)``, and class of depth ``(h, w)``, -1 for none."""
@@ -206,11 +203,21 @@ class CameraSums:
     def _block_size(self) -> tuple[int, int]:
         return self.scene.cells[0] // BLOCK_CELLS, self.scene.cells[1] // BLOCK_CELLS
 
-    def _map(self) -> Tensor:
-        """Part of the map of each block ``(B,)``."""
+    def _map(self) -> tuple[Binned, Floats]:
+        """Part of the map of each block, and how many known blocks each has."""
         rows, columns = self._block_size
         down, across = torch.arange(rows) // MAP_BLOCKS, torch.arange(columns) // MAP_BLOCKS
-        return (down[:, None] * (int(across[-1]) + 1) + across).flatten()
+        cells = (down[:, None] * (int(across[-1]) + 1) + across).flatten()
+        known = cells.where(self.scene.bins["depth_m"] >= 0, -1)
+        binned = Binned({(MAPS[0], "place"): (known, int(cells[-1]) + 1)})
+        return binned, np.maximum(binned.counts(None, 1)[0], 1.0)
+
+    def _distances(self) -> Tensor:
+        """Weights ``(B, 3)`` of near, of far blocks and of the sky in their means."""
+        depth_m, known = self.scene.block_depth_m, self.scene.bins["depth_m"] >= 0
+        parts = (depth_m < NEAR_M, (depth_m > FAR_M) & (depth_m < SKY_M), depth_m >= SKY_M)
+        found = torch.stack([(known & part).double() for part in parts], 1)
+        return found / found.sum(0).clamp_min(1.0)
 
     @property
     def modelled_level(self) -> Tensor:
@@ -232,186 +239,146 @@ class CameraSums:
                 ``F * portions`` rows, one for each frame and portion, frame by frame.
         """
         cells = cell_colours(bayer, self.pattern)
-        portion = self._portions(portions)
-        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]] = {}
-        ratio = in_blocks(cells).clamp_min(DARKEST).log_()  # (F, C, B)
+        blocks, owner = self._portions(portions)
+        ratio = in_blocks(cells).clamp_min_(DARKEST).log_()  # (F, C, B)
         over = ratio[:, self.green] - self._log_modelled[row]
         ratio -= self._log_reference[row]
-        self._brightness(found, ratio, over, portion, portions)
+        found = self._brightness(ratio, over, blocks, portions)
         residual = cells[:, self.green] - self._modelled[row]
-        spread = self._texture(found, residual.flatten(1), portion, portions)
-        self._sharpness(found, cells[:, self.green].flatten(1), row, portion, portions)
-        relative = _beside(residual) / self._tail_noise
-        self._tail_shares(found, relative, portion, portions)
-        self._streaks(found, relative.clamp(-HIGHEST, HIGHEST), portion, portions)
-        weight, value, square = (
-            torch.cat([found[group.statistic, group.axis][which] for group in self.layout.binned], 1).numpy()
-            for which in range(3)
-        )
-        scalar = torch.cat([self._means(ratio[:, self.green]), spread[:, None]], 1).repeat_interleave(portions, 0)
-        maps = self._over_model(over).repeat_interleave(portions, 0)
-        return Reduced(weight, value, square, scalar.numpy(), maps[:, None].numpy())
+        texture, spread = self._texture(residual, owner, portions)
+        relative = _beside(residual).div_(self._tail_noise)
+        found |= texture
+        found |= self._sharpness(cells[:, self.green], row, owner, portions)
+        found |= self._tail_shares(relative, owner, portions)
+        found |= self._streaks(relative.clamp_(-HIGHEST, HIGHEST), owner, portions)
+        groups = [found[group.statistic, group.axis] for group in self.layout.binned]
+        weight, value, square = (np.concatenate(parts, 1) for parts in zip(*groups, strict=True))
+        means = ratio[:, self.green].double() @ self._parts
+        scalar = np.concatenate([means.numpy(), spread[:, None]], 1).repeat(portions, 0)
+        maps = self._over_model(over).repeat(portions, 0)
+        return Reduced(weight, value, square, scalar, maps[:, None])
 
-    def _brightness(
-        self,
-        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
-        ratio: Tensor,
-        over: Tensor,
-        portion: Tensor | None,
-        portions: int,
-    ) -> None:
+    def _brightness(self, ratio: Tensor, over: Tensor, portion: Tensor | None, portions: int) -> Sums:
         """Logarithm over the clear scene, and over the model, of blocks."""
+        found: Sums = {}
+        frames = len(ratio)
         for number, colour in enumerate(self.colours):
-            binned, own = self._blocks[colour], ratio[:, number]
-            rows = [torch.ones_like(own), own, self._noise[colour].expand(own.shape)]
-            if colour == "green":
-                rows += [over, over.square()]
-            sums = binned.sums(torch.stack(rows, 1), portion, portions)
-            for axis, place in binned.place.items():
-                number_of, total, square = (sums[:, which, place] for which in range(3))
-                found[f"log_ratio_{colour}", axis] = (number_of, total, _about(number_of, total, square))
-            if colour == "green":
-                place = binned.place["depth_m"]
-                found["log_ratio_spread", "depth_m"] = (sums[:, 0, place], sums[:, 3, place], sums[:, 4, place])
+            binned = self._blocks[colour]
+            total = binned.sums(ratio[:, number].T.contiguous(), portion, portions)
+            count = np.tile(binned.counts(portion, portions), (frames, 1))
+            noise = self._noise_sums[colour]
+            if portion is not None:
+                noise = binned.sums(self._noise[colour][:, None], portion, portions)
+            found |= _parted(binned.place, count, total, _about(count, total, np.tile(noise, (frames, 1))))
+        # The difference of two large sums: as float64.
+        total, square = (
+            self._depths.sums(one.T.contiguous(), portion, portions) for one in (over.double(), over.double().square())
+        )
+        count = np.tile(self._depths.counts(portion, portions), (frames, 1))
+        return found | _parted(self._depths.place, count, total, square)
 
-    def _texture(
-        self,
-        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
-        residual: Tensor,
-        portion: Tensor | None,
-        portions: int,
-    ) -> Tensor:
+    def _texture(self, residual: Tensor, portion: Tensor | None, portions: int) -> tuple[Sums, Floats]:
         """Scatter of differences on flat places; that of neighbours in a row ``(F,)``, its logarithm."""
-        whole = torch.zeros(len(residual), dtype=torch.float64)
-        for lag, pairs in self.scene.flat.items():
-            binned = self._flat[lag]
-            difference = residual[:, pairs.second] - residual[:, pairs.first]
-            rows = torch.stack([torch.ones_like(difference), difference, difference.square()], 1) / SHARED_CELLS
-            if lag == (0, 1):
-                whole = 0.5 * difference.square().double().mean(1).clamp_min(1e-14).log()
-            sums = binned.sums(rows, self._of_cells(portion, pairs), portions)
-            for axis, place in binned.place.items():
-                found[f"difference_spread_{lag_name(lag)}", axis] = tuple(sums[:, k, place] for k in range(3))  # type: ignore[assignment]
-        return whole
+        own = None if portion is None else portion[self._first]
+        frames = residual.flatten(1).T.contiguous()  # cells first: those of a pair are fetched for all frames at once
+        difference = frames.index_select(0, self._second).sub_(frames.index_select(0, self._first))
+        total = self._flat.sums(difference, own, portions) / SHARED_CELLS
+        square = self._flat.sums(difference.square_(), own, portions) / SHARED_CELLS
+        count = np.tile(self._flat.counts(own, portions), (len(residual), 1)) / SHARED_CELLS
+        found = _parted(self._flat.place, count, total, square)
+        number, _, squares = (
+            one.reshape(len(residual), -1).sum(1) for one in found[f"difference_spread_{lag_name((0, 1))}", "depth_m"]
+        )
+        whole: Floats = 0.5 * np.log(np.maximum(squares / np.maximum(number, 1.0), 1e-14))
+        return found, whole
 
-    def _sharpness(
-        self,
-        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
-        green: Tensor,
-        row: Tensor,
-        portion: Tensor | None,
-        portions: int,
-    ) -> None:
+    def _sharpness(self, green: Tensor, row: Tensor, portion: Tensor | None, portions: int) -> Sums:
         """Regression of differences across edges on those of the clear scene, each weighed with its square."""
-        clear, modelled = self._reference[:, self.green].flatten(1), self._modelled[-1].flatten()
-        constant, growing = self.scene.noise_variance
-        for lag, pairs in self.scene.sharp.items():
-            binned = self._sharp[lag]
-            before = (clear[:, pairs.second] - clear[:, pairs.first])[row]
-            after = green[:, pairs.second] - green[:, pairs.first]
-            scale = SHARED_CELLS * before.square().mean(1, keepdim=True).clamp_min(1e-12)
-            noise = (2.0 * constant + growing * (modelled[pairs.second] + modelled[pairs.first])).expand(after.shape)
-            rows = torch.stack([before.square() / scale, before * after / scale, noise / scale], 1)
-            number, total, square = binned.sums(rows, self._of_cells(portion, pairs), portions).unbind(1)
-            found[f"edge_contrast_{lag_name(lag)}", "depth_m"] = (number, total, _about(number, total, square))
+        edges = self.edges
+        total, number = edges.totals(green, row, portion, portions), edges.numbers(row, portion, portions)
+        noise = self._edge_noise_sums
+        if portion is not None:
+            noise = edges.summed(self._edge_noise, portion, portions)
+        noise = np.concatenate([noise / edges.scale[clear] for clear in row.tolist()])
+        return _parted(edges.place, number, total, _about(number, total, noise))
 
-    def _tail_shares(
-        self,
-        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
-        relative: Tensor,
-        portion: Tensor | None,
-        portions: int,
-    ) -> None:
+    def _tail_shares(self, relative: Tensor, portion: Tensor | None, portions: int) -> Sums:
         """Shares of the cells that stand out of those beside them by so many standard deviations."""
         bins, classes = len(TAILS_SD) - 1, len(TAIL_FROM_M) - 1
-        inner = torch.tensor(TAILS_SD[:-1])
-        height = torch.bucketize(relative.abs(), inner, right=True)  # 0 is none
-        kind = 2 * self._tail_class + (relative < 0)  # (F, h, w), negative where not looked at
-        kind = kind.where(self._tail_class >= 0, 2 * classes)
-        of = torch.zeros(self.scene.cells, dtype=torch.long) if portion is None else self._cell_portion(portion)
-        slot = torch.arange(len(relative))[:, None, None] * portions + of
-        index = (slot * (2 * classes + 1) + kind) * (bins + 1) + height
-        counts = torch.bincount(index.flatten(), minlength=len(relative) * portions * (2 * classes + 1) * (bins + 1))
-        counts = counts.double().view(-1, 2 * classes + 1, bins + 1) / SHARED_CELLS
-        for number, where in enumerate(("near", "far")):
-            total = counts[:, 2 * number : 2 * number + 2].sum((1, 2))[:, None].expand(-1, bins)
-            for side, sign in (("bright", 0), ("dark", 1)):
-                share = counts[:, 2 * number + sign, 1:]
-                found[f"{side}_share_{where}", "residual_sd"] = (total, share, share)
-
-    def _streaks(
-        self,
-        found: dict[tuple[str, str], tuple[Tensor, Tensor, Tensor]],
-        relative: Tensor,
-        portion: Tensor | None,
-        portions: int,
-    ) -> None:
-        """Mean products of cells at several lags: in which direction, how wide and how long streaks are."""
-        height, width = relative.shape[-2:]
-        owner = None if portion is None else self._cell_portion(portion)
-        for lag in STREAK_LAGS:
-            down, aside = lag
-            left, right = max(-aside, 0), width - max(aside, 0)
-            first = (..., slice(0, height - down), slice(left, right))
-            product = relative[first] * relative[..., down:, left + aside : right + aside] / SHARED_CELLS
-            own = None if owner is None else owner[first].flatten()
-            total = self._streak_bins[lag].sums(product.flatten(1)[:, None], own, portions)[:, 0]
-            key = portions
-            if (lag, key) not in self._streak_count:
-                one = torch.full((1, 1, product[0].numel()), 1.0 / SHARED_CELLS)
-                self._streak_count[lag, key] = self._streak_bins[lag].sums(one, own, portions)[:, 0]
-            number = self._streak_count[lag, key].repeat(len(relative), 1)
-            # Products of independent normal values have a variance of 1.
-            found[f"streak_correlation_{lag_name(lag)}", "depth_m"] = (number, total, _about(number, total, number))
-
-    def _means(self, ratio: Tensor) -> Tensor:
-        """Mean logarithm of near, of far blocks and of the sky, ``(F, 3)``."""
-        depth_m = self.scene.block_depth_m
-        known = self.scene.bins["depth_m"] >= 0
-        parts = (depth_m < NEAR_M, (depth_m > FAR_M) & (depth_m < SKY_M), depth_m >= SKY_M)
-        return torch.stack([_mean(ratio, known & part) for part in parts], 1)
-
-    def _over_model(self, over: Tensor) -> Tensor:
-        """Map of what blocks are over the model ``(F, cells)``, in percent, without what all of a depth are."""
-        bins, count = self.scene.bins["depth_m"], len(self.scene.edges["depth_m"]) - 1
-        place = bins.where(bins >= 0, count).expand(over.shape)
-        known = (bins >= 0).double().expand(over.shape)
-        total, number = (
-            torch.zeros(len(over), count + 1, dtype=torch.float64).scatter_add_(1, place, values)
-            for values in (over.double(), known)
-        )
-        apart = (over - (total / number.clamp_min(1.0)).gather(1, place)) * known
-        cells = int(self._map_cells[-1]) + 1
-        sums, counts = (
-            torch.zeros(len(over), cells, dtype=torch.float64).scatter_add_(
-                1, self._map_cells.expand(over.shape), values
+        values, kinds = relative.flatten(1).numpy(), self._tail_class.flatten().numpy()
+        owner = np.zeros(len(kinds), np.int64) if portion is None else portion.numpy()
+        frame, cell = np.nonzero(np.abs(values) >= TAILS_SD[0])
+        frame, cell = (one[kinds[cell] >= 0] for one in (frame, cell))
+        out = values[frame, cell]
+        height = np.searchsorted(np.array(TAILS_SD[:-1], np.float32), np.abs(out), side="right") - 1
+        index = ((frame * portions + owner[cell]) * 2 * classes + 2 * kinds[cell] + (out < 0)) * bins + height
+        shape = (len(values) * portions, classes, 2, bins)
+        counts = np.bincount(index, minlength=int(np.prod(shape))).reshape(shape) / SHARED_CELLS
+        known = kinds >= 0
+        of = np.bincount(owner[known] * classes + kinds[known], minlength=portions * classes)
+        total = np.tile(of.reshape(portions, classes), (len(values), 1)) / SHARED_CELLS
+        return {
+            (f"{side}_share_{where}", "residual_sd"): (
+                total[:, number, None].repeat(bins, 1),
+                counts[:, number, sign],
+                counts[:, number, sign],
             )
-            for values in (apart, known)
-        )
-        return sums / counts.clamp_min(1.0) / MAP_UNIT
+            for number, where in enumerate(("near", "far"))
+            for side, sign in (("bright", 0), ("dark", 1))
+        }
 
-    def _portions(self, portions: int) -> Tensor | None:
-        """Portion of each block ``(B,)``; ``None`` where there is one."""
+    def _streaks(self, relative: Tensor, portion: Tensor | None, portions: int) -> Sums:
+        """Mean products of cells at several lags: in which direction, how wide and how long streaks are."""
+        found: Sums = {}
+        cells = relative.flatten(1)
+        # Cells of one class alone, all others 0. The ends of rows have none: a product over them adds nothing.
+        apart = [(cells * (self._tail_class.flatten() == kind)).numpy() for kind in range(len(TAIL_FROM_M) - 1)]
+        for lag, binned in self._streak_bins.items():
+            offset = lag[0] * self.scene.cells[1] + lag[1]
+            if portion is None:
+                total = np.stack([np.vecdot(one[:, :-offset], one[:, offset:]) for one in apart], 1).astype(np.float64)
+            else:
+                product = torch.zeros_like(cells)
+                product[:, :-offset] = cells[:, :-offset] * cells[:, offset:]
+                total = binned.sums(product.T.contiguous(), portion, portions)
+            total /= SHARED_CELLS
+            number = np.tile(binned.counts(portion, portions), (len(cells), 1)) / SHARED_CELLS
+            # Products of independent normal values have a variance of 1.
+            found |= _parted(binned.place, number, total, _about(number, total, number))
+        return found
+
+    def _over_model(self, over: Tensor) -> Floats:
+        """Map of what blocks are over the model ``(F, cells)``, in percent, without what all of a depth are."""
+        bins = self.scene.bins["depth_m"].numpy()
+        blocks = over.double()
+        mean = self._depths.sums(blocks.T.contiguous(), None, 1) / np.maximum(self._depths.counts(None, 1), 1.0)
+        apart = blocks - torch.from_numpy(mean[:, bins])  # of blocks without a depth, which are in no part, anything
+        return self._map_bins.sums(apart.T.contiguous(), None, 1) / self._map_known / MAP_UNIT
+
+    def _portions(self, portions: int) -> tuple[Tensor | None, Tensor | None]:
+        """Portion of each block ``(B,)`` and of each cell ``(h w,)``: that of its block, the first where it is in none.
+
+        ``None`` where there is one.
+        """
         if portions == 1:
-            return None
+            return None, None
         blocks = len(self.scene.block_depth_m)
-        order = np.random.default_rng(86028157).permutation(blocks)
-        return torch.from_numpy(order % portions)
-
-    def _cell_portion(self, portion: Tensor) -> Tensor:
-        """Portion of each cell ``(h, w)``: that of its block; the first where it is in none."""
+        portion = torch.from_numpy(np.random.default_rng(86028157).permutation(blocks) % portions)
         found = torch.zeros(self.scene.cells, dtype=torch.long)
         spread = portion.view(self._block_size).repeat_interleave(BLOCK_CELLS, 0).repeat_interleave(BLOCK_CELLS, 1)
         found[: spread.shape[0], : spread.shape[1]] = spread
-        return found
-
-    def _of_cells(self, portion: Tensor | None, pairs: Pairs) -> Tensor | None:
-        return None if portion is None else self._cell_portion(portion).flatten()[pairs.first]
+        return portion, found.flatten()
 
 
-def _about(number: Tensor, total: Tensor, noise: Tensor) -> Tensor:
+def _parted(place: dict[Key, slice], weight: Floats, value: Floats, square: Floats) -> Sums:
+    """Sums ``(F * portions, bins)`` of several groups, each for itself."""
+    return {key: (weight[:, own], value[:, own], square[:, own]) for key, own in place.items()}
+
+
+def _about(number: Floats, total: Floats, noise: Floats) -> Floats:
     """Sum of squares whose variance is that of noise: how elements of a bin differ otherwise is no scatter."""
-    return total.square() / number.clamp_min(1e-12) + noise
+    found: Floats = total**2 / np.maximum(number, 1e-12) + noise
+    return found
 
 
 def _noise_of_logarithm(level: Tensor, variance: tuple[float, float], colour: str) -> Tensor:
@@ -427,12 +394,6 @@ def _beside(values: Tensor) -> Tensor:
     mean = 0.5 * (values[..., : -2 * ASIDE] + values[..., 2 * ASIDE :])
     found[..., ASIDE:-ASIDE] = values[..., ASIDE:-ASIDE] - mean
     return found
-
-
-def _mean(values: Tensor, which: Tensor) -> Tensor:
-    if not bool(which.any()):
-        return torch.zeros(len(values), dtype=torch.float64)
-    return values[:, which].double().mean(1)
 
 
 def colours_of(pattern_index: Sequence[Sequence[int]]) -> tuple[str, ...]:

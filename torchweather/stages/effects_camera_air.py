@@ -242,7 +242,10 @@ class CameraAerosolGlow(Effect):
         """The softened frame."""
         if state.fog_extinction_per_m is None:
             return {"signal": state.signal}
-        depth = ray_m(state) * state.fog_extinction_per_m[:, FADING_COLOUR].view(-1, 1, 1, 1)
+        extinction = state.fog_extinction_per_m[:, FADING_COLOUR]
+        if not is_exporting() and not extinction.requires_grad and bool((extinction == extinction[:1]).all()):
+            extinction = extinction[:1]  # frames in one fog are blurred alike
+        depth = ray_m(state) * extinction.view(-1, 1, 1, 1)
         if state.fog_density is not None:
             depth = depth * state.fog_density
         depth = depth.clamp_max(OPAQUE)

@@ -95,6 +95,8 @@ class CameraAdherentDrops(Effect):
     def mask(self, state: CameraState, drops: Tensor) -> Tensor:
         """Share of each pixel's light that comes through drops, ``(B, 1, H, W)``, from uniforms ``(B, drops, 3)``."""
         height, width = state.signal.shape[-2:]
+        if not is_exporting() and bool((drops == drops[:1]).all()):
+            drops = drops[:1]  # frames of one drive have the same drops
         rows = torch.arange(height, device=drops.device).to(drops.dtype)
         columns = torch.arange(width, device=drops.device).to(drops.dtype)
         area = LARGEST_TO_SMALLEST ** drops[..., 2]

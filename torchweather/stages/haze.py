@@ -53,9 +53,12 @@ def haze_depth(
     b, _, _, width = state.signal.shape
     rows = (..., slice(first, last), slice(None))
     intrinsics = state.intrinsics.float()
-    focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1]).expand(b)
+    focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
+    depth_m = state.depth_m[rows].float().clamp(1e-6, population.far_m)
+    if is_exporting():
+        focal, depth_m = focal.expand(b), depth_m.expand(b, 1, last - first, width)
+    # What all samples have in common, such as one depth map and one rate, is looked up once.
     scale = focal.view(-1, 1, 1, 1)
-    depth_m = state.depth_m[rows].float().expand(b, 1, last - first, width).clamp(1e-6, population.far_m)
     if state.particle_reach_m is not None:
         depth_m = torch.minimum(depth_m, state.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
     foot = depth_m / scale
@@ -74,7 +77,7 @@ def haze_depth(
     variance = torch.where(there, variance, torch.ones_like(variance))
     centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
     spread = torch.log1p(variance / centre.square())
-    optical = centre * torch.exp(torch.sqrt(spread) * deviation / torch.sqrt(variance) - 0.5 * spread)
+    optical = centre * torch.exp(torch.sqrt(spread / variance) * deviation - 0.5 * spread)
     optical = torch.where(there, optical, mean)
     if fog_per_m is None:
         return optical, None
@@ -85,16 +88,17 @@ def haze_depth(
 
 
 def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
-    """Interpolates tables ``(B, nodes)`` at fractional node numbers ``(B, 1, rows, W)``, the ends held."""
+    """Interpolates tables ``(1 or B, nodes)`` at fractional node numbers ``(1 or B, 1, rows, W)``, the ends held."""
     cell = node.detach().floor().clamp(0, nodes - 2)
     share = (node - cell).clamp(0.0, 1.0)
-    row = torch.arange(node.shape[0], device=node.device) * nodes
-    at = (cell.long() + row.view(-1, 1, 1, 1)).reshape(-1)
+    place = cell.long()
 
     def read(table: Tensor) -> Tensor:
-        flat = table.reshape(-1)
-        low = flat.index_select(0, at).view_as(share)
-        return low + share * (flat.index_select(0, at + 1).view_as(share) - low)
+        flat, at = table.reshape(-1), place
+        if is_exporting() or len(table) > 1:
+            at = at + (torch.arange(table.shape[0], device=node.device) * nodes).view(-1, 1, 1, 1)
+        low, high = (flat.index_select(0, one.reshape(-1)).view(at.shape) for one in (at, at + 1))
+        return low + share * (high - low)
 
     return read
 

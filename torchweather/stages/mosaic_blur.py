@@ -16,11 +16,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.stages.by_rows import is_exporting
+
 __all__ = ["blurred_along", "disk_points_px", "gaussian_blur", "line_points_px", "phases", "whole"]
 
 PHASE_PX = 2.0  # from a pixel to the next one of its phase
 POINTS_OF_QUARTER, POINTS_OF_LINE = 64, 65
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+PART = 48  # pixels of an axis that are blurred at once
 FREQUENCIES = 512  # of the discrete Gaussian's transform; more than twice its longest kernel
 
 
@@ -83,6 +86,20 @@ def _cubic(distance: Tensor) -> Tensor:
 
 def gaussian_blur(planes: Tensor, variance_px2: float) -> Tensor:
     """Phases ``(B, 4, H/2, W/2)`` blurred by a Gaussian of a variance in full-resolution pixels."""
+    height, width = planes.shape[-2:]
+    # Products with the dense parts of a band matrix do many more sums in a second than convolutions of one channel.
+    if is_exporting():
+        return _convolved(planes, variance_px2)
+    batch, number = planes.shape[:2]
+    rows = planes.reshape(-1, width)
+    across = [rows[:, seen] @ part.to(planes).T for seen, part in _blurring(variance_px2, width)]
+    columns = torch.cat(across, 1).view(batch * number, height, width)
+    down = [part.to(planes) @ columns[:, seen] for seen, part in _blurring(variance_px2, height)]
+    return torch.cat(down, 1).view(batch, number, height, width)
+
+
+def _convolved(planes: Tensor, variance_px2: float) -> Tensor:
+    """The same by convolutions, which an exported graph does at any size."""
     kernel = torch.tensor(_gaussian(variance_px2), device=planes.device, dtype=planes.dtype)
     reach = len(kernel) // 2
     batch, number, height, width = planes.shape
@@ -91,6 +108,24 @@ def gaussian_blur(planes: Tensor, variance_px2: float) -> Tensor:
     flat = torch.nn.functional.conv2d(flat, kernel[None, None, :, None])
     flat = torch.nn.functional.pad(flat, (reach, reach, 0, 0), mode="replicate")
     return torch.nn.functional.conv2d(flat, kernel[None, None, None, :]).reshape(batch, number, height, width)
+
+
+@lru_cache(maxsize=32)
+def _blurring(variance_px2: float, size: int) -> list[tuple[slice, Tensor]]:
+    """Parts of the band matrix ``(size, size)`` that blurs an axis: what each sees, and weights ``(part, seen)``.
+
+    Beyond the ends of the axis stands what is there.
+    """
+    weights = np.array(_gaussian(variance_px2))
+    reach = len(weights) // 2
+    near = np.arange(size)[:, None] + np.arange(-reach, reach + 1)
+    whole = np.zeros((size, size))
+    np.add.at(whole, (np.arange(size)[:, None], near.clip(0, size - 1)), weights)
+    found = []
+    for first in range(0, size, PART):
+        seen = slice(max(first - reach, 0), min(first + PART + reach, size))
+        found.append((seen, torch.from_numpy(whole[first : first + PART, seen].copy())))
+    return found
 
 
 @lru_cache(maxsize=32)

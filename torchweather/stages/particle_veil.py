@@ -15,7 +15,7 @@ from torchweather.sensors import Camera
 from torchweather.stages.by_rows import by_rows, is_exporting
 from torchweather.stages.camera import FADING_COLOUR, estimate_airlight, frame_mean, scaled_airlight
 from torchweather.stages.haze import haze_depth
-from torchweather.stages.population import Population
+from torchweather.stages.population import AtRate, Population
 from torchweather.stages.registry import register
 from torchweather.stages.sequence import next_frame
 from torchweather.stages.stage import Stage
@@ -199,6 +199,29 @@ class ParticleVeil(Stage):
         if contrast is not None:
             signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
         return replace(state, signal=signal, particle_mask=particle_mask if state.keep_truth else None)
+
+    def optical_depth(self, state: CameraState, noise: Mapping[str, Tensor]) -> Tensor:
+        """Optical depth of all particles in front of the scene, ``(B, 1, H, W)``; ``forward`` covers 1 less its exp.
+
+        Args:
+            state: the frame, whose signal does not matter.
+            noise: as for ``forward``.
+        """
+        total, shape = torch.zeros_like(state.signal), state.signal.shape
+        with one_thread_an_operation():
+            for part in self.parts:
+                part.check_rate()
+                table = part.in_air(state)
+                sharp, _ = part.listed_depth(state, noise, table)
+
+                def band(
+                    first: int, last: int, into: Tensor | None, part: Population = part, table: AtRate = table
+                ) -> tuple[Tensor]:
+                    return (haze_depth(part, state, noise, table, first, last)[0].expand(shape[0], -1, -1, -1),)
+
+                (haze,) = by_rows(band, shape, state.signal, apart=True)
+                total += sharp.add_(haze)
+        return total
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The frame behind its particles."""

@@ -228,8 +228,13 @@ class Population(nn.Module):
         return replace(tables, count=count, banks=banks, path_density=mean.float())
 
     def at_rate(self, batch: int, count: Tensor | None = None) -> AtRate:
-        """Interpolate every table in ln(rate), one row per sample; ``count`` ``(B,)`` particles for each one."""
-        rate = self.rate_mm_per_h.float().reshape(-1).expand(batch)
+        """Interpolate every table in ln(rate), one row per sample, or one where all have one rate.
+
+        ``count`` ``(1 or B,)`` are the particles for each one.
+        """
+        rate = self.rate_mm_per_h.float().reshape(-1)
+        if is_exporting():  # a graph's batch may have any size
+            rate = rate.expand(batch)
         falls = rate > 0
         safe = torch.where(falls, rate, torch.ones_like(rate))
         position = (torch.log(safe) - self.tables.log_rate_low) / self.tables.log_rate_step
@@ -315,7 +320,7 @@ class Population(nn.Module):
             if is_exporting() or bool(slanted.all()):
                 parts = [_Points(points, sample, slanted=True)]
             elif sample is not None and bool(slanted.any()):
-                which = slanted[sample]
+                which = _own(slanted, sample)
                 kinds = [(chosen.nonzero().squeeze(1), own) for chosen, own in ((~which, False), (which, True))]
                 parts = [_Points(points[rows], sample[rows], own) for rows, own in kinds]
         yield from parts
@@ -338,41 +343,47 @@ class Population(nn.Module):
         reach_u, reach_v = self.reach_px(number)
         # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
         # length and to an undistorted lens.
-        intrinsics = state.intrinsics.float().expand(state.batch, 4)
+        intrinsics = state.intrinsics.float()
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
-        focal_of = focal[0] if sample is None else focal[sample]
-        thinning = math.log(self.focal_px * self.headroom()) - torch.log(focal_of)
+        thin = math.log(self.focal_px * self.headroom()) - torch.log(focal)
         if tables.count is not None:
-            count = tables.count.float()[0 if sample is None else sample]
-            thinning = thinning - torch.log(count.clamp_min(FLOOR))
-        level = points[:, COLUMN_LEVEL] + part.copy if part.copy else points[:, COLUMN_LEVEL]
+            thin = thin - torch.log(tables.count.float().clamp_min(FLOOR))
         quantiles, most = getattr(self, f"footprint_{number}").float(), getattr(self, f"tail_most_{number}").float()
-        cell, share = _cell(points[:, COLUMN_DEPTH] * (len(quantiles) - 1), len(quantiles))
-        bound = tables.bounds[number]  # (B, nodes) ln of N_>(D_cut; R)
+        bound = tables.bounds[number]  # (1 or B, nodes) ln of N_>(D_cut; R)
+        if not self.camera.distorted and not is_exporting():
+            # None of a higher level is there at any depth: most of the slots are for higher rates.
+            highest = float((bound.detach() - most).max() - thin.detach().min())
+            limit = math.exp(min(highest, 50.0)) * (1 + 1e-4) - part.copy  # a little more than rounding can move it
+            some = (points[:, COLUMN_LEVEL] < limit).nonzero().squeeze(1)
+            points, sample = points.index_select(0, some), None if sample is None else sample.index_select(0, some)
+        columns = points.T if is_exporting() else points.T.contiguous()
+        drawn_u, drawn_v, drawn_depth, drawn_level = (columns[k] for k in range(COLUMNS))
+        thinning = _own(thin, sample)
+        level = drawn_level + part.copy if part.copy else drawn_level
+        cell, share = _cell(drawn_depth * (len(quantiles) - 1), len(quantiles))
         cut_level = _read(bound, cell, share, sample)
         if not self.camera.distorted:
             log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share) + thinning
-            shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
+            shown = (drawn_level < ABSENT) & (log_level < cut_level)
             if not is_exporting():
                 seen = shown.nonzero().squeeze(1)
-                points, cell, share, log_level = points[seen], cell[seen], share[seen], log_level[seen]
-                cut_level = cut_level[seen]
-                sample = None if sample is None else sample[seen]
-                shown = shown[seen]
+                drawn_u, drawn_v, cell, share, log_level, cut_level, shown = (
+                    one.index_select(0, seen) for one in (drawn_u, drawn_v, cell, share, log_level, cut_level, shown)
+                )
+                sample = None if sample is None else sample.index_select(0, seen)
         foot = _read(quantiles, cell, share)
-        u = points[:, COLUMN_U] * (width + 2 * reach_u) - (reach_u + 0.5)
-        v = points[:, COLUMN_V] * (height + 2 * reach_v) - (reach_v + 0.5)
-        own = intrinsics[0] if sample is None else intrinsics[sample]
-        focal_of = focal[0] if sample is None else focal[sample]
-        depth_m = foot * focal_of
+        u = drawn_u * (width + 2 * reach_u) - (reach_u + 0.5)
+        v = drawn_v * (height + 2 * reach_v) - (reach_v + 0.5)
+        depth_m = foot * _own(focal, sample)
         stays = state.path_tangent is None and state.row_time_s is None
         if blocks is not None and stays and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
             before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
             if len(before) < 0.9 * len(u):
-                u, v, foot, depth_m, log_level = u[before], v[before], foot[before], depth_m[before], log_level[before]
-                shown, cut_level = shown[before], cut_level[before]
-                if sample is not None:
-                    sample, own, focal_of = sample[before], own[before], focal_of[before]
+                u, v, foot, depth_m, log_level, cut_level, shown = (
+                    one.index_select(0, before) for one in (u, v, foot, depth_m, log_level, cut_level, shown)
+                )
+                sample = None if sample is None else sample.index_select(0, before)
+        own, focal_of = _own(intrinsics, sample), _own(focal, sample)
         x = y = scale = None
         if not self.vertical or part.slanted:
             x, y = self.undistorted(u, v, own)
@@ -380,19 +391,18 @@ class Population(nn.Module):
         if self.camera.distorted and scale is not None:
             log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share)
             log_level = log_level + thinning + torch.log(scale)
-            shown = (points[:, COLUMN_LEVEL] < ABSENT) & (log_level < cut_level)
-        whose = 0 if sample is None else sample
+            shown = (drawn_level < ABSENT) & (log_level < cut_level)
         if tables.banks is not None:
             # So far every place was the densest one: the rest of the slots' particles are not there.
-            densest = tables.banks.density.flatten(1).amax(1)[whose]
+            densest = _own(tables.banks.density.flatten(1).amax(1), sample)
             log_level = log_level + torch.log(densest / self._density(tables.banks, u, v, depth_m, own, sample))
             shown = shown & (log_level < cut_level)
         shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
         if state.particle_reach_m is not None:
-            shown = shown & (depth_m <= state.particle_reach_m[whose])
+            shown = shown & (depth_m <= _own(state.particle_reach_m, sample))
         if part.copy and tables.count is not None:
-            shown = shown & (tables.count > 1)[whose]
-        shown = shown & tables.falls[whose]
+            shown = shown & _own(tables.count > 1, sample)
+        shown = shown & _own(tables.falls, sample)
         stop, above = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
         outline_m = _read(tables.outline_m, stop, above, sample)
         speed = _read(tables.fall_speed, stop, above, sample)
@@ -400,7 +410,7 @@ class Population(nn.Module):
         if x is None or y is None or scale is None:
             motion_u, motion_v = None, speed * (self.optics.exposure_s * own[..., 1] / focal_of) / foot
         else:
-            tangent = None if state.path_tangent is None else state.path_tangent[whose]
+            tangent = None if state.path_tangent is None else _own(state.path_tangent, sample)
             motion_u, motion_v = self._path_px(x, y, speed, depth_m, own, tangent)
             diameter = diameter * torch.sqrt(scale) if self.camera.distorted else diameter
         width_px, opacity = self._blurred(diameter, foot, depth_m)
@@ -429,7 +439,7 @@ class Population(nn.Module):
         A particle that falls q rows while the shutter goes on by one meets the rows at ``v / (1 - q)``, v being where
         row 0's exposure finds it. Its path is longer by as much, and each of its pixels sees it as long as before.
         """
-        row_s = row_time_s[0] if marks.sample is None else row_time_s[marks.sample]
+        row_s = _own(row_time_s, marks.sample)
         stretch = 1.0 / (1.0 - marks.motion_v_px * (row_s / self.optics.exposure_s)).clamp_min(SLOWEST)
         v_px = marks.v_px * stretch
         u_px, motion_u = marks.u_px, marks.motion_u_px
@@ -521,17 +531,14 @@ class Population(nn.Module):
             side_by_side(tasks)
         total, faded = totals[0], fadeds[0]
         for more, more_faded in zip(totals[1:], fadeds[1:], strict=True):
-            total = total + more
+            total = total + more if is_exporting() or learns else total.add_(more)
             faded = None if faded is None or more_faded is None else faded + more_faded
         shape = (b, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
 
     def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor) -> Tensor:
         """Share of each particle's light that the fog lets through, along its ray."""
-        fog, own = fog_per_m[0], state.intrinsics.float()[0]
-        if marks.sample is not None:
-            fog = fog_per_m[marks.sample]
-            own = state.intrinsics.float().expand(state.batch, 4)[marks.sample]
+        fog, own = _own(fog_per_m, marks.sample), _own(state.intrinsics.float(), marks.sample)
         x, y = self.undistorted(marks.u_px, marks.v_px, own)
         return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
 
@@ -554,14 +561,22 @@ def _displaced(points: Tensor, copy: int) -> Tensor:
     return torch.cat([moved, points[:, COLUMN_LEVEL:]], 1)
 
 
+def _own(values: Tensor, sample: Tensor | None) -> Tensor:
+    """What belongs to each point's sample, of one row for each sample or one for all; rows are gathered at a cost."""
+    return values[0] if sample is None or (not is_exporting() and len(values) == 1) else values[sample]
+
+
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
     cell = position.detach().floor().clamp(0, nodes - 2)
     return cell.long(), (position - cell).clamp(0.0, 1.0)
 
 
 def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | None = None) -> Tensor:
-    """``table (n,)``, or ``table (B, n)`` at a row each, between the nodes ``cell`` and ``cell + 1``."""
-    at = cell if row is None else row * table.shape[-1] + cell
+    """``table (n,)``, or ``table (1 or B, n)`` at a row each, between the nodes ``cell`` and ``cell + 1``."""
+    if row is None or (not is_exporting() and table.numel() == table.shape[-1]):
+        at = cell
+    else:
+        at = row * table.shape[-1] + cell
     flat = table.reshape(-1)
     low = flat.index_select(0, at)
     return torch.lerp(low, flat.index_select(0, at + 1), share)

@@ -190,86 +190,95 @@ def _steps(number: int, like: Tensor) -> Tensor:
 
 def _shares(inner: Tensor, dim: int) -> Tensor:
     """Shares between consecutive edges from the distribution function at the inner edges; they sum to one."""
-    shape = list(inner.shape)
-    shape[dim] = 1
-    ends = torch.zeros(shape, dtype=inner.dtype, device=inner.device)
-    return torch.diff(inner, dim=dim, prepend=ends, append=ends + 1)
+    # Pads come last dimension first.
+    aside = (0, 0) * (inner.ndim - 1 - dim % inner.ndim)
+    pad = torch.nn.functional.pad
+    return pad(inner, (*aside, 0, 1), value=1.0) - pad(inner, (*aside, 1, 0))
 
 
 def _coverage(frame: _Frame, rows: int, columns: int) -> tuple[Tensor, Tensor]:
-    """Coverage ``(P, rows, columns)`` on a footprint along the major axis.
+    """Coverage ``(rows, columns, P)`` on a footprint along the major axis.
 
-    The second result is the footprint's first pixel along the minor axis, ``(P, rows or 1, 1)``.
+    The marks come last: footprints are a few pixels wide, and operations run along the last axis. The second result is
+    the footprint's first pixel along the minor axis, ``(rows or 1, 1, P)``.
     """
     if frame.slope is None:
-        minor, first_minor = frame.minor[:, None, None], frame.first_minor[:, None, None]
+        minor, first_minor = frame.minor[None, None], frame.first_minor[None, None]
     else:
-        offset = frame.first_major[:, None] + _steps(rows, frame.major) - frame.major[:, None]
-        minor = (frame.minor[:, None] + frame.slope[:, None] * offset)[..., None]  # (P, rows, 1)
-        first_minor = torch.floor(minor - 0.5 * frame.across[:, None, None] + 0.5)
-    coverage = frame.area[:, None, None]
-    side = None
+        offset = frame.first_major + _steps(rows, frame.major)[:, None] - frame.major
+        minor = (frame.minor + frame.slope * offset)[:, None]  # (rows, 1, P)
+        first_minor = torch.floor(minor - 0.5 * frame.across + 0.5)
+    coverage = frame.area[None, None]
+    side = share = None
     if columns > 1:
-        side = (
-            first_minor + (_steps(columns - 1, frame.major) + 0.5) - minor
-        )  # inner edges, (P, rows or 1, columns - 1)
-        coverage = coverage * _shares(chord_share(side / frame.across[:, None, None]), -1)
+        # Inner edges, (rows or 1, columns - 1, P).
+        side = first_minor + (_steps(columns - 1, frame.major) + 0.5)[:, None] - minor
+        share = _shares(chord_share(side / frame.across), 1)
+        coverage = coverage * share
     if rows > 1:
-        edge = frame.first_major[:, None] + (_steps(rows - 1, frame.major) + 0.5) - frame.major[:, None]
-        if columns > 1 and side is not None:
-            length, chord = frame.length[:, None, None], _chord_of_columns(frame, side)
-            if frame.slope is None or chord.shape[1] == 1:
-                along = _shares(trapezoid_share(edge[..., None], length, chord), 1)
+        edge = frame.first_major + (_steps(rows - 1, frame.major) + 0.5)[:, None] - frame.major
+        if side is not None and share is not None:
+            length, chord = frame.length, _chord_of_columns(frame, side, share)
+            if frame.slope is None or chord.shape[0] == 1:
+                along = _shares(trapezoid_share(edge[:, None], length, chord), 0)
             else:
                 # Each row has its own columns: its two edges are integrated with its own chords.
-                low = trapezoid_share(edge[..., None], length, chord[:, 1:])
-                high = trapezoid_share(edge[..., None], length, chord[:, :-1])
-                ends = torch.zeros_like(low[:, :1])
-                along = torch.cat([high, ends + 1], 1) - torch.cat([ends, low], 1)
+                low = trapezoid_share(edge[:, None], length, chord[1:])
+                high = trapezoid_share(edge[:, None], length, chord[:-1])
+                ends = torch.zeros_like(low[:1])
+                along = torch.cat([high, ends + 1], 0) - torch.cat([ends, low], 0)
         else:
-            along = _shares(trapezoid_share(edge, frame.length[:, None], frame.chord[:, None]), 1)[..., None]
+            along = _shares(trapezoid_share(edge, frame.length, frame.chord), 0)[:, None]
         coverage = coverage * along
-    return coverage.expand(-1, rows, columns), first_minor
+    return coverage.expand(rows, columns, -1), first_minor
 
 
-def _chord_of_columns(frame: _Frame, side: Tensor) -> Tensor:
-    """Mean chord of the disk in each column, ``(P, rows or 1, columns)``; one for all columns of a narrow mark."""
-    narrow = frame.chord[:, None, None]
+def _chord_of_columns(frame: _Frame, side: Tensor, share: Tensor) -> Tensor:
+    """Mean chord of the disk in each column, ``(rows or 1, columns, P)``; one for all columns of a narrow mark.
+
+    Args:
+        frame: the marks.
+        side: inner edges of the columns.
+        share: of the disk in each column.
+    """
+    narrow = frame.chord[None, None]
     if not is_exporting() and not bool((frame.width > WIDE_PX).any()):
         return narrow
-    reach = 0.5 * frame.across[:, None, None]
-    share = _shares(chord_share(side / frame.across[:, None, None]), -1)
+    reach = 0.5 * frame.across
     edges = torch.maximum(torch.minimum(side, reach), -reach)
-    covered = torch.cat([edges, reach.expand_as(edges[..., :1])], -1) - torch.cat(
-        [-reach.expand_as(edges[..., :1]), edges], -1
-    )
+    end = reach.expand_as(edges[:, :1])
+    covered = torch.cat([edges, end], 1) - torch.cat([-end, edges], 1)
     # The disk's area in a column over the column's covered breadth.
-    mean = (MEAN_CHORD / BOX_OF_DISK) * narrow * share * frame.across[:, None, None] / covered.clamp_min(1e-3)
-    wide = torch.minimum(mean.clamp_min(SMALLEST_PX), frame.chord_most[:, None, None])
-    return torch.where(frame.width[:, None, None] > WIDE_PX, wide, narrow)
+    mean = (MEAN_CHORD / BOX_OF_DISK) * narrow * share * frame.across / covered.clamp_min(1e-3)
+    wide = torch.minimum(mean.clamp_min(SMALLEST_PX), frame.chord_most)
+    return torch.where(frame.width > WIDE_PX, wide, narrow)
 
 
 def _pixels(
-    frame: _Frame, first_minor: Tensor, shape: torch.Size, size: tuple[int, int], *, clip: bool
+    frame: _Frame, first_minor: Tensor, footprint: tuple[int, int], size: tuple[int, int], *, clip: bool
 ) -> tuple[Tensor, Tensor | None]:
-    """Index of every footprint's pixels in the flattened batch, ``(P, rows, columns)``, and which lie in the image."""
+    """Index of every footprint's pixels in the flattened batch, ``(rows, columns, P)``, and which lie in the image."""
     height, width = size
-    _, rows, columns = shape
-    along = frame.first_major[:, None, None] + _steps(rows, frame.major)[:, None]
-    aside = first_minor + _steps(columns, frame.major)
-    if frame.steep is None:
-        row, column = along, aside
-    else:
-        steep = frame.steep[:, None, None]
-        row, column = torch.where(steep, along, aside), torch.where(steep, aside, along)
+    rows, columns = footprint
+    along = (frame.first_major + _steps(rows, frame.major)[:, None])[:, None]  # (rows, 1, P)
+    aside = first_minor + _steps(columns, frame.major)[:, None]  # (1 or rows, columns, P)
+    # Where the picture ends along and aside, and pixels from one step to the next.
+    end: Tensor | float = height - 1.0
+    end_aside: Tensor | float = width - 1.0
+    step: Tensor | int = width
+    step_aside: Tensor | int = 1
+    if frame.steep is not None:
+        steep = frame.steep
+        end, end_aside = torch.where(steep, end, end_aside), torch.where(steep, end_aside, end)
+        step, step_aside = torch.where(steep, width, 1), torch.where(steep, 1, width)
     inside = None
     if clip:
-        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        row, column = row.clamp(0, height - 1), column.clamp(0, width - 1)
-    pixel = row.long() * width + column.long()
+        inside = ((along >= 0) & (along <= end)) & ((aside >= 0) & (aside <= end_aside))
+        along, aside = along.clamp_min(0).clamp_max(end), aside.clamp_min(0).clamp_max(end_aside)
+    first = along.long() * step
     if frame.sample is not None:
-        pixel = pixel + (frame.sample * (height * width))[:, None, None]
-    return pixel, inside
+        first = first + frame.sample * (height * width)
+    return first + aside.long() * step_aside, inside
 
 
 def _deposit(
@@ -285,19 +294,20 @@ def _deposit(
 ) -> tuple[Tensor, Tensor | None]:
     """Add the optical depth of marks to their pixels; in place, except while a graph is traced."""
     coverage, first_minor = _coverage(frame, *footprint)
-    pixel, inside = _pixels(frame, first_minor, coverage.shape, size, clip=clip)
-    pixel = pixel.expand(coverage.shape).reshape(-1)
+    pixel, inside = _pixels(frame, first_minor, footprint, size, clip=clip)
     seen = inside
     if test_depth:
-        before = frame.depth_m[:, None, None] < depth_m.index_select(0, pixel).view(coverage.shape)
+        before = frame.depth_m < depth_m.index_select(0, pixel.reshape(-1)).view(coverage.shape)
         seen = before if inside is None else before & inside
     if seen is not None:
         coverage = torch.where(seen, coverage, torch.zeros_like(coverage))
-    optical = -torch.log1p(-coverage.clamp(0.0, FULL))
+    optical = coverage.clamp(0.0, FULL).neg_().log1p_().neg_()
     add = torch.Tensor.scatter_add if is_exporting() else torch.Tensor.scatter_add_
-    total = add(total, 0, pixel, optical.reshape(-1))
+    # Mark by mark, so that pixels add up in one order whatever marks are beside these.
+    where = pixel.movedim(-1, 0).reshape(-1)
+    total = add(total, 0, where, optical.movedim(-1, 0).reshape(-1))
     if faded is not None and frame.clearness is not None:
-        faded = add(faded, 0, pixel, (optical * frame.clearness[:, None, None]).reshape(-1))
+        faded = add(faded, 0, where, (optical * frame.clearness).movedim(-1, 0).reshape(-1))
     return total, faded
 
 
