@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +18,7 @@ from torchweather.gap.baseline import targets
 from torchweather.gap.candidate_fits import (
     LEAST_AMPLITUDE,
     Candidate,
+    Proposal,
     _start,
     best_nodes,
     best_pairs,
@@ -163,10 +165,11 @@ def further(
     rest_p: float = 1.0,
     refitted: float = 0.0,
     lost: float = math.inf,
+    broken: Sequence[str] = (),
 ) -> list[str]:
     """Effects that are kept where the best one leaves a misfit, and so much more than noise does, and another one
     lowers it by a gain, of which the best one would gain a part by itself, fitted again; the other one by itself would
-    lose so much."""
+    lose so much. Before it some are fitted that only make things worse."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
@@ -182,11 +185,20 @@ def further(
     third = {**window, **noise, "lidar.crosstalk": {"probability": 0.1}}
     rounds = [
         fitted(window, misfit, 1200.0 - misfit),
+        *(fitted({**window, name: {}}, misfit + 5.0, -5.0) for name in broken),
         fitted({**window, **noise}, misfit - gain, gain),
         fitted(third, misfit - gain, 0.0),
     ]
     held = [HeldOut(1.0, 1.0, 0.05, 300.0 - 10.0 * place) for place in range(3)]
-    monkeypatch.setattr(workflow, "fitted", lambda *given: [rounds.pop(0)])
+    gone: set[str] = set()
+
+    def next_one(search: Any, base: Any, proposed: Sequence[Proposal], misfit: float, say: Any) -> list[Candidate]:
+        assert not gone & {node.id for _, node, _ in proposed}
+        found = rounds.pop(0)
+        gone.add(found.id) if found.gain < 0 else gone.clear()  # until something stands beside it
+        return [found]
+
+    monkeypatch.setattr(workflow, "fitted", next_one)
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
     monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
 
@@ -208,6 +220,14 @@ def further(
     kept = _rounds(search, other, base, found, singles, lambda text: None)  # type: ignore[arg-type]
     assert [len(one[0].fit.setting.values) for one in kept] == list(range(1, len(kept) + 1))
     return list(kept[-1][0].fit.setting.values)
+
+
+def test_what_only_makes_things_worse_keeps_no_other_effect_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    window, noise, crosstalk = "lidar.window_loss", "lidar.range_noise", "lidar.crosstalk"
+    assert further(monkeypatch, 300.0, 100.0, excess=100.0, broken=[crosstalk]) == [window, noise]
+    assert further(monkeypatch, 300.0, 100.0, excess=100.0, broken=[crosstalk, noise]) == [window]
+    # One that helps, but too little, is the best there is.
+    assert further(monkeypatch, 300.0, 1.0, excess=100.0) == [window]
 
 
 @pytest.mark.parametrize(
