@@ -96,8 +96,8 @@ def _names(names: Sequence[str]) -> str:
 
 
 def short_name(name: str) -> str:
-    """Of an effect of the catalogue, without its sensor; others as they are."""
-    return name.partition(".")[2] if name in EFFECTS else name
+    """Of effects of the catalogue, joined by plus signs, without their sensor; others as they are."""
+    return " + ".join(one.partition(".")[2] if one in EFFECTS else one for one in name.split(" + "))
 
 
 def _share(figure: Row) -> str:
