@@ -43,6 +43,7 @@ from torchweather.gap.workflow import (
     SURE_GAIN,
     SURE_P,
     UNKNOWN_SHARE,
+    _fitted_on_top,
     _rounds,
     _verdict,
 )
@@ -165,11 +166,10 @@ def further(
     rest_p: float = 1.0,
     refitted: float = 0.0,
     lost: float = math.inf,
-    broken: Sequence[str] = (),
 ) -> list[str]:
     """Effects that are kept where the best one leaves a misfit, and so much more than noise does, and another one
     lowers it by a gain, of which the best one would gain a part by itself, fitted again; the other one by itself would
-    lose so much. Before it some are fitted that only make things worse."""
+    lose so much."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
@@ -185,18 +185,21 @@ def further(
     third = {**window, **noise, "lidar.crosstalk": {"probability": 0.1}}
     rounds = [
         fitted(window, misfit, 1200.0 - misfit),
-        *(fitted({**window, name: {}}, misfit + 5.0, -5.0) for name in broken),
         fitted({**window, **noise}, misfit - gain, gain),
         fitted(third, misfit - gain, 0.0),
     ]
     held = [HeldOut(1.0, 1.0, 0.05, 300.0 - 10.0 * place) for place in range(3)]
-    gone: set[str] = set()
+    asked: list[tuple[list[str], str]] = []
 
     def next_one(search: Any, base: Any, proposed: Sequence[Proposal], misfit: float, say: Any) -> list[Candidate]:
-        assert not gone & {node.id for _, node, _ in proposed}
-        found = rounds.pop(0)
-        gone.add(found.id) if found.gain < 0 else gone.clear()  # until something stands beside it
-        return [found]
+        found = []
+        for setting, node, _ in proposed:
+            assert (list(setting.values), node.id) not in asked  # once beside what was found
+            asked.append((list(setting.values), node.id))
+            place = next((k for k, one in enumerate(rounds) if one.id == node.id), None)
+            nothing = fitted({**setting.values, node.id: {}}, misfit + 5.0, -5.0)
+            found.append(nothing if place is None else rounds.pop(place))
+        return sorted(found, key=lambda one: one.fit.misfit)
 
     monkeypatch.setattr(workflow, "fitted", next_one)
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
@@ -222,12 +225,48 @@ def further(
     return list(kept[-1][0].fit.setting.values)
 
 
-def test_what_only_makes_things_worse_keeps_no_other_effect_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    window, noise, crosstalk = "lidar.window_loss", "lidar.range_noise", "lidar.crosstalk"
-    assert further(monkeypatch, 300.0, 100.0, excess=100.0, broken=[crosstalk]) == [window, noise]
-    assert further(monkeypatch, 300.0, 100.0, excess=100.0, broken=[crosstalk, noise]) == [window]
-    # One that helps, but too little, is the best there is.
-    assert further(monkeypatch, 300.0, 1.0, excess=100.0) == [window]
+@pytest.mark.parametrize(
+    ("gained", "also"),
+    [
+        (-5.0, True),  # what only makes things worse keeps nothing out
+        (150.0, True),  # less than was promised: others that promise half of it may be better
+        (250.0, False),  # those promise less
+        (300.0, False),  # the promise is kept
+    ],
+)
+def test_where_a_promise_is_not_kept_others_are_fitted(
+    monkeypatch: pytest.MonkeyPatch, gained: float, also: bool
+) -> None:
+    crosstalk, noise = NODES[3], NODES[2]
+    left = np.array([0.0, 20.0, 100.0, 0.0])
+    fit: Any = SimpleNamespace(setting=Setting(), misfit=1000.0, nuisance=NOTHING, residual=left)
+    promises = gains([crosstalk, noise], left[None], NOTHING)[0]
+    assert promises[0] == pytest.approx(268.0, abs=1.0)
+    assert 0.5 * 150.0 < promises[1] < 0.5 * 250.0
+    asked: list[str] = []
+
+    def one_by_one(search: Any, base: Any, proposed: Sequence[Proposal], misfit: float, say: Any) -> list[Candidate]:
+        found = []
+        for _, node, _ in proposed:
+            asked.append(node.id)
+            gain = {crosstalk.id: gained, noise.id: 400.0}[node.id]
+            own: Any = SimpleNamespace(misfit=misfit - gain)
+            found.append(Candidate(node.id, own, gain))
+        return found
+
+    monkeypatch.setattr(workflow, "fitted", one_by_one)
+    proposed = [(Setting(), crosstalk, 1.0)]
+    found = _fitted_on_top(
+        None,  # type: ignore[arg-type]
+        fit,
+        Candidate("first", fit, 100.0),
+        [crosstalk, noise],
+        proposed,
+        30.0,
+        lambda text: None,
+    )
+    assert asked == [crosstalk.id, *([noise.id] if also else [])]
+    assert found[0].id == (noise.id if also else crosstalk.id)
 
 
 @pytest.mark.parametrize(

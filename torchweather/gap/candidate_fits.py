@@ -21,7 +21,18 @@ from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.placing import placed
 from torchweather.gap.search import SCREEN_FRAMES, SETTLED, Fit, Search, Setting
 
-__all__ = ["Candidate", "Proposal", "best_nodes", "best_pairs", "fitted", "hidden_nodes", "scattering", "stands_far"]
+__all__ = [
+    "SETTLED_BESIDE",
+    "WORTH",
+    "Candidate",
+    "Proposal",
+    "best_nodes",
+    "best_pairs",
+    "fitted",
+    "hidden_nodes",
+    "scattering",
+    "stands_far",
+]
 
 Floats = NDArray[np.float64]
 

@@ -23,6 +23,7 @@ from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
 from torchweather.gap.candidate_fits import (
     SETTLED_BESIDE,
+    WORTH,
     Candidate,
     Proposal,
     best_nodes,
@@ -217,22 +218,16 @@ def _rounds(
             nodes = _beside(search, screening)
             gain = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
             pairs = best_pairs(nodes, gain, search.origin, best.gain + needed)
-        kept: list[Candidate] = []
-        while not kept:
-            fresh, proposed = _on_top(search, rest, best, needed, threshold, sure)
-            if pairs:
-                proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
-            if not proposed:
-                return rounds
-            more = fitted(search, base, proposed, best.fit.misfit, say)
-            kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
-            kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
-            # What only makes things worse where it is simulated was promised by a response that no longer holds there:
-            # it must not keep others out.
-            broken = {one.id for one in more if one.gain < 0}
-            if not kept and not broken:
-                return rounds
-            rest, pairs = [node for node in rest if node.id not in broken], []
+        fresh, proposed = _on_top(search, rest, best, needed, threshold, sure)
+        if pairs:
+            proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
+        if not proposed:
+            return rounds
+        more = _fitted_on_top(search, base, best, rest, proposed, threshold, say)
+        kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
+        kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
+        if not kept:
+            return rounds
         needful = _without_idle(search, kept[0], threshold)
         number = len(needful.setting.values)
         if number < len(kept[0].fit.setting.values) and kept[0].id not in led:
@@ -242,6 +237,34 @@ def _rounds(
             rounds = [*rounds[: number - 1], [Candidate(kept[0].id, needful, earlier - needful.misfit), *others]]
         else:
             rounds.append(kept)
+
+
+def _fitted_on_top(
+    search: Search,
+    base: Fit,
+    best: Candidate,
+    rest: Sequence[Node],
+    proposed: Sequence[Proposal],
+    threshold: float,
+    say: Callable[[str], None],
+) -> list[Candidate]:
+    """What is proposed, fitted, best first. Where none gains what the responses promised, others that promise half of
+    what was gained are fitted as well: a response that no longer holds there must not keep them out."""
+    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    found = fitted(search, base, proposed, best.fit.misfit, say)
+    promised = float(gains(rest, left[None], nuisance)[0].max()) if rest else 0.0
+    for _ in range(FURTHER_REFITTED):
+        gained = max((one.gain for one in found), default=0.0)
+        others = [node for node in rest if node.id not in {one.id for one in found}]
+        if (
+            not others
+            or gained >= promised
+            or gains(others, left[None], nuisance).max() < max(WORTH * gained, threshold)
+        ):
+            break
+        node, amplitude = best_nodes(others, left, nuisance)[0]
+        found += fitted(search, base, [(best.fit.setting, node, amplitude)], best.fit.misfit, say)
+    return sorted(found, key=lambda one: one.fit.misfit)
 
 
 def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
