@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,13 @@ def make(arguments: argparse.Namespace) -> None:
     cases = cases[arguments.skip :][: arguments.count]
     truth_path = folder / "sealed" / "truth.json"
     truths = read_json(truth_path) if truth_path.exists() else {}
+    for case in cases:
+        sealed = truths.get(case.id, {}).get("size")
+        if sealed is not None and sealed != asdict(case.size):
+            raise SystemExit(
+                f"{case.id}: sealed with a size of {sealed}; asked for is {asdict(case.size)}. "
+                "Give or leave out --small."
+            )
     build = sensor.builder(arguments.set, arguments.seed, folder / "sealed", cases, arguments.few)
     for case in cases:
         if case.id in truths and (folder / "studies" / case.id / "study.yaml").exists():

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -210,3 +211,16 @@ def test_spray_grows_with_the_speed_that_the_conditions_carry(tmp_path):
         for one in study.conditions
     ]
     assert np.corrcoef(np.square(speeds), near)[0, 1] > 0.9
+
+
+def test_a_sealed_truth_is_made_in_the_size_that_it_was_sealed_with(bench, tmp_path):
+    """Studies of another size under the same names would change the seal."""
+    arguments = SimpleNamespace(
+        folder=tmp_path, sensor="camera", set="dev", seed=1, cases=["screen"], count=1, skip=0, small=False, few=True
+    )
+    case = bench.bench_sensor("camera").plan("dev", 1, ["screen"], True)[0]
+    write_json(tmp_path / "sealed" / "truth.json", {case.id: {"size": asdict(case.size)}})
+    seal = sha256_of(tmp_path / "sealed" / "truth.json")
+    with pytest.raises(SystemExit, match=r"160.*480.*--small"):
+        bench.make(arguments)
+    assert sha256_of(tmp_path / "sealed" / "truth.json") == seal
