@@ -336,7 +336,8 @@ class CameraSums:
         for lag, binned in self._streak_bins.items():
             offset = lag[0] * self.scene.cells[1] + lag[1]
             if portion is None:
-                total = np.stack([np.vecdot(one[:, :-offset], one[:, offset:]) for one in apart], 1).astype(np.float64)
+                dots = [one[:, None, :-offset] @ one[:, offset:, None] for one in apart]
+                total = np.concatenate(dots, 1)[..., 0].astype(np.float64)
             else:
                 product = torch.zeros_like(cells)
                 product[:, :-offset] = cells[:, :-offset] * cells[:, offset:]

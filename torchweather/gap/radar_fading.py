@@ -3,7 +3,8 @@
 A target either stands still, and its power departs by the receiver's noise alone, or its parts move against each other
 and its power is exponential (Swerling's case 1). A handful of clear frames does not tell which by their spread: of
 targets that fluctuate those that chance kept together look as if they stood still, and just those are lost later. So
-both laws are weighed, with the share of targets that fluctuate found from all targets at once:
+both laws are weighed by what was detected and what was not, with the share of targets that fluctuate found for each
+class:
 
     p(lost) = q (1 - (1 + t / sum SNR)^-n),   t threshold, n frames,
 
@@ -85,8 +86,8 @@ def chance_of_fading(snr_db: Floats, threshold_db: float, typical_db: float, sha
         share: of all targets that fluctuate (``share_of_fading``), or of those like each one ``(N,)``.
 
     Example:
-        >>> steady, fading = np.array([[20.0], [20.2], [20.1]]), np.array([[20.0], [26.0], [23.0]])
-        >>> [round(float(chance_of_fading(snr_db, 12.0, 0.3, 0.3)[0]), 4) for snr_db in (steady, fading)]
+        >>> alike, apart = np.array([[20.0], [20.2], [20.1]]), np.array([[20.0], [26.0], [23.0]])
+        >>> [round(float(chance_of_fading(snr_db, 12.0, 0.3, 0.3)[0]), 4) for snr_db in (alike, apart)]
         [0.0001, 0.0652]
     """
     number = (~np.isnan(snr_db)).sum(0)
@@ -114,12 +115,12 @@ def _log_odds(snr_db: Floats, threshold_db: float, typical_db: float) -> Floats:
         mean = np.maximum((snr.sum(0) + lost * below) / len(snr_db), 1e-12)
     relative = np.where(there, snr / mean, 1.0)
     # Densities over the decibel.
-    fading = np.where(there, np.log(relative) - relative - np.log(DB), 0.0).sum(0)
-    fading += lost * np.log(-np.expm1(-threshold / mean))
+    exponential = np.where(there, np.log(relative) - relative - np.log(DB), 0.0).sum(0)
+    exponential += lost * np.log(-np.expm1(-threshold / mean))
     middle = np.where(there, snr_db, 0.0).sum(0) / number
     spread = np.maximum(NOISE_AT_0_DB * 10.0 ** (-0.05 * middle), typical_db)
     apart = np.where(there, (np.where(there, snr_db, 0.0) - middle) / spread, 0.0)
     steady = (-0.5 * apart**2 - np.where(there, np.log(spread * np.sqrt(2.0 * np.pi)), 0.0)).sum(0)
     steady += lost * norm.logcdf(threshold_db, middle, spread)
-    found: Floats = np.where(number >= 2, fading - steady, 0.0)
+    found: Floats = np.where(number >= 2, exponential - steady, 0.0)
     return found
