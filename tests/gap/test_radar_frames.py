@@ -217,6 +217,13 @@ def test_a_single_other_frame_tells_of_no_level() -> None:
     np.testing.assert_array_equal(level_weights(np.ones((2, 4)), 0.05, np.ones((2, 4))), 1.0)
 
 
+def test_targets_that_one_other_frame_has_weigh_nothing() -> None:
+    power_db = np.array([[20.0, np.nan], [20.5, 30.0], [np.nan, 30.5]])
+    weights = level_weights(power_db, 0.05, np.full((3, 2), 20.0))
+    assert np.isfinite(weights).all()
+    assert (weights > 0).tolist() == [[False, True], [False, False], [True, False]]
+
+
 def test_fluctuating_targets_weigh_what_their_law_says_however_alike_a_few_frames_are() -> None:
     rng = np.random.default_rng(8)
     power_db = 10.0 * np.log10(rng.exponential(size=(8, 200)))

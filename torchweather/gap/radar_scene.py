@@ -41,7 +41,8 @@ CLUTTER_COLUMNS = 5  # range, azimuth, elevation, speed, power; the Doppler widt
 BINS = 5  # along each axis, of about as many targets each
 AXES = ("range_m", "azimuth_rad", "elevation_rad", "margin_db")
 PRIOR_DEGREES = 2.0  # of freedom, that the median spread of all targets counts beside a target's own
-LIKE_DEGREES, ALIKE = 4.0, 17  # the same of the median one of so many targets of about its power
+# The same of the median one of so many targets of about its power; set on development studies of the bench.
+LIKE_DEGREES, ALIKE = 4.0, 17
 LEVEL_ROUNDS = 4  # in which what a frame's targets share is told from what each has of its own
 LEAST_LEVEL_SHARE = 1 / 16  # of the quiet quarter's variance: a target tells of the level as if it had so much more
 # No list is read finer (quantisation of series radars, order of magnitude): dB, m, m/s.
@@ -261,7 +262,8 @@ def _of_alike(variance: Floats, known: NDArray[np.bool_], power_db: Floats) -> F
     """Median variance ``(N,)`` of the targets next to each one in power."""
     order = np.flatnonzero(known)[np.argsort(power_db[known])]
     found = np.zeros_like(variance)
-    found[order] = median_filter(variance[order], min(ALIKE, len(order)), mode="nearest")
+    if len(order):
+        found[order] = median_filter(variance[order], min(ALIKE, len(order)), mode="nearest")
     return found
 
 
