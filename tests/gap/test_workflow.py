@@ -433,7 +433,8 @@ class Responses:
 
 def test_only_lines_near_the_best_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """The share of the best gain is the squared cosine of the angle to the residual."""
-    monkeypatch.setattr(screening_module, "rest_of", lambda *given: SimpleNamespace(p_value=lambda left: 1.0))
+    quiet = SimpleNamespace(p_value=lambda left: 1.0, common_p_value=lambda left: 1.0)
+    monkeypatch.setattr(screening_module, "rest_of", lambda *given: quiet)
     shares = {
         "lidar.window_loss": 1.0,
         "lidar.crosstalk": 1.04 * REFINED,

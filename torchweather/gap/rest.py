@@ -1,6 +1,7 @@
 """What is left, statistic by statistic: a departure of a few entries is not drowned in the noise of all others.
 
-Of each statistic along each axis the squares of its whitened entries are held against those of noise. Stated scatters
+Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
+pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Stated scatters
 have a least value; of shares and counts of what hardly ever happens, simulated frames show how much less they scatter,
 and that is taken (``LEVEL``), with a margin.
 
@@ -10,7 +11,8 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,23 +35,44 @@ class Rest:
     """Noise of the squares of each group of entries.
 
     Args:
-        places: ``(C P,)`` group of each entry.
-        counted: ``(G,)`` number of entries that count, over all conditions.
+        places: ``(P,)`` group of each entry.
+        used: ``(C, P)`` entries that count.
         noise: ``(G,)`` mean square that an entry has by noise.
     """
 
     places: NDArray[np.intp]
-    counted: Floats
+    used: NDArray[np.bool_]
     noise: Floats
+
+    @property
+    def counted(self) -> Floats:
+        """Number ``(G,)`` of entries that count, over all conditions."""
+        return self._summed(self.used.sum(0))
 
     def squares(self, left: Floats) -> Floats:
         """Summed squares ``(G,)`` of what is left ``(C P,)``."""
-        return np.asarray(np.bincount(self.places, left**2, len(self.counted)), dtype=np.float64)
+        return self._summed((left.reshape(self.used.shape) ** 2).sum(0))
 
     def p_value(self, left: Floats) -> float:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
-        some = self.counted > 0
-        each = chi2.sf(self.squares(left)[some] / self.noise[some], self.counted[some])
+        return self._least(self.squares(left), self.counted)
+
+    def common_p_value(self, left: Floats) -> float:
+        """The same of what the conditions have in common: each entry summed over those where it counts, two at least,
+        over the root of their number, which noise leaves as it was."""
+        number = self.used.sum(0)
+        common = number > 1
+        pattern = (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(np.maximum(number, 1))
+        return self._least(self._summed(common * pattern**2), self._summed(common))
+
+    def _summed(self, values: NDArray[Any]) -> Floats:
+        """Values ``(P,)`` summed by group."""
+        return np.asarray(np.bincount(self.places, values, len(self.noise)), dtype=np.float64)
+
+    def _least(self, squares: Floats, counted: Floats) -> float:
+        """Probability of the least likely of some sums of squares, of so many entries each."""
+        some = counted > 0
+        each = chi2.sf(squares[some] / self.noise[some], counted[some])
         return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0
 
     def excess(self, left: Floats) -> float:
@@ -66,15 +89,14 @@ def rest_of(search: Search, base: Fit, overdispersion: float) -> Rest:
         overdispersion: how much larger in square noise is taken than stated.
     """
     groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
-    places = np.tile(np.repeat(np.arange(len(groups)), [group.bins for group in groups]), len(names))
-    used = np.concatenate([base.base.used[name] for name in names])
-    counted: Floats = np.bincount(places, used, len(groups)).astype(np.float64)
+    places = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
+    found = Rest(places, np.stack([base.base.used[name] for name in names]), np.ones(len(groups)))
     # Vectors that the simulator draws, those of one condition independent of another's.
     draws = [base.base.draws[name] - base.base.mean[name] for name in names]
     number = min(len(one) for one in draws)
     order = [np.random.default_rng([search.seed, place, 32452843]).permutation(number) for place in range(len(names))]
     mixed = zip(*(one[shuffled] for one, shuffled in zip(draws, order, strict=True)), strict=True)
     whitened = base.nuisance(np.stack([search.whitened(base.base, list(one)) for one in mixed]))
-    drawn = np.bincount(places, (whitened**2).mean(0), len(groups)) / np.maximum(counted, 1.0)
+    drawn = found.squares(np.sqrt((whitened**2).mean(0))) / np.maximum(found.counted, 1.0)
     level = np.where([group.kind in COUNTED for group in groups], np.minimum(LEVEL[0] + LEVEL[1] * drawn, 1.0), 1.0)
-    return Rest(places, counted, overdispersion * level)
+    return replace(found, noise=overdispersion * level)

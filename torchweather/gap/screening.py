@@ -29,7 +29,7 @@ NULLS = 1000
 # Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
 # screening are those of noise so many times larger in square. Set on development studies.
 OVERDISPERSION = 1.5
-DEPARTURES = 3  # that are looked at; the chance of an alarm is that of any
+DEPARTURES = 4  # that are looked at; the chance of an alarm is that of any
 REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
 
 
@@ -46,7 +46,9 @@ class Screening:
         best_null: ``(R,)`` largest gain of each null.
         misfit_null: ``(R,)``.
         rest: noise of each statistic by itself.
-        p_value: of the largest of the three departures: along a response, of all entries, of one statistic.
+        p_value: of the largest of the four departures: along a response, of all entries, of one statistic, of what all
+            conditions have in common of one.
+        common_p_value: the same of the last one alone.
     """
 
     residual: Floats
@@ -58,6 +60,7 @@ class Screening:
     misfit_null: Floats
     rest: Rest
     p_value: float
+    common_p_value: float
 
     def raised(self, gain: float) -> Screening:
         """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
@@ -91,8 +94,9 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
     each = rest_of(search, base, overdispersion(search))
-    p_value = min(1.0, DEPARTURES * min(p_gain, p_misfit, each.p_value(left)))
-    return Screening(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value)
+    p_common = min(1.0, DEPARTURES * each.common_p_value(left))
+    p_value = min(p_common, DEPARTURES * min(p_gain, p_misfit, each.p_value(left)))
+    return Screening(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value, p_common)
 
 
 def placed_nodes(search: Search, effects: Sequence[type[Effect]], fit: Fit) -> list[Node]:

@@ -55,16 +55,18 @@ FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
 # another form of the first effect leaves is patched a little by many.
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
-# By which a further effect must lower the misfit of held-out conditions, two standard deviations; an alarm is beyond
-# noise already: they must not speak against its effect. One that explains more than SURE_GAIN they may, by so much of
-# the rest: where they hardly show it.
+# By which a further effect must lower the misfit of held-out conditions, two standard deviations, unless it explains
+# more than SURE_GAIN: then they must not speak against it, where they hardly show it. An alarm is beyond noise already:
+# they must not speak against its effect. One that explains more than SURE_GAIN they may, by so much of the rest.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
-SURE_P = 1e-6  # of an alarm that is believed although nothing explains it on held-out conditions
+# Of an alarm that is believed although nothing explains it on held-out conditions; of one by a pattern that the
+# conditions have in common ALARM_P is enough: what a few counts do by chance is none.
+SURE_P = 1e-6
 REST_P = 1e-4  # of one statistic, from which a rest is no noise
 REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such statistics
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
-UNKNOWN_GAP, UNKNOWN_HELD = 3.0, 0.1
+UNKNOWN_GAP, UNKNOWN_HELD = 3.0, 0.05
 FAR_GAP = 10.0  # held-out gap over its floor, from which nothing was found whatever it explains
 
 
@@ -206,8 +208,10 @@ def _rounds(
         significant = screening.rest.p_value(left) < REST_P
         needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
-        if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
-            return rounds[:-1]
+        if earlier_held is not None:
+            least_held = HELD_GAIN if best.gain < SURE_GAIN else 0.0
+            if earlier_held.misfit - after.misfit < least_held:
+                return rounds[:-1]
         if len(values) == MOST_EFFECTS:
             return rounds
         rest = _further(search, screening, best)
@@ -355,10 +359,11 @@ def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) ->
     share of what departs.
     """
     explained = screening.misfit - fit.misfit
+    unexplained = "unknown" if screening.p_value < SURE_P or screening.common_p_value <= ALARM_P else "none"
     if explained < _threshold(screening):
-        return "unknown" if screening.p_value < SURE_P else "none"
+        return unexplained
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
-        return "unknown" if screening.p_value < SURE_P else "none"
+        return unexplained
     left = fit.nuisance.left(fit.residual)
     excess = screening.rest.excess(left)
     share = excess / max(excess + explained, 1e-9) if screening.rest.p_value(left) < REST_P else 0.0
