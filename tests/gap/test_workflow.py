@@ -56,10 +56,13 @@ BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
 EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
 
 
-def screening(misfit: float = 1200.0, p_value: float = 1e-9, excess: float = 0.0, rest_p: float = 1.0) -> Any:
+def screening(
+    misfit: float = 1200.0, p_value: float = 1e-9, excess: float = 0.0, rest_p: float = 1.0, common_p: float = 1.0
+) -> Any:
     """Noise gains 30 at most; some statistics exceed theirs."""
     rest = SimpleNamespace(excess=lambda left: excess, p_value=lambda left: rest_p)
-    return SimpleNamespace(misfit=misfit, p_value=p_value, best_null=np.full(100, 30.0), rest=rest)
+    noise = np.full(100, 30.0)
+    return SimpleNamespace(misfit=misfit, p_value=p_value, common_p_value=common_p, best_null=noise, rest=rest)
 
 
 def left_by(misfit: float) -> Any:
@@ -113,6 +116,15 @@ def test_what_noise_gains_is_no_name(gain: float, p_value: float, verdict: str) 
     assert _verdict(found, left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
 
 
+@pytest.mark.parametrize(("common_p", "verdict"), [(0.9 * ALARM_P, "unknown"), (1.1 * ALARM_P, "none")])
+def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: float, verdict: str) -> None:
+    """An alarm is enough where an effect explains no more than noise, or held-out conditions speak against it."""
+    found = screening(p_value=2.0 * SURE_P, common_p=common_p)
+    assert _verdict(found, left_by(1200.0 - 29.0), BEFORE, EXPLAINED) == verdict
+    worse = HeldOut(gap=2.1, floor=1.0, spread=0.05, misfit=1000.0)
+    assert _verdict(found, left_by(1200.0 - 60.0), BEFORE, worse) == verdict
+
+
 @pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
 @pytest.mark.parametrize(
     ("explained", "least"),
@@ -134,10 +146,11 @@ def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
 
 @pytest.mark.parametrize(
     ("gap", "verdict"),
-    [(2.9, "named_and_rest"), (3.4, "unknown")],  # of 10: 7.5 % and 10.7 % of the square over the floor's
+    [(2.9, "named_and_rest"), (4.0, "named_and_rest"), (5.0, "unknown")],  # of 20: 1.9, 3.8 and 6 % of the square
 )
 def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(gap: float, verdict: str) -> None:
-    before = HeldOut(10.0, 1.0, 0.05, 4000.0)
+    """That over the floor's."""
+    before = HeldOut(20.0, 1.0, 0.05, 16000.0)
     assert _verdict(screening(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
     far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
     assert _verdict(screening(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
@@ -166,10 +179,11 @@ def further(
     rest_p: float = 1.0,
     refitted: float = 0.0,
     lost: float = math.inf,
+    helped: float = 10.0,
 ) -> list[str]:
     """Effects that are kept where the best one leaves a misfit, and so much more than noise does, and another one
     lowers it by a gain, of which the best one would gain a part by itself, fitted again; the other one by itself would
-    lose so much."""
+    lose so much. On held-out conditions each lowers the misfit by ``helped``."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
@@ -188,7 +202,7 @@ def further(
         fitted({**window, **noise}, misfit - gain, gain),
         fitted(third, misfit - gain, 0.0),
     ]
-    held = [HeldOut(1.0, 1.0, 0.05, 300.0 - 10.0 * place) for place in range(3)]
+    held = [HeldOut(1.0, 1.0, 0.05, 300.0 - helped * place) for place in range(3)]
     asked: list[tuple[list[str], str]] = []
 
     def next_one(search: Any, base: Any, proposed: Sequence[Proposal], misfit: float, say: Any) -> list[Candidate]:
@@ -314,6 +328,12 @@ def test_the_catalogue_says_what_may_be_taken_for_what_in_either_place() -> None
 def test_a_first_effect_that_was_not_at_its_best_is_no_merit_of_the_second(monkeypatch: pytest.MonkeyPatch) -> None:
     for refitted, number in ((41.0, 1), (39.0, 2)):  # of 100; 60 are needed
         assert len(further(monkeypatch, 300.0, 100.0, excess=100.0, refitted=refitted)) == number
+
+
+def test_a_further_effect_helps_where_it_was_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By two standard deviations; one that is sure (50) need not show there, but must not be spoken against."""
+    for gain, helped, number in ((49.0, 3.9, 1), (49.0, 4.1, 2), (51.0, 0.1, 2), (51.0, -0.1, 1)):
+        assert len(further(monkeypatch, 300.0, gain, excess=10.0, helped=helped)) == number
 
 
 @pytest.mark.parametrize(
