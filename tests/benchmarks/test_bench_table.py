@@ -14,7 +14,11 @@ from benchmarks.hidden.table_text import bars_table, further_table, missed_table
 
 ROOT = Path(__file__).resolve().parents[2]
 SCORES = ROOT / "benchmarks" / "gap_bench"
-PAGES = {"gap-bench.md": SCORES / "score.json", "gap-radar.md": SCORES / "radar" / "score.json"}
+PAGES = {
+    "gap-bench.md": SCORES / "score.json",
+    "gap-camera.md": SCORES / "camera" / "score.json",
+    "gap-radar.md": SCORES / "radar" / "score.json",
+}
 
 
 def truth(case: str, family: str, *names: str) -> dict[str, Any]:
