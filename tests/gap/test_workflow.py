@@ -331,9 +331,10 @@ def test_a_first_effect_that_was_not_at_its_best_is_no_merit_of_the_second(monke
 
 
 def test_a_further_effect_helps_where_it_was_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By two standard deviations; one that is sure (50) need not show there, but must not be spoken against."""
-    for gain, helped, number in ((49.0, 3.9, 1), (49.0, 4.1, 2), (51.0, 0.1, 2), (51.0, -0.1, 1)):
-        assert len(further(monkeypatch, 300.0, gain, excess=10.0, helped=helped)) == number
+    """By two standard deviations, also one that explains more than SURE_GAIN."""
+    for gain in (0.9 * SURE_GAIN, 1.1 * SURE_GAIN):
+        for helped, number in ((3.9, 1), (4.1, 2)):
+            assert len(further(monkeypatch, 300.0, gain, excess=10.0, helped=helped)) == number
 
 
 @pytest.mark.parametrize(

@@ -55,9 +55,9 @@ FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
 # another form of the first effect leaves is patched a little by many.
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
-# By which a further effect must lower the misfit of held-out conditions, two standard deviations, unless it explains
-# more than SURE_GAIN: then they must not speak against it, where they hardly show it. An alarm is beyond noise already:
-# they must not speak against its effect. One that explains more than SURE_GAIN they may, by so much of the rest.
+# By which a further effect must lower the misfit of held-out conditions, two standard deviations, however much it
+# explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
+# than SURE_GAIN they may, by so much of the rest: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 # Of an alarm that is believed although nothing explains it on held-out conditions; of one by a pattern that the
 # conditions have in common ALARM_P is enough: what a few counts do by chance is none.
@@ -208,10 +208,8 @@ def _rounds(
         significant = screening.rest.p_value(left) < REST_P
         needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
-        if earlier_held is not None:
-            least_held = HELD_GAIN if best.gain < SURE_GAIN else 0.0
-            if earlier_held.misfit - after.misfit < least_held:
-                return rounds[:-1]
+        if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
+            return rounds[:-1]
         if len(values) == MOST_EFFECTS:
             return rounds
         rest = _further(search, screening, best)
