@@ -478,6 +478,20 @@ def test_only_lines_near_the_best_are_simulated_whole(monkeypatch: pytest.Monkey
     np.testing.assert_allclose(again.best_null, 3.0 / (1.0 + 2.0 / 7.0) * found.best_null, rtol=1e-9)
 
 
+@pytest.mark.parametrize(("each", "common"), [(1.0, 1.0), (1e-9, 1.0), (1.0, 1e-9)])
+def test_an_alarm_is_that_of_any_of_four_departures(
+    monkeypatch: pytest.MonkeyPatch, each: float, common: float
+) -> None:
+    """Noise in the responses and in all entries; one statistic by itself, or what conditions have in common of one."""
+    rest = SimpleNamespace(p_value=lambda left: each, common_p_value=lambda left: common)
+    monkeypatch.setattr(screening_module, "rest_of", lambda *given: rest)
+    search: Any = Responses(8, {"lidar.window_loss": 0.0})
+    base: Any = SimpleNamespace(residual=np.array([0.5, 0.0]), nuisance=Nuisance(np.zeros((2, 1)), np.zeros(1), 1))
+    found = screen(search, [EFFECTS["lidar.window_loss"]], base, 0)
+    assert found.p_value == pytest.approx(min(1.0, 4.0 * min(each, common)))
+    assert found.common_p_value == pytest.approx(min(1.0, 4.0 * common))
+
+
 def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> None:
     """Weaker returns everywhere, most of all in one sector; behind them a smaller sector, found once they are in."""
     hidden = [EFFECTS["lidar.sector_loss"](azimuth_rad=-1.5, width_rad=0.8, loss_db=3.0)]
