@@ -180,10 +180,12 @@ def further(
     refitted: float = 0.0,
     lost: float = math.inf,
     helped: float = 10.0,
+    beside: float = math.inf,
 ) -> list[str]:
     """Effects that are kept where the best one leaves a misfit, and so much more than noise does, and another one
     lowers it by a gain, of which the best one would gain a part by itself, fitted again; the other one by itself would
-    lose so much. On held-out conditions each lowers the misfit by ``helped``."""
+    lose so much. On held-out conditions each lowers the misfit by ``helped``. Where the other one acts ``beside`` is
+    explained, all of it at most."""
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
@@ -218,6 +220,11 @@ def further(
     monkeypatch.setattr(workflow, "fitted", next_one)
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
     monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
+    acts = min(beside, 1200.0 - misfit)
+    monkeypatch.setattr(workflow, "response_of", lambda search, fit, name: np.ones(4))
+    monkeypatch.setattr(
+        workflow, "explained_beside", lambda search, fit, responses: np.full(np.shape(responses)[0], acts)
+    )
 
     def fit(setting: Setting, nuisance: Any, base: Any) -> Any:
         if list(setting.values) == list(window):
@@ -296,8 +303,26 @@ def test_where_a_promise_is_not_kept_others_are_fitted(
 def test_a_further_effect_explains_most_of_what_is_left_or_a_tenth_of_all(
     monkeypatch: pytest.MonkeyPatch, misfit: float, threshold: float, excess: float, needed: float
 ) -> None:
-    assert len(further(monkeypatch, misfit, needed - 0.5, threshold, excess)) == 1
-    assert len(further(monkeypatch, misfit, needed + 0.5, threshold, excess)) == 2
+    """Of a rest that is no noise."""
+    monkeypatch.setattr(workflow, "_confusable", lambda name, other: True)  # it compares with the first
+    for off, number in ((-0.5, 1), (0.5, 2)):
+        assert len(further(monkeypatch, misfit, needed + off, threshold, excess, rest_p=0.5 * REST_P)) == number
+
+
+@pytest.mark.parametrize(
+    ("threshold", "beside", "needed"),
+    [
+        (20.0, 5000.0, 150.0),  # 3 % of all
+        (20.0, 1000.0, 30.0),  # of what is explained where it acts
+        (20.0, 0.0, 20.0),  # what noise gains, where the first one does nothing
+    ],
+)
+def test_beside_a_rest_that_is_noise_a_further_effect_compares_with_the_first_where_it_acts(
+    monkeypatch: pytest.MonkeyPatch, threshold: float, beside: float, needed: float
+) -> None:
+    for off, number in ((-0.5, 1), (0.5, 2)):
+        kept = further(monkeypatch, 1200.0 - 5000.0, needed + off, threshold, excess=150.0, beside=beside)
+        assert len(kept) == number
 
 
 @pytest.mark.parametrize(("rest_p", "needed"), [(2.0 * REST_P, 150.0), (0.5 * REST_P, 90.0)])
@@ -327,7 +352,8 @@ def test_the_catalogue_says_what_may_be_taken_for_what_in_either_place() -> None
 
 def test_a_first_effect_that_was_not_at_its_best_is_no_merit_of_the_second(monkeypatch: pytest.MonkeyPatch) -> None:
     for refitted, number in ((41.0, 1), (39.0, 2)):  # of 100; 60 are needed
-        assert len(further(monkeypatch, 300.0, 100.0, excess=100.0, refitted=refitted)) == number
+        kept = further(monkeypatch, 300.0, 100.0, excess=100.0, rest_p=0.5 * REST_P, refitted=refitted)
+        assert len(kept) == number
 
 
 def test_a_further_effect_helps_where_it_was_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,8 +59,9 @@ FLOOR_WEIGHT = 20.0  # of a frame's floor, which is the mean of very many cells
 # Within which a detection follows a target: a degree or two of direction, a few bins of speed (orders of magnitude).
 SAME_DIRECTION_RAD, SAME_SPEED_M_PER_S = 0.02, 0.4
 ONE_DELAY = 1.5  # factor within which delays are those of one second path, order of magnitude
-# By which the logarithm of a delay, and the power of a ghost in dB, scatter at least: no two paths are known better.
-READ_TO = {"log_ghost_delay": 0.1, "ghost_power_db": 1.0}
+# By which the logarithm of a delay, and the power of a further detection in dB, scatter at least from one path to the
+# next: no two are known better. A path is the same one in all frames.
+READ_TO = {"log_ghost_delay": 0.1, "ghost_power_db": 1.0, "clutter_snr_db": 1.0}
 EVERYWHERE = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class")
 # Weight, value and square of each statistic.
 SUMS = {
@@ -107,7 +108,7 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     groups.append(Group("noise_floor_share", "noise_floor_db", "share", FLOOR_STEPS_DB))
     groups.append(Group("clutter_count", PARTICLE_AXIS, "count", CLUTTER_RANGE_M))
     groups += [
-        Group(statistic, PARTICLE_AXIS, kind, CLUTTER_RANGE_M)
+        Group(statistic, PARTICLE_AXIS, kind, CLUTTER_RANGE_M, READ_TO.get(statistic, 0.0))
         for statistic, kind in (
             ("clutter_snr_db", "mean"),
             ("clutter_speed_m_per_s", "mean"),
@@ -116,8 +117,9 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     ]
     groups.append(Group("ghost_count", "ghost_delay_m", "count", GHOST_DELAY_M))
     whole = (CLUTTER_RANGE_M[0], CLUTTER_RANGE_M[-1])
-    groups += [Group("log_ghost_delay", PARTICLE_AXIS, kind, whole) for kind in ("mean", "spread")]
-    groups.append(Group("ghost_power_db", PARTICLE_AXIS, "mean", whole))
+    groups.append(Group("log_ghost_delay", PARTICLE_AXIS, "mean", whole, READ_TO["log_ghost_delay"]))
+    groups.append(Group("log_ghost_delay", PARTICLE_AXIS, "spread", whole))
+    groups.append(Group("ghost_power_db", PARTICLE_AXIS, "mean", whole, READ_TO["ghost_power_db"]))
     return Layout(tuple(groups), SCALARS, STEADY, (), FROM_CLEAR, ABOUT_OWN_MEAN)
 
 

@@ -71,12 +71,15 @@ class Group:
         axis: along what, with its unit in the name, such as ``range_m``.
         kind: how sums become an entry (see the module).
         edges: of the bins; of a ``between``, ``slope`` or ``persistence`` group ``(0, 1)``.
+        known_to: of a mean, standard deviation by which each of its elements may be another than the model's, in all
+            frames alike; in units of the statistic.
     """
 
     statistic: str
     axis: str
     kind: str
     edges: tuple[float, ...]
+    known_to: float = 0.0
 
     @property
     def bins(self) -> int:
@@ -291,6 +294,8 @@ class Pool:
             else:
                 part = slice(start, start + group.bins)
                 least = _least_scatter(group.kind, number, weight[part], value[part], square[part])
+                if group.known_to > 0:  # more frames tell no more of it
+                    least = np.hypot(least, group.known_to / np.sqrt(np.maximum(weight[part] / number, 1.0)))
                 if group.axis == PARTICLE_AXIS and misplaced > 0:
                     least = np.hypot(least, _known_to(group.kind, weight[part], value[part], misplaced))
                 found.append(least)

@@ -35,6 +35,7 @@ from torchweather.gap.candidate_fits import (
 )
 from torchweather.gap.clear_air import ClearAir, clear_air
 from torchweather.gap.effect_forms import effect_class
+from torchweather.gap.further import explained_beside, response_of
 from torchweather.gap.held_out import HeldOut, held_out
 from torchweather.gap.matched import Node, gains, pair_gains
 from torchweather.gap.screening import Screening, placed_nodes, screen, screening_entries
@@ -52,8 +53,8 @@ ALARM_P = 2e-4
 REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 1
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
-# Of what is explained, that a further effect must add; and of the misfit that is left, unless it adds more: what
-# another form of the first effect leaves is patched a little by many.
+# Of what is explained where a further effect acts, that it must add (``needed_beside``); and of the misfit that is left,
+# unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 # By which a further effect must lower the misfit of held-out conditions, two standard deviations, however much it
 # explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
@@ -206,7 +207,7 @@ def _rounds(
         left = best.fit.nuisance.left(best.fit.residual)
         excess = OF_THE_REST * screening.rest.excess(left)
         significant = screening.rest.p_value(left) < REST_P
-        needed = max(threshold, FURTHER * explained, min(FURTHER_SURE * explained, excess))
+        least = max(threshold, min(FURTHER_SURE * explained, excess if significant else 0.0))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
         if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
@@ -219,15 +220,14 @@ def _rounds(
             # While the responses around the base still say something: pairs of any two.
             nodes = _beside(search, screening)
             gain = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
-            pairs = best_pairs(nodes, gain, search.origin, best.gain + needed)
-        fresh, proposed = _on_top(search, rest, best, needed, threshold, sure)
+            pairs = best_pairs(nodes, gain, search.origin, best.gain + max(least, FURTHER * explained))
+        fresh, proposed = _on_top(search, rest, best, least, threshold, sure)
         if pairs:
             proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
         if not proposed:
             return rounds
         more = _fitted_on_top(search, base, best, rest, proposed, threshold, say)
-        kept = [one for one in more if one.gain >= fresh.get(one.id, needed)]
-        kept = [one for one in kept if _own_gain(search, one) >= fresh.get(one.id, needed)]
+        kept = [one for one in more if _earns(search, best, one, fresh.get(one.id, math.inf), least)]
         if not kept:
             return rounds
         needful = _without_idle(search, kept[0], threshold)
@@ -283,17 +283,25 @@ def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
     return fit
 
 
-def _own_gain(search: Search, further: Candidate) -> float:
-    """Gain of a further effect over the others fitted again from where they stand beside it: a first effect that was
-    not at its best yet is no merit of the second."""
+def _earns(search: Search, best: Candidate, further: Candidate, fresh: float, least: float) -> bool:
+    """Whether a further effect gains what it needs: so much if that is ``fresh``, or ``least`` and a share of what was
+    explained where it acts.
+
+    Also over the others fitted again from where they stand beside it: a first effect that was not at its best yet is no
+    merit of the second.
+    """
     fit = further.fit
+    beside = float(explained_beside(search, best.fit, response_of(search, fit, further.id)[None])[0])
+    needed = min(fresh, max(least, FURTHER * beside))
+    if further.gain < needed:
+        return False
     others = {name: values for name, values in fit.setting.values.items() if name != further.id}
     alone = search.fit(replace(fit.setting, values=others), fit.nuisance, fit.base)
-    return alone.misfit - fit.misfit
+    return alone.misfit - fit.misfit >= needed
 
 
 def _on_top(
-    search: Search, rest: Sequence[Node], best: Candidate, needed: float, sure: float, most: float
+    search: Search, rest: Sequence[Node], best: Candidate, least: float, sure: float, most: float
 ) -> tuple[dict[str, float], list[Proposal]]:
     """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
 
@@ -301,7 +309,7 @@ def _on_top(
         search: its simulator.
         rest: responses to the effects that were not found yet.
         best: what was found so far.
-        needed: gain that a further effect must promise,
+        least: gain that a further effect must promise, and a share of what was explained where it acts,
         sure: or this, if it shows where those found do nothing,
         most: or this, most of a rest that is no noise.
 
@@ -319,7 +327,8 @@ def _on_top(
     # Another form of an effect than the stage's looks like what it is confused with.
     found = best.fit.setting.values
     fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}
-    if not fresh and gain.max() < needed:
+    beside = explained_beside(search, best.fit, np.stack([node.response for node in rest]))
+    if not fresh and (gain < np.maximum(least, FURTHER * beside)).all():
         return fresh, []
     return fresh, _best_on_top(best, rest, fresh.keys())
 
