@@ -362,6 +362,21 @@ def test_further_detections_are_counted_by_range_and_ghosts_behind_their_targets
     assert ghosts > 10
 
 
+@pytest.mark.parametrize(
+    ("statistic", "known_to"), [("ghost_power_db", 1.0), ("log_ghost_delay", 0.1), ("clutter_snr_db", 1.0)]
+)
+def test_a_path_is_the_same_one_in_all_frames(model: RadarFrames, statistic: str, known_to: float) -> None:
+    """However many frames there are, its power is known to 1 dB and its delay to a tenth."""
+    found = model.measured(model.fit[0])
+    pool = Pool(model.layout, found)
+    means = model.layout.each(lambda one: (one.statistic, one.kind) == (statistic, "mean"))
+    a_frame = group(model, found, statistic, "particle_range_m", "weight").mean(0)[: means.sum()]
+    assert a_frame.max() > 3.0
+    least = known_to / np.sqrt(np.maximum(a_frame, 1.0))
+    np.testing.assert_array_less(least, pool.least_scatter(10_000)[means] * (1.0 + 1e-9))
+    np.testing.assert_allclose(pool.least_scatter(10_000)[means], least, rtol=0.1)
+
+
 def test_a_detection_far_behind_a_target_by_chance_is_no_ghost_of_the_same_path() -> None:
     delays = np.array([2.4, 2.5, np.nan, 2.6, 103.0, 2.55, 0.9])
     assert _at_one_delay(delays).tolist() == [True, True, False, True, False, True, False]

@@ -309,6 +309,20 @@ def test_the_least_scatter_lies_below_that_of_independent_elements() -> None:
         assert 0.4 * closed < found < closed
 
 
+@pytest.mark.parametrize("number", [2, 20])
+def test_no_number_of_frames_tells_more_of_what_each_element_has_in_all_of_them(number: int) -> None:
+    """Nine paths in each frame, each off by a draw of its own that stays: their mean is off by a third of that."""
+    weight, known_to = 9.0, 1.5
+    off = np.random.default_rng(1).normal(0.0, known_to, (20_000, 9))
+    frames = reduced(np.full(3, weight), np.zeros(3), np.full(3, 1e-6 * weight))
+    layout = Layout((Group("it", "x", "mean", (0.0, 1.0), known_to),), (), (), ())
+    # 20,000 draws: 0.5 %.
+    assert float(Pool(layout, frames).least_scatter(number)[0]) == pytest.approx(off.mean(1).std(), rel=0.02)
+    # What is no longer a whole one a frame is known no better than one is.
+    few = reduced(np.full(3, 0.1), np.zeros(3), np.full(3, 1e-7))
+    assert float(Pool(layout, few).least_scatter(number)[0]) == pytest.approx(known_to, rel=1e-3)
+
+
 @pytest.mark.parametrize(("share", "expected"), [(0.5, "one"), (0.2, "one"), (0.0, "counting")])
 def test_a_share_scatters_no_more_than_one_element_that_changes_in_half_of_the_frames(
     share: float, expected: str

@@ -53,7 +53,7 @@ ALARM_P = 2e-4
 REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 1
 MOST_EFFECTS = 3
 FEWEST_ENTRIES = 30  # statistics that count, over all conditions
-# Of what is explained where a further effect acts, that it must add (``needed_beside``); and of the misfit that is left,
+# Of what is explained where a further effect acts, that it must add (``further.py``); and of the misfit that is left,
 # unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 # By which a further effect must lower the misfit of held-out conditions, two standard deviations, however much it
