@@ -44,6 +44,7 @@ from torchweather.gap.workflow import (
     SURE_P,
     UNKNOWN_SHARE,
     _fitted_on_top,
+    _on_top,
     _rounds,
     _verdict,
 )
@@ -338,6 +339,29 @@ def test_what_may_be_taken_for_the_first_compares_with_it(monkeypatch: pytest.Mo
     monkeypatch.setattr(workflow, "_confusable", lambda name, other: (name, other) == CONFUSED)
     for gain, number in ((149.0, 1), (151.0, 2)):
         assert len(further(monkeypatch, 1200.0 - 5000.0, gain, excess=150.0, rest_p=0.5 * REST_P)) == number
+
+
+def test_nothing_is_fitted_on_top_that_does_not_promise_what_it_needs_where_it_acts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A response that promises 100 where 2,000 or 4,000 is explained."""
+    crosstalk = NODES[3]
+    fit: Any = SimpleNamespace(setting=Setting(), nuisance=NOTHING, residual=np.array([0.0, 0.0, 74.6, 0.0]))
+    promised = float(gains([crosstalk], fit.residual[None], NOTHING)[0][0])
+    monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
+    for explained, number in ((promised / 0.029, 1), (promised / 0.031, 0)):
+        monkeypatch.setattr(
+            workflow, "explained_beside", lambda search, fit, responses, value=explained: np.full(1, value)
+        )
+        fresh, proposed = _on_top(
+            None,  # type: ignore[arg-type]
+            [crosstalk],
+            Candidate("first", fit, 5000.0),
+            30.0,
+            math.inf,
+            math.inf,
+        )
+        assert (fresh, len(proposed)) == ({}, number)
 
 
 CONFUSED = ("lidar.range_noise", "lidar.window_loss")
