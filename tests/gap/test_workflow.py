@@ -344,7 +344,7 @@ def test_what_may_be_taken_for_the_first_compares_with_it(monkeypatch: pytest.Mo
 def test_nothing_is_fitted_on_top_that_does_not_promise_what_it_needs_where_it_acts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A response that promises 200, where 3 % of what is explained are 193 or 206."""
+    """A response that promises 200, where 3 % of what is explained are 194 or 208."""
     crosstalk = NODES[3]
     fit: Any = SimpleNamespace(setting=Setting(), nuisance=NOTHING, residual=np.array([0.0, 0.0, 75.0, 0.0]))
     promised = float(gains([crosstalk], fit.residual[None], NOTHING)[0][0])
