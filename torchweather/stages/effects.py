@@ -143,8 +143,10 @@ class Effect(Stage):
             self.register_buffer(parameter.name, parameter.tensor(value, owner=self))
 
     def config(self) -> dict[str, Any]:
-        """The parameters as numbers, lists where they differ between samples."""
-        return {parameter.name: getattr(self, parameter.name).tolist() for parameter in self.arguments}
+        """The parameters as numbers, lists where they differ between samples; a bound that float32 rounds outwards as
+        the bound itself, so that they are taken again."""
+        values = {one: getattr(self, one.name).detach().double() for one in self.arguments}
+        return {one.name: value.clamp(one.low, one.high).tolist() for one, value in values.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values: ``effect``, its id, and the parameters."""
