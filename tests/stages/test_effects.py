@@ -393,6 +393,19 @@ def test_an_effect_comes_back_from_its_dictionary_and_its_chain_from_a_file(
         assert torch.equal(loaded(state, noise).points, chain(state, noise).points)
 
 
+@pytest.mark.parametrize("name", list(EFFECTS))
+def test_a_bound_that_float32_rounds_outwards_comes_back_from_the_dictionary(name: str) -> None:
+    """Of every sensor: -pi as float32 lies below -pi."""
+    effect = EFFECTS[name]
+    for parameter in effect.arguments:
+        for bound in (parameter.low, parameter.high):
+            for value in (bound, [bound, parameter.value]):
+                own = effect(**{parameter.name: value})
+                again = effect_from_dict(yaml.safe_load(yaml.safe_dump(own.to_dict())))
+                assert again.to_dict() == own.to_dict()
+                assert torch.equal(getattr(again, parameter.name), getattr(own, parameter.name))
+
+
 def test_a_chain_holds_what_fitting_made_of_a_parameter(transform: LidarWeather, tmp_path: Path) -> None:
     chain = with_effects(transform.chain, [active("lidar.window_loss")])
     chain.stages["window_loss"].loss_db.fill_(1.25)
