@@ -22,6 +22,7 @@ from typing import Any
 from hidden.answering import answer, draw_calibration, draw_confusion
 from hidden.bars import against_bars
 from hidden.bench_sensor import SENSORS, BenchSensor, bench_sensor
+from hidden.planning import FAMILIES
 from hidden.scoring import score
 from hidden.sealed import append_line, read_json, read_lines, sha256_of, write_json
 from hidden.table_text import bars_table, further_table, missed_table
@@ -130,19 +131,31 @@ def known(arguments: argparse.Namespace) -> None:
         print(f"{case}  {found['seconds']:.1f} s", flush=True)
 
 
+def folder_and_families(given: str) -> tuple[Path, list[str]]:
+    """``DIR``, or ``DIR:single,pair``: the families of a set that count; none: all."""
+    folder, colon, listed = given.rpartition(":")
+    if not colon or (Path(given) / "seal.json").exists():
+        return Path(given), []
+    families = listed.split(",")
+    if not set(families) <= set(FAMILIES):
+        raise SystemExit(f"{given}: wanted a folder, or one with :{','.join(FAMILIES)} or some of these; got {listed}.")
+    return Path(folder), families
+
+
 def report(arguments: argparse.Namespace) -> None:
     """Open the truth and set it against the answers."""
-    folders: list[Path] = arguments.folders
+    sets = [folder_and_families(str(given)) for given in arguments.folders]
+    folders = [folder for folder, _ in sets]
     seals, truths, answers, told = [], {}, [], []
-    for folder in folders:
+    for folder, families in sets:
         seal, lines = read_json(folder / "seal.json"), read_lines(folder / "answers.jsonl")
         strange = sorted({one["case"] for one in lines if one["sealed"] != seal["truth_sha256"]})
         if strange:
             raise SystemExit(f"{folder}: {', '.join(strange)} were answered under another seal; answer them again.")
         if seals and seal["sensor"] != seals[0]["sensor"]:
             raise SystemExit(f"{folder}: wanted a set of sensor {seals[0]['sensor']}; got {seal['sensor']}.")
-        seals.append(seal)
-        truths |= truth_of(folder)
+        seals.append({**seal, "families": families} if families else seal)
+        truths |= {case: one for case, one in truth_of(folder).items() if not families or one["family"] in families}
         answers += lines
         told += read_lines(folder / "known.jsonl")
     sensor = sensor_of(folders[0])
@@ -150,7 +163,8 @@ def report(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out or folders[0] / "score"
     bars = against_bars(found["table"], sensor.bars)
     write_json(out / "score.json", {"sets": seals, **found, "bars": bars})
-    draw_confusion(found["table"]["confusion"], out / "confusion.png")
+    if found["table"]["confusion"]:  # of single effects and such from outside
+        draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
     tables = bars_table(found["table"], bars), further_table(found["table"]), missed_table(found["cases"])
     with atomic_write(out / "table.md") as unfinished:  # for docs/gap-bench.md
@@ -197,7 +211,11 @@ def main(argv: list[str] | None = None) -> int:
         one.add_argument("--part", default=None, help="k/n: every n-th study from the k-th, for several processes")
         one.set_defaults(run=act)
     one = commands.add_parser("score", help="open the sealed truth and write the table and pictures")
-    one.add_argument("folders", type=Path, nargs="+", help="one set, or several of a sensor in one table")
+    one.add_argument(
+        "folders",
+        nargs="+",
+        help="one set, or several of a sensor in one table; DIR:single,pair counts these families of a set alone",
+    )
     one.add_argument("--out", type=Path, default=None, help="default: score in the first folder")
     one.set_defaults(run=report)
     arguments = parser.parse_args(argv)

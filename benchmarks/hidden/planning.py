@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["Case", "Row", "cases_of", "label_key", "null_rows", "screen_rows"]
+__all__ = ["FAMILIES", "Case", "Row", "cases_of", "label_key", "null_rows", "screen_rows"]
+
+FAMILIES = ("null", "single", "pair", "triple", "outside", "decoy")
 
 Row = tuple[str, tuple[str, ...], tuple[float, ...], Any, dict[str, Any]]
 """Weather, what is hidden, d' of each, size or ``None`` for the usual one, options."""
@@ -19,7 +21,7 @@ class Case:
 
     Args:
         id: of its folder; says nothing about what is hidden.
-        family: ``single``, ``pair``, ``triple``, ``null``, ``outside`` or ``decoy``.
+        family: one of ``FAMILIES``.
         weather: ``rain``, ``fog`` or ``snow``.
         names: hidden effects, of the catalogue or ``outside.``.
         levels: d' of each.
@@ -74,7 +76,7 @@ def _family(names: tuple[str, ...], options: Mapping[str, Any]) -> str:
         return "decoy"
     if names and names[0].startswith("outside."):
         return "outside"
-    return ("null", "single", "pair", "triple")[len(names)]
+    return FAMILIES[len(names)]
 
 
 def null_rows(weathers: Sequence[str], least: Any) -> Iterator[Row]:

@@ -127,6 +127,25 @@ def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effec
             act(_arguments(folder))
 
 
+def test_a_table_counts_the_families_of_a_set_that_are_asked_for(bench, folder, monkeypatch):
+    truths = {
+        case: {**_truth(case), "family": family}
+        for case, family in zip("abc", ("single", "pair", "decoy"), strict=True)
+    }
+    write_json(folder / "sealed" / "truth.json", truths)
+    seal = {"sensor": "lidar", "set": "dev", "seed": 1, "truth_sha256": sha256_of(folder / "sealed" / "truth.json")}
+    write_json(folder / "seal.json", seal)
+    monkeypatch.setattr(bench, "answer", lambda study, seed, **more: _answer())
+    bench.run(_arguments(folder))
+    for given, counted in ((f"{folder}:single,pair", (1, 1)), (f"{folder}:pair", (0, 1))):
+        bench.report(_arguments(folder, folders=[given]))
+        written = json.loads((folder / "score" / "score.json").read_text())
+        assert tuple(written["table"][name]["of"] for name in ("singles_exact", "pairs_both")) == counted
+        assert written["sets"] == [{**seal, "families": given.rpartition(":")[2].split(",")}]
+    with pytest.raises(SystemExit, match=r"wanted a folder, or one with :null,single.*got singles"):
+        bench.report(_arguments(folder, folders=[f"{folder}:singles"]))
+
+
 def test_of_several_answers_to_a_study_the_first_counts():
     answers = [{"case": "a", **_answer()}, {"case": "a", **_answer("lidar.spray")}]
     table = score({"a": _truth("a")}, answers)["table"]
