@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.search import SCREEN_FRAMES, Fit, Search, Setting
+from torchweather.gap.search import SCREEN_FRAMES, Fit, Search
 
 __all__ = ["explained_beside", "response_of"]
 
@@ -42,7 +42,5 @@ def explained_beside(search: Search, fit: Fit, responses: Floats) -> Floats:
 
 def response_of(search: Search, fit: Fit, name: str) -> Floats:
     """What one effect of a fit changes where it stands, ``(C P,)``."""
-    others = {one: given for one, given in fit.setting.values.items() if one != name}
-    without = Setting(others, fit.setting.log_knob, fit.setting.open)
-    there, here = (search.mean(setting, SCREEN_FRAMES) for setting in (fit.setting, without))
+    there, here = (search.mean(setting, SCREEN_FRAMES) for setting in (fit.setting, fit.setting.without(name)))
     return search.whitened(fit.base, [new - old for new, old in zip(there, here, strict=True)])

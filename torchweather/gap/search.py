@@ -74,6 +74,10 @@ class Setting:
     log_knob: Mapping[str, float] = field(default_factory=dict)
     open: Mapping[str, float] = field(default_factory=dict)
 
+    def without(self, name: str) -> Setting:
+        """The same without one effect."""
+        return replace(self, values={one: given for one, given in self.values.items() if one != name})
+
 
 @dataclass(frozen=True)
 class Fit:

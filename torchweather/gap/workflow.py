@@ -276,8 +276,7 @@ def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
     for name in further.fit.setting.values:
         if name == further.id:
             continue
-        values = {one: given for one, given in fit.setting.values.items() if one != name}
-        without = search.fit(replace(fit.setting, values=values), fit.nuisance, fit.base)
+        without = search.fit(fit.setting.without(name), fit.nuisance, fit.base)
         if without.misfit - further.fit.misfit < threshold:
             fit = without
     return fit
@@ -295,8 +294,7 @@ def _earns(search: Search, best: Candidate, further: Candidate, fresh: float, le
     needed = min(fresh, max(least, FURTHER * beside))
     if further.gain < needed:
         return False
-    others = {name: values for name, values in fit.setting.values.items() if name != further.id}
-    alone = search.fit(replace(fit.setting, values=others), fit.nuisance, fit.base)
+    alone = search.fit(fit.setting.without(further.id), fit.nuisance, fit.base)
     return alone.misfit - fit.misfit >= needed
 
 
