@@ -17,6 +17,7 @@ from torchweather.gap import workflow
 from torchweather.gap.baseline import targets
 from torchweather.gap.candidate_fits import (
     LEAST_AMPLITUDE,
+    MUCH_SCALED,
     Candidate,
     Proposal,
     _start,
@@ -24,6 +25,7 @@ from torchweather.gap.candidate_fits import (
     best_pairs,
     hidden_nodes,
     scattering,
+    unscaled_nodes,
 )
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.find import find_gap
@@ -58,10 +60,17 @@ EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
 
 
 def screening(
-    misfit: float = 1200.0, p_value: float = 1e-9, excess: float = 0.0, rest_p: float = 1.0, common_p: float = 1.0
+    misfit: float = 1200.0,
+    p_value: float = 1e-9,
+    excess: float = 0.0,
+    rest_p: float = 1.0,
+    rest_common_p: float = 1.0,
+    common_p: float = 1.0,
 ) -> Any:
     """Noise gains 30 at most; some statistics exceed theirs."""
-    rest = SimpleNamespace(excess=lambda left: excess, p_value=lambda left: rest_p)
+    rest = SimpleNamespace(
+        excess=lambda left: excess, p_value=lambda left: rest_p, common_p_value=lambda left: rest_common_p
+    )
     noise = np.full(100, 30.0)
     return SimpleNamespace(misfit=misfit, p_value=p_value, common_p_value=common_p, best_null=noise, rest=rest)
 
@@ -101,9 +110,9 @@ NODES = [
 def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, verdict: str) -> None:
     """Of 1,000 that the effect explains and what it leaves, where that is no noise."""
     excess = 1000.0 * share / (1.0 - share)
-    found = screening(excess=excess, rest_p=0.5 * REST_P)
-    assert _verdict(found, left_by(200.0), BEFORE, EXPLAINED) == verdict
-    noise = screening(excess=excess, rest_p=2.0 * REST_P)
+    for sure in ({"rest_p": 0.5 * REST_P}, {"rest_common_p": 0.5 * REST_P}):
+        assert _verdict(screening(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
+    noise = screening(excess=excess, rest_p=2.0 * REST_P, rest_common_p=2.0 * REST_P)
     assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
 
 
@@ -570,6 +579,24 @@ def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
         ("lidar.range_noise", {"std_m": 0.1}),
     ]
     assert [amplitude for _, amplitude in found] == pytest.approx([5.15 / 9.25, 0.65], rel=1e-12)
+
+
+def test_what_begins_at_a_threshold_is_also_fitted_from_a_setting_as_it_stands() -> None:
+    """Counts that grow as the square: of what is left the strongest explains most if scaled to a tenth, the second as
+    it is. Where none is scaled by as much, and of an effect with a few settings, there is one beginning."""
+    effect, strengths = EFFECTS["lidar.crosstalk"], (0.01, 0.02, 0.03, 0.04, 0.08)
+    line = Line(effect, tuple({"probability": one} for one in strengths))
+    responses = [[0.2, 0.0, 0.0], [0.9, 0.1, 0.0], [2.0, 1.0, 0.0], [3.0, 4.0, 0.0], [9.0, 9.0, 1.0]]
+    nodes = [
+        Node(line, k, dict(values), np.array(response))
+        for k, (values, response) in enumerate(zip(line.settings, responses, strict=True))
+    ]
+    nuisance, left = Nuisance(np.zeros((3, 1)), np.zeros(1), 1), np.array([1.0, 0.5, 0.0])
+    assert unscaled_nodes(nodes, [(nodes[4], 0.1)], left, nuisance) == [(nodes[1], 1.0)]
+    assert unscaled_nodes(nodes, [(nodes[4], 0.9 * MUCH_SCALED)], left, nuisance) == [(nodes[1], 1.0)]
+    assert unscaled_nodes(nodes, [(nodes[2], 1.1 * MUCH_SCALED)], left, nuisance) == []
+    few = [replace(one, line=Line(effect, line.settings[:3])) for one in nodes[:3]]
+    assert unscaled_nodes(few, [(few[2], 0.1)], left, nuisance) == []
 
 
 def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_done() -> None:

@@ -23,7 +23,17 @@ from torchweather.gap.study import StudyScene
 from torchweather.image.bayer import cfa_colour_index
 from torchweather.sensors import Camera
 
-__all__ = ["COLOURS", "LAGS", "CameraScene", "Pairs", "camera_scene", "cell_colours", "in_blocks", "place_in"]
+__all__ = [
+    "COLOURS",
+    "LAGS",
+    "CameraScene",
+    "Pairs",
+    "camera_scene",
+    "cell_colours",
+    "green_pair",
+    "in_blocks",
+    "place_in",
+]
 
 COLOURS = ("red", "green", "blue")  # of the colour filter array; green is the clear pixel's where there is one
 GREEN = 1
@@ -150,6 +160,20 @@ def cell_colours(bayer: Tensor, pattern: str) -> Tensor:
             phases.setdefault(int(index[row][column]), []).append(bayer[:, 0, row::2, column::2])
     planes = [phases[colour] for colour in sorted(phases)]
     return torch.stack([some[0] if len(some) == 1 else 0.5 * (some[0] + some[1]) for some in planes], 1)
+
+
+def green_pair(bayer: Tensor, pattern: str) -> Tensor:
+    """Difference of the two greens of each cell of mosaics ``(F, 1, H, W)``: ``(F, H/2, W/2)``.
+
+    They touch at a corner: optics hardly tell them apart, a fault of one pixel or one row does.
+    """
+    first, second = (
+        bayer[:, 0, row::2, column::2]
+        for row, colours in enumerate(cfa_colour_index(pattern))
+        for column, colour in enumerate(colours)
+        if int(colour) == GREEN
+    )
+    return first - second
 
 
 def in_blocks(cells: Tensor) -> Tensor:

@@ -32,6 +32,7 @@ __all__ = [
     "hidden_nodes",
     "scattering",
     "stands_far",
+    "unscaled_nodes",
 ]
 
 Floats = NDArray[np.float64]
@@ -48,6 +49,7 @@ OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronge
 REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.5  # of the best gain, from which a candidate is refitted
+MUCH_SCALED = 0.3  # amplitude of a node below which an effect that begins at a threshold is not on its way to it
 LEAST_AMPLITUDE = 0.02  # of a node's response, at which a fit starts
 
 
@@ -77,6 +79,23 @@ def best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[
         best.setdefault(nodes[place].id, int(place))
     worth = [place for place in best.values() if gain[place] >= WORTH * gain.max()]
     return [(nodes[place], float(amplitude[place])) for place in worth]
+
+
+def unscaled_nodes(
+    nodes: Sequence[Node], chosen: Sequence[tuple[Node, float]], left: Floats, nuisance: Nuisance
+) -> list[tuple[Node, float]]:
+    """Of each effect that begins at a threshold and whose chosen node would be scaled to much less, the node that
+    explains most, or spoils least, as it stands.
+
+    A share of the response to many strong ghosts is not the response to the first ones that are detected.
+    """
+    responses = np.stack([node.response for node in nodes])
+    gain = 2.0 * responses @ left - (responses * nuisance(responses)).sum(1)
+    best: dict[str, int] = {}
+    for place in np.argsort(-gain):
+        best.setdefault(nodes[place].id, int(place))
+    scaled = [node for node, amplitude in chosen if node.line.curved and amplitude < MUCH_SCALED]
+    return [(nodes[best[node.id]], 1.0) for node in scaled]
 
 
 def hidden_nodes(nodes: Sequence[Node], nuisance: Nuisance, open_ones: slice) -> list[tuple[Node, float]]:

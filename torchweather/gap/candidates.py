@@ -37,11 +37,17 @@ class Line:
     settings: tuple[Mapping[str, float], ...]
 
     @property
+    def curved(self) -> bool:
+        """Whether no setting says what the next one does, so that many are tried: of what cuts, or begins at a
+        threshold, or has its identity infinitely far."""
+        return len(self.settings) > len(STEPS)
+
+    @property
     def first(self) -> tuple[int, ...]:
         """Places of the settings that are tried at first: one of a typical size, and a weak one, as few counts go as
         the root and strong effects change other statistics as well; all where the identity is infinitely far."""
         number = len(self.settings)
-        if number > len(STEPS):
+        if self.curved:
             return tuple(range(number))
         return (0, number // 2) if number > 2 else (number // 2,)
 

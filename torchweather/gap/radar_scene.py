@@ -24,6 +24,7 @@ from torchweather.sensors import Radar
 
 __all__ = [
     "CLUTTER_COLUMNS",
+    "MEASURED",
     "Detections",
     "RadarScene",
     "detection_count",

@@ -4,7 +4,8 @@ A target is *lost*, or detected with another power, speed and range than in the 
 compared after the loss on the path that the recorded weather says, so that what is left is even over the range where
 nothing is missing; spreads are about the frame's own mean and in units of the target's own in clear air. All further
 detections (``clutter``) are counted by range, and those that follow a target in its direction at its speed by how far
-behind it they lie.
+behind it they lie. How the list was read out is told by values that come again and by speeds far off
+(``radar_readout.py``).
 
 References:
     GAP.md 3 (1).
@@ -18,7 +19,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.radar_scene import Detections, RadarScene
+from torchweather.gap.radar_readout import FAR_OFF_SD, far_off, repeated
+from torchweather.gap.radar_scene import MEASURED, Detections, RadarScene
 from torchweather.gap.statistics import PARTICLE_AXIS, Group, Layout, Reduced
 
 __all__ = ["FLOOR_STEPS_DB", "GHOST_DELAY_M", "RadarSums", "floor_ramps", "radar_layout"]
@@ -75,9 +77,10 @@ SUMS = {
     "range_spread": ("free", "wide", "wide2"),
     "range_drift_m": ("lever", "drift", "apart2"),
 }
+REPEATED = {f"repeated_{name.split('_')[0]}_share": name for name in MEASURED}
 FEWEST_CLEAR = 3  # frames, for the spread of a target: all but one, and one more than a mean takes
 VALUES = tuple(dict.fromkeys(name for names in SUMS.values() for name in names))
-FROM_CLEAR = ("lost_target_share", "lost_flickering_share", "clutter_count", "ghost_count")
+FROM_CLEAR = ("lost_target_share", "lost_flickering_share", "speed_far_off_share", "clutter_count", "ghost_count")
 ABOUT_OWN_MEAN = ("power_spread", "speed_spread", "range_spread")
 SCALARS = ("detections_root", "power_residual_db", "clutter_root")
 # Scatter from frame to frame below which frames are called alike: of 0.5 of a stabilised count, and in dB.
@@ -105,6 +108,8 @@ def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
     add("range_error_m", "mean", "range_m")
     add("range_spread", "mean", "range_m", "margin_db")
     groups.append(Group("range_drift_m", "frame", "mean", (0.0, 1.0)))
+    groups.append(Group("speed_far_off_share", "departure_sd", "share", FAR_OFF_SD))
+    groups += [Group(statistic, "all_targets", "share", (0.0, 1.0)) for statistic in REPEATED]
     groups.append(Group("noise_floor_share", "noise_floor_db", "share", FLOOR_STEPS_DB))
     groups.append(Group("clutter_count", PARTICLE_AXIS, "count", CLUTTER_RANGE_M))
     groups += [
@@ -143,6 +148,8 @@ class RadarSums:
         self._hot["frame"] = scene.counted[..., None].astype(np.float64)
         self._evenly = {axis: _as_many(scene.level_weight["power_db"], hot) for axis, hot in self._hot.items()}
         self._portion: dict[int, Whole] = {}
+        # Where clear frames are written in steps already those say nothing: a simulated frame is off them.
+        self._in_steps = {name: bool(repeated(getattr(scene.clear, name)).any()) for name in MEASURED}
 
     def __call__(
         self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, portions: int = 1, together: int = 0
@@ -173,6 +180,10 @@ class RadarSums:
                 if group.statistic == "power_residual_db":
                     evenly = self._evenly[group.axis][row].repeat(portions, 0)
                     weight, value, square = (one * evenly for one in (weight, value, square))
+            elif group.statistic == "speed_far_off_share":
+                weight, value, square = self._far_off(frames, row, portions)
+            elif group.statistic in REPEATED:
+                weight, value, square = self._repeated(frames, REPEATED[group.statistic], row, portions)
             elif group.statistic == "noise_floor_share":
                 weight, value, square = self._floor(frames, row, portions)
             elif group.statistic == "ghost_count":
@@ -241,6 +252,24 @@ class RadarSums:
         apart = (values[..., None] * hot[:, None]).swapaxes(-1, -2) @ own  # (F, V, bins, portions)
         count = len(values) * portions
         return np.asarray(np.moveaxis(apart, -1, 1).reshape(count, values.shape[1], hot.shape[-1]), dtype=np.float64)
+
+    def _far_off(self, frames: Detections, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
+        """How many targets' speeds are so far from their mean in clear air, of all; none where that tells no spread."""
+        scene = self.scene
+        known = scene.counted[row] & (len(scene.clear) >= FEWEST_CLEAR)
+        there = (~np.isnan(frames.speed_m_per_s) & known).astype(np.float64)
+        apart = np.where(there > 0, frames.speed_m_per_s - scene.reference["speed_m_per_s"][row], np.nan)
+        spread = np.where(there > 0, scene.spread["speed_m_per_s"][row], 1.0)
+        far = self._summed(there[:, None], far_off(apart, spread), portions)[:, 0]
+        number = self._summed(there[:, None], there[..., None], portions)[:, 0]
+        return np.repeat(number, far.shape[1], 1), far, far
+
+    def _repeated(self, frames: Detections, name: str, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
+        """How many targets have a value that another one has, of all; none where clear frames have such."""
+        values = np.where(self.scene.counted[row], getattr(frames, name), np.nan)
+        there = (~np.isnan(values)).astype(np.float64)[:, None] * (not self._in_steps[name])
+        again = self._summed(there, repeated(values)[..., None].astype(np.float64), portions)[:, 0]
+        return self._summed(there, np.ones((*values.shape, 1)), portions)[:, 0], again, again
 
     def _floor(self, frames: Detections, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
         """By how much each frame's floor fills the steps above that of clear air; all of it in the first portion."""

@@ -32,6 +32,7 @@ from torchweather.gap.candidate_fits import (
     hidden_nodes,
     scattering,
     stands_far,
+    unscaled_nodes,
 )
 from torchweather.gap.clear_air import ClearAir, clear_air
 from torchweather.gap.effect_forms import effect_class
@@ -67,7 +68,7 @@ REST_P = 1e-4  # of one statistic, from which a rest is no noise
 REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such statistics
 REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
-UNKNOWN_GAP, UNKNOWN_HELD = 3.0, 0.05
+UNKNOWN_GAP, UNKNOWN_HELD = 2.5, 0.05
 FAR_GAP = 10.0  # held-out gap over its floor, from which nothing was found whatever it explains
 
 
@@ -172,6 +173,7 @@ def _singles(
     if stands_far(base.setting):
         hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
         best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
+    best += unscaled_nodes(screening.nodes, best, nuisance.left(base.residual), nuisance)
     found = fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
     for own, proposal in scattering(search, base, screening.nodes, _threshold(screening)):
         promised.add(proposal[1].id)
@@ -371,7 +373,9 @@ def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) ->
         return unexplained
     left = fit.nuisance.left(fit.residual)
     excess = screening.rest.excess(left)
-    share = excess / max(excess + explained, 1e-9) if screening.rest.p_value(left) < REST_P else 0.0
+    # As an alarm is: in any one condition, or in what all have in common.
+    chance = min(screening.rest.p_value(left), screening.rest.common_p_value(left))
+    share = excess / max(excess + explained, 1e-9) if chance < REST_P else 0.0
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
     far = after.gap > FAR_GAP * after.floor
     if share > UNKNOWN_SHARE or far or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):

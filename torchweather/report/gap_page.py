@@ -29,6 +29,7 @@ from torchweather.report.gap_figures import (
     unknown_uri,
 )
 from torchweather.report.gap_words import (
+    WHOLE,
     axis_name,
     confidence_text,
     edge_text,
@@ -148,7 +149,7 @@ def _marks(study: Study, curves: Sequence[Curve]) -> list[dict[str, str]]:
 
 def _bin(one: Mapping[str, Any]) -> dict[str, str]:
     """A bin that stands out."""
-    whole = one["axis"] in ("frame", "time", "place")
+    whole = one["axis"] in WHOLE
     return {
         "statistic": statistic_name(one["statistic"]),
         "axis": axis_name(one["axis"]),

@@ -11,6 +11,7 @@ from torchweather.report.tables import number_text
 from torchweather.stages import EFFECTS
 
 __all__ = [
+    "WHOLE",
     "axis_name",
     "confidence_text",
     "edge_text",
@@ -52,6 +53,10 @@ STATISTICS = {
     "power_spread": "Spread of power over clear air's",
     "speed_residual_m_per_s": "Speed less clear air's",
     "speed_spread": "Spread of speed over clear air's",
+    "speed_far_off_share": "Targets with a speed far from clear air's",
+    "repeated_power_share": "Targets with the same power as another",
+    "repeated_range_share": "Targets with the same range as another",
+    "repeated_speed_share": "Targets with the same speed as another",
     "range_error_m": "Range less clear air's",
     "range_spread": "Spread of range over clear air's",
     "range_drift_m": "Drift of range over the frames",
@@ -77,6 +82,15 @@ STATISTICS = {
     "difference_spread": "Noise of pixels apart by",
     "edge_contrast": "Contrast across edges, pixels apart by",
     "streak_correlation": "Likeness of pixels apart by",
+    "column_correlation": "Likeness of pixels far apart in a column",
+    "row_correlation": "Likeness of pixels far apart in a row",
+    **{
+        f"shift_{way}_px_{colour}": f"Displacement of {colour} light {words}, px"
+        for way, words in (("across", "to the right"), ("down", "downward"), ("outward", "outward, at the corners"))
+        for colour in ("red", "green", "blue")
+    },
+    "green_pair_share_near": "Pairs of green pixels that differ, near by",
+    "green_pair_share_far": "Pairs of green pixels that differ, far",
     "bright_share_near": "Pixels brighter than those beside them, near by",
     "bright_share_far": "Pixels brighter than those beside them, far",
     "dark_share_near": "Pixels darker than those beside them, near by",
@@ -93,6 +107,7 @@ AXES = {
     "particle_range_m": "range of the particle, m",
     "isolated": "0 extended, 1 thin target",
     "every_beam": "every beam alike",
+    "all_targets": "of all targets",
     "target_class": "class of the target",
     "noise_floor_db": "noise floor over clear air's, dB",
     "ghost_delay_m": "distance behind the target, m",
@@ -103,6 +118,7 @@ AXES = {
     "depth_m_level": "depth of level ground, m",
     "depth_m_upright": "depth of upright surfaces, m",
     "modelled_signal": "modelled signal, of saturation",
+    "departure_sd": "departure, standard deviations in clear air",
     "residual_sd": "departure from those beside it, standard deviations",
     "elevation_rad_near": "elevation, near by, degrees",
     "elevation_rad_far": "elevation, far, degrees",
@@ -148,6 +164,7 @@ SILENT_TWINS = {
     "lidar.window_loss": "a higher detection threshold (lidar.threshold_shift)",
     "lidar.threshold_shift": "a loss at the window (lidar.window_loss)",
 }
+WHOLE = ("frame", "time", "place", "all_targets")  # axes with one bin
 SURE = 0.995
 TINY_P = 1e-6
 NO_END = 1e9  # an edge beyond it is none
@@ -194,7 +211,7 @@ def group_name(statistic: str, axis: str) -> str:
     if axis == "isolated":  # the statistic's name says so
         return statistic_name(statistic)
     along = axis_name(axis).partition(",")[0].removesuffix(" in clear air")
-    word = "" if axis in ("frame", "time", "place") else "by "
+    word = "" if axis in WHOLE else "by "
     return f"{statistic_name(statistic)}, {word}{along}"
 
 

@@ -79,8 +79,10 @@ class CameraAdherentDrops(Effect):
         "difference_spread_16_-4_px",
         *(f"streak_correlation_{lag}_px" for lag in ("2_0", "4_0", "8_0", "16_0", "2_2", "2_-2")),
         *(f"streak_correlation_{lag}_px" for lag in ("4_2", "4_-2", "8_2", "8_-2", "8_4", "8_-4")),
+        *("column_correlation", "row_correlation"),
+        *(f"shift_{way}_px_{what}" for way in ("across", "down", "outward") for what in ("red", "green", "blue")),
         *(f"edge_contrast_{lag}_px" for lag in ("0_2", "2_0", "2_2", "2_-2", "0_4", "4_0")),
-        *(f"{side}_share_{where}" for side in ("bright", "dark") for where in ("near", "far")),
+        *(f"{side}_share_{where}" for side in ("bright", "dark", "green_pair") for where in ("near", "far")),
     )
 
     def variates(self) -> tuple[Variate, ...]:

@@ -1,0 +1,48 @@
+"""How a radar's list is read out: values that come again, and speeds far off.
+
+A list that is written in steps holds values that several targets share exactly; noise of a receiver makes none. Speeds
+that are folded by the ambiguity, or paired with the wrong chirp, are few and far off, which a spread does not tell from
+many that are a little off: the shares of targets beyond several spreads do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FAR_OFF_SD", "far_off", "repeated"]
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+FAR_OFF_SD = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e4)  # of a target's own spread in clear air
+
+
+def repeated(values: Floats) -> Flags:
+    """Which values ``(F, N)`` another one of the same frame equals exactly; none of NaN.
+
+    Example:
+        >>> repeated(np.array([[-80.0, -75.5, -80.0, np.nan, np.nan]])).tolist()
+        [[True, False, True, False, False]]
+    """
+    found = np.zeros(values.shape, dtype=bool)
+    for frame, row in zip(found, values, strict=True):
+        _, place, count = np.unique(row, return_inverse=True, return_counts=True, equal_nan=False)
+        frame[:] = count[place] > 1
+    return found
+
+
+def far_off(departure: Floats, spread: Floats) -> Floats:
+    """Which bin of ``FAR_OFF_SD`` each departure is in, ``(F, N, bins)``: 1 there, nowhere where it is nearer or NaN.
+
+    Args:
+        departure: ``(F, N)``.
+        spread: ``(F, N)``, one standard deviation, in the same unit.
+
+    Example:
+        >>> far_off(np.array([[0.1, -1.0, np.nan]]), np.full((1, 3), 0.1))[0].sum(-1).tolist()
+        [0.0, 1.0, 0.0]
+    """
+    size = np.abs(departure) / spread
+    low, high = np.array(FAR_OFF_SD[:-1]), np.array(FAR_OFF_SD[1:])
+    return ((size[..., None] >= low) & (size[..., None] < high)).astype(np.float64)
