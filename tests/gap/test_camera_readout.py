@@ -14,6 +14,7 @@ from tests.gap.test_camera_frames import CLEAR, HEIGHT, WIDTH, group, planes, va
 from torchweather.gap import Study
 from torchweather.gap.camera import CameraFrames
 from torchweather.gap.camera_edges import SHARED_CELLS
+from torchweather.gap.camera_pixels import LONE_SD, LONE_SHARE, LonePixels, lone_pixels
 from torchweather.gap.camera_scene import green_pair
 from torchweather.gap.camera_shift import Shifts, gradients, shift_name
 from torchweather.gap.camera_sums import ASIDE, FAR_LAG, HIGHEST, TAILS_SD
@@ -156,6 +157,72 @@ def test_greens_of_a_cell_are_told_apart() -> None:
     torch.testing.assert_close(green_pair(bayer, "RCCB"), bayer[:, 0, 0::2, 1::2] - bayer[:, 0, 1::2, 0::2])
 
 
+def test_a_lone_pixel_is_one_that_none_about_it_follows() -> None:
+    rng = np.random.default_rng(12)
+    relative = rng.normal(0.0, 1.0, (3, 40, 50))
+    far = rng.random(relative.shape) < 0.01
+    relative += far * rng.choice([-30.0, 30.0], relative.shape)
+    relative[:, 10:12, 10:14] += 30.0  # a streak
+    frames, height, width = relative.shape
+    expected = []
+    for frame in range(frames):
+        for row in range(1, height - 1):
+            for column in range(1, width - 1):
+                own = abs(relative[frame, row, column])
+                about = np.delete(np.abs(relative[frame, row - 1 : row + 2, column - 1 : column + 2]).ravel(), 4)
+                if own >= LONE_SD and about.max() < LONE_SHARE * own:
+                    expected.append((frame, row, column))
+    found = lone_pixels(torch.from_numpy(relative))
+    assert list(zip(*(one.tolist() for one in found), strict=True)) == expected
+    assert len(expected) > 20
+
+
+def test_cells_count_the_pixels_that_stand_out_in_both_frames() -> None:
+    """Means over many hashes, held against the number; each scatters by the root of 60 x 60 over the cells, and of the
+    common ones' own products."""
+    height, width, cells, common, others, number = 60, 80, 200, 25, 35, 400
+    rng = np.random.default_rng(13)
+    modelled = torch.full((3, 1, height, width), 0.5)
+    found = []
+    for turn in range(number):
+        # Each has a place of its own on a grid: none is beside another.
+        grid = [(2 + 4 * k, 2 + 4 * n) for k in range(14) for n in range(19)]
+        chosen = rng.permutation(len(grid))[: common + 2 * others]
+        bayer = modelled[:2].clone()
+        for frame, own in enumerate((chosen[: common + others], np.delete(chosen, slice(common, common + others)))):
+            for place in own:
+                bayer[frame, 0, grid[place][0], grid[place][1]] += 0.2 if place % 2 else -0.2
+        pixels = LonePixels(modelled, (1e-4, 0.0), cells)
+        shift = (turn % 7, turn % 11)  # other places, other cells
+        bayer = torch.roll(bayer, shift, (2, 3))
+        first, second = pixels(bayer, torch.tensor([0, 1]))
+        found.append(first @ second)
+    scatter = (common + others) / np.sqrt(cells) / np.sqrt(number)
+    assert np.mean(found) == pytest.approx(common, abs=5.0 * np.sqrt(2.0) * scatter)
+
+
+def test_pixels_that_stand_out_in_all_frames_persist_and_flakes_do_not() -> None:
+    """Of 74 hot pixels some stand beside others, behind flakes or at the border."""
+    given = values_of(kind="snow")
+    model = CameraFrames(Study.from_arrays(**given))
+    condition = model.fit[0]
+    place = [one.statistic for one in model.layout.groups].index("lone_pixel_map")
+    entry = model.layout.slices[place]
+    pool = Pool(model.layout, model.simulated(condition, [], 0.0, list(range(4 * CLEAR))))
+    index = np.random.default_rng(0).permuted(np.tile(np.arange(len(pool)), (50, 1)), axis=1)[:, :3]
+    flakes = pool.vectors(index)[:, entry]
+    rng = np.random.default_rng(11)
+    hot = torch.stack(
+        [torch.from_numpy(hot_pixels(np.asarray(frame["bayer"], float), rng)).float() for frame in condition.frames]
+    )[:, None]
+    row = torch.arange(len(hot)) % CLEAR
+    found = Pool(model.layout, model._of(condition)(hot.clamp(0.0, 1.0), row)).vectors(np.arange(3)[None])[0, entry]
+    number = int((np.random.default_rng(9).random((HEIGHT, WIDTH)) < 6e-3).sum())
+    print(number, found, flakes.mean(), flakes.std())
+    assert found[0] ** 2 == pytest.approx(0.7 * number, rel=0.4)
+    assert found[0] > flakes.mean() + 8.0 * flakes.std()
+
+
 def rows_of_their_own(frame: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(frame + 0.004 * rng.standard_normal((HEIGHT, 1)))
 
@@ -175,6 +242,7 @@ def blue_larger(frame: Floats, rng: np.random.Generator) -> Floats:
     [
         (rows_of_their_own, "row_correlation"),
         (hot_pixels, "green_pair_share"),
+        (hot_pixels, "lone_pixel_map"),
         (blue_larger, "shift_outward_px_blue"),
     ],
 )

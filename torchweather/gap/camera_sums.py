@@ -8,7 +8,8 @@ and the mean product with others at several lags (``streak_correlation``: which 
 a line (``column_correlation``, ``row_correlation``: what the readout of one adds). Of the two greens of a cell the
 share of those that differ by so much (``green_pair_share``: faults of single pixels), and of each colour by how far it
 is displaced (``shift``, ``camera_shift.py``).
-What is left over the model as it is, in parts of the picture, makes a map, of which what stays in its place counts.
+What is left over the model as it is, in parts of the picture, makes a map, and so do pixels that stand out alone
+(``camera_pixels.py``): of these, what stays in its place counts.
 
 References:
     GAP.md 3 (1).
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from torchweather.gap.camera_bins import Binned, Key
 from torchweather.gap.camera_edges import SHARED_CELLS, Edges, lag_name
+from torchweather.gap.camera_pixels import LonePixels
 from torchweather.gap.camera_scene import (
     BLOCK_CELLS,
     COLOURS,
@@ -71,7 +73,7 @@ SCALARS = ("near_log_ratio", "far_log_ratio", "sky_log_ratio", "log_difference_s
 STEADY = (1e-3, 1e-3, 1e-3, 5e-3)  # of these, scatter below which frames are called alike
 MAP_BLOCKS = 4  # blocks that a part of the map is high and wide
 MAP_UNIT = 0.01  # of a logarithm
-MAPS = ("log_ratio_map",)
+MAPS = ("log_ratio_map", "lone_pixel_map")
 
 
 def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
@@ -172,6 +174,7 @@ class CameraSums:
             in_weather[-1], scene.noise_variance, self._tail_class, classes, self.colours, axis="depth_m"
         )
         self._map_bins, self._map_known = self._map()
+        self._lone = LonePixels(modelled, scene.noise_variance, self._map_bins.number)
         self._parts = self._distances()
 
     def _flat_pairs(self) -> Binned:
@@ -287,8 +290,8 @@ class CameraSums:
         weight, value, square = (np.concatenate(parts, 1) for parts in zip(*groups, strict=True))
         means = ratio[:, self.green].double() @ self._parts
         scalar = np.concatenate([means.numpy(), spread[:, None]], 1).repeat(portions, 0)
-        maps = self._over_model(over).repeat(portions, 0)
-        return Reduced(weight, value, square, scalar, maps[:, None])
+        maps = np.stack([self._over_model(over), self._lone(bayer, row)], 1).repeat(portions, 0)
+        return Reduced(weight, value, square, scalar, maps)
 
     def _brightness(self, ratio: Tensor, over: Tensor, portion: Tensor | None, portions: int) -> Sums:
         """Logarithm over the clear scene, and over the model, of blocks."""

@@ -75,6 +75,7 @@ STATISTICS = {
     "log_ratio_blue": "Blue light over clear air's",
     "log_ratio_spread": "Spread of light over the model",
     "log_ratio_map": "Map of light over clear air's",
+    "lone_pixel_map": "Single pixels that stand out",
     "near_log_ratio": "Light from near by over clear air's",
     "far_log_ratio": "Light from far over clear air's",
     "sky_log_ratio": "Light of the sky over clear air's",
