@@ -146,6 +146,8 @@ def test_pairs_of_greens_are_counted_by_how_far_they_differ(model: CameraFrames)
         counted = np.histogram(size[inside], TAILS_SD)[0]
         found = group(model, clear, f"green_pair_share_{where}", "residual_sd")[0] * SHARED_CELLS
         np.testing.assert_allclose(found, counted, atol=1.0)  # one on an edge of a bin
+        # The reference is of four frames, the variance from medians of five: some ten percent.
+        assert (size[inside] ** 2).mean() == pytest.approx(1.25, rel=0.4)
         # In clear air they are normal, of the variance that they have here.
         expected = 2.0 * stats.norm.sf(TAILS_SD[0] / np.sqrt((size[inside] ** 2).mean())) * inside.sum()
         assert counted.sum() == pytest.approx(expected, abs=5.0 * np.sqrt(expected))
