@@ -131,6 +131,17 @@ def known(arguments: argparse.Namespace) -> None:
         print(f"{case}  {found['seconds']:.1f} s", flush=True)
 
 
+def timed(arguments: argparse.Namespace) -> None:
+    """Answer some studies again for their seconds: where answers came from several processes side by side."""
+    folder: Path = arguments.folder
+    lines = folder / "seconds.jsonl"
+    for case in sorted(answered(folder / "answers.jsonl"))[arguments.skip :: arguments.every]:
+        if case not in answered(lines):
+            found = answer(folder / "studies" / case, arguments.seed)
+            append_line(lines, {"case": case, "seconds": found["seconds"]})
+            print(f"{case}  {found['seconds']:.1f} s", flush=True)
+
+
 def folder_and_families(given: str) -> tuple[Path, list[str]]:
     """``DIR``, or ``DIR:single,pair``: the families of a set that count; none: all."""
     folder, colon, listed = given.rpartition(":")
@@ -146,7 +157,7 @@ def report(arguments: argparse.Namespace) -> None:
     """Open the truth and set it against the answers."""
     sets = [folder_and_families(str(given)) for given in arguments.folders]
     folders = [folder for folder, _ in sets]
-    seals, truths, answers, told = [], {}, [], []
+    seals, truths, answers, told, alone = [], {}, [], [], []
     for folder, families in sets:
         seal, lines = read_json(folder / "seal.json"), read_lines(folder / "answers.jsonl")
         strange = sorted({one["case"] for one in lines if one["sealed"] != seal["truth_sha256"]})
@@ -158,8 +169,9 @@ def report(arguments: argparse.Namespace) -> None:
         truths |= {case: one for case, one in truth_of(folder).items() if not families or one["family"] in families}
         answers += lines
         told += read_lines(folder / "known.jsonl")
+        alone += read_lines(folder / "seconds.jsonl")
     sensor = sensor_of(folders[0])
-    found = score(truths, answers, told, sensor.floors)
+    found = score(truths, answers, told, sensor.floors, alone)
     out: Path = arguments.out or folders[0] / "score"
     bars = against_bars(found["table"], sensor.bars)
     write_json(out / "score.json", {"sets": seals, **found, "bars": bars})
@@ -210,6 +222,12 @@ def main(argv: list[str] | None = None) -> int:
         one.add_argument("--count", type=int, default=None, help="no more than these")
         one.add_argument("--part", default=None, help="k/n: every n-th study from the k-th, for several processes")
         one.set_defaults(run=act)
+    one = commands.add_parser("time", help="search some studies again, one process alone, for their seconds")
+    one.add_argument("folder", type=Path)
+    one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--every", type=int, default=7, help="every n-th of those answered, by name")
+    one.add_argument("--skip", type=int, default=0, help="leave these out first")
+    one.set_defaults(run=timed)
     one = commands.add_parser("score", help="open the sealed truth and write the table and pictures")
     one.add_argument(
         "folders",

@@ -37,7 +37,13 @@ def share(rows: Iterable[Row], holds: Callable[[Row], bool]) -> Row:
     }
 
 
-def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row] = (), floors: float = 1.15) -> Row:
+def score(
+    truths: Mapping[str, Row],
+    answers: Iterable[Row],
+    known: Iterable[Row] = (),
+    floors: float = 1.15,
+    alone: Iterable[Row] = (),
+) -> Row:
     """The table of a bench.
 
     Args:
@@ -46,8 +52,9 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
             first counts.
         known: lines of ``known``: the same for a search that may name the true effects alone.
         floors: held-out gap after over its floor, up to which it counts as near.
+        alone: lines of ``time``: seconds of some studies, searched by one process alone; none: those of the answers.
     """
-    told = _first(known)
+    told, timed = _first(known), _first(alone)
     rows = [_row(truths[case], one, told.get(case, {})) for case, one in _first(answers).items() if case in truths]
     singles = [row for row in rows if row["family"] == "single"]
     clear_cut = [row for row in singles if row["identifiable"] and row["level"] >= 10.0]
@@ -57,6 +64,8 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
     decoys = [row for row in rows if row["family"] == "decoy"]
     named = [row for row in singles + several if row["exact"] and row["gap_after_over_floor"] is not None]
     seconds = [row["seconds"] for row in rows if row["seconds"] is not None and not row["screen"]]
+    by_itself = [timed[row["case"]]["seconds"] for row in rows if row["case"] in timed]
+    seconds = by_itself or seconds
     table: Row = {
         "answered": sum(not row["screen"] for row in rows),
         "made": sum(not truth["options"].get("screen") for truth in truths.values()),
@@ -93,7 +102,7 @@ def score(truths: Mapping[str, Row], answers: Iterable[Row], known: Iterable[Row
             **share(named, lambda row: row["gap_after_over_floor"] <= floors),
             "floors": floors,
         },
-        "seconds": {"median": _median(seconds), "most": max(seconds, default=None)},
+        "seconds": {"median": _median(seconds), "most": max(seconds, default=None), "alone": len(by_itself)},
         "calibration": _calibration(rows),
         "confusion": _confusion(rows),
     }

@@ -56,6 +56,8 @@ def bars_table(table: Row, bars: Sequence[Row]) -> str:
         limit = f"{100 * one[side]:g} %" if counts else f"{one[side]:g}"
         bar = f"{'>=' if side == 'at_least' else '<='} {limit}"
         reached = _share(figure) if counts else _number(one["reached"])
+        if figure.get("alone"):  # seconds
+            reached += f" ({figure['alone']} searched alone)"
         interval = _interval(figure) if counts else ""
         words = WORDS[one["figure"]].format(floors=figure.get("floors", 1.0))
         lines.append(f"| {words} | {bar} | {reached} | {interval} | {HOLDS[one['holds']]} |")

@@ -61,6 +61,22 @@ def _arguments(folder, **more):
     )
 
 
+def test_time_searches_every_nth_answered_study_again(bench, folder, monkeypatch):
+    for case in ("c", "a", "b"):
+        append_line(folder / "answers.jsonl", {"case": case, "sealed": "x", **_answer()})
+    asked = []
+
+    def slow(path, seed):
+        asked.append(path.name)
+        return {"seconds": 7.0, "report": {}}
+
+    monkeypatch.setattr(bench, "answer", slow)
+    bench.timed(SimpleNamespace(folder=folder, seed=0, every=2, skip=0))
+    bench.timed(SimpleNamespace(folder=folder, seed=0, every=2, skip=0))
+    assert asked == ["a", "c"]
+    assert read_lines(folder / "seconds.jsonl") == [{"case": "a", "seconds": 7.0}, {"case": "c", "seconds": 7.0}]
+
+
 def test_lines_of_two_processes_stay_whole(tmp_path):
     path = tmp_path / "answers.jsonl"
     code = (

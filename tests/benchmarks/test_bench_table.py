@@ -70,6 +70,10 @@ def test_a_row_says_what_was_reached_of_how_many_and_whether_the_bar_holds() -> 
     )
     assert "| nothing hidden, whole workflow: alarms | <= 0 % | 0 of 1 (0 %) | 0 to 79 % | yes |" in lines
     assert "| seconds a study, median | <= 30 | 20 |  | yes |" in lines
+    alone = score(truths, answers, alone=[{"case": case, "seconds": own} for case, own in (("a", 40.0), ("x", 1.0))])
+    assert "| seconds a study, median | <= 30 | 40 (1 searched alone) |  | **no** |" in bars_table(
+        alone["table"], against_bars(alone["table"], LIDAR_BARS)
+    )
     assert "| nothing hidden, screening alone: alarms | <= 1 % | 0 of 0 |  | not counted |" in lines
     assert "| single effects in rain: exact name | 1 of 2 (50 %) | 9 to 91 % |" in further_table(found["table"])
     assert missed_table(found["cases"]).splitlines()[2:] == [

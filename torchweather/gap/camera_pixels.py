@@ -69,5 +69,5 @@ class LonePixels:
         side = relative[frame, down, right].sign().double().numpy()
         place = (down.numpy(), right.numpy())
         index = frame.numpy() * self.cells + self._cell[place]
-        found: Floats = np.bincount(index, self._sign[place] * side, len(bayer) * self.cells)
+        found = np.bincount(index, self._sign[place] * side, len(bayer) * self.cells).astype(np.float64)
         return found.reshape(len(bayer), self.cells)
