@@ -168,7 +168,7 @@ SILENT_TWINS = {
 WHOLE = ("frame", "time", "place", "all_targets")  # axes with one bin
 SURE = 0.995
 TINY_P = 1e-6
-NO_END = 1e9  # an edge beyond it is none
+NO_END = 1e4  # an edge from it on is none
 SKY_FROM_M = 1e4  # a depth beyond it is the sky's
 LAGGED = re.compile(r"([a-z_]+)_(-?\d+)_(-?\d+)_px")  # of two pixels: down and to the right
 
@@ -246,6 +246,8 @@ def edge_text(axis: str, edge: float) -> str:
     Example:
         >>> edge_text("azimuth_rad", -math.pi), edge_text("log_intensity", 30.0), edge_text("margin_db", 1.5)
         ('−180', '∞', '1.5')
+        >>> edge_text("particle_range_m", 60.0), edge_text("particle_range_m", 1e4)
+        ('60', '∞')
         >>> edge_text("depth_m_bright", 42.0), edge_text("depth_m", 1e4), edge_text("depth_m", 1e6)
         ('42', 'sky', '')
     """
@@ -255,7 +257,7 @@ def edge_text(axis: str, edge: float) -> str:
         value = round(math.degrees(edge), 0 if axis == "azimuth_rad" else 1)
     else:
         value = round(math.exp(edge) if axis.startswith("log_") else edge, 2)
-    return "∞" if value > NO_END else f"{value + 0.0:g}".replace("-", "−")
+    return "∞" if value >= NO_END else f"{value + 0.0:g}".replace("-", "−")
 
 
 def signed_text(value: float | str) -> str:
