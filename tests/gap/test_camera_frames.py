@@ -18,7 +18,8 @@ from torchweather.gap.camera import CameraFrames
 from torchweather.gap.camera_edges import SHARED_CELLS, lag_name
 from torchweather.gap.camera_particles import LEAST_STEP, Rendered
 from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, CameraScene, cell_colours, in_blocks
-from torchweather.gap.camera_sums import ASIDE, MAP_BLOCKS, TAILS_SD
+from torchweather.gap.camera_sums import MAP_BLOCKS
+from torchweather.gap.camera_tails import ASIDE, TAILS_SD
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.scenes import SCENES
 from torchweather.sensors import Camera
@@ -288,11 +289,11 @@ def test_texture_and_tails_of_a_clear_frame(model: CameraFrames) -> None:
     relative = np.zeros_like(apart)
     relative[:, ASIDE:-ASIDE] = apart[:, ASIDE:-ASIDE] - 0.5 * (apart[:, : -2 * ASIDE] + apart[:, 2 * ASIDE :])
     sums = model._clear_sums["s0"]
-    relative /= sums._tail_noise.numpy()
+    relative /= sums.beside.noise.numpy()
     for side, sign in (("bright", 1.0), ("dark", -1.0)):
         counted = np.zeros((2, len(TAILS_SD) - 1))
         for kind in (0, 1):
-            values = sign * relative[sums._tail_class.numpy() == kind]
+            values = sign * relative[sums.beside.classes.numpy() == kind]
             counted[kind] = np.histogram(values, TAILS_SD)[0]
         for kind, where in enumerate(("near", "far")):
             found = group(model, clear, f"{side}_share_{where}", "residual_sd")[0] * SHARED_CELLS

@@ -17,7 +17,7 @@ from torchweather.gap.camera_edges import SHARED_CELLS
 from torchweather.gap.camera_pixels import LONE_SD, LONE_SHARE, LonePixels, lone_pixels
 from torchweather.gap.camera_scene import green_pair
 from torchweather.gap.camera_shift import Shifts, gradients, shift_name
-from torchweather.gap.camera_sums import ASIDE, FAR_LAG, HIGHEST, TAILS_SD
+from torchweather.gap.camera_tails import ASIDE, FAR_LAG, HIGHEST, TAILS_SD
 from torchweather.gap.statistics import Pool
 
 Floats = NDArray[np.float64]
@@ -113,7 +113,7 @@ def test_rows_and_columns_are_products_far_along_them(model: CameraFrames) -> No
     classes = sums._depth_classes().numpy()
     for name, turned in (("column", False), ("row", True)):
         light, kinds = (apart.T, classes.T) if turned else (apart, classes)
-        noise = (sums._row_noise if turned else sums._tail_noise).numpy()
+        noise = (sums.in_rows if turned else sums.beside).noise.numpy()
         total, number = np.zeros(2), np.zeros(2)
         rows, columns = light.shape
         relative = np.zeros_like(light)
@@ -140,9 +140,9 @@ def test_pairs_of_greens_are_counted_by_how_far_they_differ(model: CameraFrames)
         return np.asarray(bayer[0::2, 1::2] - bayer[1::2, 0::2])
 
     apart = difference(scene.clear[0, 0].double().numpy()) - difference(scene.reference[0, 0].double().numpy())
-    size = np.abs(apart) / sums._pair_noise.numpy()
+    size = np.abs(apart) / sums.pairs.noise.numpy()
     for kind, where in enumerate(("near", "far")):
-        inside = sums._pair_class.numpy() == kind
+        inside = sums.pairs.classes.numpy() == kind
         counted = np.histogram(size[inside], TAILS_SD)[0]
         found = group(model, clear, f"green_pair_share_{where}", "residual_sd")[0] * SHARED_CELLS
         np.testing.assert_allclose(found, counted, atol=1.0)  # one on an edge of a bin

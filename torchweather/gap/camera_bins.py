@@ -10,12 +10,14 @@ import scipy.sparse
 from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = ["Binned", "Key", "frame_by_frame"]
+__all__ = ["Binned", "Key", "Sums", "about", "frame_by_frame", "parted"]
 
 Key = tuple[str, str]
 """A statistic and the axis along which its bins lie."""
 
 Floats = NDArray[np.float64]
+Sums = dict[Key, tuple[Floats, Floats, Floats]]
+"""Statistic and axis to the sums ``(F * portions, bins)`` of weights, of values and of squares."""
 
 
 class Binned:
@@ -64,3 +66,14 @@ def frame_by_frame(sums: Floats, portions: int) -> Floats:
     """Sums ``(portions * bins, F)`` as ``(F * portions, bins)``."""
     parted = sums.reshape(portions, -1, sums.shape[1])
     return np.ascontiguousarray(np.moveaxis(parted, 2, 0)).reshape(-1, parted.shape[1])
+
+
+def parted(place: Mapping[Key, slice], weight: Floats, value: Floats, square: Floats) -> Sums:
+    """Sums ``(F * portions, bins)`` of several groups, each for itself."""
+    return {key: (weight[:, own], value[:, own], square[:, own]) for key, own in place.items()}
+
+
+def about(number: Floats, total: Floats, noise: Floats) -> Floats:
+    """Sum of squares whose variance is that of noise: how elements of a bin differ otherwise is no scatter."""
+    found: Floats = total**2 / np.maximum(number, 1e-12) + noise
+    return found
