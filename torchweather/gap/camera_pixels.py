@@ -38,11 +38,14 @@ def lone_pixels(relative: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         [[0], [2], [2]]
     """
     size = relative.abs()
-    frame, row, column = (size[:, 1:-1, 1:-1] >= LONE_SD).nonzero().T
-    row, column = row + 1, column + 1
-    about = torch.stack([size[frame, row + down, column + right] for down, right in ABOUT]).amax(0)
-    alone = about < LONE_SHARE * size[frame, row, column]
-    return frame[alone], row[alone], column[alone]
+    height, width = size.shape[1:]
+    # Places in the flat array; most have a neighbour as far out, so few are left after the first.
+    size, far = size.flatten(), torch.from_numpy(np.flatnonzero((size >= LONE_SD).numpy()))
+    row, column = far // width % height, far % width
+    far = far[(row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)]
+    for down, right in ABOUT:
+        far = far[size[far + down * width + right] < LONE_SHARE * size[far]]
+    return far // (height * width), far // width % height, far % width
 
 
 class LonePixels:
