@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import ndimage
 
 from tests.gap.test_camera_frames import CLEAR, HEIGHT, WIDTH, group, planes, values_of
 from torchweather.gap import Study
 from torchweather.gap.camera import CameraFrames
 from torchweather.gap.camera_edges import SHARED_CELLS
 from torchweather.gap.camera_pixels import LONE_SD, LONE_SHARE, LonePixels, lone_pixels
-from torchweather.gap.camera_scene import green_pair
 from torchweather.gap.camera_shift import Shifts, gradients, shift_name
-from torchweather.gap.camera_tails import ASIDE, FAR_LAG, HIGHEST, TAILS_SD
+from torchweather.gap.camera_tails import ASIDE, FAR_LAG, HIGHEST
 from torchweather.gap.statistics import Pool
 
 Floats = NDArray[np.float64]
@@ -133,32 +132,6 @@ def test_rows_and_columns_are_products_far_along_them(model: CameraFrames) -> No
     assert (height, width) == (HEIGHT // 2, WIDTH // 2)
 
 
-def test_pairs_of_greens_are_counted_by_how_far_they_differ(model: CameraFrames) -> None:
-    clear, scene, sums = model.clear("s0"), model.scenes["s0"], model._clear_sums["s0"]
-
-    def difference(bayer: Floats) -> Floats:
-        return np.asarray(bayer[0::2, 1::2] - bayer[1::2, 0::2])
-
-    apart = difference(scene.clear[0, 0].double().numpy()) - difference(scene.reference[0, 0].double().numpy())
-    size = np.abs(apart) / sums.pairs.noise.numpy()
-    for kind, where in enumerate(("near", "far")):
-        inside = sums.pairs.classes.numpy() == kind
-        counted = np.histogram(size[inside], TAILS_SD)[0]
-        found = group(model, clear, f"green_pair_share_{where}", "residual_sd")[0] * SHARED_CELLS
-        np.testing.assert_allclose(found, counted, atol=1.0)  # one on an edge of a bin
-        # The reference is of four frames, the variance from medians of five: some ten percent.
-        assert (size[inside] ** 2).mean() == pytest.approx(1.25, rel=0.4)
-        # In clear air they are normal, of the variance that they have here.
-        expected = 2.0 * stats.norm.sf(TAILS_SD[0] / np.sqrt((size[inside] ** 2).mean())) * inside.sum()
-        assert counted.sum() == pytest.approx(expected, abs=5.0 * np.sqrt(expected))
-
-
-def test_greens_of_a_cell_are_told_apart() -> None:
-    bayer = torch.rand(2, 1, 4, 6, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(green_pair(bayer, "GRBG"), bayer[:, 0, 0::2, 0::2] - bayer[:, 0, 1::2, 1::2])
-    torch.testing.assert_close(green_pair(bayer, "RCCB"), bayer[:, 0, 0::2, 1::2] - bayer[:, 0, 1::2, 0::2])
-
-
 def test_a_lone_pixel_is_one_that_none_about_it_follows() -> None:
     rng = np.random.default_rng(12)
     relative = rng.normal(0.0, 1.0, (3, 40, 50))
@@ -243,7 +216,6 @@ def blue_larger(frame: Floats, rng: np.random.Generator) -> Floats:
     ("fault", "statistic"),
     [
         (rows_of_their_own, "row_correlation"),
-        (hot_pixels, "green_pair_share"),
         (hot_pixels, "lone_pixel_map"),
         (blue_larger, "shift_outward_px_blue"),
     ],

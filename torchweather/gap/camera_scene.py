@@ -30,7 +30,6 @@ __all__ = [
     "Pairs",
     "camera_scene",
     "cell_colours",
-    "green_pair",
     "in_blocks",
     "place_in",
 ]
@@ -160,20 +159,6 @@ def cell_colours(bayer: Tensor, pattern: str) -> Tensor:
             phases.setdefault(int(index[row][column]), []).append(bayer[:, 0, row::2, column::2])
     planes = [phases[colour] for colour in sorted(phases)]
     return torch.stack([some[0] if len(some) == 1 else 0.5 * (some[0] + some[1]) for some in planes], 1)
-
-
-def green_pair(bayer: Tensor, pattern: str) -> Tensor:
-    """Difference of the two greens of each cell of mosaics ``(F, 1, H, W)``: ``(F, H/2, W/2)``.
-
-    They touch at a corner: optics hardly tell them apart, a fault of one pixel or one row does.
-    """
-    first, second = (
-        bayer[:, 0, row::2, column::2]
-        for row, colours in enumerate(cfa_colour_index(pattern))
-        for column, colour in enumerate(colours)
-        if int(colour) == GREEN
-    )
-    return first - second
 
 
 def in_blocks(cells: Tensor) -> Tensor:

@@ -42,7 +42,6 @@ from torchweather.gap.camera_tails import (
     FAR_LAG,
     TAIL_FROM_M,
     Beside,
-    GreenPairs,
     correlation_groups,
     share_groups,
 )
@@ -151,7 +150,6 @@ class CameraSums:
         green, classes, noise = self._modelled[-1], self._depth_classes(), scene.noise_variance
         self.beside = Beside(green, noise, classes)
         self.in_rows = Beside(green.T, noise, classes.T)  # of rows what is said of columns, in the picture on its side
-        self.pairs = GreenPairs(modelled, green, noise, classes, pattern)
         self._light = in_weather
         self._shifts = Shifts(
             in_weather[-1], noise, self.beside.classes, len(TAIL_FROM_M) - 1, self.colours, axis="depth_m"
@@ -249,7 +247,6 @@ class CameraSums:
         found |= self.beside.streaks(relative, owner, portions)
         aside = None if owner is None else owner.view(self.scene.cells).T.flatten()
         found |= self.in_rows.products({"row_correlation": (FAR_LAG, 0)}, self.in_rows(residual.mT), aside, portions)
-        found |= self.pairs.shares(bayer, row, owner, portions)
         groups = [found[group.statistic, group.axis] for group in self.layout.binned]
         weight, value, square = (np.concatenate(parts, 1) for parts in zip(*groups, strict=True))
         means = ratio[:, self.green].double() @ self._parts

@@ -1,10 +1,8 @@
-"""Cells of camera frames that stand out: of those beside them, as streaks do; of a whole line; of their other green.
+"""Cells of camera frames that stand out of those beside them, as streaks do, and lines that do as a whole.
 
 Of a cell less the mean of those beside it the shares far out are counted (``bright_share``, ``dark_share``: how many
 streaks, how bright), and the mean products with others at several lags (``streak_correlation``: which way streaks run,
-how far) and far along a line (``column_correlation``, ``row_correlation``: offsets that the readout of a line adds). Of
-the two greens of a cell on flat places the share that differ by so much (``green_pair_share``: small particles, single
-pixels).
+how far) and far along a line (``column_correlation``, ``row_correlation``: offsets that the readout of a line adds).
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ from torch import Tensor
 
 from torchweather.gap.camera_bins import Binned, Sums, about
 from torchweather.gap.camera_edges import SHARED_CELLS, lag_name
-from torchweather.gap.camera_scene import FLAT, FLAT_SD, green_pair
 from torchweather.gap.statistics import Group
 
 __all__ = [
@@ -26,7 +23,6 @@ __all__ = [
     "TAILS_SD",
     "TAIL_FROM_M",
     "Beside",
-    "GreenPairs",
     "correlation_groups",
     "share_groups",
 ]
@@ -55,7 +51,7 @@ def share_groups() -> list[Group]:
     """Shares of what stands out along which axis."""
     return [
         Group(f"{side}_share_{where}", "residual_sd", "share", TAILS_SD)
-        for side in ("bright", "dark", "green_pair")
+        for side in ("bright", "dark")
         for where in WHERE
     ]
 
@@ -133,35 +129,6 @@ class Beside:
             second[: len(first) - offset] = first[offset:]
             self._bins[lag] = Binned({("product", "depth_m"): (first.where(first == second, -1), CLASSES)})
         return self._bins[lag]
-
-
-class GreenPairs:
-    """How much the two greens of a cell differ, on flat places.
-
-    Args:
-        modelled: ``(K + 1, 1, H, W)`` what frames are compared with.
-        light: ``(h, w)`` of the green of the cells as the model has it.
-        noise_variance: c and v of the variance ``c + v I`` of a cell.
-        classes: ``(h, w)`` of depth, bins of ``TAIL_FROM_M``, -1 for none.
-        pattern: of the colour filter array.
-    """
-
-    def __init__(
-        self, modelled: Tensor, light: Tensor, noise_variance: tuple[float, float], classes: Tensor, pattern: str
-    ) -> None:
-        self._pattern, self._pair = pattern, green_pair(modelled, pattern)
-        constant, growing = noise_variance
-        self.noise = 2.0 * (constant + growing * light).sqrt()  # of a difference, four times that of the mean
-        self.classes = classes.where(self._pair[-1].abs() < FLAT * light + FLAT_SD * self.noise, -1)
-
-    def shares(self, bayer: Tensor, row: Tensor, portion: Tensor | None, portions: int) -> Sums:
-        """Shares of the cells whose greens differ by so many standard deviations, of frames ``(F, 1, H, W)``."""
-        apart = green_pair(bayer, self._pattern).sub_(self._pair[row]).div_(self.noise)
-        of, counts = _far_out(apart, self.classes, portion, portions)
-        return {
-            (f"green_pair_share_{where}", "residual_sd"): _of_all(of[:, number], counts[:, number].sum(1))
-            for number, where in enumerate(WHERE)
-        }
 
 
 def _beside(values: Tensor) -> Tensor:

@@ -90,8 +90,6 @@ STATISTICS = {
         for way, words in (("across", "to the right"), ("down", "downward"), ("outward", "outward, at the corners"))
         for colour in ("red", "green", "blue")
     },
-    "green_pair_share_near": "Pairs of green pixels that differ, near by",
-    "green_pair_share_far": "Pairs of green pixels that differ, far",
     "bright_share_near": "Pixels brighter than those beside them, near by",
     "bright_share_far": "Pixels brighter than those beside them, far",
     "dark_share_near": "Pixels darker than those beside them, near by",

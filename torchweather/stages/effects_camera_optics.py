@@ -82,7 +82,7 @@ class CameraAdherentDrops(Effect):
         *("column_correlation", "row_correlation"),
         *(f"shift_{way}_px_{what}" for way in ("across", "down", "outward") for what in ("red", "green", "blue")),
         *(f"edge_contrast_{lag}_px" for lag in ("0_2", "2_0", "2_2", "2_-2", "0_4", "4_0")),
-        *(f"{side}_share_{where}" for side in ("bright", "dark", "green_pair") for where in ("near", "far")),
+        *(f"{side}_share_{where}" for side in ("bright", "dark") for where in ("near", "far")),
     )
 
     def variates(self) -> tuple[Variate, ...]:
