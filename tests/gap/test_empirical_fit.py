@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from tests.gap.tiny_study import SENSOR, tiny_study
 from torchweather.gap.baseline import targets
-from torchweather.gap.empirical_fit import WHY_NOT, Departures, empirical_stage, natural_curve
+from torchweather.gap.camera_tails import share_groups
+from torchweather.gap.empirical_fit import UNIT_OF, WHY_NOT, Departures, empirical_stage, natural_curve
 from torchweather.gap.find import find_gap
 from torchweather.gap.gap_report import read_model
 from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.radar_sums import radar_layout
 from torchweather.gap.statistics import Group, Layout, Pool
 from torchweather.gap.study import Study
 from torchweather.stages.empirical import Empirical
@@ -276,3 +278,10 @@ def test_the_workflow_answers_unknown_with_axis_curve_and_stage(tmp_path: Path) 
     assert found.empirical is not None
     assert report.empirical is not None
     assert found.empirical.config() == report.empirical.config()
+
+
+def test_shares_and_counts_of_radars_and_cameras_are_of_what_they_have() -> None:
+    edges = {axis: (0.0, 1.0, 2.0) for axis in ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class")}
+    for group in [*radar_layout(edges).binned, *share_groups()]:
+        if group.kind in ("share", "count"):
+            assert UNIT_OF[group.statistic].split()[-1] in ("targets", "frames", "cells", "frame")

@@ -41,6 +41,12 @@ UNIT_OF = {
     "range_residual_m": "m",
     "range_residual_spread": "m, standard deviation",
     "clustered_share": "share of particle returns",
+    **dict.fromkeys(("lost_target_share", "lost_flickering_share", "speed_far_off_share"), "share of targets"),
+    **{f"repeated_{what}_share": "share of targets" for what in ("power", "range", "speed")},
+    "noise_floor_share": "share of frames",
+    **dict.fromkeys(("clutter_count", "ghost_count"), "detections per frame"),
+    **{f"{side}_share_{where}": "share of cells" for side in ("bright", "dark") for where in ("near", "far")},
+    "lone_pixel_map": "root of the pixels that stand out in every frame",
 }
 COPIED = {
     "log_intensity_ratio": ("intensity", "object"),
@@ -64,6 +70,7 @@ WHY_NOT = {
     "clustered_share": "it is about returns with neighbours; a curve acts on each beam alone",
     "lost_share_of_thin_targets": "it is about thin targets, which are told by their neighbours; a curve acts on each "
     "beam alone",
+    "lone_pixel_map": "single pixels stand out in every frame; a curve acts on all pixels alike",
     "beyond_share": "returns behind the surface: no statistic tells how far behind",
 }
 FEWER_RETURNS = "there are fewer such returns than simulated; taking them away would need to know what stands behind"
@@ -142,7 +149,7 @@ def empirical_stage(departures: Departures, group: Group) -> Empirical | str:
         departures: of all conditions.
         group: one of the layout's.
     """
-    reason = WHY_NOT.get(group.kind) or WHY_NOT.get(group.statistic)
+    reason = WHY_NOT.get(group.statistic) or WHY_NOT.get(group.kind)
     if reason is not None:
         return reason
     if group.statistic not in COPIED:
