@@ -281,7 +281,7 @@ def test_the_workflow_answers_unknown_with_axis_curve_and_stage(tmp_path: Path) 
 
 
 def test_shares_and_counts_of_radars_and_cameras_are_of_what_they_have() -> None:
-    edges = {axis: (0.0, 1.0, 2.0) for axis in ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class")}
+    edges = dict.fromkeys(("range_m", "margin_db", "azimuth_rad", "elevation_rad", "target_class"), (0.0, 1.0, 2.0))
     for group in [*radar_layout(edges).binned, *share_groups()]:
         if group.kind in ("share", "count"):
             assert UNIT_OF[group.statistic].split()[-1] in ("targets", "frames", "cells", "frame")
