@@ -6,7 +6,7 @@ sum over the cells of the products of two frames is then the number of pixels th
 in one alone add nothing on the average, and scatter by the root of the product of their numbers over that of the cells.
 
 References:
-    Charikar, Chen & Farach-Colton 2002 (count sketch). EMVA 1288 4.0, 8.4 (defect pixels).
+    Charikar, Chen & Farach-Colton 2002 (count sketch). EMVA 1288 (defect pixels).
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ __all__ = ["LONE_SD", "LONE_SHARE", "LonePixels", "lone_pixels"]
 
 Floats = NDArray[np.float64]
 
-# Standard deviations of its noise by which a pixel departs, and share of it by which none about it does.
+# Standard deviations of its noise by which a pixel departs, and share of it by which none about it does; set on
+# development studies of the bench.
 LONE_SD, LONE_SHARE = 12.0, 0.15
 ABOUT = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0)]
 

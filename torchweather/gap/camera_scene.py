@@ -23,16 +23,7 @@ from torchweather.gap.study import StudyScene
 from torchweather.image.bayer import cfa_colour_index
 from torchweather.sensors import Camera
 
-__all__ = [
-    "COLOURS",
-    "LAGS",
-    "CameraScene",
-    "Pairs",
-    "camera_scene",
-    "cell_colours",
-    "in_blocks",
-    "place_in",
-]
+__all__ = ["COLOURS", "LAGS", "CameraScene", "Pairs", "camera_scene", "cell_colours", "in_blocks", "place_in"]
 
 COLOURS = ("red", "green", "blue")  # of the colour filter array; green is the clear pixel's where there is one
 GREEN = 1

@@ -6,8 +6,7 @@ radius, the radius its weight, how far the corners move outward. Of all colours 
 focused anew, of one colour a lens whose magnification depends on it.
 
 References:
-    Lucas & Kanade 1981 (regression on gradients). EMVA 1288 4.0 names lateral chromatic aberration as what blue and red
-    do against green.
+    Lucas & Kanade 1981 (regression on gradients). ISO 19084:2015 (chromatic displacement).
 """
 
 from __future__ import annotations
