@@ -49,9 +49,8 @@ OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronge
 REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 WORTH = 0.5  # of the best gain, from which a candidate is refitted
-MUCH_SCALED = (
-    0.3  # amplitude of a node below which an effect that begins at a threshold is not on its way to it; set on blind5
-)
+# Amplitude of a node below which an effect that begins at a threshold is not on its way to it (development studies).
+MUCH_SCALED = 0.3
 LEAST_AMPLITUDE = 0.02  # of a node's response, at which a fit starts
 
 
