@@ -208,7 +208,7 @@ def report_rivals(held: Held, found: GapReport, reference_sd: float) -> None:
         _, _, bias = held.scores(fitted, 0)
         effects = "; ".join(said(effect) for effect in fitted) or "nothing"
         rows.append([effects, one.verdict, gain, misfit, f"{one.answer['gap']['after']:.2f}", f"{bias:.2f}"])
-    table(["first half", "verdict", "explains", "leaves", "gap held out", "conditional bias, dB"], rows)
+    table(["first half", "verdict", "explains", "leaves", "gap held out", "conditional bias of it alone, dB"], rows)
     print("\nExplained and left over: squared departures in units of their scatter.")
 
     rows = []
