@@ -210,6 +210,16 @@ def test_a_broken_file_is_refused_or_read_but_never_crashes(tmp_path: Path, name
         assert bool(torch.view_as_real(found.cube).isfinite().all())
 
 
+def test_a_header_with_a_key_in_bytes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    write_adc(path, torch.from_numpy(words(3, (2, 2, 4))).to(torch.complex64))
+    whole = path.read_bytes()
+    assert whole.count(b" 'shape'") == 1
+    path.write_bytes(whole.replace(b" 'shape'", b"B'shape'"))
+    with pytest.raises(TorchweatherError, match=r"a\.npy: wanted one array"):
+        read_adc(path)
+
+
 def test_a_header_that_promises_a_hundred_gigabytes_is_refused_at_once(tmp_path: Path) -> None:
     with (tmp_path / "a.npy").open("wb") as file:
         np.lib.format.write_array_header_1_0(
