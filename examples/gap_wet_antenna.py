@@ -7,8 +7,8 @@
 The links, the measured attenuation and the scores are those of ``links_against_p838.py``. The search is told nothing of
 what to look for: it gets half of the links (in Germany on every other day) and answers; what it found is then added to
 the model and judged on the other half. Printed, for each set: what it found, the scores before and after, as means over
-seeded halves, how a scale of the path would rank, what a reference that is off would change, how small a bias can get
-at all, how much of what is left is the reference's own noise; for Germany also what the film of Gothenburg would do
+seeded halves, how a scale of the path would rank, what a reference that is off would change, what no offset
+betters, how much of what is left is the reference's own noise; for Germany also what the film of Gothenburg would do
 there. ``--out`` writes the page of the first half. Needs ``torchweather[io]``; ``docs/links.md``.
 """
 
@@ -232,7 +232,7 @@ def least_biases_db(number: Array, mean: Array, searched: Array) -> tuple[float,
 
 
 def report_least(held: Held, halves: int) -> None:
-    """How small a conditional bias can get at all, by offsets and by any model of rain and length."""
+    """What the best offset leaves, and a table of what each cell of rain and length is off by."""
     error, found = held.recording.model_db - held.attenuation_db, []
     for seed in range(halves):
         judged, searched = held.judged(seed), held.searched(seed)
