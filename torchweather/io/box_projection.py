@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.image.depth import project_points
+from torchweather.camera.depth import project_points
 from torchweather.io.boxes import Boxes
 from torchweather.sensors import Camera
 

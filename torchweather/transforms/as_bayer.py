@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
+from torchweather.camera.depth import DepthMap
 from torchweather.errors import check_one_of
 from torchweather.image.bayer import mosaic
 from torchweather.image.demosaic import METHODS, demosaic
-from torchweather.image.depth import DepthMap
 from torchweather.image.tone import compand, expand, normalise, quantise, srgb_decode, srgb_encode
 from torchweather.transforms.camera import BayerWeather, CameraResult
 from torchweather.weather import Weather

@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.camera.depth import as_depth_source, check_depth
 from torchweather.errors import check_at_least, check_one_of, check_positive
 from torchweather.image.bayer import cfa_colour_index
-from torchweather.image.depth import as_depth_source, check_depth
 from torchweather.random import sample_seeds
 from torchweather.sensors import Camera
 from torchweather.stages import (

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from torch import Tensor
 
-from torchweather.image.depth import ConstantDepth, FlatGround, as_depth_source
+from torchweather.camera.depth import ConstantDepth, FlatGround, as_depth_source
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import Effect
 from torchweather.transforms.camera import BayerWeather

@@ -21,8 +21,8 @@ from typing import Any
 
 from torch import nn
 
+from torchweather.camera.depth import FlatGround
 from torchweather.errors import TorchweatherError, nearest_name
-from torchweather.image.depth import FlatGround
 from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerWeather

@@ -1,0 +1,1 @@
+"""The camera: depth of its pictures (more rooms follow)."""

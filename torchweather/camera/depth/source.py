@@ -1,0 +1,77 @@
+"""DepthSource: anything that gives the depth of a camera's image; its border checks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.camera.depth.scene_depth import EXACT, SceneDepth
+from torchweather.sensors import Camera
+
+__all__ = ["DepthSource", "check_depth"]
+
+
+class DepthSource(ABC):
+    """Anything that knows the depth of a camera's image.
+
+    Called as ``source(camera, height, width, device=..., dtype=..., image=...)``, it gives ``(..., 1, H, W)``, metres
+    along the optical axis, ``inf`` for sky. ``image`` is the frame as the caller has it: sRGB ``(..., 3, H, W)`` or a
+    mosaic ``(..., 1, H, W)``; sources that do not look at the picture ignore it. ``scene`` takes the same arguments
+    and gives a `SceneDepth`. Positions, lens and mounting come from ``camera``.
+    """
+
+    confidence: ClassVar[str] = EXACT
+    """How sure its depth is: ``exact``, ``measured``, ``completed`` or ``guessed``."""
+
+    @abstractmethod
+    def __call__(
+        self,
+        camera: Camera,
+        height: int,
+        width: int,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        image: Tensor | None = None,
+    ) -> Tensor:
+        """Depth ``(..., 1, H, W)`` in metres along the optical axis; ``inf`` is sky."""
+
+    def scene(
+        self,
+        camera: Camera,
+        height: int,
+        width: int,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        image: Tensor | None = None,
+    ) -> SceneDepth:
+        """Depth with what else the source knows: sky, own vehicle, confidence."""
+        depth_m = self(camera, height, width, device=device, dtype=dtype, image=image)
+        return SceneDepth(depth_m, self.confidence)
+
+
+def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = None, *, owner: object) -> None:
+    """Raise ``ValueError`` unless a depth map is ``(..., 1, H, W)`` float, 0 m or more, without NaN; ``inf`` is sky.
+
+    The values are not looked at while a graph is traced.
+    """
+    name = owner if isinstance(owner, str) else type(owner).__name__
+    wanted = f"(..., 1, {'H' if height is None else height}, {'W' if width is None else width})"
+    wrong_size = height is not None and width is not None and tuple(depth_m.shape[-2:]) != (height, width)
+    if depth_m.ndim < 3 or depth_m.shape[-3] != 1 or wrong_size:
+        raise ValueError(f"{name}: depth must have shape {wanted}, metres; got {tuple(depth_m.shape)}.")
+    if not depth_m.is_floating_point():
+        raise TypeError(f"{name}: depth must be floating point, metres; got {depth_m.dtype}.")
+    if torch.compiler.is_compiling():
+        return
+    # One pass without a temporary: the minimum of a map with NaN is NaN.
+    if depth_m.numel() and not bool(depth_m.amin() >= 0):
+        nan, negative = int(depth_m.isnan().sum()), int((depth_m < 0).sum())
+        raise ValueError(
+            f"{name}: depth must be 0 m or more along the optical axis, inf for sky; got {nan} NaN and {negative} "
+            f"negative of {depth_m.numel()} pixels. Fill unknown pixels (torchweather.io.read_depth has missing_m=)."
+        )
