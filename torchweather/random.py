@@ -55,7 +55,7 @@ class Variate:
         name: its name in the stage; the noise dictionary holds ``<stage>.<name>``.
         law: ``uniform`` [0, 1), ``normal``, ``exponential`` (mean 1), or ``points``: a Poisson number of points
             with ``columns`` uniforms each, in slots; the last column of an unused slot is ``ABSENT``.
-        shape: of one sample; integers or the names of sizes (``"H"``, ``"W"``).
+        shape: of one sample; integers or the names of sizes (``"C"``, ``"H"``, ``"W"``).
         per_px2: ``points`` only: expected points per pixel of the image enlarged by the margins.
         margin_x_px, margin_y_px: ``points`` only: margin on each side, pixels.
         columns: ``points`` only.
@@ -259,6 +259,6 @@ def flat_noise(
     return flat
 
 
-def sizes_of(height: int, width: int) -> dict[str, int]:
-    """The named sizes of an image."""
-    return {"H": height, "W": width}
+def sizes_of(height: int, width: int, planes: int = 1) -> dict[str, int]:
+    """The named sizes of an image: ``C`` is 1 for a mosaic and 3 for colour planes."""
+    return {"C": planes, "H": height, "W": width}

@@ -159,11 +159,13 @@ def test_clear_frames_stay_as_they_are(tmp_path: Path) -> None:
 
 def test_clear_frames_go_through_the_mosaic_where_the_recipe_says_so(tmp_path: Path) -> None:
     source, target = folder(tmp_path / "clear", 1), tmp_path / "same"
-    text = BOTH.replace("p: 1.0", "p: 0.0\nmosaic_clear: true")
+    text = BOTH.replace("p: 1.0", "p: 0.0\nmosaic_clear: true").replace(
+        "rgb: true", "rgb: true\n    through_mosaic: true"
+    )
     run(source, target, text)
     after = read_image(target / "day/images/000.png")[0]
     camera = load_recipe(recipe(tmp_path, text)).plans["image"]
-    rain = torchweather.AsBayer(camera.kind(torchweather.Rain(5.0), camera.sensor, depth=30.0))
+    rain = torchweather.AsBayer(camera.kind(torchweather.Rain(5.0), camera.sensor, depth=30.0), through_mosaic=True)
     assert torch.equal(after, rain.without_weather(image(0)))
     assert not torch.equal(after, image(0))
     assert tree(source)["day/clouds/000.bin"] == tree(target)["day/clouds/000.bin"]

@@ -219,7 +219,8 @@ def test_the_sky_has_no_gradient_and_spoils_none(sky: slice) -> None:
     mor_m = torch.tensor(50.0, requires_grad=True)
     depth_m = torch.full((1, H, W), 30.0)
     depth_m[:, sky] = math.inf
-    BayerFog(Fog(mor_m), camera_of(), airlight=0.8)(frame(0.1), depth_m).mean().backward()
+    endless = BayerFog(Fog(mor_m), camera_of(), airlight=0.8, layer_top_m=math.inf)
+    endless(frame(0.1), depth_m).mean().backward()
     assert mor_m.grad is not None
     assert float(mor_m.grad) == 0.0 if sky.stop == H else float(mor_m.grad) < 0.0
 

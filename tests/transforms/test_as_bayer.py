@@ -1,4 +1,4 @@
-"""AsBayer: RGB images through the mosaic and back, with the input's own bits where the weather does nothing."""
+"""AsBayer: RGB images in weather, with the input's own bits where the weather does nothing; the mosaic on request."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from torchweather.image import (
 )
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.transforms.as_bayer import padded, padded_size
+from torchweather.transforms.through_mosaic import padded, padded_size
 from torchweather.weather import Fog, Mixture, Rain, Snow
 
 AIRLIGHT = (0.7, 0.72, 0.75)
@@ -35,8 +35,11 @@ def image(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
     return values.to(dtype) if dtype.is_floating_point else quantise(values, dtype)
 
 
-def fog(mor_m: float | Tensor = 50.0, cam: Camera | None = None, depth: object = 40.0) -> AsBayer:
-    return AsBayer(BayerFog(Fog(mor_m=mor_m), cam or camera(), depth=depth, airlight=AIRLIGHT))
+def fog(
+    mor_m: float | Tensor = 50.0, cam: Camera | None = None, depth: object = 40.0, *, through_mosaic: bool = False
+) -> AsBayer:
+    inner = BayerFog(Fog(mor_m=mor_m), cam or camera(), depth=depth, airlight=AIRLIGHT)
+    return AsBayer(inner, through_mosaic=through_mosaic)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -68,7 +71,7 @@ def test_weather_is_applied_to_linear_light_of_the_mosaic() -> None:
     bayer_fog = BayerFog(Fog(mor_m=50.0), cam, depth=40.0, airlight=AIRLIGHT)
     raw = bayer_fog(mosaic(srgb_decode(rgb), cam.bayer_pattern))
     expected = srgb_encode(demosaic(raw, cam.bayer_pattern))
-    assert torch.equal(AsBayer(bayer_fog)(rgb), expected)
+    assert torch.equal(AsBayer(bayer_fog, through_mosaic=True)(rgb), expected)
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG", "RCCB"])
@@ -155,8 +158,8 @@ def test_flat_ground_is_that_of_the_unpadded_camera() -> None:
     result = transform.run(rgb)
     depth = FlatGround()(cam, 23, 31)
     assert result.transmission.shape == (1, 23, 31)
-    # Nothing is seen through the fog at infinity; 1e-30 allows for the floor that keeps exponentials off subnormals.
-    assert result.transmission[depth.isinf()].lt(1e-30).all()
+    # The sky is seen through 730 m or more of the layer, an optical depth of 40 at a visibility of 50 m.
+    assert result.transmission[depth.isinf()].lt(1e-16).all()
     assert torch.equal(result.rgb, transform(rgb, depth))
 
 

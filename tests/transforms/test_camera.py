@@ -68,7 +68,7 @@ def test_frames_that_are_no_mosaic_are_refused(
 @pytest.mark.parametrize(
     ("wrong", "kind", "wanted"),
     [
-        (20.0, TypeError, "depth must be a tensor (..., 1, H, W) in metres; got float. A number or a depth source goes to the constructor"),  # noqa: E501
+        (20.0, TypeError, "depth must be a tensor (..., 1, H, W) in metres or a SceneDepth; got float. A number or a depth source goes to the constructor"),  # noqa: E501
         (torch.full((H, W), 20.0), ValueError, "depth must have shape (..., 1, 24, 32), metres; got (24, 32)"),
         (torch.full((1, 12, 16), 20.0), ValueError, "depth must have shape (..., 1, 24, 32), metres; got (1, 12, 16)"),
         (torch.full((3, 1, H, W), 20.0), ValueError, "depth (3, 1, 24, 32) does not fit the frame (2, 1, 24, 32)"),
@@ -156,9 +156,7 @@ def test_a_refused_frame_leaves_the_input_and_out_alone() -> None:
 
 def test_no_sky_and_no_airlight_warn_and_name_the_transform_or_stage() -> None:
     for transform in (BayerFog(Fog(50.0), CAMERA, depth=20.0), BayerRain(Rain(5.0), CAMERA, depth=20.0)):
-        with pytest.warns(
-            TorchweatherWarning, match=r"no sky \(infinite depth\) .* Give airlight=\(red, green, blue\)"
-        ):
+        with pytest.warns(TorchweatherWarning, match=r"no sky in the frame .* Give airlight=\(red, green, blue\)"):
             transform(frame())
 
 

@@ -91,10 +91,13 @@ def test_a_knob_that_a_draw_cannot_hold_is_refused() -> None:
 
 
 def test_as_bayer_takes_another_weather() -> None:
-    camera = tw.AsBayer(tw.BayerRain(tw.Rain(10.0), CAMERA, airlight=0.7, depth=30.0), method="bilinear")
+    camera = tw.AsBayer(
+        tw.BayerRain(tw.Rain(10.0), CAMERA, airlight=0.7, depth=30.0), through_mosaic=True, method="bilinear"
+    )
     image = torch.full((3, 24, 32), 0.3)
     fog = camera.with_weather(tw.Fog(mor_m=40.0))
-    wanted = tw.AsBayer(tw.BayerFog(tw.Fog(mor_m=40.0), CAMERA, airlight=0.7, depth=30.0), method="bilinear")
+    inner = tw.BayerFog(tw.Fog(mor_m=40.0), CAMERA, airlight=0.7, depth=30.0)
+    wanted = tw.AsBayer(inner, through_mosaic=True, method="bilinear")
     assert torch.equal(fog(image), wanted(image))
 
 
@@ -135,7 +138,7 @@ def test_an_array_that_torch_cannot_take_is_named() -> None:
 @pytest.mark.parametrize("batch", [None, 3])
 def test_clear_images_go_through_the_mosaic_where_that_is_asked_for(batch: int | None) -> None:
     camera = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
-    rain = tw.AsBayer(tw.BayerRain(tw.Rain(30.0), camera, depth=30.0, airlight=0.7))
+    rain = tw.AsBayer(tw.BayerRain(tw.Rain(30.0), camera, depth=30.0, airlight=0.7), through_mosaic=True)
     rgb = torch.rand(3, 24, 32, generator=torch.Generator().manual_seed(1))
     given = {"image": rgb if batch is None else rgb.expand(batch, 3, 24, 32)}
     plain = tw.Compose({"image": rain}, p=0.0)

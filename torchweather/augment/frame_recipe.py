@@ -19,7 +19,6 @@ from torchweather.transforms.recipes import load_recipe
 __all__ = ["FrameRecipe", "SensorUse", "kind_of_sensor", "text_sha256"]
 
 KEPT = 8  # pipelines of different cameras: a data set has few
-DEMOSAIC = "malvar"  # of RGB images, where the recipe names no other
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class FrameRecipe:
         for key, use in uses.items():
             plan = self.plan(use.kind)
             if use.camera is not None:
-                plan = replace(plan, sensor=use.camera, method=(plan.method or DEMOSAIC) if use.rgb else None)
+                plan = replace(plan, sensor=use.camera, rgb=use.rgb, through_mosaic=plan.through_mosaic and use.rgb)
             transforms[key] = plan.build(some)
         return Compose(
             transforms,

@@ -138,7 +138,7 @@ class Worker:
         for file in frame.files:
             if file.key in results:
                 self._write(clear[file.key], results[file.key], written)
-            elif compose.mosaic_clear and clear[file.key].use.rgb:
+            elif file.kind == "camera" and compose.clear_through_mosaic(file.key):
                 write_image(self._new(file.target, written), out[file.key])
             else:
                 self._write_clear(clear[file.key], written)

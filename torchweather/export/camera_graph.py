@@ -11,6 +11,7 @@ from torchweather.export.traceable import Traceable
 from torchweather.image.bayer import cfa_colour_index
 from torchweather.random import draw_variates, sizes_of
 from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
+from torchweather.stages.camera_rays import rays_of
 from torchweather.transforms.camera import BayerWeather
 
 __all__ = ["traceable_camera"]
@@ -32,7 +33,7 @@ class _CameraGraph(nn.Module):
     def __init__(self, transform: BayerWeather) -> None:
         super().__init__()
         self.chain = transform.chain
-        self.camera = transform.camera
+        self.camera, self.layer_top_m = transform.camera, transform.layer_top_m
         self.register_buffer("cfa_index", torch.tensor(cfa_colour_index(self.camera.bayer_pattern)))
         self.cfa_index: Tensor
         self.variates = {
@@ -49,15 +50,16 @@ class _CameraGraph(nn.Module):
         fx, fy, cx, cy = intrinsics
         x = (torch.arange(width, device=bayer.device).to(bayer.dtype) - cx) / fx
         y = (torch.arange(height, device=bayer.device).to(bayer.dtype) - cy) / fy
-        x, y = self.camera.undistort(x[None, :], y[:, None])
-        ray = torch.sqrt(1 + x.square() + y.square())[None, None]
+        rays = rays_of(self.camera, *self.camera.undistort(x[None, :], y[:, None]), self.layer_top_m)
         state = CameraState(
             signal=bayer,
             depth_m=depth,
-            ray_per_depth=ray,
+            ray_per_depth=rays.per_depth,
             cfa_index=self.cfa_index,
             intrinsics=torch.stack([fx, fy, cx, cy])[None],
             camera=self.camera,
+            ray_in_layer_m=rays.in_layer_m,
+            sine_elevation=rays.sine_elevation,
         )
         named_noise = dict(zip(self.variates, noise, strict=True))
         named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))
@@ -95,7 +97,7 @@ def _example(
         if variate.law == "points":
             noise_shapes.append({1: torch.export.Dim(f"points_{number}", min=2)})
         else:
-            noise_shapes.append({i + 1: dims[d] for i, d in enumerate(variate.shape) if isinstance(d, str)})
+            noise_shapes.append({i + 1: dims[d] for i, d in enumerate(variate.shape) if d in dims})
     knobs = [torch.full((1,), 50.0, device=device) for _ in graph.knobs]
     camera = graph.camera
     intrinsics = [torch.tensor(float(value), device=device) for value in camera.intrinsics]

@@ -32,20 +32,20 @@ def by_rows(
     *,
     apart: bool = False,
 ) -> tuple[Tensor, ...]:
-    """Assemble the results of a function over the bands of an image of ``shape`` ``(B, 1, H, W)``.
+    """Assemble the results of a function over the bands of an image of ``shape`` ``(B, C, H, W)``.
 
     Args:
         function: takes the first and the last row and where to write its first result (or ``None``); gives one or
-            more tensors ``(B, 1, rows, W)``. Bands begin at even rows.
-        shape: of the results.
+            more tensors ``(B, 1 or C, rows, W)``. Bands begin at even rows.
+        shape: of the first result.
         like: gives dtype and device of the results; where gradients flow, the image is one band.
         out: where to write the first result; ``None`` allocates.
         apart: run the bands side by side on threads of their own, for functions of very many operations.
     """
-    b, _, height, width = shape
+    b, c, height, width = shape
     if is_exporting() or (torch.is_grad_enabled() and like.requires_grad):
         return tuple(function(0, height, None))
-    rows = max(2, BAND_PIXELS // max(1, b * width) // 2 * 2)
+    rows = max(2, BAND_PIXELS // max(1, b * c * width) // 2 * 2)
     bands = [(first, min(first + rows, height)) for first in range(0, height, rows)]
     results = [] if out is None else [out.view(tuple(shape))]
 
@@ -56,7 +56,8 @@ def by_rows(
             return False
         for number, part in enumerate(parts):
             if number == len(results):
-                results.append(torch.empty(tuple(shape), dtype=like.dtype, device=like.device))
+                size = (b, part.shape[1], height, width)
+                results.append(torch.empty(size, dtype=like.dtype, device=like.device))
             if number or part is not into:
                 results[number][..., first:last, :] = part
         return True

@@ -22,7 +22,7 @@ from torchweather.stages.camera import FADING_COLOUR, FARTHEST_M, OPAQUE, rays
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_camera_particles import per_sample
 from torchweather.stages.effects_lidar_air import transmittance_into_water
-from torchweather.stages.mosaic_blur import gaussian_blur, phases, whole
+from torchweather.stages.mosaic_blur import gaussian_blur, phases, spacing_px, whole
 from torchweather.stages.states import CameraState
 
 __all__ = [
@@ -42,8 +42,8 @@ SMALL = 1e-3  # below which a quotient is its series
 
 
 def ray_m(state: CameraState) -> Tensor:
-    """Length of each pixel's ray, finite, ``(1 or B, 1, H, W)``."""
-    return state.depth_m.clamp_max(FARTHEST_M) * state.ray_per_depth
+    """Length of each pixel's ray inside the fog, finite, ``(1 or B, 1, H, W)``."""
+    return state.fog_path_m(state.depth_m.clamp_max(FARTHEST_M))
 
 
 class CameraAirlightScale(Effect):
@@ -149,7 +149,7 @@ class CameraPatchyFog(Effect):
         drawn = noise["density"].to(state.signal)
         height, width = state.signal.shape[-2:]
         down, across = _between(height, BANK_ROWS, drawn), _between(width, BANK_COLUMNS, drawn)
-        length_m = ray_m(state).expand_as(state.signal)
+        length_m = ray_m(state).expand_as(state.one_plane)
         log_std = self.value("log_std", state.signal)
         more_m = torch.zeros_like(length_m)
         for layer, (near_m, far_m) in enumerate(itertools.pairwise(BANK_EDGES_M)):
@@ -208,7 +208,7 @@ class CameraHeightFog(Effect):
         small = scaled.abs() < SMALL
         apart = torch.where(small, 1.0, scaled)
         density = torch.where(small, 1.0 - 0.5 * scaled, -torch.expm1(-apart) / apart)
-        density = density.expand_as(state.signal)
+        density = density.expand_as(state.one_plane)
         return {"fog_density": density if state.fog_density is None else density * state.fog_density}
 
 
@@ -249,16 +249,17 @@ class CameraAerosolGlow(Effect):
         if state.fog_density is not None:
             depth = depth * state.fog_density
         depth = depth.clamp_max(OPAQUE)
-        share = phases(-torch.expm1(-self.value("share_per_optical_depth", depth) * depth))
+        apart = spacing_px(state)
+        share = phases(-torch.expm1(-self.value("share_per_optical_depth", depth) * depth), apart)
         width = self.value("width_px_per_optical_depth", depth) * depth
-        variance = phases(width.clamp_max(GLOW_WIDTHS_PX[-1]).square())
+        variance = phases(width.clamp_max(GLOW_WIDTHS_PX[-1]).square(), apart)
         # Between the two blurs next to its own a pixel's variance is met by their mixture.
-        level, glow = phases(state.signal), torch.zeros_like(share)
+        level, glow = phases(state.signal, apart), torch.zeros_like(share)
         widest = GLOW_WIDTHS_PX[-1] if is_exporting() or not width.numel() else float(width.detach().max())
         for number, here in enumerate(GLOW_WIDTHS_PX):
             if number:
                 below = GLOW_WIDTHS_PX[number - 1]
-                level = gaussian_blur(level, here**2 - below**2)
+                level = gaussian_blur(level, here**2 - below**2, apart)
                 mixed = (variance - below**2) / (here**2 - below**2)
             else:
                 mixed = torch.ones_like(variance)
@@ -268,7 +269,7 @@ class CameraAerosolGlow(Effect):
             glow = glow + mixed.clamp_min(0.0) * level
             if here >= widest:
                 break
-        return {"signal": whole(torch.lerp(phases(state.signal), glow, share))}
+        return {"signal": whole(torch.lerp(phases(state.signal, apart), glow, share), apart)}
 
 
 class CameraWetSurface(Effect):
@@ -319,7 +320,7 @@ class CameraWetSurface(Effect):
 
 
 def _seen_along(state: CameraState, direction: Tensor) -> Tensor:
-    """The picture in other directions ``(B, 3, H, W)``, each pixel from its own phase of the CFA."""
+    """The picture in other directions ``(B, 3, H, W)``; of a mosaic, each pixel from its own phase."""
     assert state.camera is not None
     height, width = state.signal.shape[-2:]
     x, y, z = (direction[:, axis : axis + 1] for axis in range(3))
@@ -327,8 +328,12 @@ def _seen_along(state: CameraState, direction: Tensor) -> Tensor:
     ahead = z.clamp_min(1e-2)
     x, y = state.camera.distort(x / ahead, y / ahead)
     fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(direction).unbind(-1))
-    column = (x * fx + cx).clamp(0.0, width - 1.0).expand_as(state.signal)
-    row = (y * fy + cy).clamp(0.0, height - 1.0).expand_as(state.signal)
+    column = (x * fx + cx).clamp(0.0, width - 1.0)
+    row = (y * fy + cy).clamp(0.0, height - 1.0).expand_as(state.one_plane)
+    column = column.expand_as(row)
+    if state.cfa_index is None:
+        grid = torch.stack([column[:, 0] / max(width - 1, 1), row[:, 0] / max(height - 1, 1)], -1) * 2.0 - 1.0
+        return torch.nn.functional.grid_sample(state.signal, grid, padding_mode="border", align_corners=True)
     found, planes = [], phases(state.signal)
     for phase in range(4):
         down, aside = divmod(phase, 2)

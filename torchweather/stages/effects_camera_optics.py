@@ -1,7 +1,7 @@
 """Effects of a camera's window and lens, and of its motion, in the order of the light.
 
-Blurs act on each phase of the CFA by itself (``mosaic_blur.py``); lengths are pixels of the whole mosaic. Bounds and
-typical sizes are orders of magnitude where no source is named.
+Blurs act on each phase of the CFA, or each colour plane, by itself (``mosaic_blur.py``); lengths are pixels of the
+frame. Bounds and typical sizes are orders of magnitude where no source is named.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from torchweather.random import Variate
+from torchweather.stages.airlight import frame_mean
 from torchweather.stages.by_rows import is_exporting
-from torchweather.stages.camera import frame_mean
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_camera_particles import per_sample
-from torchweather.stages.mosaic_blur import blurred_along, disk_points_px, line_points_px
+from torchweather.stages.mosaic_blur import blurred_along, disk_points_px, line_points_px, spacing_px
 from torchweather.stages.states import CameraState
 
 __all__ = ["CameraAdherentDrops", "CameraDefocus", "CameraEgoBlur", "CameraStrayLight", "CameraVignetting"]
@@ -31,10 +31,9 @@ SOFT_AREA = 13.0 / 12.0
 
 
 def mean_colours(state: CameraState) -> Tensor:
-    """Mean of each colour over the frame, for every pixel of that colour, ``(B, 1, H, W)``."""
-    height, width = state.signal.shape[-2:]
-    cells = state.per_pixel(frame_mean(state)).expand(-1, 1, height // 2, 2, width)
-    return cells.reshape(-1, 1, height, width)
+    """Mean of each colour over the frame, for every pixel of that colour, ``(B, C, H, W)``."""
+    cells = state.by_cells(state.signal)
+    return state.per_pixel(frame_mean(state)).expand(cells.shape).flatten(2, 3)
 
 
 def reach_of(effect: Effect, parameter: str) -> float:
@@ -150,7 +149,7 @@ class CameraEgoBlur(Effect):
         """The smeared frame."""
         length, angle = (per_sample(self, name, state) for name in ("length_px", "angle_rad"))
         reach_px = 0.5 * reach_of(self, "length_px")
-        return {"signal": blurred_along(state.signal, line_points_px(length, angle), reach_px)}
+        return {"signal": blurred_along(state.signal, line_points_px(length, angle), reach_px, spacing_px(state))}
 
 
 class CameraDefocus(Effect):
@@ -183,7 +182,7 @@ class CameraDefocus(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The soft frame."""
         points_px = disk_points_px(per_sample(self, "radius_px", state))
-        return {"signal": blurred_along(state.signal, points_px, reach_of(self, "radius_px"))}
+        return {"signal": blurred_along(state.signal, points_px, reach_of(self, "radius_px"), spacing_px(state))}
 
 
 class CameraVignetting(Effect):

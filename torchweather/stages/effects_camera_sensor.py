@@ -82,7 +82,7 @@ class CameraSensorNoise(Effect):
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a pixel."""
-        return (Variate("electrons", "normal", (1, "H", "W")),)
+        return (Variate("electrons", "normal", ("C", "H", "W")),)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal with its noise."""

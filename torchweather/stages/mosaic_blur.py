@@ -1,8 +1,8 @@
-"""Blur of a raw mosaic, each colour by itself.
+"""Blur of a raw mosaic or of colour planes, each colour by itself.
 
-Neighbours of one colour lie 2 px apart, so each of the four phases of the CFA is a picture of its own, and a path in
-full-resolution pixels is half as long in it. A disk or a line falls between its pixels: the light there is what cubic
-convolution (Keys 1981, a = -1/2) puts through them. It reproduces parabolas, so a blur's variance is exactly that of
+In a mosaic neighbours of one colour lie 2 px apart, so each of the four phases of the CFA is a picture of its own, and
+a path in full-resolution pixels is half as long in it. A disk or a line falls between its pixels: the light there is
+what cubic convolution (Keys 1981, a = -1/2) puts through them. It reproduces parabolas, so a blur's variance is exactly that of
 its disk, ``radius^2 / 4`` along each axis, or line, ``length^2 / 12``, however small. A Gaussian is the discrete one
 (Lindeberg 1990), ``exp(-t) I_n(t)``, whose variance is t exactly: blurs after each other add up.
 """
@@ -17,24 +17,29 @@ import torch
 from torch import Tensor
 
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.states import CameraState
 
-__all__ = ["blurred_along", "disk_points_px", "gaussian_blur", "line_points_px", "phases", "whole"]
+__all__ = ["blurred_along", "disk_points_px", "gaussian_blur", "line_points_px", "phases", "spacing_px", "whole"]
 
-PHASE_PX = 2.0  # from a pixel to the next one of its phase
 POINTS_OF_QUARTER, POINTS_OF_LINE = 64, 65
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 PART = 48  # pixels of an axis that are blurred at once
 FREQUENCIES = 512  # of the discrete Gaussian's transform; more than twice its longest kernel
 
 
-def phases(image: Tensor) -> Tensor:
-    """The four phases of a mosaic, ``(B, 1, H, W)`` to ``(B, 4, H/2, W/2)``."""
-    return torch.nn.functional.pixel_unshuffle(image, 2)
+def spacing_px(state: CameraState) -> int:
+    """Pixels from one sample of a colour to the next: 2 in a mosaic, 1 in colour planes."""
+    return 1 if state.cfa_index is None else 2
 
 
-def whole(planes: Tensor) -> Tensor:
-    """The mosaic of its four phases."""
-    return torch.nn.functional.pixel_shuffle(planes, 2)
+def phases(image: Tensor, spacing: int = 2) -> Tensor:
+    """The four phases of a mosaic, ``(B, 1, H, W)`` to ``(B, 4, H/2, W/2)``; colour planes (spacing 1) as they are."""
+    return torch.nn.functional.pixel_unshuffle(image, 2) if spacing == 2 else image
+
+
+def whole(planes: Tensor, spacing: int = 2) -> Tensor:
+    """The image that `phases` took apart."""
+    return torch.nn.functional.pixel_shuffle(planes, 2) if spacing == 2 else planes
 
 
 def disk_points_px(radius_px: Tensor) -> Tensor:
@@ -53,19 +58,20 @@ def line_points_px(length_px: Tensor, angle_rad: Tensor) -> Tensor:
     return length_px[:, None, None] * step[:, None] * along[:, None]
 
 
-def blurred_along(image: Tensor, points_px: Tensor, reach_px: float) -> Tensor:
-    """A mosaic ``(B, 1, H, W)`` whose every pixel is the mean over points ``(B, K, 2)``, column and row, around it.
+def blurred_along(image: Tensor, points_px: Tensor, reach_px: float, spacing: int = 2) -> Tensor:
+    """An image ``(B, C, H, W)`` whose every pixel is the mean over points ``(B, K, 2)``, column and row, around it.
 
     Args:
-        image: the mosaic; it goes on beyond its edges with the pixels there.
+        image: a mosaic (C = 1) or colour planes; it goes on beyond its edges with the pixels there.
         points_px: relative to each pixel.
         reach_px: no point lies farther away along either axis.
+        spacing: pixels from one sample of a colour to the next.
     """
-    reach = math.ceil(reach_px / PHASE_PX) + 1
+    reach = math.ceil(reach_px / spacing) + 1
     node = torch.arange(-reach, reach + 1, device=image.device, dtype=image.dtype)
-    weight = _cubic(points_px.to(image.dtype)[..., None] / PHASE_PX - node)  # (B, K, 2, nodes)
+    weight = _cubic(points_px.to(image.dtype)[..., None] / spacing - node)  # (B, K, 2, nodes)
     kernel = torch.einsum("bkr,bkc->brc", weight[:, :, 1], weight[:, :, 0]) / points_px.shape[1]
-    planes = phases(image)
+    planes = phases(image, spacing)
     batch, number, height, width = planes.shape
     padded = torch.nn.functional.pad(planes, (reach,) * 4, mode="replicate")
     kernels = kernel[:, None].expand(-1, number, -1, -1).reshape(batch * number, 1, *kernel.shape[-2:])
@@ -73,7 +79,7 @@ def blurred_along(image: Tensor, points_px: Tensor, reach_px: float) -> Tensor:
         padded.reshape(1, batch * number, *padded.shape[-2:]), kernels, groups=batch * number
     )
     # The cubic undershoots beside lone bright pixels; light ends at black.
-    return whole(found.reshape(batch, number, height, width)).clamp_min(0.0)
+    return whole(found.reshape(batch, number, height, width), spacing).clamp_min(0.0)
 
 
 def _cubic(distance: Tensor) -> Tensor:
@@ -84,23 +90,23 @@ def _cubic(distance: Tensor) -> Tensor:
     return torch.where(x <= 1.0, near, torch.where(x < 2.0, far, 0.0))
 
 
-def gaussian_blur(planes: Tensor, variance_px2: float) -> Tensor:
-    """Phases ``(B, 4, H/2, W/2)`` blurred by a Gaussian of a variance in full-resolution pixels."""
+def gaussian_blur(planes: Tensor, variance_px2: float, spacing: int = 2) -> Tensor:
+    """Phases ``(B, 4, H/2, W/2)``, or colour planes, blurred by a Gaussian of a variance in full-resolution pixels."""
     height, width = planes.shape[-2:]
     # Products with the dense parts of a band matrix do many more sums in a second than convolutions of one channel.
     if is_exporting():
-        return _convolved(planes, variance_px2)
+        return _convolved(planes, variance_px2, spacing)
     batch, number = planes.shape[:2]
     rows = planes.reshape(-1, width)
-    across = [rows[:, seen] @ part.to(planes).T for seen, part in _blurring(variance_px2, width)]
+    across = [rows[:, seen] @ part.to(planes).T for seen, part in _blurring(variance_px2 / spacing**2, width)]
     columns = torch.cat(across, 1).view(batch * number, height, width)
-    down = [part.to(planes) @ columns[:, seen] for seen, part in _blurring(variance_px2, height)]
+    down = [part.to(planes) @ columns[:, seen] for seen, part in _blurring(variance_px2 / spacing**2, height)]
     return torch.cat(down, 1).view(batch, number, height, width)
 
 
-def _convolved(planes: Tensor, variance_px2: float) -> Tensor:
+def _convolved(planes: Tensor, variance_px2: float, spacing: int = 2) -> Tensor:
     """The same by convolutions, which an exported graph does at any size."""
-    kernel = torch.tensor(_gaussian(variance_px2), device=planes.device, dtype=planes.dtype)
+    kernel = torch.tensor(_gaussian(variance_px2 / spacing**2), device=planes.device, dtype=planes.dtype)
     reach = len(kernel) // 2
     batch, number, height, width = planes.shape
     flat = planes.reshape(batch * number, 1, height, width)
@@ -111,12 +117,12 @@ def _convolved(planes: Tensor, variance_px2: float) -> Tensor:
 
 
 @lru_cache(maxsize=32)
-def _blurring(variance_px2: float, size: int) -> list[tuple[slice, Tensor]]:
+def _blurring(variance: float, size: int) -> list[tuple[slice, Tensor]]:
     """Parts of the band matrix ``(size, size)`` that blurs an axis: what each sees, and weights ``(part, seen)``.
 
     Beyond the ends of the axis stands what is there.
     """
-    weights = np.array(_gaussian(variance_px2))
+    weights = np.array(_gaussian(variance))
     reach = len(weights) // 2
     near = np.arange(size)[:, None] + np.arange(-reach, reach + 1)
     whole = np.zeros((size, size))
@@ -129,12 +135,12 @@ def _blurring(variance_px2: float, size: int) -> list[tuple[slice, Tensor]]:
 
 
 @lru_cache(maxsize=32)
-def _gaussian(variance_px2: float) -> tuple[float, ...]:
-    """Weights of the discrete Gaussian to five standard deviations, from its transform ``exp(t (cos w - 1))``."""
-    t = variance_px2 / PHASE_PX**2
-    reach = min(math.ceil(5.0 * math.sqrt(t)) + 2, FREQUENCIES // 2 - 1)
+def _gaussian(variance: float) -> tuple[float, ...]:
+    """Weights of the discrete Gaussian to five standard deviations, from its transform ``exp(t (cos w - 1))``; the
+    variance t in samples of one colour."""
+    reach = min(math.ceil(5.0 * math.sqrt(variance)) + 2, FREQUENCIES // 2 - 1)
     frequency = 2.0 * math.pi * np.arange(FREQUENCIES) / FREQUENCIES
     lag = np.arange(-reach, reach + 1)
-    weights = (np.exp(t * (np.cos(frequency) - 1.0)) * np.cos(frequency * lag[:, None])).mean(1)
+    weights = (np.exp(variance * (np.cos(frequency) - 1.0)) * np.cos(frequency * lag[:, None])).mean(1)
     weights = np.maximum(weights, 0.0)
     return tuple((weights / weights.sum()).tolist())

@@ -12,14 +12,15 @@ from torch import Tensor
 from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.random import Variate
 from torchweather.sensors import Camera
+from torchweather.stages.airlight import Airlight, airlight_argument, frame_mean, given_or_estimated, scaled_airlight
 from torchweather.stages.by_rows import by_rows, is_exporting
-from torchweather.stages.camera import FADING_COLOUR, estimate_airlight, frame_mean, scaled_airlight
+from torchweather.stages.camera import FADING_COLOUR
 from torchweather.stages.haze import haze_depth
 from torchweather.stages.population import AtRate, Population
 from torchweather.stages.registry import register
 from torchweather.stages.sequence import next_frame
 from torchweather.stages.stage import Stage
-from torchweather.stages.states import CameraState, by_cells
+from torchweather.stages.states import CameraState
 from torchweather.threads import one_thread_an_operation
 from torchweather.weather import Rain, Snow, weather_from_dict
 
@@ -71,7 +72,7 @@ class ParticleVeil(Stage):
         cut: float = 1 / 1024,
         crowding: float = 0.25,
         ego_speed_m_per_s: float = 0.0,
-        ambient: Sequence[float] | float | None = None,
+        ambient: Sequence[float] | float | str | None = None,
         drop_view: str = "frame",
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
@@ -94,13 +95,13 @@ class ParticleVeil(Stage):
             "cut": cut,
             "crowding": crowding,
             "ego_speed_m_per_s": ego_speed_m_per_s,
-            "ambient": list(ambient) if isinstance(ambient, Sequence) else ambient,
+            "ambient": list(ambient) if isinstance(ambient, (list, tuple)) else ambient,
             "drop_view": drop_view,
             "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
             "variant": variant,
         }
         self.drop_view = drop_view
-        self.given_ambient = ambient if ambient is None or isinstance(ambient, (int, float)) else tuple(ambient)
+        self.given_ambient: Airlight = airlight_argument(ambient, self)
         self.populations = torch.nn.ModuleList()
         for weather in sorted(built, key=lambda part: part.kind):
             if not isinstance(weather, (Rain, Snow)):
@@ -160,12 +161,9 @@ class ParticleVeil(Stage):
 
     def ambient(self, state: CameraState) -> Tensor:
         """Signal of the sky per colour, ``(B, 3)``."""
-        if self.given_ambient is None and state.airlight is not None:
+        if not isinstance(self.given_ambient, tuple) and state.airlight is not None:
             return state.airlight  # the fog's stage has scaled it
-        if self.given_ambient is None:
-            return scaled_airlight(estimate_airlight(state, self), state)
-        light = torch.as_tensor(self.given_ambient, device=state.signal.device, dtype=state.signal.dtype)
-        return scaled_airlight(light.expand(state.batch, 3), state)
+        return scaled_airlight(given_or_estimated(self.given_ambient, state, self), state)
 
     def _colours(self, state: CameraState) -> list[Tensor]:
         ambient = self.ambient(state)
@@ -193,9 +191,9 @@ class ParticleVeil(Stage):
         if len(self.parts) != 1 or state.fog_extinction_per_m is not None:
             raise ValueError("ParticleVeil.behind: one kind of particles, and no fog, has one colour; use forward.")
         colour, contrast = state.per_pixel(self._colours(state)[0]), state.particle_contrast
-        mask = by_cells(particle_mask)
+        mask = state.by_cells(particle_mask)
         weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
-        signal = torch.lerp(by_cells(state.signal), colour.expand_as(mask), weight).flatten(2, 3)
+        signal = torch.lerp(state.by_cells(state.signal), colour, weight).flatten(2, 3)
         if contrast is not None:
             signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
         return replace(state, signal=signal, particle_mask=particle_mask if state.keep_truth else None)
@@ -207,7 +205,8 @@ class ParticleVeil(Stage):
             state: the frame, whose signal does not matter.
             noise: as for ``forward``.
         """
-        total, shape = torch.zeros_like(state.signal), state.signal.shape
+        one = state.one_plane
+        total, shape = torch.zeros_like(one), one.shape
         with one_thread_an_operation():
             for part in self.parts:
                 part.check_rate()
@@ -219,7 +218,7 @@ class ParticleVeil(Stage):
                 ) -> tuple[Tensor]:
                     return (haze_depth(part, state, noise, table, first, last)[0].expand(shape[0], -1, -1, -1),)
 
-                (haze,) = by_rows(band, shape, state.signal, apart=True)
+                (haze,) = by_rows(band, shape, one, apart=True)
                 total += sharp.add_(haze)
         return total
 
@@ -232,7 +231,7 @@ class ParticleVeil(Stage):
 
     def _render(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         if state.signal.numel() == 0:
-            return replace(state, particle_mask=state.signal if state.keep_truth else None)
+            return replace(state, particle_mask=state.one_plane if state.keep_truth else None)
         for part in self.parts:
             part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
@@ -249,19 +248,21 @@ class ParticleVeil(Stage):
             depths, lights = [], []
             for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
                 haze, haze_faded = haze_depth(part, state, noise, table, first, last, fog_per_m)
-                depths.append(by_cells(sharp[rows] + haze))
+                depths.append(state.by_cells(sharp[rows] + haze))
                 if sharp_faded is not None and haze_faded is not None:
-                    faded = by_cells(sharp_faded[rows] + haze_faded)
+                    faded = state.by_cells(sharp_faded[rows] + haze_faded)
                     colour = self._through_fog(state, colour, faded, depths[-1])
                 lights.append(colour)
             total = sum(depths[1:], depths[0])
             mask = -torch.expm1(-total).to(state.signal.dtype)
+            if state.near_mask is not None:  # nothing falls between the lens and the own vehicle
+                mask = mask * (1.0 - state.by_cells(state.near_mask[rows]).to(mask.dtype))
             if len(lights) == 1:
-                light = lights[0].expand_as(mask)
+                light = lights[0].to(mask.dtype)
             else:
                 light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
             weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
-            signal = torch.lerp(by_cells(state.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
+            signal = torch.lerp(state.by_cells(state.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
             if contrast is not None:  # more than the whole way to the particles' colour may leave what there is
                 signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
             return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)

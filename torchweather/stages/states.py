@@ -18,13 +18,17 @@ __all__ = ["CameraState", "LidarState", "PointKind", "RadarState"]
 
 @dataclass(frozen=True)
 class CameraState:
-    """A raw camera frame on its way through the chain; B is the flattened batch.
+    """A camera frame on its way through the chain; B is the flattened batch.
+
+    A frame is a mosaic, C = 1, or a picture of three colour planes, C = 3. Stages treat both alike: a value per colour
+    is spread over the pixels by `per_pixel` and broadcast against `by_cells`.
 
     Args:
-        signal: ``(B, 1, H, W)`` linear in light, black 0, saturation 1.
+        signal: ``(B, C, H, W)`` linear in light, black 0, saturation 1.
         depth_m: ``(B, 1, H, W)`` metres along the optical axis; infinity is sky.
         ray_per_depth: ``(1 or B, 1, H, W)`` length of a pixel's ray per metre of depth, 1 / cos(theta).
-        cfa_index: ``(2, 2)`` colour of each CFA cell: 0 red, 1 green or clear, 2 blue.
+        cfa_index: ``(2, 2)`` colour of each cell of a mosaic: 0 red, 1 green or clear, 2 blue; ``None`` for colour
+            planes (red, green, blue).
         intrinsics: ``(1 or B, 4)`` fx, fy, cx, cy in pixels.
         airlight: ``(B, 3)`` linear signal of an infinitely deep fog, per colour; ``None`` until a stage sets it.
         fog_extinction_per_m: ``(B, 3)`` extinction of a continuous medium along the ray; ``None`` is clear air.
@@ -45,12 +49,18 @@ class CameraState:
         path_tangent: ``(B,)`` sideways over downward speed of falling particles, to the right; ``None`` is 0.
         row_time_s: ``(B,)`` from the exposure of a row to that of the row below; ``None`` is 0.
         patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
+        ray_in_layer_m: ``(1 or B, 1, H, W)`` length of each pixel's ray up to the top of the fog, metres
+            (``PHYSICS.md`` 10.11); ``None``: fog has no top.
+        sky: ``(1 or B, 1, H, W)`` share of each pixel that shows the sky; ``None``: where the depth is infinite.
+        near_mask: ``(1 or B, 1, H, W)`` share of each pixel that shows the own vehicle, with no weather in front of it;
+            ``None``: nowhere.
+        sine_elevation: ``(1 or B, 1, H, W)`` sine of each ray's elevation above the horizon; ``None`` where not known.
     """
 
     signal: Tensor
     depth_m: Tensor
     ray_per_depth: Tensor
-    cfa_index: Tensor
+    cfa_index: Tensor | None
     intrinsics: Tensor
     airlight: Tensor | None = None
     fog_extinction_per_m: Tensor | None = None
@@ -68,11 +78,15 @@ class CameraState:
     path_tangent: Tensor | None = None
     row_time_s: Tensor | None = None
     patches: PatchField | None = None
+    ray_in_layer_m: Tensor | None = None
+    sky: Tensor | None = None
+    near_mask: Tensor | None = None
+    sine_elevation: Tensor | None = None
 
     @property
     def sizes(self) -> dict[str, int]:
         """The named sizes that variates refer to."""
-        return {"H": self.signal.shape[-2], "W": self.signal.shape[-1]}
+        return {"C": self.signal.shape[1], "H": self.signal.shape[-2], "W": self.signal.shape[-1]}
 
     @property
     def batch(self) -> int:
@@ -84,20 +98,41 @@ class CameraState:
         """``(B, 1, H, W)`` distance along each pixel's ray, metres."""
         return self.depth_m * self.ray_per_depth
 
-    def per_pixel(self, per_colour: Tensor) -> Tensor:
-        """Spread a value per colour over the CFA: ``(B, 3)`` to one row pair, ``(B, 1, 1, 2, W)``.
+    @property
+    def one_plane(self) -> Tensor:
+        """``(B, 1, H, W)`` the signal's first plane: the shape, dtype and device of what all colours share."""
+        return self.signal[:, :1]
 
-        Broadcast it against ``by_cells(image)``, which views an image as ``(B, 1, H/2, 2, W)``.
+    def fog_path_m(self, depth_m: Tensor, rows: slice = slice(None)) -> Tensor:
+        """Length of each pixel's ray inside the fog, metres: to its surface, or to the top of the layer.
+
+        Args:
+            depth_m: ``(B, 1, rows, W)`` depth in these rows.
+            rows: of the frame.
         """
+        length_m = depth_m * self.ray_per_depth[..., rows, :]
+        if self.ray_in_layer_m is None:
+            return length_m
+        return torch.minimum(length_m, self.ray_in_layer_m[..., rows, :])
+
+    def per_pixel(self, per_colour: Tensor) -> Tensor:
+        """Spread a value per colour ``(B, 3)`` over the pixels, to be broadcast against ``by_cells``.
+
+        Of a mosaic it is one row pair, ``(B, 1, 1, 2, W)``; of colour planes ``(B, 3, 1, 1, 1)``.
+        """
+        if self.cfa_index is None:
+            return per_colour[:, :, None, None, None]
         cell = per_colour[:, self.cfa_index]  # (B, 2, 2)
         row_pair = cell.repeat(1, 1, self.signal.shape[-1] // 2)  # (B, 2, W)
         return row_pair[:, None, None]
 
+    def by_cells(self, image: Tensor) -> Tensor:
+        """View ``(B, C, H, W)`` with the rows of the CFA's cells apart; ``flatten(2, 3)`` takes it back.
 
-def by_cells(image: Tensor) -> Tensor:
-    """View ``(B, 1, H, W)`` as ``(B, 1, H/2, 2, W)``: the rows of the CFA cells apart."""
-    b, c, h, w = image.shape
-    return image.reshape(b, c, h // 2, 2, w)
+        Of a mosaic it is ``(B, C, H/2, 2, W)``; of colour planes ``(B, C, 1, H, W)``.
+        """
+        b, c, h, w = image.shape
+        return image[:, :, None] if self.cfa_index is None else image.reshape(b, c, h // 2, 2, w)
 
 
 class PointKind(IntEnum):

@@ -76,8 +76,7 @@ class CameraSubject:
 
     Note:
         The frame's own noise is in the clear and in the rendered data alike: a score of raw frames sees the weather
-        alone. An RGB frame in weather has gone through a mosaic and back (``AsBayer``), the clear one has not: the
-        scores of all levels hold that loss.
+        alone. An RGB frame is weathered in linear light without a mosaic, so its scores see the weather alone, too.
 
     Example:
         >>> camera = Camera.preset("lucid-triton").resized(16, 16)

@@ -1,27 +1,33 @@
-"""AsBayer: weather of a raw camera on RGB images, by way of the mosaic that the camera would have recorded."""
+"""AsBayer: weather of a camera on RGB images, in linear light, without a mosaic or by way of one."""
 
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 
-from torchweather.camera.depth import DepthMap
-from torchweather.errors import check_one_of
-from torchweather.image.bayer import mosaic
-from torchweather.image.demosaic import METHODS, demosaic
-from torchweather.image.tone import compand, expand, normalise, quantise, srgb_decode, srgb_encode
+from torchweather.camera.depth import EXACT, DepthMap, SceneDepth, check_depth
+from torchweather.errors import check_at_least, check_one_of, check_positive
+from torchweather.image.demosaic import METHODS
+from torchweather.random import sizes_of
+from torchweather.stages import CameraState
 from torchweather.transforms.camera import BayerWeather, CameraResult
+from torchweather.transforms.rgb_planes import check_rgb, check_rgb_values, encoded_planes, linear_planes
+from torchweather.transforms.through_mosaic import (
+    image_of_mosaic,
+    mosaic_of_image,
+    padded,
+    padded_scene,
+    padded_size,
+)
 from torchweather.weather import Weather
 
 __all__ = ["AsBayer", "RgbResult"]
 
-SMALLEST_PX = 4  # a mosaic needs two 2 x 2 cells in each direction to be demosaiced
-INTEGER_DTYPES = (torch.uint8, torch.uint16)
+FADING_PLANE = 1  # green stands for all colours in a result's transmission
 
 
 @dataclass(frozen=True)
@@ -30,37 +36,42 @@ class RgbResult:
 
     Args:
         rgb: ``(..., 3, H, W)`` the image, in the dtype of the input.
-        transmission: ``(..., 1, H, W)`` share of the scene's light that fog lets through; 1 without fog.
+        transmission: ``(..., 1, H, W)`` share of the scene's light that fog lets through (green); 1 without fog.
         airlight: ``(..., 3)`` linear signal of the sky that was used (red, green or clear, blue).
         particle_mask: ``(..., 1, H, W)`` share of the exposure in which particles cover the pixel.
+        depth_confidence: how sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``.
     """
 
     rgb: Tensor
     transmission: Tensor
     airlight: Tensor
     particle_mask: Tensor
+    depth_confidence: str = EXACT
 
 
 class AsBayer(nn.Module):
-    """A Bayer transform for RGB images: RGB, linear light, mosaic, weather, demosaic, RGB.
+    """A Bayer transform for RGB images.
 
-    Each image is sRGB-decoded, sampled by the camera's colour filter array, given the weather, demosaiced and
-    sRGB-encoded again. An image whose mosaic the weather leaves unchanged (rate 0, visibility infinite) comes back
-    bit for bit; any other image has gone through the mosaic as a whole, so that its sharpness is the same everywhere.
+    Each image is sRGB-decoded and given the weather in linear light, as three colour planes behind one layer of
+    particles, and sRGB-encoded again. Nothing is sampled away: a pixel that the weather does not change keeps its own
+    bits, and grey weather on a grey image is grey.
 
-    Odd heights and widths are padded by reflection at the bottom and right, and cropped back; the camera may have the
-    size of the image or of the padded image.
+    With ``through_mosaic=True`` the image is sampled by the camera's colour filter array, weathered as a raw frame and
+    demosaiced, which adds the sensor's own loss: about 36 dB PSNR on the demo's scene. Compare such images with
+    ``without_weather(image)``, which goes the same way.
 
     Args:
         transform: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather``. A function of the image as its depth
-            source is given the RGB image, as depth networks want it.
-        method: ``malvar`` (sharper) or ``bilinear`` demosaicing.
+            source is given the RGB image, as depth networks want it. Airlight that is not given is the grey of the sky
+            above the horizon.
+        through_mosaic: go through the camera's mosaic. Odd heights and widths are then padded by reflection at the
+            bottom and right, and cropped back.
+        method: of demosaicing, ``malvar`` (sharper) or ``bilinear``; for ``through_mosaic`` alone.
 
     Note:
-        What it costs: two thirds of the samples are dropped and interpolated again. Detail of one or two pixels
-        blurs or gets false colours and a fine grid: 36 dB PSNR on the demo's scene, see ``docs/as_bayer.md``. The
-        other assumption is that the image is plain sRGB: a camera's own tone curve, sharpening and local contrast are
-        not undone, so light is linear only roughly. Where raw frames exist, use them.
+        The image is taken for plain sRGB: a camera's own tone curve, sharpening and local contrast are not undone, so
+        light is linear only roughly. Sunlight and cast shadows of the clear image stay. Where raw frames exist, use
+        them.
 
     Example:
         >>> from torchweather.sensors import Camera
@@ -73,7 +84,7 @@ class AsBayer(nn.Module):
         (torch.Size([3, 23, 31]), torch.uint8)
     """
 
-    def __init__(self, transform: BayerWeather, *, method: str = "malvar") -> None:
+    def __init__(self, transform: BayerWeather, *, through_mosaic: bool = False, method: str = "malvar") -> None:
         super().__init__()
         if not isinstance(transform, BayerWeather):
             raise TypeError(
@@ -81,57 +92,79 @@ class AsBayer(nn.Module):
                 f"{type(transform).__name__}."
             )
         check_one_of("method", method, METHODS, owner=self)
+        if method != METHODS[0] and not through_mosaic:
+            raise ValueError(
+                f"AsBayer: method={method!r} demosaics, and there is no mosaic here. Give through_mosaic=True with it."
+            )
         self.transform = transform
+        self.through_mosaic = through_mosaic
         self.method = method
 
     def extra_repr(self) -> str:
-        """The demosaicing method."""
-        return f"method={self.method!r}"
+        """The way, and the demosaicing method on it."""
+        return f"through_mosaic=True, method={self.method!r}" if self.through_mosaic else ""
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
-    def forward(self, rgb: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None) -> Tensor:
+    def forward(
+        self, rgb: Tensor, depth: Tensor | SceneDepth | None = None, noise: Mapping[str, Tensor] | None = None
+    ) -> Tensor:
         """The image in this weather.
 
         Args:
             rgb: ``(..., 3, H, W)`` sRGB, uint8, uint16 or float in 0..1.
-            depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; ``None`` takes the transform's
-                source.
+            depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; or a ``SceneDepth``; ``None``
+                takes the transform's source.
             noise: what ``draw`` gave; ``None`` draws.
 
         Returns:
             ``(..., 3, H, W)`` in the dtype of ``rgb``. The inputs are not changed.
         """
-        before, inner = self._mosaic(rgb)
-        after = inner(before, self._depth(rgb, depth), noise)
-        return self._rgb(before, after, rgb)
+        if self.through_mosaic:
+            before, inner, scene = self._raw(rgb, depth)
+            return image_of_mosaic(before, inner(before, scene, noise), rgb, inner.camera, self.method)
+        state, after, _ = self._planes(rgb, depth, noise, keep_truth=False)
+        return encoded_planes(after.signal.reshape(rgb.shape), state.signal.reshape(rgb.shape), rgb)
 
     def with_weather(self, weather: Weather) -> AsBayer:
         """The same for another weather; tables that both need are shared."""
         inner = self.transform.with_weather(weather)
         assert isinstance(inner, BayerWeather)
-        return AsBayer(inner, method=self.method)
+        return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
 
-    def run(self, rgb: Tensor, depth: Tensor | None = None, noise: Mapping[str, Tensor] | None = None) -> RgbResult:
-        """The image, and with it transmission, airlight and particle mask."""
-        before, inner = self._mosaic(rgb)
-        result: CameraResult = inner.run(before, self._depth(rgb, depth), noise)
-        height, width = rgb.shape[-2:]
+    def run(
+        self, rgb: Tensor, depth: Tensor | SceneDepth | None = None, noise: Mapping[str, Tensor] | None = None
+    ) -> RgbResult:
+        """The image, and with it transmission, airlight, particle mask and how sure the depth is."""
+        batch, (height, width) = rgb.shape[:-3], rgb.shape[-2:]
+        if self.through_mosaic:
+            before, inner, scene = self._raw(rgb, depth)
+            result: CameraResult = inner.run(before, scene, noise)
+            return RgbResult(
+                rgb=image_of_mosaic(before, result.bayer, rgb, inner.camera, self.method),
+                transmission=result.transmission[..., :height, :width],
+                airlight=result.airlight,
+                particle_mask=result.particle_mask[..., :height, :width],
+                depth_confidence=result.depth_confidence,
+            )
+        state, after, scene = self._planes(rgb, depth, noise, keep_truth=True)
+        transmission, airlight, mask = self.transform.truth_of(state, after)
         return RgbResult(
-            rgb=self._rgb(before, result.bayer, rgb),
-            transmission=result.transmission[..., :height, :width],
-            airlight=result.airlight,
-            particle_mask=result.particle_mask[..., :height, :width],
+            rgb=encoded_planes(after.signal.reshape(rgb.shape), state.signal.reshape(rgb.shape), rgb),
+            transmission=transmission[:, FADING_PLANE].reshape(*batch, 1, height, width),
+            airlight=airlight.reshape(*batch, 3),
+            particle_mask=mask.reshape(*batch, 1, height, width),
+            depth_confidence=scene.confidence,
         )
 
     def draw(
         self,
         rgb: Tensor,
-        depth: Tensor | None = None,
+        depth: Tensor | SceneDepth | None = None,
         generator: torch.Generator | None = None,
         seed: int | Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Noise for an image (or a batch): that of the transform for the mosaic of the padded size.
+        """Noise for an image (or a batch).
 
         Args:
             rgb: the image; only its shape counts.
@@ -139,13 +172,34 @@ class AsBayer(nn.Module):
             generator: takes one integer per sample from it; ``None`` is torch's global generator.
             seed: the integers themselves: a tensor of the batch shape, or one integer s for s, s + 1, ...
         """
-        self._check_shape(rgb)
-        height, width = padded_size(*rgb.shape[-2:])
-        frame = torch.zeros(()).expand(*rgb.shape[:-3], 1, height, width)
-        return self._inner(height, width).draw(frame, None, generator, seed)
+        self._check(rgb)
+        height, width = rgb.shape[-2:]
+        if self.through_mosaic:
+            height, width = padded_size(height, width)
+            frame = torch.zeros(()).expand(*rgb.shape[:-3], 1, height, width)
+            return self._inner(height, width).draw(frame, None, generator, seed)
+        return self.transform.drawn(rgb.shape[:-3], sizes_of(height, width, 3), generator, seed)
+
+    def draw_sequence(
+        self,
+        rgb: Tensor,
+        frames: int,
+        frame_interval_s: float,
+        generator: torch.Generator | None = None,
+        seed: int | Tensor | None = None,
+    ) -> Iterator[dict[str, Tensor]]:
+        """Noise of successive frames in which particles move; arguments as ``BayerWeather.draw_sequence``."""
+        self._check(rgb)
+        check_at_least("frames", frames, 1, owner=self)
+        check_positive("frame_interval_s", frame_interval_s, unit="s", owner=self)
+        if self.through_mosaic:
+            height, width = padded_size(*rgb.shape[-2:])
+            frame = torch.zeros(()).expand(*rgb.shape[:-3], 1, height, width)
+            return self._inner(height, width).draw_sequence(frame, frames, frame_interval_s, generator, seed)
+        return self.transform.sequence_of(rgb, frames, frame_interval_s, generator, seed)
 
     def without_weather(self, rgb: Tensor) -> Tensor:
-        """The image by way of the mosaic alone: as sharp as images in weather, for the clear ones beside them.
+        """The clear image to compare images in weather with: the image itself, or by way of the mosaic alone.
 
         Args:
             rgb: as in ``forward``.
@@ -153,21 +207,66 @@ class AsBayer(nn.Module):
         Returns:
             ``(..., 3, H, W)`` in the dtype of ``rgb``.
         """
-        before, _ = self._mosaic(rgb)
-        return self._rgb(None, before, rgb)
+        self._check(rgb)
+        check_rgb_values(rgb, "AsBayer")
+        if not self.through_mosaic:
+            return rgb
+        inner = self._inner(*padded_size(*rgb.shape[-2:]))
+        return image_of_mosaic(None, mosaic_of_image(rgb, inner.camera), rgb, inner.camera, self.method)
 
-    # ---- the way to the mosaic and back --------------------------------------------------------------------------
+    # ---- colour planes -------------------------------------------------------------------------------------------
 
-    def _check_shape(self, rgb: Tensor) -> None:
-        if not isinstance(rgb, Tensor):
-            raise TypeError(f"AsBayer: rgb must be a torch.Tensor (..., 3, H, W); got {type(rgb).__name__}.")
-        if rgb.ndim < 3 or rgb.shape[-3] != 3:
-            raw = rgb.ndim >= 3 and rgb.shape[-3] == 1
-            advice = " A raw mosaic goes to the Bayer transform itself." if raw else ""
-            raise ValueError(f"AsBayer: rgb must have shape (..., 3, H, W); got {tuple(rgb.shape)}.{advice}")
+    def _planes(
+        self,
+        rgb: Tensor,
+        depth: Tensor | SceneDepth | None,
+        noise: Mapping[str, Tensor] | None,
+        *,
+        keep_truth: bool,
+    ) -> tuple[CameraState, CameraState, SceneDepth]:
+        """State before and after the weather, and the scene."""
+        self._check(rgb)
+        check_rgb_values(rgb, "AsBayer")
         height, width = rgb.shape[-2:]
-        if height == 0 or width == 0:
-            raise ValueError(f"AsBayer: rgb must have pixels; got {height} x {width}.")
+        inner = self._inner(height, width)
+        scene = inner.scene_of(rgb, depth)
+        linear = linear_planes(rgb).reshape(-1, 3, height, width)
+        state = inner.planes_state(linear, scene, rgb.shape[:-3], keep_truth=keep_truth)
+        return state, inner.weathered(state, noise), scene
+
+    # ---- the mosaic ----------------------------------------------------------------------------------------------
+
+    def _raw(
+        self, rgb: Tensor, depth: Tensor | SceneDepth | None
+    ) -> tuple[Tensor, BayerWeather, SceneDepth | Tensor | None]:
+        """Mosaic of the padded image as the camera's raw float frame, the transform for its size, and the scene."""
+        self._check(rgb)
+        check_rgb_values(rgb, "AsBayer")
+        size = padded_size(*rgb.shape[-2:])
+        inner = self._inner(*size)
+        return mosaic_of_image(rgb, inner.camera), inner, self._padded_depth(rgb, depth, size)
+
+    def _padded_depth(
+        self, rgb: Tensor, depth: Tensor | SceneDepth | None, size: tuple[int, int]
+    ) -> SceneDepth | Tensor | None:
+        height, width = rgb.shape[-2:]
+        source = self.transform.depth_source
+        if depth is None:
+            if source is None:
+                return None  # the transform explains what is missing
+            if isinstance(source, DepthMap) and tuple(source.depth_m.shape[-2:]) == size:
+                return source.depth_m.to(rgb.device)
+            depth = self._inner(height, width).scene_of(rgb, None)
+        if isinstance(depth, SceneDepth):
+            check_depth(depth.depth_m, height, width, owner=self)
+            return padded_scene(depth, *size)
+        if not isinstance(depth, Tensor) or tuple(depth.shape[-2:]) != (height, width):
+            return depth  # of the padded size already, or refused by the transform
+        return padded(depth, *size)
+
+    def _check(self, rgb: Tensor) -> None:
+        check_rgb(rgb, "AsBayer")
+        height, width = rgb.shape[-2:]
         camera = self.transform.camera
         if (camera.height, camera.width) not in {(height, width), padded_size(height, width)}:
             raise ValueError(
@@ -176,101 +275,14 @@ class AsBayer(nn.Module):
                 "window."
             )
 
-    def _check_values(self, rgb: Tensor) -> None:
-        if not rgb.is_floating_point():
-            if rgb.dtype not in INTEGER_DTYPES:
-                raise TypeError(f"AsBayer: rgb must be uint8, uint16 or float in 0..1; got {rgb.dtype}.")
-            return
-        if rgb.numel():
-            low, high = (float(v) for v in torch.aminmax(rgb.detach()))
-            if not (low >= 0.0 and high <= 1.0):  # NaN fails both
-                raise ValueError(
-                    f"AsBayer: float images must lie in 0..1, without NaN; got {low:g}..{high:g}. Divide by the full "
-                    "scale (255 for 8 bits)."
-                )
-
-    def _mosaic(self, rgb: Tensor) -> tuple[Tensor, BayerWeather]:
-        """The mosaic of the padded image as the camera's raw float frame, and the transform for its size."""
-        self._check_shape(rgb)
-        self._check_values(rgb)
-        linear = srgb_decode(normalise(rgb if rgb.dtype == torch.float64 else in_float32(rgb)))
-        height, width = padded_size(*rgb.shape[-2:])
-        inner = self._inner(height, width)
-        frame = mosaic(padded(linear, height, width), inner.camera.bayer_pattern)
-        knots = inner.camera.response_knots
-        return (compand(frame, knots) if knots else frame), inner
-
     def _inner(self, height: int, width: int) -> BayerWeather:
-        """The transform, its camera enlarged by the padding; the padding is at the right and bottom, so the
-        principal point stays.
+        """The transform, its camera enlarged by the padding, or without it; the padding is at the right and bottom,
+        so the principal point stays.
         """
         camera = self.transform.camera
         if (camera.height, camera.width) == (height, width):
             return self.transform
         inner = copy.copy(self.transform)  # shares stages and buffers
         inner.camera = replace(camera, height=height, width=width)
+        inner.forget_rays()
         return inner
-
-    def _depth(self, rgb: Tensor, depth: Tensor | None) -> Tensor | None:
-        height, width = rgb.shape[-2:]
-        whole = padded_size(height, width)
-        source = self.transform.depth_source
-        if depth is None:
-            if source is None:
-                return None  # the transform explains what is missing
-            if isinstance(source, DepthMap) and tuple(source.depth_m.shape[-2:]) == whole:
-                return source.depth_m.to(rgb.device)
-            dtype = torch.float64 if rgb.dtype == torch.float64 else torch.float32
-            camera = replace(self.transform.camera, height=height, width=width)
-            depth = source(camera, height, width, device=rgb.device, dtype=dtype, image=rgb)
-        if not isinstance(depth, Tensor) or tuple(depth.shape[-2:]) != (height, width):
-            return depth  # of the padded size already, or refused by the transform
-        return padded(depth, *whole)
-
-    def _rgb(self, before: Tensor | None, after: Tensor, rgb: Tensor) -> Tensor:
-        """The image of the weather's mosaic; images whose mosaic did not change from before, where that is given, keep
-        the input's own bits.
-        """
-        camera = self.transform.camera
-        height, width = rgb.shape[-2:]
-        linear = expand(after, camera.response_knots) if camera.response_knots else after
-        seen = srgb_encode(demosaic(linear, camera.bayer_pattern, self.method)[..., :height, :width])
-        unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before
-        changed = unlike.flatten(-3).any(-1)[..., None, None, None]
-        if rgb.is_floating_point():
-            return torch.where(changed, seen.to(rgb.dtype), rgb)
-        # uint16 knows few operations: choose in int32.
-        full = float(torch.iinfo(rgb.dtype).max)
-        return torch.where(changed, quantise(seen, torch.int32, 0.0, full), rgb.to(torch.int32)).to(rgb.dtype)
-
-
-def in_float32(rgb: Tensor) -> Tensor:
-    """Half precision as float32; integers as they are (``normalise`` knows their full scale)."""
-    return rgb.float() if rgb.is_floating_point() else rgb
-
-
-def padded_size(height: int, width: int) -> tuple[int, int]:
-    """The next even size of at least two cells.
-
-    Example:
-        >>> padded_size(375, 1242), padded_size(1, 1)
-        ((376, 1242), (4, 4))
-    """
-    return max(SMALLEST_PX, math.ceil(height / 2) * 2), max(SMALLEST_PX, math.ceil(width / 2) * 2)
-
-
-def padded(image: Tensor, height: int, width: int) -> Tensor:
-    """``(..., H, W)`` enlarged at the bottom and right by reflection; a single row or column is repeated.
-
-    Example:
-        >>> padded(torch.tensor([[1, 2, 3]]), 2, 4)
-        tensor([[1, 2, 3, 2],
-                [1, 2, 3, 2]])
-    """
-    for axis, size in ((-2, height), (-1, width)):
-        present = image.shape[axis]
-        if size != present:
-            index = torch.arange(size, device=image.device)
-            mirrored = torch.where(index < present, index, (2 * (present - 1) - index).clamp_min(0))
-            image = image.index_select(axis, mirrored)
-    return image

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.camera.depth import as_depth_source, check_depth
+from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
 from torchweather.errors import check_at_least, check_one_of, check_positive
 from torchweather.image.bayer import cfa_colour_index
-from torchweather.random import sample_seeds
+from torchweather.random import sample_seeds, sizes_of
 from torchweather.sensors import Camera
 from torchweather.stages import (
     CameraState,
@@ -26,8 +26,9 @@ from torchweather.stages import (
     effect_from_dict,
     with_effects,
 )
+from torchweather.stages.airlight import airlight_argument, given_or_estimated, scaled_airlight
 from torchweather.stages.by_rows import is_exporting
-from torchweather.stages.camera import estimate_airlight, scaled_airlight, three_colours
+from torchweather.stages.camera_rays import Rays, rays_of
 from torchweather.stages.patchy_air import PatchyAir, patchy_air
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.transforms.weather_transform import Sizes, WeatherTransform, options_of
@@ -47,12 +48,14 @@ class CameraResult:
         transmission: ``(..., 1, H, W)`` share of the scene's light that fog lets through; 1 without fog.
         airlight: ``(..., 3)`` linear signal of the sky that was used (red, green or clear, blue).
         particle_mask: ``(..., 1, H, W)`` share of the exposure in which particles cover the pixel.
+        depth_confidence: how sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``.
     """
 
     bayer: Tensor
     transmission: Tensor
     airlight: Tensor
     particle_mask: Tensor
+    depth_confidence: str = EXACT
 
 
 class BayerWeather(WeatherTransform):
@@ -63,7 +66,10 @@ class BayerWeather(WeatherTransform):
         camera: the camera that took the frame.
         depth: depth of the scene where the call gives none: a number of metres, a map, a depth source such as
             ``FlatGround()``, or a function of the image.
-        airlight: linear signal of the sky (red, green, blue), saturation 1; ``None`` takes it from the frame.
+        airlight: linear signal of the sky (red, green, blue), saturation 1; ``sky`` or ``grey`` takes colour or
+            luminance of the frame's sky above the horizon; ``None`` is ``sky``, and ``grey`` for RGB images.
+        layer_top_m: height of the fog's top above the ground, metres; above it the sky shows through. Default: 200 m,
+            the top of deep radiation fog; infinity is fog without end.
         extinction: of fog: ``mie`` or ``koschmieder``.
         near_m, far_m: limits of falling particles along the optical axis.
         cut, crowding: peak coverage above which, and number per pixel and e-fold of depth up to which, particles are
@@ -93,7 +99,8 @@ class BayerWeather(WeatherTransform):
         camera: Camera,
         *,
         depth: object = None,
-        airlight: Sequence[float] | float | None = None,
+        airlight: Sequence[float] | float | str | None = None,
+        layer_top_m: float = 200.0,
         extinction: str = "mie",
         near_m: float = 0.5,
         far_m: float = 200.0,
@@ -112,8 +119,11 @@ class BayerWeather(WeatherTransform):
         self._check_sensor(camera, Camera, "lucid-triton")
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
-        airlight = three_colours(airlight, owner=self)
-        self.weather, self.camera = weather, camera
+        airlight = airlight_argument(airlight, owner=self)
+        check_at_least(
+            "layer_top_m", layer_top_m, camera.height_m, unit="m", owner=self, advice="It must be above the camera."
+        )
+        self.weather, self.camera, self.layer_top_m = weather, camera, float(layer_top_m)
         weather = weather.densest()
         self.depth_source = None if depth is None else as_depth_source(depth)
         self.airlight = airlight
@@ -141,7 +151,7 @@ class BayerWeather(WeatherTransform):
         stages["quantise"] = Quantise()
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
         self.chain = with_effects(Chain(stages), built)
-        self._rays: dict[tuple[Any, ...], Tensor] = {}
+        self._rays: dict[tuple[Any, ...], Rays] = {}
 
     def extra_repr(self) -> str:
         """The weather and the camera."""
@@ -155,7 +165,7 @@ class BayerWeather(WeatherTransform):
     def forward(
         self,
         bayer: Tensor,
-        depth: Tensor | None = None,
+        depth: Tensor | SceneDepth | None = None,
         noise: Mapping[str, Tensor] | None = None,
         *,
         normal: Tensor | None = None,
@@ -165,8 +175,8 @@ class BayerWeather(WeatherTransform):
 
         Args:
             bayer: ``(..., 1, H, W)`` mosaic, uint8, uint16 or float in 0..1.
-            depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; ``None`` takes the
-                constructor's source.
+            depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; or a ``SceneDepth``, which a
+                source's ``scene`` gives; ``None`` takes the constructor's source.
             noise: what ``draw`` gave; ``None`` draws.
             normal: ``(..., 3, H, W)`` unit normals of the surfaces in the vehicle's frame (x forward, y left, z up), 0
                 where there is none; for ``camera.wet_surface``.
@@ -185,32 +195,47 @@ class BayerWeather(WeatherTransform):
     def run(
         self,
         bayer: Tensor,
-        depth: Tensor | None = None,
+        depth: Tensor | SceneDepth | None = None,
         noise: Mapping[str, Tensor] | None = None,
         *,
         normal: Tensor | None = None,
     ) -> CameraResult:
         """The frame, and with it transmission, airlight and particle mask; arguments as ``forward``."""
-        state = self._state(bayer, depth, normal, keep_truth=True)
+        scene = self.scene_of(bayer, depth)
+        state = self._state(bayer, scene, normal, keep_truth=True)
+        after = self.weathered(state, noise)
+        transmission, airlight, mask = self.truth_of(state, after)
+        return CameraResult(
+            bayer=self._raw(after, state, bayer),
+            transmission=transmission.reshape(bayer.shape),
+            airlight=airlight.reshape(*bayer.shape[:-3], 3),
+            particle_mask=mask.reshape(bayer.shape),
+            depth_confidence=scene.confidence,
+        )
+
+    def weathered(self, state: CameraState, noise: Mapping[str, Tensor] | None = None) -> CameraState:
+        """The state after the chain.
+
+        Args:
+            state: of `state_of` or `planes_state`.
+            noise: what ``draw`` gave; ``None`` draws.
+        """
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
         after: CameraState = self.chain(state, drawn)
-        batch = bayer.shape[:-3]
+        return after
+
+    def truth_of(self, state: CameraState, after: CameraState) -> tuple[Tensor, Tensor, Tensor]:
+        """Transmission ``(B, C, H, W)``, airlight ``(B, 3)`` and particle mask ``(B, 1, H, W)`` of a frame."""
         airlight = after.airlight
         if airlight is None:
             veil, lit = self.chain.stages.get("particle_veil"), replace(state, airlight_scale=after.airlight_scale)
             if isinstance(veil, ParticleVeil):
                 airlight = veil.ambient(lit)
             else:
-                airlight = scaled_airlight(estimate_airlight(state, self), lit)
-        one, zero = torch.ones_like(state.signal), torch.zeros_like(state.signal)
-        transmission = one if after.transmission is None else after.transmission
-        mask = zero if after.particle_mask is None else after.particle_mask
-        return CameraResult(
-            bayer=self._raw(after, state, bayer),
-            transmission=transmission.reshape(bayer.shape),
-            airlight=airlight.reshape(*batch, 3),
-            particle_mask=mask.reshape(bayer.shape),
-        )
+                airlight = scaled_airlight(given_or_estimated(None, state, self), lit)
+        transmission = torch.ones_like(state.signal) if after.transmission is None else after.transmission
+        mask = torch.zeros_like(state.one_plane) if after.particle_mask is None else after.particle_mask
+        return transmission, airlight, mask
 
     def draw(
         self,
@@ -231,7 +256,7 @@ class BayerWeather(WeatherTransform):
             float32 tensors on the CPU; the same seed gives the same numbers everywhere.
         """
         check_bayer(bayer, self.camera, self)
-        return self._drawn(bayer.shape[:-3], {"H": bayer.shape[-2], "W": bayer.shape[-1]}, generator, seed)
+        return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), generator, seed)
 
     def draw_sequence(
         self,
@@ -265,14 +290,25 @@ class BayerWeather(WeatherTransform):
             3
         """
         check_bayer(bayer, self.camera, self)
+        return self.sequence_of(bayer, frames, frame_interval_s, generator, seed)
+
+    def sequence_of(
+        self,
+        image: Tensor,
+        frames: int,
+        frame_interval_s: float,
+        generator: torch.Generator | None,
+        seed: int | Tensor | None,
+    ) -> Iterator[dict[str, Tensor]]:
+        """Noise of successive frames of an image ``(..., C, H, W)``."""
         check_at_least("frames", frames, 1, owner=self)
         check_positive("frame_interval_s", frame_interval_s, unit="s", owner=self)
-        batch = bayer.shape[:-3]
+        batch = image.shape[:-3]
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
         seeds = sample_seeds((math.prod(batch),), generator, flat_seed)
-        height, width = bayer.shape[-2:]
-        sizes = Sizes(len(seeds), {"H": height, "W": width})
-        noise = self._drawn((len(seeds),), sizes.sizes, None, torch.tensor(seeds))
+        height, width = image.shape[-2:]
+        sizes = Sizes(len(seeds), sizes_of(height, width, image.shape[-3]))
+        noise = self.drawn((len(seeds),), sizes.sizes, None, torch.tensor(seeds))
         for frame in range(int(frames)):
             if frame:
                 for name, stage in self.chain.stages.items():
@@ -286,7 +322,9 @@ class BayerWeather(WeatherTransform):
                     noise = {**noise, **{f"{name}.{key}": value for key, value in own.items()}}
             yield {key: value.reshape(*batch, *value.shape[1:]) for key, value in noise.items()}
 
-    def state_of(self, bayer: Tensor, depth: Tensor | None = None, normal: Tensor | None = None) -> CameraState:
+    def state_of(
+        self, bayer: Tensor, depth: Tensor | SceneDepth | None = None, normal: Tensor | None = None
+    ) -> CameraState:
         """What the chain takes: the frame before any stage.
 
         Args:
@@ -297,22 +335,55 @@ class BayerWeather(WeatherTransform):
     # ---- the border --------------------------------------------------------------------------------------------
 
     def _state(
-        self, bayer: Tensor, depth: Tensor | None, normal: Tensor | None = None, *, keep_truth: bool = False
+        self,
+        bayer: Tensor,
+        depth: Tensor | SceneDepth | None,
+        normal: Tensor | None = None,
+        *,
+        keep_truth: bool = False,
     ) -> CameraState:
         check_bayer(bayer, self.camera, self)
-        check_knobs(self.weather, bayer.shape[:-3], owner=self)
         height, width = bayer.shape[-2:]
         linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
-        depth_m = self._depth(bayer, depth, linear)
+        state = self.planes_state(linear, self.scene_of(bayer, depth), bayer.shape[:-3], keep_truth=keep_truth)
+        return replace(
+            state,
+            cfa_index=torch.tensor(cfa_colour_index(self.camera.bayer_pattern), device=linear.device),
+            normal=None if normal is None else self._normal(normal, bayer, linear),
+        )
+
+    def planes_state(
+        self, linear: Tensor, scene: SceneDepth, batch: Sequence[int], *, keep_truth: bool = False
+    ) -> CameraState:
+        """What the chain takes of a picture of linear light ``(B, 3, H, W)`` in front of a scene.
+
+        Args:
+            linear: red, green, blue, black 0 and saturation 1.
+            scene: depth, sky and own vehicle.
+            batch: the batch shape, whose product is B.
+            keep_truth: compute transmission and particle mask as well.
+        """
+        check_knobs(self.weather, torch.Size(batch), owner=self)
+        rays = self._rays_for(linear)
+
+        def flat(name: str) -> Tensor | None:
+            share = getattr(scene, name)
+            return None if share is None else self._flat(share, name, batch, linear)
+
+        depth_m = flat("depth_m")
+        assert depth_m is not None
         return CameraState(
             signal=linear,
             depth_m=depth_m,
-            ray_per_depth=self._ray_per_depth(linear),
-            cfa_index=torch.tensor(cfa_colour_index(self.camera.bayer_pattern), device=linear.device),
+            ray_per_depth=rays.per_depth,
+            cfa_index=None,
             intrinsics=torch.tensor([self.camera.intrinsics], device=linear.device, dtype=linear.dtype),
             keep_truth=keep_truth,
             camera=self.camera,
-            normal=None if normal is None else self._normal(normal, bayer, linear),
+            ray_in_layer_m=rays.in_layer_m,
+            sky=flat("sky"),
+            near_mask=flat("near_mask"),
+            sine_elevation=rays.sine_elevation,
         )
 
     def _normal(self, normal: Tensor, bayer: Tensor, linear: Tensor) -> Tensor:
@@ -326,34 +397,47 @@ class BayerWeather(WeatherTransform):
         spread = normal if shared else normal.expand(*batch, 3, height, width)
         return spread.reshape(-1, 3, height, width).to(linear)
 
-    def _depth(self, bayer: Tensor, depth: Tensor | None, linear: Tensor) -> Tensor:
-        height, width = linear.shape[-2:]
+    def scene_of(self, image: Tensor, depth: Tensor | SceneDepth | None) -> SceneDepth:
+        """Depth of an image ``(..., C, H, W)``: as given at the call, else from the constructor's source."""
+        height, width = image.shape[-2:]
+        if isinstance(depth, SceneDepth):
+            check_depth(depth.depth_m, height, width, owner=self)
+            return depth
         if depth is None:
             if self.depth_source is None:
                 raise ValueError(
                     f"{type(self).__name__}: no depth: give forward(bayer, depth) a map (..., 1, H, W) in metres, or "
                     "the constructor a source: depth=30.0, depth=FlatGround(), a map or a function of the image."
                 )
-            depth = self.depth_source(self.camera, height, width, device=linear.device, dtype=linear.dtype, image=bayer)
-        elif not isinstance(depth, Tensor):
+            dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
+            return scene_of(self.depth_source, self.camera, height, width, image=image, dtype=dtype)
+        if not isinstance(depth, Tensor):
             raise TypeError(
-                f"{type(self).__name__}: depth must be a tensor (..., 1, H, W) in metres; got {type(depth).__name__}. "
-                "A number or a depth source goes to the constructor."
+                f"{type(self).__name__}: depth must be a tensor (..., 1, H, W) in metres or a SceneDepth; got "
+                f"{type(depth).__name__}. A number or a depth source goes to the constructor."
             )
-        else:
-            check_depth(depth, height, width, owner=self)
-        batch = bayer.shape[:-3]
+        check_depth(depth, height, width, owner=self)
+        return SceneDepth(depth, EXACT)
+
+    def _flat(self, share: Tensor, name: str, batch: Sequence[int], linear: Tensor) -> Tensor:
+        """A map ``(..., 1, H, W)`` for the flattened batch, ``(1 or B, 1, H, W)``."""
+        height, width = linear.shape[-2:]
         try:
-            spread = depth.expand(*batch, 1, height, width)
+            spread = share.expand(*batch, 1, height, width)
         except RuntimeError as error:
             raise ValueError(
-                f"{type(self).__name__}: depth {tuple(depth.shape)} does not fit the frame {tuple(bayer.shape)}."
+                f"{type(self).__name__}: {'depth' if name == 'depth_m' else name} {tuple(share.shape)} does not fit "
+                f"the frame {(*batch, linear.shape[1], height, width)}."
             ) from error
-        shared = depth.ndim <= 3 or depth.shape[:-3].numel() == 1
-        flat = depth.reshape(1, 1, height, width) if shared else spread.reshape(-1, 1, height, width)
+        shared = share.ndim <= 3 or share.shape[:-3].numel() == 1
+        flat = share.reshape(1, 1, height, width) if shared else spread.reshape(-1, 1, height, width)
         return flat.to(device=linear.device, dtype=linear.dtype)
 
-    def _ray_per_depth(self, linear: Tensor) -> Tensor:
+    def forget_rays(self) -> None:
+        """Drop the geometry of the rays that is kept for the last size; for a copy with another camera."""
+        self._rays = {}
+
+    def _rays_for(self, linear: Tensor) -> Rays:
         height, width = linear.shape[-2:]
         key = (height, width, linear.device, linear.dtype)
         if is_exporting():
@@ -363,9 +447,9 @@ class BayerWeather(WeatherTransform):
                 self._rays = {key: self._rays_of(height, width, linear)}
         return self._rays[key]
 
-    def _rays_of(self, height: int, width: int, like: Tensor) -> Tensor:
-        directions = self.camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
-        return directions.square().sum(0).sqrt()[None, None]
+    def _rays_of(self, height: int, width: int, like: Tensor) -> Rays:
+        x, y, _ = self.camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
+        return rays_of(self.camera, x, y, self.layer_top_m)
 
     def _raw(self, after: CameraState, before: CameraState, bayer: Tensor) -> Tensor:
         return raw_from_linear(

@@ -84,8 +84,8 @@ class Compose(nn.Module):
         sample_key: key of the sample's own name (a token, a file name, a number): with it the same sample gets the
             same weather in the same epoch, whatever the worker. ``WeatherDataset`` does so by the index.
         history: key under which the draw is put into the sample, as plain values.
-        mosaic_clear: RGB images that stay in clear air go through the mosaic, too (``AsBayer.without_weather``): else a
-            net may learn to tell weather by the demosaicing.
+        mosaic_clear: RGB images that stay in clear air go through the mosaic, too, where those in weather do
+            (``AsBayer(..., through_mosaic=True)``): else a net may learn to tell weather by the demosaicing.
 
     Note:
         Of a sample all sensors share the weather's numbers, and what effects draw of the air: the gusts of
@@ -279,9 +279,13 @@ class Compose(nn.Module):
             out[self.history] = draws[0].to_dict() if number is None else [one.to_dict() for one in draws]
         return out, results
 
+    def clear_through_mosaic(self, key: str) -> bool:
+        """Whether clear images of a key go through the mosaic."""
+        return self._mosaics(self.plans[key])
+
     def _mosaics(self, plan: Plan) -> bool:
         """Whether clear data of a key go through the mosaic."""
-        return self.mosaic_clear and plan.method is not None
+        return self.mosaic_clear and plan.through_mosaic
 
     def _clear(self, key: str, plan: Plan, value: Tensor) -> Tensor:
         """Data that get no weather."""
@@ -297,7 +301,7 @@ class Compose(nn.Module):
             return None
         transform = self._transform(key, plan, draw.weather, value.device)
         noise = transform.draw(value, seed=derived_seed(draw.seed, key))
-        inner = transform.transform if plan.method is not None else transform
+        inner = transform.transform if plan.rgb else transform
         for name, stage in inner.chain.stages.items():
             if stage.of_the_air:
                 shared = draw_variates([draw.seed], "air", list(stage.variates()), {})
@@ -415,7 +419,7 @@ def _arguments(plan: Plan) -> list[str]:
     """What a transform can be told beside its data."""
     if issubclass(plan.kind, RadarAttenuation):
         return list(KNOWN)
-    run = AsBayer.run if plan.method is not None else plan.kind.run
+    run = AsBayer.run if plan.rgb else plan.kind.run
     return [name for name in inspect.signature(run).parameters if name in DIMENSIONS]
 
 

@@ -277,7 +277,7 @@ class LidarWeather(WeatherTransform):
         count = points.shape[-2]
         if self.complete_scan:
             count = beams_of(points, self.sensor, None, complete_scan=True, owner=self).points.shape[-2]
-        return self._drawn(points.shape[:-2], {"N": count}, generator, seed)
+        return self.drawn(points.shape[:-2], {"N": count}, generator, seed)
 
     def on_numpy(
         self, points: NDArray[Any], seed: int | None = None, directions: NDArray[Any] | None = None

@@ -6,7 +6,8 @@ A pipeline holds ``format: torchweather-pipeline/1`` and
 - ``weather``: a weather (``kind`` and its fields); or ``choice``, a list of weathers (``null`` is clear air), with or
   without ``weights``. A number may be ``{uniform: [low, high]}``, ``{log_uniform: [low, high]}`` or
   ``{choice: [...]}``;
-- ``transforms``: key of the sample to ``transform``, ``sensor``, ``options`` and ``rgb``, as a recipe has them;
+- ``transforms``: key of the sample to ``transform``, ``sensor``, ``options``, ``rgb`` and
+  ``through_mosaic``, as a recipe has them;
 - ``p``, ``depth``, ``inputs``, ``mosaic_clear``: as ``Compose`` takes them.
 """
 
@@ -42,7 +43,7 @@ __all__ = ["FORMAT", "Pipeline", "list_pipelines", "load_pipeline", "read_pipeli
 FORMAT = PIPELINE + "1"
 REQUIRED = ("format", "title", "weather", "transforms")
 KEYS = (*REQUIRED, "p", "depth", "inputs", "mosaic_clear")
-OF_A_TRANSFORM = ("transform", "sensor", "options", "rgb")
+OF_A_TRANSFORM = ("transform", "sensor", "options", "rgb", "through_mosaic")
 OVERRIDES = ("weather", "transforms", "keys", "p", "depth", "inputs", "seed", "sample_key", "history", "mosaic_clear")
 
 
@@ -196,7 +197,8 @@ def save_pipeline(compose: Compose, path: str | os.PathLike[str], *, title: str)
             "transform": plan.kind.__name__,
             "sensor": sensor_values(plan.sensor),
             "options": options_of(inner),
-            **({"rgb": True} if plan.method is not None else {}),
+            **({"rgb": True} if plan.rgb else {}),
+            **({"through_mosaic": True} if plan.through_mosaic else {}),
         }
     alone = len(compose.weather.values) == 1
     values: dict[str, Any] = {

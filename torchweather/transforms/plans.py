@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torch import Tensor, nn
@@ -46,21 +46,24 @@ class Plan:
         kind: its class.
         sensor: that it was built for.
         options: keyword arguments of its constructor.
-        method: of demosaicing, where it is inside ``AsBayer``.
+        rgb: whether it is inside ``AsBayer``.
+        through_mosaic, method: of ``AsBayer``.
     """
 
     kind: TransformClass
     sensor: Camera | Lidar | Radar
     options: Mapping[str, Any]
-    method: str | None = None
+    rgb: bool = False
+    through_mosaic: bool = False
+    method: str = "malvar"
 
     def build(self, weather: Weather) -> Any:
         """The transform for a weather."""
         built = class_for(self.kind, weather)(weather, self.sensor, **self.options)  # type: ignore[arg-type]
-        if self.method is None:
+        if not self.rgb:
             return built
         assert isinstance(built, BayerWeather)
-        return AsBayer(built, method=self.method)
+        return AsBayer(built, through_mosaic=self.through_mosaic, method=self.method)
 
 
 def plan_of(transform: nn.Module) -> Plan:
@@ -70,7 +73,6 @@ def plan_of(transform: nn.Module) -> Plan:
         TypeError: it is none.
         ValueError: its chain was changed after it was built.
     """
-    method = transform.method if isinstance(transform, AsBayer) else None
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, (BayerWeather, LidarWeather, RadarAttenuation)):
         raise TypeError(
@@ -81,7 +83,9 @@ def plan_of(transform: nn.Module) -> Plan:
     changed = _changed(inner, plan.build(inner.weather))
     if changed:
         raise ValueError(f"{type(inner).__name__}: {changed}; it cannot be built anew. Give changes as effects=[...].")
-    return Plan(plan.kind, plan.sensor, plan.options, method)
+    if isinstance(transform, AsBayer):
+        return replace(plan, rgb=True, through_mosaic=transform.through_mosaic, method=transform.method)
+    return plan
 
 
 def _changed(transform: Any, again: Any) -> str:

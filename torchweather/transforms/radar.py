@@ -232,7 +232,7 @@ class RadarAttenuation(WeatherTransform):
             ``<stage>.<variate>`` to a tensor that leads with the batch shape.
         """
         check_detections(points, self.sensor, self)
-        return self._drawn(points.shape[:-2], {"N": points.shape[-2]}, generator, seed)
+        return self.drawn(points.shape[:-2], {"N": points.shape[-2]}, generator, seed)
 
     def on_numpy(self, points: NDArray[Any], seed: int | None = None) -> NDArray[Any]:
         """Numpy in, numpy out: the detections of a simulator's sensor callback in the weather.

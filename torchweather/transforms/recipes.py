@@ -8,7 +8,8 @@ A recipe holds ``format: torchweather-recipe/1`` and
 - ``weather``: ``kind`` and the weather's fields (``parts`` for a mixture);
 - ``sensor``: ``kind``, and a ``preset`` or the sensor's fields; fields beside a preset replace the preset's;
 - ``options``: keyword arguments of the transform; a camera's ``depth`` is a number of metres or ``ground``;
-- ``rgb``: true for a camera's RGB images, through ``AsBayer`` (default false).
+- ``rgb``: true for a camera's RGB images, by ``AsBayer`` (default false);
+- ``through_mosaic``: true for RGB images by way of the camera's mosaic (default false).
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "re
 
 FORMAT = RECIPE + "1"
 REQUIRED = ("format", "title", "transform", "weather", "sensor")
-KEYS = (*REQUIRED, "options", "rgb")
+KEYS = (*REQUIRED, "options", "rgb", "through_mosaic")
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Recipe:
         sensor: ``kind`` with ``preset`` or fields.
         options: keyword arguments of the transform.
         rgb: true for RGB images.
+        through_mosaic: true for RGB images by way of the camera's mosaic.
         path: the file.
     """
 
@@ -75,6 +77,7 @@ class Recipe:
     sensor: Mapping[str, Any]
     options: Mapping[str, Any] = field(default_factory=dict)
     rgb: bool = False
+    through_mosaic: bool = False
     path: Path | None = None
 
     @property
@@ -160,7 +163,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], **overrides: Any) -> nn.Mo
 def overrides_of(recipe: Recipe) -> list[str]:
     """What ``load_recipe`` can be told of a recipe's sensor and transform."""
     kind = recipe.sensor_kind
-    return ["sensor", *(["rgb"] if kind == "camera" else []), *OPTIONS[kind]]
+    return ["sensor", *(["rgb", "through_mosaic"] if kind == "camera" else []), *OPTIONS[kind]]
 
 
 def refuse_overrides(given: Iterable[str], known: Iterable[str], owner: str) -> None:
@@ -177,9 +180,12 @@ def built_recipe(recipe: Recipe, weather: Weather, overrides: Mapping[str, Any])
     """The transform of a recipe for a weather, its sensor and options overridden."""
     options = with_depth_source({**recipe.options, **overrides})
     sensor, rgb = options.pop("sensor", None), bool(options.pop("rgb", recipe.rgb))
+    mosaic = bool(options.pop("through_mosaic", recipe.through_mosaic))
     built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
     transform = transform_class(recipe, weather)(weather, built, **options)  # type: ignore[arg-type]
-    return AsBayer(transform) if rgb and isinstance(transform, BayerWeather) else transform
+    if not rgb or not isinstance(transform, BayerWeather):
+        return transform
+    return AsBayer(transform, through_mosaic=mosaic)
 
 
 def transform_class(recipe: Recipe, weather: Weather) -> TransformClass:
@@ -207,7 +213,6 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
         >>> read_recipe(file).options
         {'depth': 40.0}
     """
-    rgb = isinstance(transform, AsBayer)
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, RecipeTransform) or type(inner).__name__ not in TRANSFORMS:
         raise TypeError(
@@ -224,8 +229,10 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
         "sensor": sensor_values(sensor_of(inner)),
         "options": options_of(inner),
     }
-    if rgb:
+    if isinstance(transform, AsBayer):
         values["rgb"] = True
+        if transform.through_mosaic:
+            values["through_mosaic"] = True
     write_yaml(values, path, owner="save_recipe")
 
 
@@ -254,10 +261,13 @@ def checked_recipe(values: Any, path: Path) -> Recipe:
     depth = options.get("depth")
     if isinstance(depth, str) and depth != GROUND:
         raise TorchweatherError(f"{path}: options.depth must be a number of metres or {GROUND!r}; got {depth!r}.")
-    if not isinstance(values.get("rgb", False), bool):
-        raise TorchweatherError(f"{path}: rgb must be true or false; got {values['rgb']!r}.")
-    if values.get("rgb", False) and kind != "camera":
-        raise TorchweatherError(f"{path}: rgb belongs to a camera; the transform is {transform}. Leave it out.")
+    for key in ("rgb", "through_mosaic"):
+        if not isinstance(values.get(key, False), bool):
+            raise TorchweatherError(f"{path}: {key} must be true or false; got {values[key]!r}.")
+        if values.get(key, False) and kind != "camera":
+            raise TorchweatherError(f"{path}: {key} belongs to a camera; the transform is {transform}. Leave it out.")
+    if values.get("through_mosaic", False) and not values.get("rgb", False):
+        raise TorchweatherError(f"{path}: through_mosaic is for RGB images; add rgb: true, or leave it out.")
     recipe = Recipe(
         name=name_of(path),
         title=str(values["title"]),
@@ -266,6 +276,7 @@ def checked_recipe(values: Any, path: Path) -> Recipe:
         sensor=dict(values["sensor"]),
         options=dict(options),
         rgb=values.get("rgb", False),
+        through_mosaic=values.get("through_mosaic", False),
         path=path,
     )
     try:

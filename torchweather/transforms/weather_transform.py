@@ -89,14 +89,14 @@ class WeatherTransform(nn.Module):
                 f"{wanted.__name__}, such as {wanted.__name__}.preset({example!r}); got {sensor!r}."
             )
 
-    def _drawn(
+    def drawn(
         self,
         batch: Sequence[int],
         sizes: dict[str, int],
         generator: torch.Generator | None,
         seed: int | Tensor | None,
     ) -> dict[str, Tensor]:
-        """Noise of the chain, leading with the batch shape."""
+        """Noise of the chain for named sizes, leading with the batch shape."""
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
         drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}

@@ -15,7 +15,7 @@ from torchweather.camera.depth.scene_depth import (
     SceneDepth,
     least_sure,
 )
-from torchweather.camera.depth.source import DepthSource, check_depth
+from torchweather.camera.depth.source import DepthSource, check_depth, scene_of
 
 __all__ = [
     "COMPLETED",
@@ -34,4 +34,5 @@ __all__ = [
     "check_depth",
     "least_sure",
     "project_points",
+    "scene_of",
 ]

@@ -8,10 +8,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.camera.depth.scene_depth import EXACT, SceneDepth
+from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
 from torchweather.sensors import Camera
 
-__all__ = ["DepthSource", "check_depth"]
+__all__ = ["DepthSource", "check_depth", "scene_of"]
 
 
 class DepthSource(ABC):
@@ -25,6 +25,8 @@ class DepthSource(ABC):
 
     confidence: ClassVar[str] = EXACT
     """How sure its depth is: ``exact``, ``measured``, ``completed`` or ``guessed``."""
+    one_picture: ClassVar[bool] = False
+    """Whether it looks at one picture ``(C, H, W)`` at a time; a batch is then given to it picture by picture."""
 
     @abstractmethod
     def __call__(
@@ -52,6 +54,35 @@ class DepthSource(ABC):
         """Depth with what else the source knows: sky, own vehicle, confidence."""
         depth_m = self(camera, height, width, device=device, dtype=dtype, image=image)
         return SceneDepth(depth_m, self.confidence)
+
+
+def scene_of(
+    source: DepthSource,
+    camera: Camera,
+    height: int,
+    width: int,
+    *,
+    image: Tensor,
+    dtype: torch.dtype = torch.float32,
+) -> SceneDepth:
+    """The scene in front of a picture or a batch of pictures ``(..., C, H, W)``.
+
+    A source that looks at one picture at a time is asked for each of the batch.
+    """
+    device = image.device
+    if not source.one_picture or image.ndim <= 3:
+        return source.scene(camera, height, width, device=device, dtype=dtype, image=image)
+    pictures = image.reshape(-1, *image.shape[-3:])
+    scenes = [source.scene(camera, height, width, device=device, dtype=dtype, image=picture) for picture in pictures]
+    together = {}
+    for name in ("depth_m", "sky", "near_mask"):
+        shares = [getattr(scene, name) for scene in scenes]
+        if any(share is not None for share in shares):
+            whole = [scene.sky_share if name == "sky" else share for scene, share in zip(scenes, shares, strict=True)]
+            filled = [torch.zeros_like(scenes[0].depth_m) if share is None else share for share in whole]
+            together[name] = torch.stack(filled).reshape(*image.shape[:-3], 1, height, width)
+    notes = tuple(dict.fromkeys(note for scene in scenes for note in scene.notes))
+    return SceneDepth(confidence=least_sure(*(scene.confidence for scene in scenes)), notes=notes, **together)
 
 
 def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = None, *, owner: object) -> None:
