@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 import yaml
 
+from torchweather.errors import TorchweatherError
 from torchweather.sensors import BAYER_PATTERNS, Camera, Lidar, Radar, Sensor, sensor_preset
 
 PLAIN: dict[str, Any] = {"width": 32, "height": 24, "fx": 100.0, "fy": 90.0}
@@ -37,6 +39,92 @@ def test_presets_take_overrides_and_refuse_unknown_names() -> None:
         Camera.preset("lucid-tritn")
     with pytest.raises(ValueError, match=r"Camera: unknown field 'exposure'. Did you mean 'exposure_s'"):
         Camera.preset("lucid-triton", exposure=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "view_deg", "height_m"),
+    [
+        # Horizontal views: KITTI 81 (Geiger 2013 after rectification), nuScenes 64 to 65, Waymo 50, Cityscapes 49.
+        ("kitti", (1242, 375), 81.4, 1.65),
+        ("nuscenes-front", (1600, 900), 64.6, 1.51),
+        ("waymo-front", (1920, 1280), 50.1, 2.12),
+        ("acdc", (1920, 1080), 82.3, 1.3),
+        ("cityscapes", (2048, 1024), 48.7, 1.22),
+        ("argoverse2", (1550, 2048), 49.4, 1.68),
+    ],
+)
+def test_cameras_of_data_sets(name: str, size: tuple[int, int], view_deg: float, height_m: float) -> None:
+    camera = Camera.preset(name)
+    assert (camera.width, camera.height, camera.height_m) == (*size, height_m)
+    assert math.degrees(2 * math.atan(camera.width / 2 / camera.fx)) == pytest.approx(view_deg, abs=0.05)
+    assert camera.fx == pytest.approx(camera.fy, rel=0.002)
+    assert sensor_preset(f"camera:{name}") == (f"camera:{name}", camera)
+    # What no calibration file was compared with says so.
+    verified = name in ("kitti", "nuscenes-front")
+    source = Camera.presets()[name]
+    assert ("Verified against" in source) == verified
+    assert verified or "unverified" in source
+
+
+def test_a_sensor_of_ones_own_in_yaml(tmp_path: Path) -> None:
+    camera = Camera.preset("kitti", response_knots=((0.0, 0.0), (0.5, 0.7), (1.0, 1.0)), k1=-0.1)
+    lidar = Lidar.preset("velodyne-vlp-16", return_mode="dual")
+    radar = Radar.preset("awr1843-like")
+    for sensor in (camera, lidar, radar):
+        path = tmp_path / f"{sensor.kind}.yaml"
+        path.write_text(yaml.safe_dump(sensor.to_dict()))
+        name, back = sensor_preset(f"{sensor.kind}:{path}")
+        assert name == f"{sensor.kind}:{path}"
+        assert back == sensor
+        hash(back)  # transforms are kept by their camera
+        path.write_text(yaml.safe_dump({sensor.kind: {"kind": sensor.kind, **sensor.to_dict()}}))
+        assert type(sensor).preset(str(path)) == sensor
+
+
+def test_a_file_may_start_from_a_preset_and_be_overridden(tmp_path: Path) -> None:
+    path = tmp_path / "my.yml"
+    path.write_text("kind: camera\npreset: kitti\nheight_m: 1.4\nsource: my car\n")
+    assert Camera.preset(str(path)) == Camera.preset("kitti", height_m=1.4)
+    assert Camera.preset(str(path), height_m=1.2, fx=700.0) == Camera.preset("kitti", height_m=1.2, fx=700.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "message"),
+    [
+        (Camera, "", "one 'name: value' a line; got nothing"),
+        (Camera, "- 1", "got list"),
+        (Camera, "a: [", "expected YAML with the fields of a camera"),
+        (Camera, "x: !!python/object/apply:os.getcwd []", "expected YAML"),
+        (Camera, "fx: 700", "a camera needs width, height, fx, fy; missing width, height, fy"),
+        (Camera, "width: 4\nheight: 4\nfx: 1\nfyy: 1", "fyy: no field of a camera. Did you mean 'fy'"),
+        (
+            Camera,
+            "camera_matrix: [1]",
+            "camera_matrix: no field of a camera. A calibration of OpenCV or ROS is read by",
+        ),
+        (Camera, "fx: seven", "fx: expected a number (with a point: 1.0e-3, not 1e-3); got 'seven'"),
+        (Camera, "fx: [1]", "fx: expected a number; got [1]"),
+        (Camera, "fx: true", "fx: expected a number; got True"),
+        (Camera, "width: 640.5", "width: expected a whole number; got 640.5"),
+        (Camera, "bayer_pattern: 3", "bayer_pattern: expected text; got 3"),
+        (Camera, "wavelengths_nm: [a]", "wavelengths_nm: expected a list of numbers; got ['a']"),
+        (Camera, "kind: lidar\nfx: 1", "kind: expected camera; got 'lidar'"),
+        (Camera, "preset: kity", "preset must be one of"),
+        (Camera, "preset: kitti\nfx: -1", "Camera: fx must be above 0 px; got -1"),
+        (Lidar, "max_range_m: 100", "a lidar needs wavelength_nm; missing wavelength_nm"),
+        (Lidar, "wavelength_nm: 905\nreturn_mode: firstt", "return_mode must be one of"),
+        (Lidar, "wavelength_nm: 905\nelevations_deg: 3", "elevations_deg: expected a list of numbers; got 3"),
+        (Radar, "polarisation: x", "polarisation must be one of h, v"),
+    ],
+)
+def test_wrong_sensor_files_name_file_and_field(tmp_path: Path, kind: type[Sensor], text: str, message: str) -> None:
+    path = tmp_path / "my.yaml"
+    path.write_text(text)
+    with pytest.raises(TorchweatherError, match=re.escape(message)) as raised:
+        kind.preset(str(path))
+    assert str(raised.value).startswith(f"{path}: ")
+    with pytest.raises(TorchweatherError, match="no such file"):
+        kind.preset(str(tmp_path / "none.yaml"))
 
 
 def test_command_line_names() -> None:

@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from torchweather.errors import TorchweatherError
+from torchweather.errors import TorchweatherError, TorchweatherWarning
 from torchweather.image import develop
 from torchweather.io import atomic_write, read_image, write_image
 
@@ -92,6 +92,196 @@ def test_deep_colour_png_is_refused_rather_than_cut_to_eight_bits(tmp_path: Path
         read_image(tmp_path / "x.png")
 
 
+def scene() -> np.ndarray:
+    """A picture (16, 24, 3) whose every corner and half differs: sky above, road below, a red block at the left."""
+    picture = np.zeros((16, 24, 3), np.uint8)
+    picture[:6] = (150, 180, 230)
+    picture[6:] = (70, 70, 70)
+    picture[9:13, 2:7] = (220, 20, 20)
+    picture[0, 0] = (255, 255, 255)
+    return picture
+
+
+# How a picture is stored whose tag asks for the turn that makes it upright; by the sides at which EXIF 2.32 sees row
+# 0 and column 0 (table 6): top left, top right, bottom right, bottom left, left top, right top, right bottom, left
+# bottom.
+STORED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    1: lambda p: p,
+    2: lambda p: p[:, ::-1],
+    3: lambda p: p[::-1, ::-1],
+    4: lambda p: p[::-1],
+    5: lambda p: p.swapaxes(0, 1),
+    6: lambda p: p.swapaxes(0, 1)[::-1],
+    7: lambda p: p.swapaxes(0, 1)[::-1, ::-1],
+    8: lambda p: p.swapaxes(0, 1)[:, ::-1],
+}
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
+@pytest.mark.parametrize("orientation", list(STORED))
+def test_photographs_come_upright_and_are_written_without_a_tag(tmp_path: Path, suffix: str, orientation: int) -> None:
+    tags = Image.Exif()
+    tags[0x0112] = orientation
+    stored = np.ascontiguousarray(STORED[orientation](scene()))
+    options = {"quality": 100, "subsampling": 0} if suffix == "jpg" else {}
+    Image.fromarray(stored).save(tmp_path / f"x.{suffix}", exif=tags, **options)
+    image, info = read_image(tmp_path / f"x.{suffix}")
+    wanted = torch.from_numpy(scene()).movedim(-1, 0)
+    assert image.shape == wanted.shape
+    assert info.orientation == orientation
+    if suffix == "jpg":  # the white pixel rings over its block of 8 x 8; elsewhere rounding is left
+        assert (image.int() - wanted.int()).abs()[:, 8:].max() < 12
+        assert image[:, 0, 0].min() > 230
+    else:
+        assert torch.equal(image, wanted)
+    write_image(tmp_path / f"y.{suffix}", image)
+    back, info = read_image(tmp_path / f"y.{suffix}")
+    assert (back.shape, info.orientation) == (wanted.shape, 1)
+    with Image.open(tmp_path / f"y.{suffix}") as picture:
+        assert 0x0112 not in picture.getexif()
+
+
+def test_a_turned_mosaic_is_warned_of(tmp_path: Path) -> None:
+    tags = Image.Exif()
+    tags[0x0112] = 3
+    raw = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    Image.fromarray(raw[::-1, ::-1].copy()).save(tmp_path / "x.png", exif=tags)
+    with pytest.warns(TorchweatherWarning, match="orientation 3 turned the pixels upright, and the colour pattern"):
+        image, _ = read_image(tmp_path / "x.png")
+    assert torch.equal(image[0].int(), torch.from_numpy(raw.astype(np.int32)))
+
+
+@pytest.mark.parametrize("orientation", [0, 9, 65535])
+def test_orientations_that_do_not_exist_turn_nothing(tmp_path: Path, orientation: int) -> None:
+    tags = Image.Exif()
+    tags[0x0112] = orientation
+    Image.fromarray(scene()).save(tmp_path / "x.png", exif=tags)
+    image, info = read_image(tmp_path / "x.png")
+    assert info.orientation == 1
+    assert torch.equal(image, torch.from_numpy(scene()).movedim(-1, 0))
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tif"])
+def test_inks_become_rgb(tmp_path: Path, suffix: str) -> None:
+    """Cyan ink alone lets green and blue through; black ink alone leaves grey."""
+    inks = np.zeros((16, 16, 4), np.uint8)
+    inks[:8, :, 0] = 255
+    inks[8:, :, 3] = 155
+    options = {"quality": 100} if suffix == "jpg" else {}
+    Image.fromarray(inks, mode="CMYK").save(tmp_path / f"x.{suffix}", **options)
+    image, info = read_image(tmp_path / f"x.{suffix}")
+    assert (info.kind, image.shape, image.dtype) == ("rgb", (3, 16, 16), torch.uint8)
+    for rows, colour in ((slice(0, 8), (0, 255, 255)), (slice(8, 16), (100, 100, 100))):
+        assert (image[:, rows].float().mean((1, 2)) - torch.tensor(colour)).abs().max() < 3
+
+
+@pytest.mark.parametrize("transparent", [None, 1, bytes([255, 0, 128])])
+def test_palettes_with_and_without_transparency_keep_their_colours(tmp_path: Path, transparent: object) -> None:
+    picture = Image.fromarray(np.array([[0, 1, 2], [2, 1, 0]], np.uint8), mode="P")
+    picture.putpalette([10, 20, 30, 200, 100, 50, 1, 2, 3])
+    picture.save(tmp_path / "x.png", **({} if transparent is None else {"transparency": transparent}))
+    image, _ = read_image(tmp_path / "x.png")
+    assert image[:, 0].T.tolist() == [[10, 20, 30], [200, 100, 50], [1, 2, 3]]
+
+
+@pytest.mark.parametrize("mode", ["LA", "PA", "RGBA", "RGBX"])
+def test_alpha_is_dropped(tmp_path: Path, mode: str) -> None:
+    Image.new("RGBA", (6, 4), (90, 90, 90, 7)).convert(mode).save(tmp_path / "x.tif")
+    image, _ = read_image(tmp_path / "x.tif")
+    assert image.shape == (1 if mode == "LA" else 3, 4, 6)
+    assert image.unique().tolist() == [90]
+
+
+def tiff(path: Path, planes: np.ndarray, *, contiguous: bool = True) -> None:
+    """A plain TIFF of any number of channels and bits, one strip a plane: Pillow writes none of 16-bit colour."""
+    height, width, channels = planes.shape
+    parts = [planes] if contiguous else [planes[..., c] for c in range(channels)]
+    strips = [np.ascontiguousarray(part).astype(planes.dtype.newbyteorder("<")).tobytes() for part in parts]
+    entries = 10
+    here = 8 + 2 + 12 * entries + 4
+    bits_at = here
+    here += 2 * channels
+    lists_at = here
+    here += 8 * len(strips)
+    offsets = [here + sum(map(len, strips[:i])) for i in range(len(strips))]
+
+    def values(kind: int, numbers: list[int], where: int) -> tuple[int, int, bytes]:
+        packed = struct.pack(f"<{len(numbers)}{'H' if kind == 3 else 'I'}", *numbers)
+        return kind, len(numbers), packed.ljust(4, b"\0") if len(packed) <= 4 else struct.pack("<I", where)
+
+    tags = {
+        256: values(3, [width], 0),
+        257: values(3, [height], 0),
+        258: values(3, [planes.dtype.itemsize * 8] * channels, bits_at),
+        259: values(3, [1], 0),
+        262: values(3, [2], 0),
+        273: values(4, offsets, lists_at),
+        277: values(3, [channels], 0),
+        278: values(3, [height], 0),
+        279: values(4, [len(strip) for strip in strips], lists_at + 4 * len(strips)),
+        284: values(3, [1 if contiguous else 2], 0),
+    }
+    head = b"II*\0" + struct.pack("<IH", 8, entries)
+    head += b"".join(struct.pack("<HHI", tag, kind, count) + value for tag, (kind, count, value) in tags.items())
+    body = struct.pack(f"<I{channels}H", 0, *[planes.dtype.itemsize * 8] * channels)
+    body += struct.pack(f"<{2 * len(strips)}I", *offsets, *map(len, strips))
+    path.write_bytes(head + body + b"".join(strips))
+
+
+@pytest.mark.parametrize("contiguous", [True, False])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_deep_colour_tiff_is_refused_rather_than_cut_to_eight_bits(
+    tmp_path: Path, channels: int, contiguous: bool
+) -> None:
+    planes = np.arange(4 * 6 * channels).reshape(4, 6, channels)
+    tiff(tmp_path / "x.tif", (planes * 17).astype(np.uint16), contiguous=contiguous)
+    with pytest.raises(TorchweatherError, match=rf"TIFF of {channels} channels with 16 bits each.*Convert it to \.npy"):
+        read_image(tmp_path / "x.tif")
+    if channels == 3:  # the same file of 8 bits is read: the writer above is right
+        tiff(tmp_path / "y.tif", planes.astype(np.uint8), contiguous=contiguous)
+        assert torch.equal(read_image(tmp_path / "y.tif")[0].movedim(0, -1), torch.from_numpy(planes.astype(np.uint8)))
+
+
+def test_pages_are_refused_with_their_number(tmp_path: Path) -> None:
+    pages = [Image.new("L", (6, 4), grey) for grey in (10, 20, 30)]
+    pages[0].save(tmp_path / "x.tif", save_all=True, append_images=pages[1:])
+    with pytest.raises(TorchweatherError, match=r"got a TIFF of 3 pages\. Split it into files"):
+        read_image(tmp_path / "x.tif")
+    pages[0].save(tmp_path / "y.tif", save_all=True)
+    assert read_image(tmp_path / "y.tif")[0].unique().tolist() == [10]
+
+
+def test_a_smaller_copy_beside_the_picture_is_no_page(tmp_path: Path) -> None:
+    large, small = Image.new("L", (12, 8), 10), Image.new("L", (6, 4), 20)
+    small.encoderinfo = {"tiffinfo": {254: 1}}
+    large.save(tmp_path / "x.tif", save_all=True, append_images=[small])
+    image, _ = read_image(tmp_path / "x.tif")
+    assert image.shape == (1, 8, 12)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "GIF", "WEBP"])
+def test_moving_pictures_are_refused(tmp_path: Path, kind: str) -> None:
+    frames = [Image.new("RGB", (8, 8), (40 * i, 0, 200)) for i in range(3)]
+    try:
+        frames[0].save(tmp_path / "x.png", format=kind, save_all=True, append_images=frames[1:])
+    except KeyError:
+        pytest.skip(f"this Pillow writes no {kind}")
+    with pytest.raises(TorchweatherError, match=rf"moving one of 3 frames \({kind}\)"):
+        read_image(tmp_path / "x.png")
+    (tmp_path / "x.png").rename(tmp_path / f"x.{kind.lower()}")
+    if kind != "PNG":
+        with pytest.raises(TorchweatherError, match=rf"wanted an image: .*got \.{kind.lower()}"):
+            read_image(tmp_path / f"x.{kind.lower()}")
+
+
+def test_a_phones_jpeg_with_a_preview_gives_its_photograph(tmp_path: Path) -> None:
+    photograph, preview = Image.new("RGB", (16, 8), (200, 0, 0)), Image.new("RGB", (8, 4), (0, 0, 200))
+    photograph.save(tmp_path / "x.jpg", format="MPO", save_all=True, append_images=[preview])
+    image, _ = read_image(tmp_path / "x.jpg")
+    assert image.shape == (3, 8, 16)
+    assert image[0].float().mean() > 190
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg", ".npy", ".npz"])
 def test_truncated_files_are_named(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"cut{suffix}"
@@ -100,6 +290,15 @@ def test_truncated_files_are_named(tmp_path: Path, suffix: str) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(TorchweatherError, match=rf"cut\{suffix}.*wanted"):
         read_image(path)
+
+
+def test_a_tiff_without_its_width_is_named(tmp_path: Path) -> None:
+    tiff(tmp_path / "x.tif", np.zeros((4, 6, 3), np.uint8))
+    content = bytearray((tmp_path / "x.tif").read_bytes())
+    content[10:12] = struct.pack("<H", 255)  # the first tag, ImageWidth, becomes another one
+    (tmp_path / "x.tif").write_bytes(content)
+    with pytest.raises(TorchweatherError, match=r"x\.tif.*wanted"):
+        read_image(tmp_path / "x.tif")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg", ".npy", ".npz", ".bmp", ""])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchweather.image import DepthSource
-    from torchweather.sensors import Camera
+    from torchweather.sensors import Camera, CameraFit
 
 __all__ = [
     "CAMERA_ARGUMENTS",
@@ -23,23 +23,42 @@ __all__ = [
 
 # All arguments below that belong to a camera.
 CAMERA_ARGUMENTS = (
-    *("pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy", "exposure_s", "height_m"),
-    *("pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
+    *("camera", "camera_name", "pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy"),
+    *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
 )
 
 
 def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
     """What is known of the camera beyond its preset."""
     group = parser.add_argument_group("camera", "replaces what the preset says")
+    group.add_argument(
+        "--camera",
+        metavar="FILE",
+        type=Path,
+        help="a calibration: KITTI's text, nuScenes' json, YAML of OpenCV or ROS, COLMAP's cameras.txt",
+    )
+    group.add_argument(
+        "--camera-name", metavar="NAME", help="of the camera where FILE holds several: CAM_BACK, P3, a number"
+    )
     group.add_argument("--pattern", help="colours of the top-left 2 x 2 pixels: RGGB, BGGR, GRBG, GBRG or RCCB")
     group.add_argument("--bit-depth", type=int, help="bits of the raw value")
     group.add_argument("--black-level", type=float, help="raw value of black")
     group.add_argument("--white-level", type=float, help="raw value of saturation; default 2^bits - 1")
-    group.add_argument("--fx", type=float, help="focal length, pixels of the frame; default --fy, else the preset's")
-    group.add_argument("--fy", type=float, help="focal length, pixels of the frame; default --fx, else the preset's")
+    group.add_argument(
+        "--fx",
+        type=float,
+        help="focal length, pixels of the frame; default --fy, else --camera's, else from the frame's EXIF, else the "
+        "preset's",
+    )
+    group.add_argument("--fy", type=float, help="focal length, pixels of the frame; default --fx, else as --fx")
     group.add_argument("--cx", type=float, help="principal point, pixels of the frame")
     group.add_argument("--cy", type=float, help="principal point, pixels of the frame")
     group.add_argument("--exposure-s", type=float, help="exposure time, s: it sets the length of the streaks")
+    group.add_argument(
+        "--through-mosaic",
+        action="store_true",
+        help="take colour images through the camera's mosaic and back, with the loss of its demosaicing",
+    )
     group.add_argument("--height-m", type=float, help="height above the road, m, for --depth ground")
     group.add_argument("--pitch-rad", type=float, help="pitch, rad, positive looks up, for --depth ground")
 
@@ -49,9 +68,10 @@ def add_depth_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("depth")
     group.add_argument(
         "--depth",
-        metavar="FILE|DIR|METRES|ground",
-        help="a depth map, a folder with one of the same name for each frame, one number of metres, or flat ground "
-        "with sky above the horizon (default)",
+        metavar="FILE|DIR|METRES|ground|auto",
+        help="a depth map, a folder with one of the same name for each frame, one number of metres, flat ground with "
+        "sky above the horizon (default of raw frames), or guessed from the picture: ground, side walls, sky (default "
+        "of photographs)",
     )
     group.add_argument(
         "--depth-encoding", help="of integer maps: millimetre, kitti (1/256 m) or carla (24 bits in red, green, blue)"
@@ -72,23 +92,100 @@ def camera_fields(args: argparse.Namespace) -> dict[str, Any]:
     return {name: value for name, value in given.items() if value is not None}
 
 
-def fitted_camera(camera: Camera, height: int, width: int, args: argparse.Namespace) -> tuple[Camera, str]:
-    """The camera for frames of this size with the intrinsics that were given, and what to say about it ('' nothing)."""
+def fitted_camera(
+    camera: Camera, height: int, width: int, args: argparse.Namespace, *, frame: Path | None = None
+) -> tuple[Camera, str]:
+    """The camera for frames of this size, and what to say about it ('' nothing).
+
+    The intrinsics come from the first of these that is there: ``--fx``/``--fy``; the file of ``--camera``; the EXIF
+    tags of the frame; the preset, fitted to the size with square pixels. ``--cx`` and ``--cy`` replace one number.
+
+    Args:
+        camera: the preset with the fields that the arguments replaced.
+        height, width: of the frames, pixels.
+        args: with the arguments of `add_camera_arguments`.
+        frame: the file of the frame, for its EXIF tags.
+    """
     said = ""
-    if args.fx is not None or args.fy is not None:
-        fx = args.fy if args.fx is None else args.fx
-        fy = args.fx if args.fy is None else args.fy
+    if getattr(args, "camera", None) is not None:
+        camera, said = _calibrated(camera, height, width, args)
+        fx, fy = (camera.fx, camera.fy) if args.fx is None and args.fy is None else _focal(args)
+        camera = replace(camera, fx=fx, fy=fy)
+    elif args.fx is not None or args.fy is not None:
+        fx, fy = _focal(args)
         # Without a principal point of its own a frame has its centre.
         camera = replace(camera, width=width, height=height, fx=fx, fy=fy, cx=None, cy=None)
-    elif (camera.height, camera.width) != (height, width):
-        scaled = camera.resized(width, height)
-        said = (
-            f"frames of {width} x {height} px: the preset's camera ({camera.width} x {camera.height} px) is scaled to "
-            f"them, fx = {scaled.fx:.1f} px, fy = {scaled.fy:.1f} px; give --fx, --fy, --cx, --cy if you know better."
-        )
-        camera = scaled
+    else:
+        camera, said = _photographed(camera, height, width, frame)
     cx, cy = camera.principal_point_px
     return replace(camera, cx=cx if args.cx is None else args.cx, cy=cy if args.cy is None else args.cy), said
+
+
+def _focal(args: argparse.Namespace) -> tuple[float, float]:
+    """fx and fy as given; one of them stands for both."""
+    return (args.fy if args.fx is None else args.fx, args.fx if args.fy is None else args.fy)
+
+
+def _calibrated(camera: Camera, height: int, width: int, args: argparse.Namespace) -> tuple[Camera, str]:
+    """The preset with the lens of a calibration file, and with its mounting where the arguments give none."""
+    from torchweather.io.camera_files import read_camera_fields
+    from torchweather.sensors import without_distortion
+
+    fields = read_camera_fields(args.camera, width=width, height=height, name=getattr(args, "camera_name", None))
+    for name in ("height_m", "pitch_rad"):
+        if getattr(args, name, None) is not None:
+            fields.pop(name, None)
+    calibrated = replace(without_distortion(camera), **fields)
+    lens = ", lens distortion" if calibrated.distorted else ""
+    return calibrated, (
+        f"frames of {width} x {height} px: fx = {calibrated.fx:.1f} px, fy = {calibrated.fy:.1f} px{lens} from "
+        f"{args.camera}."
+    )
+
+
+def _photographed(camera: Camera, height: int, width: int, frame: Path | None) -> tuple[Camera, str]:
+    """The camera by the EXIF tags of the frame, else the preset's fitted to it."""
+    from torchweather.io.exif import read_exif_focal
+    from torchweather.sensors import fit_camera, without_distortion
+
+    found = None if frame is None else read_exif_focal(frame, width, height)
+    if found is not None and found.focal_px is not None:
+        focal = found.focal_px
+        photographed = replace(camera, width=width, height=height, fx=focal, fy=focal, cx=None, cy=None)
+        # The preset's distortion is of another lens.
+        return without_distortion(photographed), (
+            f"frames of {width} x {height} px: fx = fy = {focal:.1f} px from their EXIF ({found.evidence}); --fx or "
+            "--camera replaces it."
+        )
+    fit = fit_camera(camera, width, height)
+    why = "" if found is None else f" ({found.evidence})"
+    return fit.camera, _fit_note(camera, fit, why)
+
+
+# A pinhole of more than 4:1 is unlikely: KITTI's frames, the widest of driving data sets, have 3.3:1.
+_PANORAMA = 4.0
+
+
+def _fit_note(camera: Camera, fit: CameraFit, why: str) -> str:
+    """What was done to the preset's camera, in words; '' where nothing was."""
+    fitted = fit.camera
+    if fit.how == "same":
+        return ""
+    size = (
+        f"frames of {fitted.width} x {fitted.height} px{why}: the preset's camera ({camera.width} x {camera.height} px)"
+    )
+    advice = "give --camera or --fx if you know better."
+    if fit.how == "scaled":
+        return f"{size} is scaled to them, fx = {fitted.fx:.1f} px, fy = {fitted.fy:.1f} px; {advice}"
+    kept = (
+        "keeps the view along its longer side, turned by a quarter"
+        if fit.how == "turned"
+        else f"keeps its horizontal view of {fit.horizontal_view_deg:.1f} degrees, its vertical one is {fit.how}"
+    )
+    lens = "; its lens distortion is left out" if camera.distorted and not fitted.distorted else ""
+    wide = max(fitted.width, fitted.height) > _PANORAMA * min(fitted.width, fitted.height)
+    panorama = " A panorama is no pinhole: its rays are wrong away from the centre." if wide else ""
+    return f"{size} {kept}, square pixels, fx = fy = {fitted.fx:.1f} px{lens}; {advice}{panorama}"
 
 
 def depth_source(text: str, encoding: str | None, frame: Path) -> DepthSource:
@@ -99,13 +196,18 @@ def depth_source(text: str, encoding: str | None, frame: Path) -> DepthSource:
 
 
 def gathered(inputs: list[Path]) -> list[Path]:
-    """The frames: files as they are, of a folder all images in it by name."""
+    """The frames: files as they are, of a folder all images in it by name, except dot files."""
     from torchweather.io import IMAGE_SUFFIXES
 
     frames: list[Path] = []
     for path in inputs:
         if path.is_dir():
-            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+            inside = sorted(
+                # ._0.png is what macOS writes beside 0.png on other disks.
+                file
+                for file in path.iterdir()
+                if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+            )
             if not inside:
                 raise ValueError(f"{path}: no images; wanted {', '.join(IMAGE_SUFFIXES)}.")
             frames += inside

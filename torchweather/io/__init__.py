@@ -20,6 +20,7 @@ from torchweather.io.box_update import update_boxes
 from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.io.calibration import CameraLidarCalibration
+from torchweather.io.camera_files import read_camera, read_camera_fields
 from torchweather.io.carla import (
     camera_from_carla,
     depth_from_carla,
@@ -37,6 +38,7 @@ from torchweather.io.collate import CLOUDS_AS, Collate
 from torchweather.io.depth import DEPTH_ENCODINGS, read_depth
 from torchweather.io.disdrometer import read_disdrometer
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts, spectrum_from_drops
+from torchweather.io.exif import ExifFocal, read_exif_focal
 from torchweather.io.images import IMAGE_SUFFIXES, ImageInfo, read_image, write_image
 from torchweather.io.kitti import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
 from torchweather.io.kitti_boxes import read_kitti_boxes, write_kitti_boxes
@@ -95,6 +97,7 @@ __all__ = [
     "CarlaRig",
     "Collate",
     "DropSpectrum",
+    "ExifFocal",
     "HuggingFaceAdapter",
     "ImageInfo",
     "Mmdet3dAdapter",
@@ -129,8 +132,11 @@ __all__ = [
     "pose_from_carla",
     "project_boxes",
     "read_adc",
+    "read_camera",
+    "read_camera_fields",
     "read_depth",
     "read_disdrometer",
+    "read_exif_focal",
     "read_image",
     "read_kitti_boxes",
     "read_kitti_calibration",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from torchweather.image import ConstantDepth, DepthMap, DepthSource, FlatGround
+from torchweather.camera.depth import AUTO, ConstantDepth, DepthMap, DepthSource, FlatGround, ScenePrior
 from torchweather.io.depth import read_depth
 
 __all__ = ["depth_source"]
@@ -19,12 +19,15 @@ def depth_source(text: str, encoding: str | None, frame: Path) -> DepthSource:
     """The depth of a frame.
 
     Args:
-        text: a file, a folder with a map of the frame's name, one number of metres, or ``ground``.
+        text: a file, a folder with a map of the frame's name, one number of metres, ``ground``, or ``auto``: guessed
+            from the picture.
         encoding: of integer maps, as `read_depth` takes it.
         frame: path of the image.
     """
     if text == GROUND:
         return FlatGround()
+    if text == AUTO:
+        return ScenePrior()
     try:
         return ConstantDepth(float(text))
     except ValueError as error:
@@ -34,7 +37,7 @@ def depth_source(text: str, encoding: str | None, frame: Path) -> DepthSource:
     if path.is_dir():
         path = _same_name(path, frame)
     elif not path.exists():
-        raise ValueError(f"--depth must be a file, a folder, a number of metres or {GROUND!r}; got {text!r}.")
+        raise ValueError(f"--depth must be a file, a folder, a number of metres, {GROUND!r} or {AUTO!r}; got {text!r}.")
     depth: Tensor = read_depth(path, encoding)
     return DepthMap(depth)
 

@@ -1,25 +1,29 @@
 """Camera frames from files and to files: raw mosaics in 8 and 16 bit, colour images, arrays.
 
-``.png``, ``.tif``/``.tiff``, ``.jpg``/``.jpeg``, ``.npy``, ``.npz``. Values and dtype come back as they were stored.
+``.png``, ``.tif``/``.tiff``, ``.jpg``/``.jpeg``, ``.npy``, ``.npz``. Values and dtype come back as they were stored,
+upright: an EXIF orientation is carried out, so what is written afterwards needs no tag.
 """
 
 from __future__ import annotations
 
 import os
-import struct
-import zlib
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.errors import TorchweatherError, TorchweatherWarning
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.atomic import atomic_write
+from torchweather.io.exif import BROKEN_PICTURE, ORIENTATION, exif_tags
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 __all__ = ["IMAGE_SUFFIXES", "ImageInfo", "read_image", "write_image"]
 
@@ -27,6 +31,8 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".npz")
 """Endings that `read_image` and `write_image` know."""
 
 _PILLOW_FORMATS = {".png": "PNG", ".tif": "TIFF", ".tiff": "TIFF", ".jpg": "JPEG", ".jpeg": "JPEG"}
+# Tags of TIFF 6.0.
+_NEW_SUBFILE_TYPE, _BITS_PER_SAMPLE, _SAMPLES_PER_PIXEL = 254, 258, 277
 _WANTED = "an image: .png, .tif, .tiff, .jpg, .jpeg, .npy or .npz"
 
 
@@ -38,26 +44,32 @@ class ImageInfo:
         path: the file.
         suffix: its ending, lower case.
         kind: ``mosaic`` (one value per pixel, raw or grey) or ``rgb``.
+        orientation: EXIF orientation that was carried out, 1 to 8; 1 where the pixels were upright.
     """
 
     path: Path
     suffix: str
     kind: str
+    orientation: int = 1
 
 
 def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
-    """A frame as it was stored.
+    """A frame as it was stored, upright.
+
+    An EXIF orientation is carried out, for JPEG, PNG and TIFF alike. It turns the pattern of a mosaic as well, which
+    is warned of. CMYK and palettes become RGB; transparency is dropped.
 
     Args:
         path: PNG (8 or 16 bit grey, 8 bit colour), TIFF (8 or 16 bit or float grey, 8 bit colour), JPEG, ``.npy``, or
             ``.npz`` (the array ``bayer``, else the only one).
 
     Returns:
-        ``(1, H, W)`` for one value per pixel or ``(3, H, W)`` for colour (transparency is dropped), in the stored
-        dtype; an array may carry batch dimensions in front. And what else is known of the file.
+        ``(1, H, W)`` for one value per pixel or ``(3, H, W)`` for colour, in the stored dtype; an array may carry
+        batch dimensions in front. And what else is known of the file.
 
     Raises:
-        TorchweatherError: the file is missing, truncated, or no image.
+        TorchweatherError: the file is missing, truncated, no image, or one that would lose something: several pages
+            or pictures, or colour of more than 8 bits a channel.
 
     Example:
         >>> import tempfile
@@ -69,16 +81,25 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
     """
     source = Path(path)
     suffix = source.suffix.lower()
+    orientation = 1
     if suffix in (".npy", ".npz"):
         image = _channels_first(array_to_tensor(read_array(source, ["bayer"]), source, "an image"), source)
     elif suffix in _PILLOW_FORMATS:
-        pixels = _decoded(source)
+        pixels, orientation = _decoded(source)
         image = array_to_tensor(pixels[None] if pixels.ndim == 2 else np.moveaxis(pixels, -1, 0), source, "an image")
     else:
         raise TorchweatherError(f"{source}: wanted {_WANTED}; got {suffix or 'no ending'}.")
     if image.numel() == 0:
         raise TorchweatherError(f"{source}: wanted {_WANTED}; got one without pixels, shape {tuple(image.shape)}.")
-    return image, ImageInfo(source, suffix, "mosaic" if image.shape[-3] == 1 else "rgb")
+    kind = "mosaic" if image.shape[-3] == 1 else "rgb"
+    if kind == "mosaic" and orientation != 1:
+        warnings.warn(
+            f"{source}: EXIF orientation {orientation} turned the pixels upright, and the colour pattern with them if "
+            "this is a raw mosaic. Give the turned pattern to the camera, or remove the tag.",
+            TorchweatherWarning,
+            stacklevel=2,
+        )
+    return image, ImageInfo(source, suffix, kind, orientation)
 
 
 def write_image(path: str | os.PathLike[str], image: Tensor) -> None:
@@ -130,8 +151,8 @@ def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path
     picture.save(unfinished, format=_PILLOW_FORMATS[suffix], **options)
 
 
-def _decoded(source: Path) -> npt.NDArray[Any]:
-    """Pixels ``(H, W)`` or ``(H, W, 3)`` of a picture file, in the stored dtype."""
+def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:
+    """Pixels ``(H, W)`` or ``(H, W, 3)`` of a picture file, upright, in the stored dtype; the orientation undone."""
     from PIL import Image, UnidentifiedImageError
 
     if not source.is_file():
@@ -143,24 +164,90 @@ def _decoded(source: Path) -> npt.NDArray[Any]:
         )
     try:
         with Image.open(source) as picture:
-            mode = picture.mode
-            if mode in ("RGBA", "LA", "P", "PA", "CMYK", "YCbCr", "RGBX"):
-                return np.asarray(picture.convert("L" if mode == "LA" else "RGB"))
-            if mode == "1":
-                return np.asarray(picture.convert("L"))
-            pixels = np.asarray(picture)
+            _check_single(picture, source)
+            _check_deep_tiff(picture, source)
+            orientation = _orientation(picture)
+            picture.load()  # this turns a TIFF and takes its tag away, in some versions of Pillow
+            upright = _plain(_turned(picture, _orientation(picture)))
+            mode, pixels = upright.mode, np.asarray(upright)
     except UnidentifiedImageError as error:
         raise TorchweatherError(f"{source}: wanted {_WANTED}; the content is none of them.") from error
     except Image.DecompressionBombError as error:
         raise TorchweatherError(f"{source}: wanted {_WANTED}; {error}.") from error
-    except (OSError, SyntaxError, ValueError, EOFError, zlib.error, struct.error) as error:
+    except BROKEN_PICTURE as error:
         raise TorchweatherError(f"{source}: wanted {_WANTED}; it is truncated or damaged ({error}).") from error
     if mode == "I" and pixels.min() >= 0 and pixels.max() <= 65535:
         # Some 16-bit files are opened in a 32-bit mode.
-        return pixels.astype(np.uint16)
+        return pixels.astype(np.uint16), orientation
     if mode not in ("L", "RGB", "I", "F") and not mode.startswith("I;16"):
         raise TorchweatherError(f"{source}: wanted a grey or RGB picture; got mode {mode}.")
-    return pixels
+    return pixels, orientation
+
+
+def _check_single(picture: Image.Image, source: Path) -> None:
+    """Refuse several pages and moving pictures: the others would be lost without a word."""
+    count = getattr(picture, "n_frames", 1)
+    # A phone's JPEG carries previews and gain maps beside the photograph, which comes first (Multi-Picture Object).
+    if count == 1 or picture.format in ("MPO", "JPEG"):
+        return
+    if picture.format != "TIFF":
+        raise TorchweatherError(
+            f"{source}: wanted one picture; got a moving one of {count} frames ({picture.format}). Extract its frames."
+        )
+    pages = []
+    for number in range(count):
+        picture.seek(number)
+        # Bit 0 of NewSubfileType marks a smaller copy of another page.
+        if not int(picture.tag_v2.get(_NEW_SUBFILE_TYPE, 0)) & 1:  # type: ignore[attr-defined]
+            pages.append(number)
+    if len(pages) != 1:
+        raise TorchweatherError(f"{source}: wanted one picture; got a TIFF of {count} pages. Split it into files.")
+    picture.seek(pages[0])
+
+
+def _check_deep_tiff(picture: Image.Image, source: Path) -> None:
+    """Refuse colour of more than 8 bits a channel, of which Pillow would hand over the upper eight."""
+    if picture.format != "TIFF":
+        return
+    stored = picture.tag_v2.get(_BITS_PER_SAMPLE, 1)  # type: ignore[attr-defined]
+    bits = stored if isinstance(stored, tuple) else (stored,)
+    channels = int(picture.tag_v2.get(_SAMPLES_PER_PIXEL, len(bits)))  # type: ignore[attr-defined]
+    if channels > 1 and max(bits) > 8:
+        raise TorchweatherError(
+            f"{source}: a TIFF of {channels} channels with {max(bits)} bits each is not read without loss here. "
+            "Convert it to .npy."
+        )
+
+
+def _orientation(picture: Image.Image) -> int:
+    """EXIF orientation; 1, upright, where there is none or one that does not exist."""
+    value = exif_tags(picture).get(ORIENTATION, 1)
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def _turned(picture: Image.Image, orientation: int) -> Image.Image:
+    """The picture as it is to be looked at."""
+    from PIL.Image import Transpose
+
+    # What undoes orientations 2 to 8 of EXIF 2.32: the sides at which row 0 and column 0 are to be seen.
+    undo = (
+        *(Transpose.FLIP_LEFT_RIGHT, Transpose.ROTATE_180, Transpose.FLIP_TOP_BOTTOM, Transpose.TRANSPOSE),
+        *(Transpose.ROTATE_270, Transpose.TRANSVERSE, Transpose.ROTATE_90),
+    )
+    return picture if orientation == 1 else picture.transpose(undo[orientation - 2])
+
+
+def _plain(picture: Image.Image) -> Image.Image:
+    """Grey or RGB from palettes, inks and transparency, which is dropped; other modes as they are."""
+    mode = picture.mode
+    if mode in ("1", "LA"):
+        return picture.convert("L")
+    if mode in ("RGBA", "RGBX", "CMYK", "YCbCr"):
+        return picture.convert("RGB")
+    if mode in ("P", "PA", "RGBa"):
+        # Through RGBA: straight to RGB a transparent palette is warned of, and premultiplied colour refused.
+        return picture.convert("RGBA").convert("RGB")
+    return picture
 
 
 def _is_deep_colour_png(source: Path) -> bool:

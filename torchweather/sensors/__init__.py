@@ -5,6 +5,7 @@ from __future__ import annotations
 from torchweather.errors import check_one_of
 from torchweather.sensors.base import Sensor
 from torchweather.sensors.camera import BAYER_PATTERNS, Camera
+from torchweather.sensors.camera_fit import CameraFit, fit_camera, same_aspect, without_distortion
 from torchweather.sensors.lidar import INTENSITY_UNITS, RETURN_MODES, Lidar
 from torchweather.sensors.radar import Radar
 from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
@@ -14,14 +15,18 @@ __all__ = [
     "INTENSITY_UNITS",
     "RETURN_MODES",
     "Camera",
+    "CameraFit",
     "Lidar",
     "Radar",
     "Sensor",
     "empty_beams",
     "estimate_elevations",
+    "fit_camera",
     "recover_ring",
+    "same_aspect",
     "scan_directions",
     "sensor_preset",
+    "without_distortion",
 ]
 
 SENSOR_CLASSES: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"camera": Camera, "lidar": Lidar, "radar": Radar}
@@ -29,10 +34,18 @@ DEFAULT_PRESETS = {"camera": "lucid-triton", "lidar": "ouster-os1-128", "radar":
 
 
 def sensor_preset(text: str) -> tuple[str, Camera | Lidar | Radar]:
-    """Read ``kind`` or ``kind:preset`` as the command line takes it.
+    """Read ``kind``, ``kind:preset`` or ``kind:file.yaml`` as the command line takes it.
+
+    Args:
+        text: such as ``camera``, ``camera:kitti`` or ``lidar:my.yaml``, a file of the sensor's own fields (see
+            `Sensor.preset`).
 
     Returns:
         The full name and the sensor.
+
+    Raises:
+        ValueError: an unknown kind or preset.
+        TorchweatherError: a file that is missing, or a field in it that is wrong.
 
     Example:
         >>> sensor_preset("lidar")[0]

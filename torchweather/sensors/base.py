@@ -1,21 +1,26 @@
-"""What the three sensors share: presets, a plain dictionary and back."""
+"""What the three sensors share: presets, YAML files of one's own, a plain dictionary and back."""
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import yaml
 from torch import Tensor
 
-from torchweather.errors import check_one_of, nearest_name
+from torchweather.errors import TorchweatherError, check_one_of, nearest_name
 
 __all__ = ["Sensor"]
 
 SENSOR_KINDS = ("camera", "lidar", "radar")
+SENSOR_FILES = (".yaml", ".yml")
+# Keys of a sensor file that are no fields of the sensor.
+_OTHER_KEYS = ("kind", "preset", "source")
 
 
 @lru_cache(maxsize=1)
@@ -32,13 +37,24 @@ class Sensor:
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Self:
-        """The named sensor of the library, with any field replaced.
+        """The named sensor of the library, or of a YAML file, with any field replaced.
+
+        Args:
+            name: a preset, or the path of a ``.yaml``/``.yml`` file with the sensor's own fields. Such a file may
+                name a ``preset`` to start from; ``kind``, where given, must be this sensor's.
+            overrides: fields that replace those of the preset or the file.
+
+        Raises:
+            ValueError: an unknown preset, field or value.
+            TorchweatherError: a file that is missing or broken, or a field in it that is wrong.
 
         Example:
             >>> from torchweather.sensors import Camera
             >>> Camera.preset("lucid-triton").width
             1936
         """
+        if str(name).lower().endswith(SENSOR_FILES):
+            return cls._from_file(Path(name), overrides)
         known = _presets()[cls.kind]
         check_one_of("preset", name, known, owner=cls)
         values = {key: value for key, value in known[name].items() if key != "source"}
@@ -58,6 +74,40 @@ class Sensor:
                 raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
         return cls(**values)
 
+    @classmethod
+    def _from_file(cls, path: Path, overrides: Mapping[str, Any]) -> Self:
+        """The sensor of a YAML file; errors carry the path and the field."""
+        values = _loaded(path, cls.kind)
+        kinds = {field.name: str(field.type) for field in fields(cls)}  # type: ignore[arg-type]
+        for key, value in values.items():
+            if key in _OTHER_KEYS:
+                continue
+            if key not in kinds:
+                near = nearest_name(key, kinds)
+                calibration = "" if near else " A calibration of OpenCV or ROS is read by --camera FILE."
+                raise TorchweatherError(f"{path}: {key}: no field of a {cls.kind}.{near or calibration}")
+            wanted = _wanted(kinds[key], value)
+            if wanted:
+                raise TorchweatherError(f"{path}: {key}: expected {wanted}; got {value!r}.")
+        if values.get("kind", cls.kind) != cls.kind:
+            raise TorchweatherError(f"{path}: kind: expected {cls.kind}; got {values['kind']!r}.")
+        given = {key: value for key, value in values.items() if key not in _OTHER_KEYS} | dict(overrides)
+        preset = values.get("preset")
+        required = [field.name for field in fields(cls) if field.default is field.default_factory is MISSING]  # type: ignore[arg-type]
+        missing = [name for name in required if name not in given]
+        if preset is None and missing:
+            raise TorchweatherError(
+                f"{path}: a {cls.kind} needs {', '.join(required)}; missing {', '.join(missing)}. Add them, or name a "
+                "preset to start from."
+            )
+        try:
+            if preset is None:
+                return cls.from_dict(given)
+            check_one_of("preset", preset, _presets()[cls.kind], owner=cls)
+            return cls.preset(preset, **given)
+        except (ValueError, TypeError) as error:
+            raise TorchweatherError(f"{path}: {error}") from error
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values that ``from_dict`` takes and YAML can hold."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
@@ -69,3 +119,47 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Tensor):
         return value.tolist()
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _loaded(path: Path, kind: str) -> dict[str, Any]:
+    """Keys and values of a sensor file; a file that holds one section named by its kind is taken from there."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise TorchweatherError(f"{path}: no such file.") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
+        raise TorchweatherError(f"{path}: expected YAML with the fields of a {kind}; {error}.") from error
+    if isinstance(content, dict) and list(content) == [kind] and isinstance(content[kind], dict):
+        content = content[kind]
+    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+        shown = "nothing" if content is None else type(content).__name__
+        raise TorchweatherError(
+            f"{path}: expected YAML with the fields of a {kind}, one 'name: value' a line; got {shown}."
+        )
+    return content
+
+
+def _wanted(annotation: str, value: Any) -> str:
+    """The kind of value that a field takes, in words; empty where ``value`` is one."""
+    if value is None and "None" in annotation:
+        return ""
+    if annotation.startswith(("tuple", "Tensor")):
+        return "" if isinstance(value, list) and _all_numbers(value) else "a list of numbers"
+    if annotation.startswith("str"):
+        return "" if isinstance(value, str) else "text"
+    if annotation.startswith("bool"):
+        return "" if isinstance(value, bool) else "true or false"
+    if annotation.startswith("int"):
+        return "" if isinstance(value, int) and not isinstance(value, bool) else "a whole number"
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    # YAML 1.1 takes 1e-3 for text.
+    return "" if number else "a number (with a point: 1.0e-3, not 1e-3)" if isinstance(value, str) else "a number"
+
+
+def _all_numbers(values: list[Any]) -> bool:
+    return all(
+        _all_numbers(value)
+        if isinstance(value, list)
+        else isinstance(value, numbers.Real) and not isinstance(value, bool)
+        for value in values
+    )

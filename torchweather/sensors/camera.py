@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.sensors.base import Sensor
+from torchweather.sensors.camera_fit import fit_camera
 
 __all__ = ["BAYER_PATTERNS", "Camera"]
 
@@ -187,8 +188,20 @@ class Camera(Sensor):
         cx, cy = self.principal_point_px
         return replace(self, width=width, height=height, cx=cx - left, cy=cy - top)
 
+    def fitted_to(self, width: int, height: int) -> Camera:
+        """The camera for frames of another size: the same horizontal view, square pixels, nothing stretched.
+
+        Rows above and below the principal point are cropped or added; frames of the same aspect ratio (within 1 %)
+        are `resized`. `torchweather.sensors.fit_camera` has the details and tells which was done.
+
+        Example:
+            >>> Camera.preset("lucid-triton").fitted_to(1242, 375).fy  # fx as well
+            729.67...
+        """
+        return fit_camera(self, width, height).camera
+
     def resized(self, width: int, height: int) -> Camera:
-        """The camera with the same view on another pixel grid."""
+        """The same view on another pixel grid, stretched where the aspect ratio differs (`fitted_to` does not)."""
         sx, sy = width / self.width, height / self.height
         cx, cy = self.principal_point_px
         return replace(
