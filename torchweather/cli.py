@@ -28,11 +28,12 @@ from torchweather.commands import (
     robustness,
     sweep,
     validate,
+    view,
 )
 
 __all__ = ["main"]
 
-COMMANDS = (explain, apply, augment, demo, metrics, sweep, correlate, robustness, validate, gap, d34, listing)
+COMMANDS = (explain, apply, view, augment, demo, metrics, sweep, correlate, robustness, validate, gap, d34, listing)
 MISTAKE = 2
 INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
 
@@ -91,10 +92,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def is_mistake(error: Exception) -> bool:
-    """Whether an error is the user's to mend (a value, a type, a file) and not the program's."""
+    """Whether an error is the user's to mend and not the program's: a value, a type, a file, a missing extra."""
     from torchweather.errors import TorchweatherError
 
-    return isinstance(error, (ValueError, TypeError, OSError, TorchweatherError))
+    return isinstance(error, (ValueError, TypeError, OSError, ImportError, TorchweatherError))
 
 
 def one_line(error: Exception) -> str:
