@@ -110,12 +110,17 @@ def test_frames_of_one_s_own_with_their_depth(run: Any, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.full((24, 32), 40.0, dtype=np.float32))
     argv = (tmp_path / "a.png", "--sensor", "camera", "--bit-depth", 12, *RAIN, "--seeds", 1, "--metrics", "psnr")
     scores = []
-    for depth in ((), ("--depth", tmp_path / "a.npy")):
+    code, _, err = run(*argv, "--airlight", 0.7, 0.7, 0.7, "--out", tmp_path / "refused")
+    assert code == 2
+    assert "depth of" in err
+    assert "is guessed" in err
+    assert "--allow-guessed-depth" in err
+    for depth in (("--allow-guessed-depth",), ("--depth", tmp_path / "a.npy")):
         out = tmp_path / f"out{len(depth)}"
         code, _, err = run(*argv, *depth, "--airlight", 0.7, 0.7, 0.7, "--out", out)
         assert code == 0
         assert "is scaled to them" in err
-        assert ("flat ground" in err) == (not depth)
+        assert ("guessed, not measured" in err) == (depth[0] == "--allow-guessed-depth")
         scores.append(read_table(out / "scores.csv")["score"])
     camera = Camera.preset("lucid-triton", bit_depth=12).resized(32, 24)
     transform = BayerWeather(parse_weather("rain:rate=50"), camera, airlight=(0.7, 0.7, 0.7))

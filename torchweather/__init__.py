@@ -24,6 +24,10 @@ if TYPE_CHECKING:
         LidarWeather,
         RadarAttenuation,
         RadarResult,
+        RandomFog,
+        RandomRain,
+        RandomSnow,
+        RandomWeather,
         WeatherDataset,
     )
     from torchweather.weather import Fog, Mixture, Rain, Snow
@@ -54,6 +58,10 @@ __all__ = [
     "RadarAttenuation",
     "RadarResult",
     "Rain",
+    "RandomFog",
+    "RandomRain",
+    "RandomSnow",
+    "RandomWeather",
     "Snow",
     "Uniform",
     "WeatherDataset",
@@ -80,6 +88,10 @@ _HOMES = {
         "LidarWeather",
         "RadarAttenuation",
         "RadarResult",
+        "RandomFog",
+        "RandomRain",
+        "RandomSnow",
+        "RandomWeather",
         "WeatherDataset",
     ),
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
@@ -87,8 +99,8 @@ _HOMES = {
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.
 _PARTS = frozenset(
     {
-        *("export", "gap", "image", "io", "metrics", "physics", "radar", "robustness", "scenes", "stages", "sweep"),
-        "transforms",
+        *("camera", "export", "gap", "image", "io", "metrics", "physics", "radar", "robustness", "scenes", "stages"),
+        *("sweep", "transforms"),
     }
 )
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

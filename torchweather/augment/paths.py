@@ -38,9 +38,10 @@ def _outside(root: Path, relative: str, what: str) -> str:
 
 
 def files_below(root: Path) -> Iterator[str]:
-    """Relative paths of all files, by name; a link out of the root is refused."""
+    """Relative paths of all files, by name; a link out of the root is refused, dot files and folders are left out."""
     for folder, folders, names in os.walk(root, onerror=_raise):
-        folders.sort()
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        names = [name for name in names if not name.startswith(".")]  # ._0.png of macOS, .Trash-0/
         for name in [*folders, *names]:
             path = Path(folder, name)
             if path.is_symlink():

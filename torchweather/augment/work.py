@@ -263,7 +263,7 @@ class _Clear:
         if matrix is not None:
             fx, fy, cx, cy = matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]
             return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
-        return camera if (camera.height, camera.width) == (height, width) else camera.resized(width, height)
+        return camera if (camera.height, camera.width) == (height, width) else camera.fitted_to(width, height)
 
     def _depth(self, path: Path) -> Tensor | None:
         """``(1, H, W)`` metres; ``None`` leaves it to the recipe's own source."""

@@ -13,10 +13,12 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from torchweather.camera.depth import AUTO, scene_of
 from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.commands.output import note
 from torchweather.errors import TorchweatherError
 from torchweather.io import read_image, write_image
+from torchweather.io.depth_sources import GROUND
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
 from torchweather.transforms.recipes import Recipe, camera_of
@@ -32,7 +34,7 @@ class Plan:
     weather: Weather
     camera: Camera
     options: Mapping[str, Any]
-    depth: str
+    depth: str | None
 
 
 def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
@@ -40,11 +42,6 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     plan = _planned(args, weather, recipe, preset)
     frames = gathered(args.inputs)
     targets = _targets(frames, args.out)
-    if args.depth is None and plan.depth == "ground":
-        note(
-            f"no --depth: flat ground {plan.camera.height_m:g} m below the camera, sky above the horizon.",
-            quiet=args.quiet,
-        )
     work = _Work(plan, args)
     bar = tqdm(frames, unit="frame", file=sys.stderr, disable=args.quiet or not sys.stderr.isatty())
     return [work.process(frame, targets[frame]) for frame in bar]
@@ -57,10 +54,10 @@ def _planned(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, 
     else:
         sensor = {"kind": "camera", "preset": preset or "lucid-triton"}
     options = {} if recipe is None else dict(recipe.options)
-    depth = options.pop("depth", "ground") if args.depth is None else args.depth
+    depth = options.pop("depth", None) if args.depth is None else args.depth
     given = {"airlight": args.airlight, "ego_speed_m_per_s": args.ego_speed_m_per_s}
     options |= {key: value for key, value in given.items() if value is not None}
-    return Plan(weather, camera_of({**sensor, **camera_fields(args)}), options, str(depth))
+    return Plan(weather, camera_of({**sensor, **camera_fields(args)}), options, None if depth is None else str(depth))
 
 
 def _targets(frames: list[Path], out: Path) -> dict[Path, Path]:
@@ -85,7 +82,7 @@ class _Work:
         self.samples = 0
         self.said: set[str] = set()
         self.transforms: dict[tuple[Camera, bool], Any] = {}
-        self.depths: dict[Path | None, Any] = {}
+        self.depths: dict[tuple[str, Path | None], Any] = {}
 
     def process(self, frame: Path, target: Path) -> dict[str, Any]:
         """One file: read, weather, write; what was done, as plain values."""
@@ -107,35 +104,47 @@ class _Work:
             "transmission_mean": float(result.transmission.mean()),
             "particle_mask_mean": float(result.particle_mask.mean()),
             "airlight": result.airlight.tolist(),
+            "depth": result.depth_confidence,
             "seconds": time.perf_counter() - started,
         }
 
     def _weathered(self, frame: Path, image: Any, rgb: bool, seed: int) -> tuple[Any, Any]:
         height, width = image.shape[-2:]
-        camera, said = fitted_camera(self.plan.camera, height, width, self.args)
-        if said and said not in self.said:
-            self.said.add(said)
-            note(said, quiet=self.args.quiet)
+        camera, said = fitted_camera(self.plan.camera, height, width, self.args, frame=frame)
+        self._say(said)
         if not rgb:
             _check_range(image, camera)
         transform = self._transform(camera, rgb)
-        depth = self._depth(frame)(camera, height, width, image=image)
+        scene = scene_of(self._depth(frame, rgb), camera, height, width, image=image)
+        for sentence in scene.notes:
+            self._say(f"{frame.name}: {sentence}." if self.plan.depth is None else "")
         noise = transform.draw(image, seed=seed)
-        result = transform.run(image, depth, noise)
+        result = transform.run(image, scene, noise)
         return result, result.rgb if rgb else result.bayer
+
+    def _say(self, sentence: str) -> None:
+        """A note, once."""
+        if sentence and sentence not in self.said:
+            self.said.add(sentence)
+            note(sentence, quiet=self.args.quiet)
 
     def _transform(self, camera: Camera, rgb: bool) -> Any:
         key = (camera, rgb)
         if key not in self.transforms:
             transform = BayerWeather(self.plan.weather, camera, **self.plan.options)
-            self.transforms = {key: AsBayer(transform) if rgb else transform}
+            self.transforms = {key: AsBayer(transform, through_mosaic=self.args.through_mosaic) if rgb else transform}
         return self.transforms[key]
 
-    def _depth(self, frame: Path) -> Any:
+    def _depth(self, frame: Path, rgb: bool) -> Any:
+        """The depth source of a frame; without one, that of a photograph is guessed from the picture, that of a raw
+        frame is flat ground."""
+        named = self.plan.depth or (AUTO if rgb else GROUND)
+        if self.plan.depth is None and not rgb:
+            self._say(f"no --depth: flat ground {self.plan.camera.height_m:g} m below the camera, guessed.")
         # One source serves all frames, except a folder of maps.
-        key = frame if Path(self.plan.depth).is_dir() else None
+        key = (named, frame if Path(named).is_dir() else None)
         if key not in self.depths:
-            self.depths = {key: depth_source(self.plan.depth, self.args.depth_encoding, frame)}
+            self.depths = {key: depth_source(named, self.args.depth_encoding, frame)}
         return self.depths[key]
 
 
@@ -158,5 +167,6 @@ def line(entry: Mapping[str, Any]) -> str:
         f"{entry['input']} -> {entry['output']}  seed {entry['seed']}  "
         f"transmission {entry['transmission_mean']:.3f}  particle mask {entry['particle_mask_mean']:.4f}  "
         + (f"airlight {light}  " if light else "")
+        + f"depth {entry['depth']}  "
         + f"{entry['seconds']:.2f} s"
     )

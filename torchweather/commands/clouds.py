@@ -117,7 +117,8 @@ def gathered_clouds(inputs: list[Path]) -> list[Path]:
     found: list[Path] = []
     for path in inputs:
         if path.is_dir():
-            inside = sorted(file for file in path.iterdir() if file.name.lower().endswith(known))
+            seen = [file for file in path.iterdir() if not file.name.startswith(".")]
+            inside = sorted(file for file in seen if file.name.lower().endswith(known))
             if not inside:
                 raise ValueError(f"{path}: no point clouds; wanted {', '.join(known)}.")
             found += inside

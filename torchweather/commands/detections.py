@@ -62,7 +62,7 @@ def gathered_detections(inputs: list[Path]) -> list[Path]:
     found: list[Path] = []
     for path in inputs:
         if path.is_dir():
-            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known)
+            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known and file.name[0] != ".")
             if not inside:
                 raise ValueError(f"{path}: no radar detections; wanted {', '.join(known)}.")
             found += inside

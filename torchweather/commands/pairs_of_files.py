@@ -122,7 +122,8 @@ def _kind_of(path: Path) -> str:
 
 
 def _inside(folder: Path, sensor: str | None) -> list[Path]:
-    found = sorted(path for path in folder.iterdir() if path.is_file() and _ends(path, _endings(sensor)))
+    files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    found = sorted(path for path in files if _ends(path, _endings(sensor)))
     if not found:
         raise ValueError(f"{folder}: holds no {_wanted(sensor)}; wanted {', '.join(_endings(sensor))}.")
     return found

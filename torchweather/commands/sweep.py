@@ -60,6 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("R", "G", "B"),
         help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
     )
+    parser.add_argument(
+        "--allow-guessed-depth",
+        action="store_true",
+        help='score frames whose depth is guessed too, such as flat ground; the results are headed "depth guessed"',
+    )
     parser.add_argument("--ego-speed-m-per-s", type=float, help="of a camera: speed of the vehicle")
     add_depth_arguments(parser)
     add_camera_arguments(parser)
@@ -97,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(summary)
     else:
-        print_lines("\n".join([*map(_line, summary["series"]), f"wrote {args.out / 'index.html'}"]))
+        headed = ["depth guessed"] if summary["depth"] == "guessed" else []
+        print_lines("\n".join([*headed, *map(_line, summary["series"]), f"wrote {args.out / 'index.html'}"]))
     return 0
 
 

@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from torchweather.camera.depth import AUTO, GUESSED, DepthSource, scene_of
 from torchweather.commands.clouds import clouds_in, gathered_clouds, lidar_fields, with_ones
 from torchweather.commands.detections import gathered_detections, radar_fields
 from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.commands.regions import parse_region
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.io import read_image, read_radar
+from torchweather.io.depth_sources import GROUND
 from torchweather.report.radar_section import WALKING
 from torchweather.scenes import SCENES, Scene, lidar_view, radar_view
 from torchweather.scenes.raw_frame import INDOORS, raw_frame
@@ -98,20 +100,30 @@ class _Camera(Maker):
         if data.ndim != 3:
             raise TorchweatherError(f"{file}: wanted a single frame (1 or 3, H, W); got {tuple(data.shape)}.")
         height, width = data.shape[-2:]
-        camera, said = fitted_camera(self.camera, height, width, self.args)
+        camera, said = fitted_camera(self.camera, height, width, self.args, frame=file)
         if said:
             self.notes.append(f"{said[0].upper()}{said[1:]}")
-        if self.args.depth is None:
+        named = self.args.depth or (AUTO if info.kind == "rgb" else GROUND)
+        source = depth_source(named, self.args.depth_encoding, file)
+        _refuse_guess(source, file, self.args)
+        depth = scene_of(source, camera, height, width, image=data)
+        if depth.confidence == GUESSED:
             self.notes.append(
-                f"No --depth was given: flat ground {camera.height_m:g} m below the camera, sky above the horizon."
+                "The depth of the frames is guessed, not measured: the scores tell of the weather in a guessed scene."
             )
-        if info.kind == "rgb":
-            self.notes.append(
-                "RGB frames go through a mosaic and back; the clear frame they are scored against does not."
-            )
-        source = depth_source(self.args.depth or "ground", self.args.depth_encoding, file)
-        depth_m = source(camera, height, width, image=data).reshape(1, height, width)
-        yield CameraSubject(str(file), data, depth_m, camera, scene=scene, options=self.options)
+        self.notes += [f"{file.name}: {sentence}." for sentence in depth.notes]
+        yield CameraSubject(
+            str(file), data, depth.depth_m, camera, scene=scene, options=self.options, scene_depth=depth
+        )
+
+
+def _refuse_guess(source: DepthSource, file: Path, args: argparse.Namespace) -> None:
+    """Raise where the depth is guessed and that was not allowed."""
+    if source.confidence == GUESSED and not getattr(args, "allow_guessed_depth", False):
+        raise TorchweatherError(
+            f"sweep: the depth of {file} is guessed, not measured; the numbers would tell about the guess. Give "
+            '--depth FILE or DIR, or --allow-guessed-depth: the results are then headed "depth guessed".'
+        )
 
 
 class _Lidar(Maker):

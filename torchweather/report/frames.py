@@ -190,13 +190,10 @@ def user_frame(path: Path, name: str, depth: object, camera: Camera | None) -> F
     height, width = data.shape[-2:]
     notes = []
     if camera is None:
-        camera = Camera.preset("lucid-triton").resized(width, height)
-        notes.append("No camera was given: the view angles of lucid-triton are assumed, so sizes may be off.")
+        camera = Camera.preset("lucid-triton").fitted_to(width, height)
+        notes.append("No camera was given: the view of lucid-triton is assumed, so sizes may be off.")
     if info.kind == "rgb":
-        notes.append(
-            "The frame is RGB: it is decoded as sRGB, sampled to a mosaic, given the weather and demosaiced again, "
-            "which costs some sharpness. Raw frames are better."
-        )
+        notes.append("The frame is RGB: it is taken for plain sRGB and weathered in linear light.")
     if depth is None:
         source: Any = FlatGround()
         notes.append("No depth was given: flat ground below a sky is assumed, so objects stand too far away.")

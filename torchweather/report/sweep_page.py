@@ -17,6 +17,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchweather import __version__
+from torchweather.camera.depth import EXACT, least_sure
 from torchweather.errors import check_one_of
 from torchweather.io import atomic_folder, atomic_write, write_table
 from torchweather.report.cloud_counts import has_return
@@ -103,6 +104,7 @@ def write_sweep(
             "seeds": list(seeds),
             "table": f"scores.{table}",
             "notes": list(notes),
+            "depth": least_sure(*(getattr(subject, "depth_confidence", EXACT) for subject in subjects)),
             "machine": {
                 "torch": torch.__version__,
                 "processor": platform.machine(),

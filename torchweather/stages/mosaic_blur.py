@@ -2,9 +2,9 @@
 
 In a mosaic neighbours of one colour lie 2 px apart, so each of the four phases of the CFA is a picture of its own, and
 a path in full-resolution pixels is half as long in it. A disk or a line falls between its pixels: the light there is
-what cubic convolution (Keys 1981, a = -1/2) puts through them. It reproduces parabolas, so a blur's variance is exactly that of
-its disk, ``radius^2 / 4`` along each axis, or line, ``length^2 / 12``, however small. A Gaussian is the discrete one
-(Lindeberg 1990), ``exp(-t) I_n(t)``, whose variance is t exactly: blurs after each other add up.
+what cubic convolution (Keys 1981, a = -1/2) puts through them. It reproduces parabolas, so a blur's variance is exactly
+that of its disk, ``radius^2 / 4`` along each axis, or line, ``length^2 / 12``, however small. A Gaussian is the
+discrete one (Lindeberg 1990), ``exp(-t) I_n(t)``, whose variance is t exactly: blurs after each other add up.
 """
 
 from __future__ import annotations

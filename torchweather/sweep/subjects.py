@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Protocol
 import torch
 from torch import Tensor
 
+from torchweather.camera.depth import EXACT, SceneDepth
 from torchweather.image import normalise
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, Region, bayer_scores, cloud_scores, image_scores
 from torchweather.metrics.clouds import there
@@ -73,6 +74,7 @@ class CameraSubject:
         scene: of the frames that are judged together; empty: the frame alone.
         indoors: it neither rains nor snows there.
         options: of ``BayerWeather``, such as ``airlight``.
+        scene_depth: what a depth source knows beside ``depth_m``: sky, own vehicle, confidence.
 
     Note:
         The frame's own noise is in the clear and in the rendered data alike: a score of raw frames sees the weather
@@ -94,12 +96,18 @@ class CameraSubject:
     scene: str = ""
     indoors: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
+    scene_depth: SceneDepth | None = None
 
     sensor: ClassVar[str] = "camera"
     directions: ClassVar[Mapping[str, str]] = IMAGE_DIRECTIONS
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", self.scene or self.name)
+
+    @property
+    def depth_confidence(self) -> str:
+        """How sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``."""
+        return EXACT if self.scene_depth is None else self.scene_depth.confidence
 
     @property
     def is_rgb(self) -> bool:
@@ -111,7 +119,8 @@ class CameraSubject:
         transform = BayerWeather(weather, self.camera, **self.options)
         taker = AsBayer(transform) if self.is_rgb else transform
         with torch.no_grad():
-            found: Tensor = taker(self.data, self.depth_m, taker.draw(self.data, seed=seed))
+            depth = self.depth_m if self.scene_depth is None else self.scene_depth
+            found: Tensor = taker(self.data, depth, taker.draw(self.data, seed=seed))
         return found
 
     def score(self, distorted: Tensor, names: Sequence[str]) -> dict[str, float]:

@@ -364,7 +364,7 @@ class BayerWeather(WeatherTransform):
             keep_truth: compute transmission and particle mask as well.
         """
         check_knobs(self.weather, torch.Size(batch), owner=self)
-        rays = self._rays_for(linear)
+        rays = self._rays_for(linear, scene.horizon_row)
 
         def flat(name: str) -> Tensor | None:
             share = getattr(scene, name)
@@ -437,19 +437,23 @@ class BayerWeather(WeatherTransform):
         """Drop the geometry of the rays that is kept for the last size; for a copy with another camera."""
         self._rays = {}
 
-    def _rays_for(self, linear: Tensor) -> Rays:
+    def _rays_for(self, linear: Tensor, horizon_row: float | None) -> Rays:
         height, width = linear.shape[-2:]
-        key = (height, width, linear.device, linear.dtype)
+        key = (height, width, linear.device, linear.dtype, horizon_row)
         if is_exporting():
-            return self._rays_of(height, width, linear)
+            return self._rays_of(height, width, linear, horizon_row)
         if key not in self._rays:
             with torch.no_grad():
-                self._rays = {key: self._rays_of(height, width, linear)}
+                self._rays = {key: self._rays_of(height, width, linear, horizon_row)}
         return self._rays[key]
 
-    def _rays_of(self, height: int, width: int, like: Tensor) -> Rays:
-        x, y, _ = self.camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
-        return rays_of(self.camera, x, y, self.layer_top_m)
+    def _rays_of(self, height: int, width: int, like: Tensor, horizon_row: float | None) -> Rays:
+        """Rays of the camera, pitched so that the horizon lies where the scene has it."""
+        camera = self.camera
+        if horizon_row is not None:
+            camera = replace(camera, pitch_rad=math.atan2(horizon_row - camera.principal_point_px[1], camera.fy))
+        x, y, _ = camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
+        return rays_of(camera, x, y, self.layer_top_m)
 
     def _raw(self, after: CameraState, before: CameraState, bayer: Tensor) -> Tensor:
         return raw_from_linear(

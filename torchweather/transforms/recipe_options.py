@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 from torch import Tensor
 
-from torchweather.camera.depth import ConstantDepth, FlatGround, as_depth_source
+from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import Effect
 from torchweather.transforms.camera import BayerWeather
@@ -104,11 +104,18 @@ def _plain(name: str, value: Any) -> Any:
     raise ValueError(f"save_recipe: {name} must be plain values; got {type(value).__name__}. A recipe cannot hold it.")
 
 
+def _all_default(source: ScenePrior) -> bool:
+    """Whether nothing was given to it."""
+    return all(getattr(source, one.name) is one.default for one in fields(source))
+
+
 def _depth_option(source: object) -> float | str:
     if isinstance(source, ConstantDepth):
         return source.depth_m
     if source == FlatGround():
         return GROUND
+    if isinstance(source, ScenePrior) and _all_default(source):
+        return AUTO
     raise ValueError(
         f"save_recipe: a recipe holds a depth in metres or flat ground at the camera's height and pitch; got "
         f"{type(source).__name__}. Build the transform without depth and give it at the call."

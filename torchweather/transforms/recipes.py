@@ -7,7 +7,8 @@ A recipe holds ``format: torchweather-recipe/1`` and
   ``LidarFog``, ``LidarSnow`` or ``LidarWeather`` for a LiDAR, ``RadarAttenuation`` for a radar;
 - ``weather``: ``kind`` and the weather's fields (``parts`` for a mixture);
 - ``sensor``: ``kind``, and a ``preset`` or the sensor's fields; fields beside a preset replace the preset's;
-- ``options``: keyword arguments of the transform; a camera's ``depth`` is a number of metres or ``ground``;
+- ``options``: keyword arguments of the transform; a camera's ``depth`` is a number of metres, ``ground``, or
+  ``auto`` (guessed from the picture);
 - ``rgb``: true for a camera's RGB images, by ``AsBayer`` (default false);
 - ``through_mosaic``: true for RGB images by way of the camera's mosaic (default false).
 """
@@ -22,7 +23,7 @@ from typing import Any
 
 from torch import nn
 
-from torchweather.camera.depth import FlatGround
+from torchweather.camera.depth import AUTO, FlatGround
 from torchweather.errors import TorchweatherError, nearest_name
 from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
 from torchweather.transforms.as_bayer import AsBayer
@@ -240,8 +241,8 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
 
 
 def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options with the depth source that ``ground`` stands for."""
-    return {key: FlatGround() if key == "depth" and isinstance(one, str) else one for key, one in options.items()}
+    """Options with the depth source that ``ground`` stands for; ``auto`` is known to the transform."""
+    return {key: FlatGround() if key == "depth" and one == GROUND else one for key, one in options.items()}
 
 
 def checked_recipe(values: Any, path: Path) -> Recipe:
@@ -259,8 +260,10 @@ def checked_recipe(values: Any, path: Path) -> Recipe:
     kind = kind_of(TRANSFORMS[transform])
     refuse_unknown(options, OPTIONS[kind], path, "option")
     depth = options.get("depth")
-    if isinstance(depth, str) and depth != GROUND:
-        raise TorchweatherError(f"{path}: options.depth must be a number of metres or {GROUND!r}; got {depth!r}.")
+    if isinstance(depth, str) and depth not in (GROUND, AUTO):
+        raise TorchweatherError(
+            f"{path}: options.depth must be a number of metres, {GROUND!r} or {AUTO!r}; got {depth!r}."
+        )
     for key in ("rgb", "through_mosaic"):
         if not isinstance(values.get(key, False), bool):
             raise TorchweatherError(f"{path}: {key} must be true or false; got {values[key]!r}.")

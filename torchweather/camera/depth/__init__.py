@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from torchweather.camera.depth.given import ConstantDepth, DepthFromCallable, DepthMap, as_depth_source
+from torchweather.camera.depth.completion import CompletedDepth
+from torchweather.camera.depth.given import AUTO, ConstantDepth, DepthFromCallable, DepthMap, as_depth_source
 from torchweather.camera.depth.ground import FlatGround
 from torchweather.camera.depth.points import DepthFromPoints
 from torchweather.camera.depth.projection import project_points
@@ -15,14 +16,20 @@ from torchweather.camera.depth.scene_depth import (
     SceneDepth,
     least_sure,
 )
+from torchweather.camera.depth.scene_prior import ScenePrior
+from torchweather.camera.depth.sky import sky_mask
 from torchweather.camera.depth.source import DepthSource, check_depth, scene_of
+from torchweather.camera.depth.sparse import CompletedDepthMap, along_ray_to_axis, depth_from_disparity
 
 __all__ = [
+    "AUTO",
     "COMPLETED",
     "CONFIDENCES",
     "EXACT",
     "GUESSED",
     "MEASURED",
+    "CompletedDepth",
+    "CompletedDepthMap",
     "ConstantDepth",
     "DepthFromCallable",
     "DepthFromPoints",
@@ -30,9 +37,13 @@ __all__ = [
     "DepthSource",
     "FlatGround",
     "SceneDepth",
+    "ScenePrior",
+    "along_ray_to_axis",
     "as_depth_source",
     "check_depth",
+    "depth_from_disparity",
     "least_sure",
     "project_points",
     "scene_of",
+    "sky_mask",
 ]

@@ -9,11 +9,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import DepthSource, check_depth
 from torchweather.errors import check_at_least
 from torchweather.sensors import Camera
 
-__all__ = ["ConstantDepth", "DepthFromCallable", "DepthMap", "as_depth_source"]
+AUTO = "auto"
+"""Names the depth that is guessed from the picture."""
+
+__all__ = ["AUTO", "ConstantDepth", "DepthFromCallable", "DepthMap", "as_depth_source"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,8 +130,8 @@ def as_depth_source(depth: object) -> DepthSource:
     """A depth source from whatever a user has.
 
     Args:
-        depth: a source; a number of metres; a map ``(H, W)`` or ``(..., 1, H, W)`` as tensor or array; or a function
-            from image to depth.
+        depth: a source; a number of metres; a map ``(H, W)`` or ``(..., 1, H, W)`` as tensor or array; a function
+            from image to depth; or ``auto``, guessed from the picture by `ScenePrior`.
 
     Example:
         >>> as_depth_source(30)
@@ -135,6 +139,8 @@ def as_depth_source(depth: object) -> DepthSource:
     """
     if isinstance(depth, DepthSource):
         return depth
+    if isinstance(depth, str) and depth == AUTO:
+        return ScenePrior()
     if isinstance(depth, (int, float, np.integer, np.floating)) and not isinstance(depth, bool):
         return ConstantDepth(float(depth))
     if isinstance(depth, np.ndarray):
@@ -144,6 +150,6 @@ def as_depth_source(depth: object) -> DepthSource:
     if callable(depth):
         return DepthFromCallable(depth)
     raise TypeError(
-        "depth must be a number of metres, a map (..., 1, H, W) in metres, a DepthSource such as FlatGround(), or a "
-        f"function from image to depth; got {type(depth).__name__}. Read files with torchweather.io.read_depth."
+        "depth must be a number of metres, a map (..., 1, H, W) in metres, a DepthSource such as FlatGround(), 'auto', "
+        f"or a function from image to depth; got {type(depth).__name__}. Read files with torchweather.io.read_depth."
     )
