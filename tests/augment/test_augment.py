@@ -18,9 +18,9 @@ import torchweather.augment.work as work
 from tests.augment.data_sets import BOTH, BOXES, FOG, MANIFEST, cloud, folder, image, kitti, nuscenes, recipe, tree
 from torchweather.augment import Manifest, Row, Summary, augment
 from torchweather.augment.frames import Frame
+from torchweather.camera.depth import CompletedDepth
 from torchweather.cli import main
 from torchweather.errors import TorchweatherError
-from torchweather.image import DepthFromPoints
 from torchweather.io import read_image, read_labels, read_points, write_points
 from torchweather.random import sample_seed
 from torchweather.transforms.recipes import load_recipe
@@ -102,19 +102,21 @@ def by_hand(folder: Path, row: Row, key: str, text: str) -> Tensor:
     plan = load_recipe(recipe(folder, text)).plans["image"]
     camera = torchweather.Camera.from_intrinsics(40, 40, 19.5, 11.5, 40, 24, height_m=1.65)
     lidar_axes = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
-    depth = DepthFromPoints(cloud(0), torch.tensor(lidar_axes))(camera, 24, 40).float()
+    depth = CompletedDepth(cloud(0), torch.tensor(lidar_axes)).scene(camera, 24, 40, image=image(0))
     transform = plan.build(torchweather.weather.weather_from_dict(row.weather))
     noise = transform.draw(image(0), seed=torchweather.random.derived_seed(row.seed, key))
     found: Tensor = transform(image(0), depth, noise)
     return found
 
 
+@pytest.mark.filterwarnings("ignore:.*no sky in the frame")
 def test_kitti_takes_the_depth_of_its_cloud_and_its_own_calibration(tmp_path: Path) -> None:
     source, target = kitti(tmp_path / "clear", 1), tmp_path / "rainy"
     run(source, target, seed=3)
     row = rows(target)["training/000000"]
     after = read_image(target / "training/image_2/000000.png")[0]
     assert torch.equal(after, by_hand(tmp_path, row, "image", BOTH))
+    assert "image: depth completed" in row.notes
     # Another depth is another image.
     run(source, tmp_path / "near", seed=3, depth="4")
     assert not torch.equal(after, read_image(tmp_path / "near/training/image_2/000000.png")[0])
@@ -131,6 +133,7 @@ def test_kitti_boxes_are_counted_in_the_manifest_and_their_files_stay(tmp_path: 
     assert (target / "training/label_2/000000.txt").read_text(encoding="utf-8") == BOXES
 
 
+@pytest.mark.filterwarnings("ignore:.*no sky in the frame")
 def test_nuscenes_shares_a_weather_in_a_sample_and_counts_its_boxes(tmp_path: Path) -> None:
     source, target = nuscenes(tmp_path / "clear"), tmp_path / "stormy"
     heavy = BOTH.replace("{kind: rain, rate_mm_per_h: {log_uniform: [5.0, 100.0]}}", "{kind: fog, mor_m: 12.0}")

@@ -21,9 +21,9 @@ from torchweather.augment.frames import COPY, Frame, SensorFile
 from torchweather.augment.layouts import FROM_LIDAR
 from torchweather.augment.manifest import DONE, FAILED, Row
 from torchweather.augment.paths import inside
+from torchweather.camera.depth import AUTO, CompletedDepth, DepthSource, SceneDepth
 from torchweather.errors import TorchweatherError, TorchweatherWarning
 from torchweather.file_names import stem
-from torchweather.image import DepthFromPoints
 from torchweather.io import (
     BoxVisibility,
     PointCloud,
@@ -43,7 +43,7 @@ from torchweather.io import (
     write_points,
     write_radar,
 )
-from torchweather.io.depth_sources import depth_source
+from torchweather.io.depth_sources import GROUND, depth_source
 from torchweather.random import sample_seed
 from torchweather.sensors import Camera, Radar
 from torchweather.stages import PointKind
@@ -123,7 +123,7 @@ class Worker:
             for path in written:
                 self._out(path).unlink(missing_ok=True)
             row = replace(row, status=FULL if no_room(error) else FAILED, error=one_line(error))
-        notes = tuple(dict.fromkeys(" ".join(str(one.message).split()) for one in said))
+        notes = tuple(dict.fromkeys([*row.notes, *(" ".join(str(one.message).split()) for one in said)]))
         return replace(row, notes=notes, seconds=time.perf_counter() - started)
 
     # ---- a frame -------------------------------------------------------------------------------------------------
@@ -142,10 +142,15 @@ class Worker:
                 write_image(self._new(file.target, written), out[file.key])
             else:
                 self._write_clear(clear[file.key], written)
+        sure = tuple(
+            f"{file.key}: depth {results[file.key].depth_confidence}"
+            for file in frame.files
+            if file.kind == "camera" and file.key in results
+        )
         boxes = None
         if frame.lidar_key in results:
             boxes = self._boxes(frame, clear[str(frame.lidar_key)], results[frame.lidar_key])
-        return replace(row, weather=draw.weather, boxes=boxes)
+        return replace(row, weather=draw.weather, boxes=boxes, notes=sure)
 
     def _write(self, clear: _Clear, result: Any, written: list[str]) -> None:
         target = clear.file.target
@@ -226,7 +231,7 @@ class _Clear:
     def __init__(self, worker: Worker, frame: Frame, file: SensorFile) -> None:
         self.worker, self.frame, self.file = worker, frame, file
         path = worker._in(file.path)
-        self.depth: Tensor | None = None
+        self.depth: SceneDepth | None = None
         if file.kind == "camera":
             self.image, info = read_image(path)
             if self.image.ndim != 3:
@@ -243,7 +248,7 @@ class _Clear:
             self.radar = read_radar(path, sensor)
             self.use = SensorUse("radar")
 
-    def sample(self) -> Iterator[tuple[str, Tensor]]:
+    def sample(self) -> Iterator[tuple[str, Tensor | SceneDepth]]:
         """What the recipe is given."""
         if self.file.kind == "camera":
             yield self.file.key, self.image
@@ -265,11 +270,17 @@ class _Clear:
             return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
         return camera if (camera.height, camera.width) == (height, width) else camera.fitted_to(width, height)
 
-    def _depth(self, path: Path) -> Tensor | None:
-        """``(1, H, W)`` metres; ``None`` leaves it to the recipe's own source."""
-        worker, file, camera = self.worker, self.file, self.use.camera
+    def _depth(self, path: Path) -> SceneDepth | None:
+        """Depth of the image; ``None`` leaves it to the recipe's own source."""
+        camera = self.use.camera
+        source = self._depth_source(path)
+        if source is None:
+            return None
         assert camera is not None
-        size = (camera, camera.height, camera.width)
+        return source.scene(camera, camera.height, camera.width, image=self.image).to(dtype=torch.float32)
+
+    def _depth_source(self, path: Path) -> DepthSource | None:
+        worker, file = self.worker, self.file
         if file.depth_cloud is not None:
             cloud = read_points(worker._in(file.depth_cloud)).points
             from_lidar: Any = file.camera_from_lidar
@@ -281,15 +292,15 @@ class _Clear:
                     )
                 calibration = read_kitti_calibration(worker._in(self.frame.calibration))
                 from_lidar = calibration.T_camera_from_lidar
-            return DepthFromPoints(cloud, torch.as_tensor(from_lidar, dtype=torch.float64))(*size).float()
+            return CompletedDepth(cloud, torch.as_tensor(from_lidar, dtype=torch.float64))
         chosen = worker.job.depth
         if chosen == FROM_LIDAR:
             raise TorchweatherError(f"{path}: there is no cloud of its number, for --depth lidar.")
         if chosen is None:
             if worker.recipe.plan("camera").options.get("depth") is not None:
                 return None
-            chosen = "ground"
-        return depth_source(chosen, worker.job.depth_encoding, path)(*size, image=self.image).float()
+            chosen = AUTO if self.use.rgb else GROUND
+        return depth_source(chosen, worker.job.depth_encoding, path)
 
 
 def outgoing(cloud: PointCloud, points: Tensor, kind: Tensor) -> PointCloud:

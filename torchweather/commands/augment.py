@@ -127,6 +127,10 @@ def _text(summary: Summary, *, dry_run: bool) -> str:
     return "\n".join(lines)
 
 
+# Notes of the manifest that need no warning: depth that is not guessed.
+SURE = tuple(f": depth {one}" for one in ("exact", "measured", "completed"))
+
+
 class _Shown:
     """Progress on standard error: a bar on a terminal, else a line now and then; a line for each broken frame."""
 
@@ -156,6 +160,8 @@ class _Shown:
         if row.error is not None:
             self._line(f"broken: {row.frame}: {row.error}")
         for text in row.notes:
+            if text.endswith(SURE):
+                continue
             # Of a thousand frames with the same trouble, which differ in the numbers, one is shown.
             kind = re.sub(r"[\d.]+", "", text)
             if kind not in self.noted:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchweather.camera.depth import SceneDepth
 from torchweather.distributions import Choice
 from torchweather.errors import check_between, nearest_name
 from torchweather.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
@@ -77,7 +78,8 @@ class Compose(nn.Module):
             distributions; or a list or ``Choice`` of weathers, ``None`` among them for clear air. ``None``: what the
             transforms were built with, which must then be the same for all.
         p: probability that a sample gets weather at all.
-        depth: key of the depth map, for cameras; where the sample has none, a camera's own depth source is taken.
+        depth: key of the depth map or ``SceneDepth``, for cameras; where the sample has none, a camera's own depth
+            source is taken.
         inputs: other arguments of the transforms by name, to keys of the sample, for each key that needs them:
             ``{"points": {"directions": "beams"}, "front": {"depth": "front_depth"}}``.
         seed: of all samples; needs ``sample_key``.
@@ -295,7 +297,7 @@ class Compose(nn.Module):
         found: Tensor = self._transform(key, plan, some.to_dict(), value.device).without_weather(value)
         return found
 
-    def _in_weather(self, key: str, plan: Plan, value: Tensor, extras: Mapping[str, Tensor], draw: Draw) -> Any:
+    def _in_weather(self, key: str, plan: Plan, value: Tensor, extras: Mapping[str, Any], draw: Draw) -> Any:
         """What the transform of a key makes of it; ``None`` without weather."""
         if draw.weather is None:
             return None
@@ -363,14 +365,18 @@ class Compose(nn.Module):
             raise ValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
         return next(iter(found.values()))
 
-    def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None, number: int) -> dict[str, Tensor]:
+    def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None, number: int) -> dict[str, Any]:
         """Further arguments of a key's transform, of one sample of a number of them."""
         names = dict(self.inputs.get(key, {}))
         if isinstance(plan.sensor, Camera) and "depth" not in names and self.depth in sample:
             names["depth"] = self.depth
         found = {}
         for argument, where in names.items():
-            value = as_tensor(self._value(sample, where), where)
+            given = self._value(sample, where)
+            if argument == "depth" and isinstance(given, SceneDepth):
+                found[argument] = given if element is None else given.of_sample(element)
+                continue
+            value = as_tensor(given, where)
             if isinstance(value, list) or value.ndim > DIMENSIONS[argument]:
                 if element is None or len(value) != number:
                     wanted = "one sample" if element is None else f"one sample, or of each of the {number}"

@@ -65,6 +65,15 @@ class SceneDepth:
         """``(..., 1, H, W)`` share of each pixel that is sky, in the depth's dtype."""
         return torch.isinf(self.depth_m).to(self.depth_m.dtype) if self.sky is None else self.sky
 
+    def of_sample(self, number: int) -> SceneDepth:
+        """The scene of one sample of a batch ``(B, 1, H, W)``; what has no batch dimension is shared."""
+        parts = {
+            name: share[number] if share.ndim > 3 else share
+            for name in ("depth_m", "sky", "near_mask")
+            if (share := getattr(self, name)) is not None
+        }
+        return replace(self, **parts)
+
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> SceneDepth:
         """The same on another device or in another dtype."""
         moved = {
