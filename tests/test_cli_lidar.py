@@ -299,7 +299,7 @@ def test_intensities_that_do_not_fit_the_sensor_are_said_once(run: Any, tmp_path
     for name in ("a.bin", "b.bin"):
         write_points(tmp_path / name, points)
     argv = ("apply", *HDL, "--weather", "rain:rate=5", tmp_path / "a.bin", tmp_path / "b.bin", "-o", tmp_path / "out")
-    code, _, err = run(*argv)
+    code, _, err = run(*argv, "--force")
     assert code == 0
     lines = err.strip().splitlines()
     assert len(lines) == 2
@@ -397,3 +397,20 @@ def test_list_and_explain_know_the_lidar(run: Any) -> None:
     assert {"ToEnergy", "ParticleReturns", "Detection", "ToPoints"} <= set(names["stages"])
     sensors = {recipe["sensor"] for recipe in names["recipes"]}
     assert {"lidar:ouster-os1-128", "lidar:velodyne-hdl-64e", "lidar:pandar64-wads"} <= sensors
+
+
+def test_a_cloud_whose_intensities_contradict_the_sensor_stops_the_run(run: Any, tmp_path: Path) -> None:
+    rows = torch.zeros(200, 4)
+    rows[:, 0] = torch.linspace(20.0, 60.0, 200)
+    rows[:, 3] = 1e-4  # per cent would be plausible, a reflectivity of 1e-4 at 20 m is not
+    write_points(tmp_path / "a.bin", rows)
+    argv = ("apply", tmp_path / "a.bin", "--sensor", "lidar:velodyne-hdl-64e", "--intensity-unit", "reflectivity")
+    argv = (*argv, "--weather", "fog:mor=100", "--out", tmp_path / "out")
+    code, _, err = run(*argv)
+    assert code == 2
+    assert "200 of 200 points are, by their intensity, fainter than the sensor can detect" in err
+    assert "--intensity-unit" in err
+    assert "--force" in err
+    code, _, err = run(*argv, "--force")
+    assert code == 0
+    assert (tmp_path / "out/a.bin").is_file()

@@ -19,7 +19,8 @@ SUMMARY = "weather on files of images, point clouds and radar detections"
 DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
 pixel is a raw Bayer mosaic, a colour file goes through its mosaic and back. A point cloud is KITTI or WADS .bin,
 nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
-(nuScenes' or one's own), .npz or .csv. Each output keeps the name and format of its input (of a .pcap each frame
+(nuScenes' or one's own), .npz or .csv. In a video, and in a folder with --sequence, the particles move from frame to
+frame. Each output keeps the name and format of its input (of a .pcap each frame
 becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers of seed + i. With --sensor radar,
 scene:test-track and scene:fog-tunnel simulate the radar's frame of an embedded scene: NAME.npz in the weather,
 NAME_clear.npz in clear air, and NAME.png with both."""
@@ -28,9 +29,10 @@ SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.
 CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
 KINDS = ("camera", "lidar", "radar")
+SEQUENCE_ARGUMENTS = ("sequence", "frame_rate_hz")
 # By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
 ARGUMENTS = {
-    "camera": CAMERA_ARGUMENTS,
+    "camera": (*CAMERA_ARGUMENTS, *SEQUENCE_ARGUMENTS),
     "lidar": LIDAR_ARGUMENTS,
     "radar": (*RADAR_ARGUMENTS, "ego_speed_m_per_s", "lost", "labels"),
 }
@@ -41,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "inputs", nargs="+", type=Path, metavar="IN", help="images, point clouds, detections, folders, or scene:NAME"
     )
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the results")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, help="folder for the results; of a sequence also a video, .mp4"
+    )
     parser.add_argument("--weather", help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +")
     parser.add_argument("--recipe", help="a ready-made pipeline (see torchweather list), or a file of one's own")
     parser.add_argument(
@@ -57,7 +61,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
     )
     parser.add_argument(
-        "--ego-speed-m-per-s", type=float, help="speed of the vehicle; a radar's: for --clutter, scenes"
+        "--ego-speed-m-per-s",
+        type=_speed,
+        metavar="SPEED|FILE",
+        help="speed of the vehicle, m/s; a radar's: for --clutter, scenes. Of a sequence also a file of them: a text, "
+        "a CSV with the column speed_m_per_s, or a folder of raw KITTI data",
+    )
+    group = parser.add_argument_group("sequence", "of a camera: a video, or the frames of one drive")
+    group.add_argument(
+        "--sequence", action="store_true", help="the inputs are successive frames, in which the same particles move"
+    )
+    group.add_argument(
+        "--frame-rate-hz", type=float, help="frames a second; default the video's, or that of KITTI's timestamps.txt"
     )
     add_depth_arguments(parser)
     add_camera_arguments(parser)
@@ -97,6 +112,16 @@ def _process(
 
         done = apply_radar_scene.process(args, weather, recipe, preset, scenes)
         return done, "\n".join(apply_radar_scene.line(entry) for entry in done)
+    if kind == "camera" and _is_sequence(args):
+        from torchweather.commands import apply_sequence
+
+        done = apply_sequence.process(args, weather, recipe, preset)
+        return done, "\n".join(apply_sequence.line(entry) for entry in done)
+    if isinstance(args.ego_speed_m_per_s, Path):
+        raise ValueError(
+            f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
+            "--sequence; give one number of m/s."
+        )
     if kind == "lidar":
         from torchweather.commands import apply_lidar as work
     elif kind == "radar":
@@ -105,6 +130,27 @@ def _process(
         from torchweather.commands import apply_camera as work  # type: ignore[no-redef]
     done = work.process(args, weather, recipe, preset)
     return done, "\n".join(work.line(entry) for entry in done)
+
+
+def _is_sequence(args: argparse.Namespace) -> bool:
+    """Whether the frames belong together; checks what belongs to a sequence."""
+    from torchweather.commands.apply_sequence import is_video
+
+    videos = [path for path in args.inputs if is_video(path)]
+    if not args.sequence and not videos:
+        if args.frame_rate_hz is not None:
+            raise ValueError("apply: --frame-rate-hz is for a video or --sequence.")
+        if is_video(args.out):
+            raise ValueError(f"apply: {args.out} is a video; give --sequence if the inputs are frames of one drive.")
+    return bool(args.sequence or videos)
+
+
+def _speed(text: str) -> float | Path:
+    """A speed in m/s, or the file or folder that holds some."""
+    try:
+        return float(text)
+    except ValueError:
+        return Path(text)
 
 
 def _scenes(args: argparse.Namespace, kind: str) -> list[str]:

@@ -15,7 +15,14 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchweather.commands.cloud_files import CloudFiles
-from torchweather.commands.clouds import CloudFrame, clouds_in, gathered_clouds, lidar_fields, with_ones
+from torchweather.commands.clouds import (
+    CloudFrame,
+    clouds_in,
+    gathered_clouds,
+    lidar_fields,
+    refuse_wrong_unit,
+    with_ones,
+)
 from torchweather.commands.output import note
 from torchweather.errors import TorchweatherError
 from torchweather.explain import explain
@@ -38,7 +45,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     """Read, weather and write every cloud; what was done, as plain values."""
     if args.labels_in is not None and args.labels != "label":
         raise ValueError("apply: --labels-in carries labels on into new ones; give --labels label too.")
-    sensor, build = _builder(args, weather, recipe, preset)
+    sensor, build = builder(args, weather, recipe, preset)
     if recipe is None and not preset:
         note(f"no preset: the sensor is lidar:{DEFAULT_PRESETS['lidar']}.", quiet=args.quiet)
     files = gathered_clouds(args.inputs)
@@ -57,7 +64,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     return done
 
 
-def _builder(
+def builder(
     args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str
 ) -> tuple[Lidar, Callable[[Lidar], LidarWeather]]:
     """The sensor, and what makes the transform for it, from the recipe and the arguments, the arguments first."""
@@ -104,6 +111,7 @@ class _Work:
         clear = with_ones(frame.cloud) if without_intensity else frame.cloud
         transform = self._transform(clear.columns)
         hit = has_return(clear.points, transform.sensor)
+        refuse_wrong_unit(str(frame.name), clear.points, transform.sensor, self.args, "apply")
         try:
             with torch.no_grad():
                 noise = transform.draw(clear.points, seed=seed)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from torchweather.io import PointCloud
+    from torchweather.sensors import Lidar
 
 __all__ = [
     "LIDAR_ARGUMENTS",
@@ -38,7 +39,36 @@ LIDAR_FIELDS = (
     "max_range_m",
     "columns",
 )
-LIDAR_ARGUMENTS = (*LIDAR_FIELDS, "intensity", "lost", "complete_scan", "labels", "labels_in", "meta")
+LIDAR_ARGUMENTS = (*LIDAR_FIELDS, "intensity", "lost", "complete_scan", "labels", "labels_in", "meta", "force")
+
+
+# Share of a cloud's points below the sensor's own detection floor from which on its unit is surely another: they all
+# were detected. Of KITTI's sweeps, a fifth has intensity 0.
+NEARLY_ALL = 0.9
+
+
+def add_force(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
+    """The argument that lets a cloud through whose intensities contradict the sensor."""
+    group.add_argument(
+        "--force", action="store_true", help="go on although nearly all intensities contradict the sensor's unit"
+    )
+
+
+def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.Namespace, owner: str) -> None:
+    """Raise where more than nine tenths of a cloud's points lie below the sensor's own floor, unless forced."""
+    from torchweather.errors import TorchweatherError
+    from torchweather.transforms.clouds import below_floor
+
+    floored, returns = below_floor(points, sensor)
+    if not getattr(args, "force", False) and floored > NEARLY_ALL * returns:
+        seen = points[..., 3][points[..., :3].square().sum(-1) > 0]
+        raise TorchweatherError(
+            f"{owner}: {name}: {floored} of {returns} points are, by their intensity, fainter than the sensor can "
+            f"detect, yet it detected them. Their intensities are {float(seen.min()):g} to {float(seen.max()):g}, median "
+            f"{float(seen.median()):g}, read as {sensor.intensity_unit}. Give --intensity-unit (reflectivity, "
+            "reflectivity_percent, uint8_linear, uint8_calibrated, photons, none) or --range-at-10-percent-m; --force "
+            "goes on as it is."
+        )
 
 
 def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +76,7 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(group)
     group.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")
+    add_force(group)
     group.add_argument(
         "--lost",
         help="lost points become zero (default; other columns stay; a radar's leave the file), nan, or drop: left out",

@@ -25,6 +25,8 @@ __all__ = [
 CAMERA_ARGUMENTS = (
     *("camera", "camera_name", "pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy"),
     *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
+    *("depth_along", "baseline_m", "calib", "depth_model", "depth_model_output", "depth_model_scale"),
+    "depth_model_multiple_px",
 )
 
 
@@ -69,12 +71,46 @@ def add_depth_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--depth",
         metavar="FILE|DIR|METRES|ground|auto",
-        help="a depth map, a folder with one of the same name for each frame, one number of metres, flat ground with "
-        "sky above the horizon (default of raw frames), or guessed from the picture: ground, side walls, sky (default "
-        "of photographs)",
+        help="a depth map, or with --calib a LiDAR cloud; a folder with one of the same name for each frame; one "
+        "number of metres; flat ground with sky above the horizon (default of raw frames); or guessed from the "
+        "picture: ground, side walls, sky (default of photographs). Pixels of a map without a value are completed",
     )
     group.add_argument(
-        "--depth-encoding", help="of integer maps: millimetre, kitti (1/256 m) or carla (24 bits in red, green, blue)"
+        "--depth-encoding",
+        help="of depth maps: metre (default of floats), centimetre, millimetre, kitti (1/256 m), carla (24 bits in "
+        "red, green, blue), disparity (pixels), disparity_kitti (1/256 pixel); 0 and NaN are unknown",
+    )
+    group.add_argument(
+        "--depth-along",
+        choices=("axis", "ray"),
+        help="direction of a map's metres: along the optical axis (default), or along each pixel's ray",
+    )
+    group.add_argument("--baseline-m", type=float, help="of a disparity: distance of the two lenses, m")
+    group.add_argument(
+        "--calib",
+        metavar="FILE|DIR",
+        type=Path,
+        help="of a LiDAR cloud: the way to the camera, KITTI's object calibration or nuScenes' json; a folder has one "
+        "of the same name for each frame",
+    )
+    group.add_argument(
+        "--depth-model", metavar="ONNX", type=Path, help="a depth network for RGB frames, run on the CPU"
+    )
+    group.add_argument(
+        "--depth-model-output",
+        choices=("depth", "inverse_depth", "disparity"),
+        help="of the network: depth (default), inverse depth, or a stereo pair's disparity in pixels",
+    )
+    group.add_argument(
+        "--depth-model-scale",
+        choices=("metric", "ground", "lidar"),
+        help="of the network's output: metres (default), or unknown and found from flat ground below the camera, or "
+        "from the cloud or sparse map of --depth",
+    )
+    group.add_argument(
+        "--depth-model-multiple-px",
+        type=int,
+        help="where the network takes any size: what height and width must be multiples of; default 14",
     )
 
 
@@ -188,11 +224,33 @@ def _fit_note(camera: Camera, fit: CameraFit, why: str) -> str:
     return f"{size} {kept}, square pixels, fx = fy = {fitted.fx:.1f} px{lens}; {advice}{panorama}"
 
 
-def depth_source(text: str, encoding: str | None, frame: Path) -> DepthSource:
-    """The depth of a frame from the argument ``--depth``."""
+def depth_source(
+    text: str, encoding: str | None, frame: Path, *, args: argparse.Namespace | None = None
+) -> DepthSource:
+    """The depth of a frame from the arguments of `add_depth_arguments`.
+
+    Args:
+        text: of ``--depth``, or its default.
+        encoding: of ``--depth-encoding``.
+        frame: path of the image.
+        args: all arguments; ``None`` leaves the others at their defaults.
+    """
     from torchweather.io.depth_sources import depth_source as found
 
-    return found(text, encoding, frame)
+    given = vars(args) if args is not None else {}
+    return found(
+        text,
+        encoding,
+        frame,
+        along=given.get("depth_along"),
+        baseline_m=given.get("baseline_m"),
+        calibration=given.get("calib"),
+        camera_name=given.get("camera_name"),
+        model=given.get("depth_model"),
+        model_output=given.get("depth_model_output"),
+        model_scale=given.get("depth_model_scale"),
+        model_multiple_px=given.get("depth_model_multiple_px"),
+    )
 
 
 def gathered(inputs: list[Path]) -> list[Path]:

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.commands.clouds import LIDAR_FIELDS, add_lidar_fields
 from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments
+from torchweather.commands.robustness_frames import RobustnessFrames, truth_file
 
 if TYPE_CHECKING:
-    from torchweather.robustness import Declaration, LabelledFrame
+    from torchweather.robustness import Declaration
     from torchweather.transforms.recipes import Recipe
     from torchweather.transforms.suites import Suite
 
 NAME = "robustness"
 SUMMARY = "an ONNX detector in weather of five severities: a page, mean corruption error, resilience rate"
 DESCRIPTION = """Puts the weathers of a suite (torchweather list) on labelled frames or clouds, runs an ONNX detector on
-them with onnxruntime, and holds what it finds against the ground truth. Writes robustness.csv, performance.csv,
+them with onnxruntime, and compares its answer with the ground truth. Writes robustness.csv, performance.csv,
 scores.csv, robustness.json, index.html and correlation/. The detector's inputs, outputs and decoder are declared in
-YAML. DIR holds images/ (or clouds/; else the files lie in DIR), depth/ with a map for each image, and the truth:
-annotations.json (COCO) for boxes, labels/ for segmentation. A single recipe is one condition."""
+YAML; without a declaration one is written from the graph, to be filled in. DIR holds images/ (or clouds/; else the
+files lie in DIR), depth/ with a map for each image, and the truth: annotations.json (COCO) for boxes, labels/ for
+segmentation. A single recipe is one condition. Guessed depth, such as flat ground, is refused unless
+--allow-guessed-depth is given."""
 
-# By the sensor: folders that may hold the data, and arguments that belong to it.
-FOLDERS = {"camera": ("images", "image_2"), "lidar": ("clouds", "velodyne")}
+# By the sensor: arguments that belong to it.
 ARGUMENTS = {"camera": CAMERA_ARGUMENTS, "lidar": (*LIDAR_FIELDS, "intensity")}
 SUITE_DEFAULT = "robustness"
 
@@ -34,7 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--model", type=Path, required=True, metavar="ONNX", help="the detector")
     parser.add_argument(
-        "--declare", type=Path, metavar="YAML", help="what it takes and gives; default the model's name with .yaml"
+        "--declare",
+        type=Path,
+        metavar="YAML",
+        help="its inputs, outputs and decoder; default the model's name with .yaml; written where there is none",
     )
     parser.add_argument(
         "--recipe", help="suite or recipe, by name or file; default the sensor's suite, such as camera/robustness"
@@ -43,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth", type=Path, metavar="JSON|DIR", help="default annotations.json or labels/ of the data"
     )
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the tables and the page")
+    parser.add_argument("-o", "--out", type=Path, help="folder for the tables and the page")
     parser.add_argument("--sensor", help="camera or lidar, with :PRESET; default the suite's, else the first preset")
     parser.add_argument("--seed", type=int, default=0, help="of all storms; default 0")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="storms of each frame; default 1")
@@ -52,6 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--iou", default="0.5", help="overlaps from which on a box is a hit, joined by commas, or coco (0.5 to 0.95)"
+    )
+    parser.add_argument(
+        "--resamples",
+        type=int,
+        default=1000,
+        metavar="N",
+        help="draws of the frames for 95%% intervals; 0: none; default 1000",
+    )
+    parser.add_argument(
+        "--allow-guessed-depth",
+        action="store_true",
+        help='run on guessed depth too, such as flat ground; the results are headed "depth guessed"',
     )
     parser.add_argument("--baseline", type=Path, metavar="DIR", help="another run's: mCE is relative to its errors")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
@@ -73,11 +89,18 @@ def run(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from torchweather.commands.output import note, print_json, print_lines
+    from torchweather.errors import TorchweatherError
     from torchweather.report.robustness_page import write_robustness
     from torchweather.robustness import OnnxDetector, conditions_of, read_declaration, run_robustness
     from torchweather.robustness.baseline import read_baseline
+    from torchweather.robustness.draft import draft_declaration
 
-    declaration = read_declaration(args.declare or args.model.with_suffix(".yaml"))
+    declared = args.declare or args.model.with_suffix(".yaml")
+    if not declared.exists() and args.model.is_file():
+        raise TorchweatherError(draft_declaration(args.model, declared, truth_file(args)))
+    declaration = read_declaration(declared)
+    if args.out is None:
+        raise ValueError("robustness: --out is missing; give the folder for the tables and the page.")
     detector = OnnxDetector(args.model, declaration)
     source = _source(args.recipe or f"{declaration.sensor}/{SUITE_DEFAULT}", declaration)
     conditions = conditions_of(source)
@@ -86,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     metrics = None if args.metrics is None else [m.strip() for m in args.metrics.split(",") if m.strip() != "none"]
     thresholds = _thresholds(args.iou)
     notes: list[str] = []
-    frames = _Frames(args, declaration, source, preset, notes)
+    frames = RobustnessFrames(args, declaration, source, preset, notes)
     total = len(frames.files) * len(conditions)
     with tqdm(
         total=total, desc="robustness", unit="condition", disable=args.quiet or not sys.stderr.isatty()
@@ -101,6 +124,8 @@ def run(args: argparse.Namespace) -> int:
                 seeds=args.seeds,
                 metrics=metrics,
                 thresholds=thresholds,
+                resamples=args.resamples,
+                allow_guessed_depth=args.allow_guessed_depth,
                 look=look,
                 progress=progress.update,
             ),
@@ -131,18 +156,34 @@ def robustness_lines(summary: dict[str, Any]) -> list[str]:
     severities = max(len(group) for group in weathers.values())
     head = [summary["measure"], "clear", *(str(k + 1) for k in range(severities)), "RR", "CE"]
     rows = [
-        [
-            name,
-            _number(summary["clear"]),
-            *(_number(each["performance"]) for each in group),
-            *([""] * (severities - len(group))),
-            _number(summary["resilience_rate"][name]),
-            _number(summary["corruption_error"][name]),
-        ]
+        row
         for name, group in weathers.items()
+        for row in (
+            [
+                name,
+                _number(summary["clear"]),
+                *(_number(each["performance"]) for each in group),
+                *([""] * (severities - len(group))),
+                _number(summary["resilience_rate"][name]),
+                _number(summary["corruption_error"][name]),
+            ],
+            [
+                "  95 %",
+                _span(summary["clear_interval"]),
+                *(_span(each["interval"]) for each in group),
+                *([""] * (severities - len(group) + 2)),
+            ],
+        )
+        if summary["resamples"] or not row[0].startswith(" ")
     ]
     mean = ["mean", *([""] * (severities + 1)), *map(_number, (summary["mean_resilience_rate"],))]
-    return aligned([head, *rows, [*mean, _number(summary["mean_corruption_error"])]])
+    table = aligned([head, *rows, [*mean, _number(summary["mean_corruption_error"])]])
+    return [*([summary["headline"].upper()] if summary["headline"] else []), *table]
+
+
+def _span(interval: list[float] | None) -> str:
+    """Both ends of an interval."""
+    return "-" if interval is None else f"{interval[0]:.2f}-{interval[1]:.2f}"
 
 
 def _number(value: float | None) -> str:
@@ -190,93 +231,3 @@ def _thresholds(text: str) -> list[float]:
     if not found or not all(0 < each <= 1 for each in found):
         raise ValueError(f"robustness: --iou must be numbers in (0, 1] joined by commas, or coco; got {text!r}.")
     return found
-
-
-class _Frames:
-    """The frames or clouds of the data with their truth, read one after another; the truth is looked for beforehand."""
-
-    def __init__(
-        self,
-        args: argparse.Namespace,
-        declaration: Declaration,
-        source: Suite | Recipe,
-        preset: str,
-        notes: list[str],
-    ) -> None:
-        from torchweather.commands.clouds import gathered_clouds
-        from torchweather.commands.frames import gathered
-        from torchweather.commands.sweep_inputs import MAKERS
-        from torchweather.robustness import read_boxes_truth
-        from torchweather.robustness.run import stem_of
-        from torchweather.robustness.truth import LABEL_SUFFIXES, frame_truth
-
-        if not args.data.is_dir():
-            raise ValueError(f"{args.data}: no such folder; wanted one with {FOLDERS[declaration.sensor][0]}/.")
-        inside = [args.data / name for name in FOLDERS[declaration.sensor] if (args.data / name).is_dir()]
-        gather = gathered if declaration.sensor == "camera" else gathered_clouds
-        self.files = gather([inside[0] if inside else args.data])
-        self.stems = [stem_of(file) for file in self.files]
-        twice = {stem for stem in self.stems if self.stems.count(stem) > 1}
-        if twice:
-            raise ValueError(f"{args.data}: wanted files of different names; {', '.join(sorted(twice))} stands twice.")
-        self.declaration = declaration
-        self.truths: Any = None
-        if declaration.decoder == "boxes":
-            where = args.truth or args.data / "annotations.json"
-            self.truths = read_boxes_truth(where, declaration.classes)
-            for stem in self.stems:
-                frame_truth(self.truths, stem, str(where))
-        else:
-            self.labels = args.truth or args.data / "labels"
-            for stem in self.stems:
-                if not any(
-                    (self.labels / f"{stem}{suffix}").is_file() for suffix in LABEL_SUFFIXES[declaration.sensor]
-                ):
-                    wanted = ", ".join(LABEL_SUFFIXES[declaration.sensor])
-                    raise ValueError(f"{self.labels}: no ground truth for {stem}; wanted {stem} with {wanted}.")
-        if declaration.sensor == "camera" and args.depth is None and (args.data / "depth").is_dir():
-            args.depth = str(args.data / "depth")
-        # What a sweep can say and this command does not.
-        args.region, args.complete_scan, args.meta = None, False, None
-        self.maker = MAKERS[declaration.sensor](args, preset, notes)
-        self.options = dict(source.options)
-        self._take_fields(args, source, preset)
-
-    def _take_fields(self, args: argparse.Namespace, source: Suite | Recipe, preset: str) -> None:
-        """What the suite or recipe says of its sensor beside the preset; the command line's own stands above it."""
-        from torchweather.commands.clouds import lidar_fields
-        from torchweather.commands.frames import camera_fields
-        from torchweather.transforms.recipes import camera_of, lidar_of
-
-        if self.declaration.sensor == "camera":
-            fields = {**source.sensor, **camera_fields(args)}
-            self.maker.camera = camera_of({**fields, "kind": "camera", "preset": preset})  # type: ignore[attr-defined]
-        else:
-            fields = {**source.sensor, **lidar_fields(args)}
-            self.maker.lidar = lidar_of({**fields, "kind": "lidar", "preset": preset})  # type: ignore[attr-defined]
-
-    def __iter__(self) -> Iterator[LabelledFrame]:
-        from dataclasses import replace
-
-        from torchweather.errors import TorchweatherError
-        from torchweather.robustness import LabelledFrame, read_label_truth
-        from torchweather.sweep import CameraSubject, LidarSubject
-
-        for file, stem in zip(self.files, self.stems, strict=True):
-            subjects = self.maker.files(file)
-            if len(subjects) != 1:
-                raise TorchweatherError(f"{file}: wanted one frame a file; got {len(subjects)}.")
-            subject = subjects[0]
-            assert isinstance(subject, (CameraSubject, LidarSubject))
-            options = {key: value for key, value in self.options.items() if key not in ("depth", "lost")}
-            subject = replace(subject, options={**options, **subject.options})
-            if self.truths is not None:
-                yield LabelledFrame(stem, subject, self.truths[stem])
-                continue
-            shape = (
-                (len(subject.points),)
-                if isinstance(subject, LidarSubject)
-                else (int(subject.data.shape[-2]), int(subject.data.shape[-1]))
-            )
-            truth = read_label_truth(self.labels, stem, self.declaration.sensor, shape)
-            yield LabelledFrame(stem, subject, truth)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.camera.depth import AUTO, GUESSED, DepthSource, scene_of
-from torchweather.commands.clouds import clouds_in, gathered_clouds, lidar_fields, with_ones
+from torchweather.commands.clouds import clouds_in, gathered_clouds, lidar_fields, refuse_wrong_unit, with_ones
 from torchweather.commands.detections import gathered_detections, radar_fields
 from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.commands.regions import parse_region
@@ -150,6 +150,7 @@ class _Lidar(Maker):
     def _of_file(self, file: Path, scene: str) -> Iterator[Subject]:
         for frame in clouds_in(file, self.args):
             cloud = with_ones(frame.cloud) if self.args.intensity == "none" else frame.cloud
+            refuse_wrong_unit(str(frame.name), cloud.points, self.lidar, self.args, "sweep")
             yield LidarSubject(
                 frame.name,
                 # A recording's frames belong together as a folder's do.

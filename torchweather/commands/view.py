@@ -133,7 +133,7 @@ def _check(args: argparse.Namespace) -> None:
 
 def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, Any, str]:
     """The frame, its points with an intensity, the transform, and the sensor's name."""
-    from torchweather.commands.apply_lidar import RING, _builder
+    from torchweather.commands.apply_lidar import RING, builder
     from torchweather.commands.clouds import clouds_in, gathered_clouds, with_ones
     from torchweather.errors import TorchweatherError
     from torchweather.sensors import DEFAULT_PRESETS
@@ -144,7 +144,7 @@ def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, 
     if args.input.is_dir():
         raise ValueError(f"view: {args.input} is a folder; give one point cloud.")
     (path,) = gathered_clouds([args.input])
-    sensor, build = _builder(args, weather, None, preset)
+    sensor, build = builder(args, weather, None, preset)
     frame = next(islice(clouds_in(path, args), args.frame, None), None)
     if frame is None or (args.frame and frame.number is None):
         raise TorchweatherError(f"{path}: has no frame {args.frame}. Give a smaller --frame.")

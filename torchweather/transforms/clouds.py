@@ -13,8 +13,9 @@ from torchweather.errors import TorchweatherWarning, owner_name
 from torchweather.sensors import Lidar, empty_beams
 from torchweather.sensors.lidar import unit_directions
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.lidar import ToEnergy
 
-__all__ = ["Beams", "beams_of", "check_points"]
+__all__ = ["Beams", "beams_of", "below_floor", "check_points"]
 
 COLUMNS_WANTED = "x, y, z in metres and intensity"
 # Intensities that contradict the declared unit: reflectivity of more than this is no reflectivity, and 8-bit values
@@ -23,6 +24,23 @@ BRIGHTEST_REFLECTIVITY = 4.0
 FAINTEST_FULL_SCALE = 1.0
 # Farther than this is no return but a mark of none, such as the largest float; its square may overflow.
 FARTHEST_M = 1e9
+
+
+def below_floor(points: Tensor, sensor: Lidar) -> tuple[int, int]:
+    """Returns of a cloud ``(..., N, 4 or more)`` whose intensity says less than the detection threshold, and all
+    returns.
+
+    Example:
+        >>> cloud = torch.tensor([[10.0, 0.0, 0.0, 0.5], [40.0, 0.0, 0.0, 0.001]])
+        >>> below_floor(cloud, Lidar.preset("velodyne-hdl-64e", intensity_unit="reflectivity"))
+        (1, 2)
+    """
+    values = points.detach()[..., :4].double()
+    range_m = values[..., :3].square().sum(-1).sqrt()
+    stage = ToEnergy(sensor).double()
+    seen = (range_m > 0) & range_m.isfinite()
+    signal = stage.signal_of_intensity(values[..., 3], range_m)
+    return int((seen & (signal < stage.beam.threshold)).sum()), int(seen.sum())
 
 
 def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
