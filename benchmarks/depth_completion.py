@@ -4,8 +4,9 @@
 
 Every fourth ring of the sweep is left out, once for each of the four phases, and the completion of the others is
 compared with its points at their pixels. Points that the camera does not see are not compared: those with nearer ones
-on two opposite sides, by the rule of `hidden_points` on ALL points. Constants were chosen on every second frame
-(``chosen``); the other frames are ``reported``.
+on two opposite sides, by the rule of `hidden_points` on ALL points. Constants of the surfaces and steps
+were chosen on every second frame (``chosen``); the other frames are ``reported``. The reach of the search for hidden
+points, and what lies above the scan, were chosen on views of all frames.
 
 The edge score is the picture's gradient at the steps of the completed depth over its mean: 1 is chance, more is
 better. Times are of one thread, of all points.

@@ -33,6 +33,8 @@ from torchweather.image.bayer import cfa_colour_index
 from torchweather.random import keyed_stream
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Stage
+from torchweather.stages.airlight import towards_horizon
+from torchweather.stages.camera_rays import rays_of
 from torchweather.stages.effects import Effect, with_effects
 from torchweather.stages.effects_camera import EFFECTS
 from torchweather.stages.particle_veil import REFLECTED_SHARE
@@ -274,20 +276,30 @@ class CameraFrames:
         cells = sky[0::2, 0::2] & sky[0::2, 1::2] & sky[1::2, 0::2] & sky[1::2, 1::2]
         if not bool(cells.any()):
             return None, {}
-        found = cell_colours(scene.clear, self._pattern)[:, :, cells].double().mean(2)  # (K, C)
+        place = cell_colours(scene.clear, self._pattern)[:, :, cells].double()  # (K, C, cells)
+        weight = self._towards_horizon(sky, cells)
+        found = (place * weight).sum(2)  # (K, C)
         each = torch.zeros(len(found), len(COLOURS), dtype=torch.float64)
         each[:, [COLOURS.index(colour) for colour in self._colours]] = found
         mean = each.mean(0)
         # Which part of an uneven sky lights the air is not known.
         uneven = torch.zeros(len(COLOURS), dtype=torch.float64)
-        place = cell_colours(scene.clear, self._pattern)[:, :, cells].double()
-        pixels = place.var(0).mean(1) / len(each)  # noise of the mean frame
-        uneven[[COLOURS.index(colour) for colour in self._colours]] = (place.mean(0).var(1) - pixels).clamp_min(0.0)
+        pixels = (place.var(0) * weight).sum(1) / len(each)  # noise of the mean frame
+        apart = (place.mean(0) - found.mean(0)[:, None]).square()
+        uneven[[COLOURS.index(colour) for colour in self._colours]] = ((apart * weight).sum(1) - pixels).clamp_min(0.0)
         square = each.var(0) / len(each) + UNEVEN_SHARE**2 * uneven.where(uneven > LEAST_UNEVEN * pixels.max(), 0.0)
         error = square.sqrt() / mean.clamp_min(1e-6)
         red, green, blue = mean.clamp(0.0, 1.0).tolist()
         known = {colour: float(error[COLOURS.index(colour)]) for colour in self._colours}
         return (red, green, blue), {colour: sd for colour, sd in known.items() if sd > 0}
+
+    def _towards_horizon(self, sky: Tensor, cells: Tensor) -> Tensor:
+        """Weight of each cell of sky for the airlight, as the model's own estimate has it; they sum to 1."""
+        height, width = sky.shape
+        x, y, _ = self.sensor.ray_directions(height, width, dtype=torch.float64)
+        sine = rays_of(self.sensor, x, y).sine_elevation[0, 0, 0::2, 0::2]
+        weight = towards_horizon(cells[None].double(), sine[None])[0][cells]
+        return weight / weight.sum()
 
     def _mean_light(self, scene: CameraScene) -> dict[str, float]:
         """Of each colour, over the clear frames."""

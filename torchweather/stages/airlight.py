@@ -124,13 +124,23 @@ def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor,
         sky = _thinned(state, state.sky, steps_px).to(signal.dtype)
     weight = sky
     if state.sine_elevation is not None:
-        sine = _thinned(state, state.sine_elevation, steps_px).to(signal.dtype).clamp_min(0.0)
-        lowest = torch.where(sky > 0.5, sine, 2.0).amin((1, 2), keepdim=True)
-        weight = sky * torch.exp(((lowest - sine) / BAND_SINE).clamp_max(0.0))
+        weight = towards_horizon(sky, _thinned(state, state.sine_elevation, steps_px).to(signal.dtype))
     weight = weight.expand(len(signal), weight.shape[1], -1)
     seen = (sky > 0.5).any(-1).all(1).expand(len(signal))
     light = (signal * weight).sum(-1) / weight.sum(-1).clamp_min(1e-12)
     return per_colour(light.view(-1, 2, 2), state) if state.cfa_index is not None else light, seen
+
+
+def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
+    """Weight of each pixel for the airlight: its share of sky, falling by e for each 3 degrees above the lowest sky.
+
+    Args:
+        sky: ``(B, ...)`` share of sky.
+        sine_elevation: of the rays, broadcast against it.
+    """
+    sine = sine_elevation.clamp_min(0.0)
+    lowest = torch.where(sky > 0.5, sine, 2.0).flatten(1).amin(1).view(-1, *(1,) * (sky.ndim - 1))
+    return sky * torch.exp(((lowest - sine) / BAND_SINE).clamp_max(0.0))
 
 
 def _thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Tensor:

@@ -227,7 +227,7 @@ def test_hidden_points_lie_between_nearer_ones_and_grazing_road_is_kept() -> Non
     # A step to one side alone hides nothing.
     half = np.where(column < 160, 8.0, 30.0)
     found = hidden_points(column, row, half, HEIGHT, WIDTH)
-    assert not found[np.abs(column - 160) > 3].any()  # nearer, within the tolerance of the calibration
+    assert not found[np.abs(column - 160) > 1].any()  # nearer, within the tolerance of the calibration
 
 
 def test_returns_from_behind_a_pane_are_found_and_those_over_a_gap_are_kept() -> None:
@@ -239,6 +239,8 @@ def test_returns_from_behind_a_pane_are_found_and_those_over_a_gap_are_kept() ->
     found = enclosed_returns(column, row, np.where(pane, 25.0, 10.0), HEIGHT, WIDTH, 250.0, 250.0)
     assert pane.sum() >= 9
     assert np.array_equal(found, pane)
+    together = unseen_points(column, row, np.where(pane, 25.0, 10.0), HEIGHT, WIDTH, 250.0, 250.0, GROUND_M)
+    assert np.array_equal(together, pane)
     gap = np.abs(column - 160) < 9  # open above and below; its rim lies within the tolerance of the calibration
     found = enclosed_returns(column, row, np.where(gap, 25.0, 10.0), HEIGHT, WIDTH, 250.0, 250.0)
     assert not found[np.abs(column - 160) < 6].any()

@@ -87,9 +87,10 @@ def test_bytes_and_floats_and_grey_pictures_give_the_same_mask() -> None:
 def test_several_pictures_of_one_camera_share_a_mask_that_a_shadow_does_not_move() -> None:
     row = bonnet_row(10.0, 0.0)
     pictures = [with_bonnet(road(seed), row, (0.55, 0.2, 0.15)) for seed in range(3)]
-    pictures[1][:, 322:334, 200:330] = 0.02  # a shadow that touches the bonnet
+    pictures[1][:, 326:334, 150:450] = 0.02  # a shadow that touches the bonnet
     mask = find_near_mask(torch.stack(pictures))
     assert mask.shape == (1, 360, 640)
+    assert float((360.0 - find_near_mask(pictures[1])[0].sum(0) - row).abs().max()) > 3.0
     assert float((360.0 - mask[0].sum(0) - row).abs().max()) < 3.0
 
 

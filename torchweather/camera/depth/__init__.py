@@ -5,6 +5,8 @@ from __future__ import annotations
 from torchweather.camera.depth.completion import CompletedDepth
 from torchweather.camera.depth.given import AUTO, ConstantDepth, DepthFromCallable, DepthMap, as_depth_source
 from torchweather.camera.depth.ground import FlatGround
+from torchweather.camera.depth.horizon import Horizon, find_horizon
+from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.camera.depth.points import DepthFromPoints
 from torchweather.camera.depth.projection import project_points
 from torchweather.camera.depth.scene_depth import (
@@ -17,7 +19,7 @@ from torchweather.camera.depth.scene_depth import (
     least_sure,
 )
 from torchweather.camera.depth.scene_prior import ScenePrior
-from torchweather.camera.depth.sky import sky_mask
+from torchweather.camera.depth.sky import Sky, find_sky, sky_mask
 from torchweather.camera.depth.source import DepthSource, check_depth, scene_of
 from torchweather.camera.depth.sparse import CompletedDepthMap, along_ray_to_axis, depth_from_disparity
 
@@ -36,12 +38,17 @@ __all__ = [
     "DepthMap",
     "DepthSource",
     "FlatGround",
+    "Horizon",
     "SceneDepth",
     "ScenePrior",
+    "Sky",
     "along_ray_to_axis",
     "as_depth_source",
     "check_depth",
     "depth_from_disparity",
+    "find_horizon",
+    "find_near_mask",
+    "find_sky",
     "least_sure",
     "project_points",
     "scene_of",

@@ -14,7 +14,8 @@ Numbers = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
 
-# All widths as shares of the picture's; pixels are those at 1242. From views of half of 13 KITTI frames in fog.
+# All widths as shares of the picture's; pixels are those at 1242. From views of 13 KITTI frames in fog of
+# 200 m, not from scores.
 # One point at the edge may be a stray.
 _STRAY_SHARE = 7 / 1242
 # Near things narrower than this (poles, lamps, people) do not go on to the top: fog would hang in curtains. They fade

@@ -17,23 +17,25 @@ Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
 
 # A point is nearer than another at z if it lies before z / 1.10 - 0.4 m: a tenth for grazing surfaces, 0.4 m for the
-# roughness of leaves and the thickness of car bodies. Both from trials on KITTI frames.
+# roughness of leaves and the thickness of car bodies. Both from trials on 13 KITTI frames.
 _NEARER_RATIO = 1.10
 _NEARER_M = 0.4
 
-# Reach of the search in units of the points' spacing; on KITTI (3.9 px) 6 px to the sides, 9 px up and down, within a
-# strip of 3 px up and down, 2 px to the sides, which is wider than half the distance of two rings.
+# Reach of the search in units of the points' spacing. On 13 KITTI frames (3.9 px) that is 6 px to the sides, 9 px up
+# and down, within a strip of 3 px up and down, 2 px to the sides, which is wider than half the distance of two rings.
 _REACH_ALONG_ROW = 1.55
 _REACH_ALONG_COLUMN = 2.3
 _STRIP_ROWS = 0.8
 _STRIP_COLUMNS = 0.5
 
+# Neighbours that must all be nearer for a far point to be lonely: those of its own ring and the next.
 _NEIGHBOURS = 8
 
 # More than the spacing of 32 beams in a picture of 1600 x 900 (18 px on nuScenes).
 _WIDEST_SPACING_PX = 24.0
 
-# A pane with its frame: the near points on both sides of it are at most this far apart, at their distance.
+# A pane with its frame: the near points on both sides of it are at most this far apart, at their distance. On half of
+# 13 KITTI frames, 0.6 x 0.4 m and 1.4 x 0.9 m give 1.80 and 1.95 % of left-out points more than 25 % off, this 1.85 %.
 _WINDOW_WIDTH_M = 0.9
 _WINDOW_HEIGHT_M = 0.6
 # Beyond this distance, a pane is smaller than the spacing of the points.

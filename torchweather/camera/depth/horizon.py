@@ -92,8 +92,8 @@ def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:
         Where edges say little (``confidence`` below 0.05) row and column are those of the camera.
 
     Note:
-        Off by 2.7 px (mean of the seven KITTI frames it was chosen on) and 3.0 px (six others); the principal point
-        alone 7.2. A road that climbs or bends within view has no single horizon: up to 14 px off.
+        Off by 2.6 px (mean of the seven KITTI frames it was chosen on) and 3.2 px (six others), 10 px at most; the
+        principal point alone 7.2 px. A road that climbs or bends within view has no single horizon.
     """
     if rgb.ndim != 3:
         raise ValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")

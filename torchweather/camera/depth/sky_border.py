@@ -15,6 +15,7 @@ __all__ = ["sky_share"]
 # Constants of this file were chosen on the frames that `sky` names.
 SURE = 2  # cells inside the sky's border
 NEAR = 2  # cells outside it
+SPECK = 5  # cells
 WINDOW = 9  # cells over which the colours of sky and ground are averaged
 LEAST_CONTRAST = 0.1  # sRGB: with less between sky and ground a colour tells nothing
 OFF_THE_LINE = 0.1  # sRGB: further off, a colour is no mixture of sky and leaves
@@ -52,8 +53,7 @@ def sky_share(rgb: Tensor, cells: Cells, sky: Mask, model: Floats, spread: Float
     In the open, the ground's colour is the mean of the cells beyond the border. Between leaves that mean is half sky
     already; there the darkest pixels around are the ground, and blueness is asked as well.
     """
-    from kornia.filters import guided_blur
-    from scipy.ndimage import binary_dilation, binary_erosion, minimum_filter, uniform_filter
+    from scipy.ndimage import binary_closing, binary_dilation, binary_erosion, minimum_filter, uniform_filter
 
     height, width = rgb.shape[-2:]
     size = sky.shape
@@ -89,12 +89,35 @@ def sky_share(rgb: Tensor, cells: Cells, sky: Mask, model: Floats, spread: Float
     in_leaves = pixels(with_gaps & ~binary_dilation(sky)) * vivid
     stretched = in_leaves * (leaf_share - 0.25) / 0.5 + (1 - in_leaves) * (open_share - 0.15) / 0.7
     trust = torch.maximum(((contrast - LEAST_CONTRAST) / LEAST_CONTRAST).clamp(0, 1), in_leaves)
-    share = trust * stretched.clamp(0, 1) + (1 - trust) * pixels(uniform_filter(sky.astype(np.float32), 2 * NEAR + 1, mode="nearest"))
+    # Without contrast only the cells tell; wires and specks, which made holes in them, are too fine to be ground.
+    without_specks = sky | binary_closing(sky, np.ones((SPECK, SPECK), bool))
+    blurred = uniform_filter(without_specks.astype(np.float32), 2 * NEAR + 1, mode="nearest")
+    share = trust * stretched.clamp(0, 1) + (1 - trust) * pixels(blurred)
 
     sure = pixels(binary_erosion(sky, border_value=1, iterations=SURE))
     near = pixels(binary_dilation(with_gaps, iterations=NEAR))
-    share = torch.maximum(sure, share) * near
-    if min(height, width) > FILTER_PX:  # the filter's reflected border needs that many pixels
-        share = guided_blur(rgb[None, 2:], share[None], FILTER_PX, FILTER_EPS, separable=True)[0].clamp(0, 1)
+    share = smoothed(torch.maximum(sure, share) * near, rgb, (near > 0) & (sure < 1))
     share = torch.where(sure >= 1, torch.ones_like(share), share)
     return torch.where(near <= 0, torch.zeros_like(share), share)
+
+
+def smoothed(share: Tensor, rgb: Tensor, border: Tensor) -> Tensor:
+    """The share along the edges of the picture's blue, where sky and ground differ most; elsewhere as it is.
+
+    Only the part of the picture that holds the border is filtered, which costs most of the time.
+    """
+    from kornia.filters import guided_blur
+
+    if not bool(border.any()):
+        return share
+    part = [slice(None)]
+    for dim in (2, 1):
+        places = border[0].any(dim - 1).nonzero()
+        part.append(slice(max(0, int(places[0]) - FILTER_PX), int(places[-1]) + 1 + FILTER_PX))
+    rows_columns = tuple(part)
+    guide, inner = rgb[2:][rows_columns], share[rows_columns]
+    if min(inner.shape[-2:]) <= FILTER_PX:  # the filter's reflected border needs more
+        return share
+    result = share.clone()
+    result[rows_columns] = guided_blur(guide[None], inner[None], FILTER_PX, FILTER_EPS, separable=True)[0].clamp(0, 1)
+    return result

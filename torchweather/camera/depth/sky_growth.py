@@ -52,18 +52,18 @@ def joined(cells: Mask, steps: Mask, start: Mask) -> Mask:
     return cells & np.isin(labels, touched[touched > 0])
 
 
-def grow(cells: Cells, seeds: Mask, model: Floats, spread: Floats) -> Mask:
+def grow(cells: Cells, seeds: Mask, walls: Mask, model: Floats, spread: Floats) -> Mask:
     """Cells of sky ``(h, w)``: those alike and joined to the seeds, patches of blue beyond trees, bright clouds."""
     from scipy.ndimage import binary_dilation, binary_opening
 
     blueness = model[..., 2] - model[..., 0]
     alike = (np.abs(cells.colour - model) / spread).max(-1) < WITHIN
     rough = ROUGH_CHANGE * cells.steepness * brightness(cells, seeds)
-    alike = (alike & (cells.change < rough)) | seeds
+    alike = (alike & (cells.change < rough) & ~walls) | seeds
     alike[cells.end_row :] = False
     smooth_blue = alike & (blueness > PALE) & (cells.change < 0.4 * ROUGH_CHANGE)
     start = seeds | binary_opening(smooth_blue, np.ones((5, 5), bool))
-    steps = binary_dilation(alike) | binary_dilation(alike & (blueness > VIVID), iterations=HOP)
+    steps = (binary_dilation(alike) & ~walls) | binary_dilation(alike & (blueness > VIVID), iterations=HOP)
     return with_clouds(cells, joined(alike, steps, start))
 
 
