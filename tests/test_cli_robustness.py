@@ -16,74 +16,24 @@ import yaml
 from torch import Tensor
 
 from tests.report.parsed_page import Page
-from tests.robustness.onnx_detectors import bright_pixels, declared, fixed_boxes, near_points
+from tests.robustness.onnx_detectors import bright_pixels, declared, near_points
+from tests.robustness.robustness_command import (
+    BOX,
+    SIZE,
+    arguments,
+    camera_data,
+    camera_model,
+    own_suite,
+    with_declaration,
+)
 from torchweather.cli import main
 from torchweather.io import PointLabels, read_table, write_image, write_labels
 from torchweather.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.sensors import Camera
 from torchweather.sweep import CameraSubject
 from torchweather.transforms.recipes import recipes_folder
-from torchweather.transforms.suites import FORMAT, Suite, read_suite
+from torchweather.transforms.suites import Suite, read_suite
 from torchweather.weather import Weather
-
-SIZE = (48, 64)
-BOX = [8.0, 8.0, 40.0, 32.0]
-
-
-def camera_data(folder: Path) -> Path:
-    """Two raw frames, a dark box on a bright wall 30 m away, which is what the detector always says."""
-    (folder / "images").mkdir(parents=True)
-    (folder / "depth").mkdir()
-    for number in range(2):
-        raw = torch.full((1, *SIZE), 40000, dtype=torch.int32)
-        raw[:, 8:32, 8:40] = 2000 + 1000 * number
-        write_image(folder / "images" / f"{number}.png", raw.to(torch.uint16))
-        np.save(folder / "depth" / f"{number}.npy", np.full(SIZE, 30.0, np.float32))
-    left, top, right, bottom = BOX
-    annotations = [
-        {"id": n, "image_id": n, "category_id": 1, "bbox": [left, top, right - left, bottom - top]} for n in range(2)
-    ]
-    images = [{"id": n, "file_name": f"{n}.png"} for n in range(2)]
-    truth = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "car"}]}
-    (folder / "annotations.json").write_text(json.dumps(truth))
-    return folder
-
-
-def camera_model(folder: Path, **options: Any) -> Path:
-    """It finds the box while the contrast of the frame is a fifth or more of its mean, clear 0.6."""
-    model = fixed_boxes(folder / "model.onnx", [BOX])
-    declared(
-        model,
-        sensor="camera",
-        input={"name": "image"},
-        decoder="boxes",
-        outputs={"boxes": "boxes", "scores": "scores", "labels": "labels"},
-        classes=["car"],
-        options={"threshold": 0.2, **options},
-    )
-    return model
-
-
-def own_suite(folder: Path, kind: str = "camera") -> Path:
-    weathers = {"fog": {"mor_m": [1000.0, 400.0, 100.0, 30.0, 15.0]}}
-    values = {"format": FORMAT, "title": "fog", "sensor": {"kind": kind}, "weathers": weathers}
-    path = folder / f"{kind}-suite.yaml"
-    path.write_text(yaml.safe_dump(values))
-    return path
-
-
-LIGHT = ["--airlight", "0.6", "0.6", "0.6", "--sensor", "camera:gopro-hero5-acdc", "--bit-depth", "16", "--quiet"]
-
-
-def arguments(folder: Path, out: str = "out", **more: str) -> list[str]:
-    values = {
-        "--model": str(folder / "model.onnx"),
-        "--data": str(folder / "data"),
-        "--recipe": str(folder / "camera-suite.yaml"),
-        "--metrics": "psnr,gmsd",
-        "--out": str(folder / out),
-    }
-    return ["robustness", *(text for pair in {**values, **more}.items() for text in pair), *LIGHT]
 
 
 @pytest.fixture(scope="module")
@@ -236,6 +186,12 @@ def test_pixels_of_colour_images_are_judged(tmp_path: Path) -> None:
     assert found["conditions"][-1]["by_class"] == {"dark": 0.0, "bright": 0.5}
 
 
+def test_known_depth_is_named_and_heads_nothing(done: Path) -> None:
+    found = json.loads((done / "out" / "robustness.json").read_text())
+    assert (found["headline"], found["depth"]) == ("", "exact")
+    assert "guessed" not in (done / "out" / "index.html").read_text(encoding="utf-8")
+
+
 def replaced(flag: str, value: str) -> Callable[[Path, list[str]], list[str]]:
     def change(_: Path, command: list[str]) -> list[str]:
         place = command.index(flag) if flag in command else len(command)
@@ -257,15 +213,6 @@ def emptied(name: str) -> Callable[[Path, list[str]], list[str]]:
     return change
 
 
-def with_declaration(**values: Any) -> Callable[[Path, list[str]], list[str]]:
-    def change(folder: Path, command: list[str]) -> list[str]:
-        file = folder / "model.yaml"
-        file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **values}))
-        return command
-
-    return change
-
-
 def renamed_frame(folder: Path, command: list[str]) -> list[str]:
     (folder / "data" / "images" / "1.png").rename(folder / "data" / "images" / "x.png")
     return command
@@ -279,8 +226,7 @@ def drawn_weather(folder: Path, command: list[str]) -> list[str]:
 
 
 WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
-    "no declaration": (lambda f, c: (f / "model.yaml").unlink() or c, "model.yaml: no such file"),
-    "decoder": (with_declaration(decoder="boxen"), "decoder must be one of boxes, segmentation; got 'boxen'"),
+    "decoder": (with_declaration(decoder="boxen"), "decoder must be one of boxes, yolov8"),
     "input": (with_declaration(input={"name": "picture"}), "the declaration says input 'picture'"),
     "empty folder": (emptied("images"), "no images; wanted"),
     "no truth": (emptied("annotations.json"), "wanted ground truth as COCO's JSON"),

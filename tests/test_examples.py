@@ -76,6 +76,7 @@ ELSEWHERE = {
     "gap_wads_snow.py": "test_gap_wads_example.py",
     "gap_wet_antenna.py": "test_wet_antenna_example.py",
     "links_against_p838.py": "test_links_example.py",
+    "real_detector.py": "test_real_detector_example.py",
 }
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.metrics.box_overlap import bev_iou, box_iou
+from torchweather.metrics.box_overlap import bev_coverage, bev_iou, box_coverage, box_iou
 
 # Sums of some dozens of products of numbers up to 100, each rounded to 1e-16 of its size.
 ROUNDING = 1e-12
@@ -153,7 +153,24 @@ def test_touching_nested_and_flat_rectangles() -> None:
     assert box_iou(point, point).item() == 0.0
 
 
-@pytest.mark.parametrize(("overlap", "columns"), [(box_iou, 4), (bev_iou, 5)])
+def test_coverage_is_the_share_of_the_first_box_whatever_the_size_of_the_second() -> None:
+    small = torch.tensor([[4.0, 4.0, 6.0, 6.0], [8.0, 0.0, 12.0, 2.0], [20.0, 20.0, 21.0, 21.0], [5.0, 5.0, 5.0, 5.0]])
+    region = torch.tensor([[0.0, 0.0, 10.0, 10.0]])
+    assert box_coverage(small, region).tolist() == [[1.0], [0.5], [0.0], [0.0]]
+    assert box_coverage(region, small)[0, 0] == pytest.approx(0.04)
+
+
+def test_coverage_follows_from_intersection_over_union() -> None:
+    """Both have the shared area: ``iou (a + b) / (1 + iou) = coverage a``; on the ground for turned rectangles."""
+    first, second = turned(23, 11), turned(17, 12)
+    area, other = (boxes[:, 2] * boxes[:, 3] for boxes in (first, second))
+    iou = bev_iou(first, second)
+    shared = iou * (area[:, None] + other) / (1 + iou)
+    torch.testing.assert_close(bev_coverage(first, second), shared / area[:, None], rtol=0, atol=1e-9)
+    assert float(bev_coverage(first, second).max()) > 0.5
+
+
+@pytest.mark.parametrize(("overlap", "columns"), [(box_iou, 4), (bev_iou, 5), (box_coverage, 4), (bev_coverage, 5)])
 def test_no_boxes_overlap_with_nothing(overlap, columns: int) -> None:  # type: ignore[no-untyped-def]
     none, some = torch.zeros(0, columns), torch.ones(3, columns)
     assert overlap(none, some).shape == (0, 3)

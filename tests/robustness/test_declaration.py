@@ -15,6 +15,7 @@ from tests.robustness.onnx_detectors import bright_pixels, declared, fixed_boxes
 from torchweather.errors import TorchweatherError
 from torchweather.robustness import OnnxDetector, read_declaration
 from torchweather.robustness.decoders import decode_boxes, decode_segmentation
+from torchweather.robustness.placement import Placement
 
 
 def well() -> dict[str, Any]:
@@ -29,6 +30,11 @@ def well() -> dict[str, Any]:
     }
 
 
+def listed(outputs: dict[str, Any]) -> dict[str, list[Any]]:
+    """One output for each role."""
+    return {role: [array] for role, array in outputs.items()}
+
+
 def written(folder: Path, values: object) -> Path:
     path = folder / "model.yaml"
     path.write_text(yaml.safe_dump(values))
@@ -38,7 +44,7 @@ def written(folder: Path, values: object) -> Path:
 WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "format": (lambda v: v.update(format="x"), "wanted a declaration of format"),
     "key": (lambda v: v.update(decodr="boxes"), "unknown key 'decodr'.*Did you mean 'decoder'"),
-    "decoder": (lambda v: v.update(decoder="boxs"), "decoder must be one of boxes, segmentation; got 'boxs'.*'boxes'"),
+    "decoder": (lambda v: v.update(decoder="boxs"), "decoder must be one of boxes, yolov8, .*; got 'boxs'.*'boxes'"),
     "sensor": (lambda v: v.update(sensor="radar"), "sensor must be one of camera, lidar; got 'radar'"),
     "lidar boxes": (lambda v: v.update(sensor="lidar"), "boxes is for a camera"),
     "no classes": (lambda v: v.pop("classes"), "lacks 'classes'"),
@@ -48,8 +54,20 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "layout": (lambda v: v["input"].update(layout="NHCW"), "layout must be one of NCHW, NHWC.*Did you mean"),
     "input key": (lambda v: v["input"].update(colours="RGB"), "Did you mean 'colour'"),
     "size": (lambda v: v["input"].update(size=[3]), r"size must be \[height, width\]"),
-    "outputs": (lambda v: v.update(outputs={"boxes": "b"}), "outputs must name the model's scores"),
+    "outputs": (lambda v: v.update(outputs={"boxes": "b"}), "outputs must name the model's output for scores"),
     "option": (lambda v: v.update(options={"treshold": 0.1}), "Did you mean 'threshold'"),
+    "one output twice": (lambda v: v.update(outputs={"boxes": "o", "scores": "o"}), "every output once.*yolov8"),
+    "no output of the decoder": (lambda v: v.update(decoder="yolov8"), "Did you mean|unknown output of yolov8 'boxes'"),
+    "levels": (
+        lambda v: v.update(decoder="nanodet", outputs={"scores": ["a"], "boxes": ["b", "c", "d"]}),
+        "one output a level.*strides has 3 levels, outputs 1, 3",
+    ),
+    "letterbox": (lambda v: v["input"].update(fit="letterbox"), "fit: letterbox needs size"),
+    "multiple": (lambda v: v["input"].update(multiple=32, size=[64, 64]), "multiple is for an input without size"),
+    "fill": (lambda v: v["input"].update(fill=256), "fill must be a level from 0 to 255"),
+    "std": (lambda v: v["input"].update(std=[1, 1, 0]), "std must be a number more than 0"),
+    "operating": (lambda v: v.update(options={"operating_threshold": 40}), r"operating_threshold must be .*\[0, 1\]"),
+    "draft": (lambda v: v.update(classes={0: "FILL IN"}), "classes is still to be filled in"),
     "number": (lambda v: v.update(options={"nms_iou": "a"}), "nms_iou must be a number"),
 }
 
@@ -95,24 +113,27 @@ def test_a_model_that_is_none_or_not_there_is_named(tmp_path: Path) -> None:
 def test_boxes_are_scaled_back_cut_by_score_and_the_weaker_of_a_class_left_out(tmp_path: Path) -> None:
     values = {**well(), "options": {"form": "cxcywh", "normalised": True, "threshold": 0.2, "nms_iou": 0.5}}
     declaration = read_declaration(written(tmp_path, values))
+    stretched = Placement((100, 200), (32, 32), 0, 0, 32, 32)
     outputs = {
         "boxes": np.array([[[0.5, 0.5, 0.2, 0.4], [0.5, 0.5, 0.2, 0.5], [0.5, 0.5, 0.2, 0.4], [0.1, 0.1, 0.1, 0.1]]]),
         "scores": np.array([[0.9, 0.95, 0.8, 0.1]]),
         "labels": np.array([[0, 0, 1, 0]]),
     }
-    found = decode_boxes(outputs, declaration, (32, 32), (100, 200))
+    found = decode_boxes(listed(outputs), declaration, stretched)
     assert found["labels"] == ["car", "person"]
     assert found["boxes"] == pytest.approx(np.array([[80, 25, 120, 75], [80, 30, 120, 70]]))
     by_class = {"boxes": outputs["boxes"], "scores": np.array([[[0.3, 0.6], [0.7, 0.1], [0.1, 0.1], [0.0, 0.9]]])}
-    again = decode_boxes(by_class, declaration, (32, 32), (100, 200))
+    again = decode_boxes(listed(by_class), declaration, stretched)
     assert sorted(zip(again["labels"], again["scores"], strict=True)) == [
         ("car", 0.7),
         ("person", 0.6),
         ("person", 0.9),
     ]
     pixels = read_declaration(written(tmp_path, {**values, "options": {"form": "xyxy"}}))
-    scaled = decode_boxes({**outputs, "boxes": outputs["boxes"] * 32}, pixels, (32, 32), (64, 96))
-    assert scaled["boxes"][0] == pytest.approx([48, 32, 19.2, 25.6])
+    wide = Placement((64, 96), (32, 32), 0, 0, 32, 32)
+    corners = np.array([[[16.0, 8.0, 24.0, 32.0]] * 4])
+    scaled = decode_boxes(listed({**outputs, "boxes": corners}), pixels, wide)
+    assert scaled["boxes"][0] == pytest.approx([48, 16, 72, 64])
 
 
 def test_classes_of_points_and_pixels_are_the_largest_logits(tmp_path: Path) -> None:
@@ -142,4 +163,4 @@ def test_classes_of_points_and_pixels_are_the_largest_logits(tmp_path: Path) -> 
     assert found.shape == (8, 8)  # brought to 4 x 4 and back
     assert np.array_equal(found, (picture[0] > 0.5).long().numpy())
     with pytest.raises(TorchweatherError, match="must have 3 dimensions"):
-        decode_segmentation({"logits": np.zeros(5)}, read_declaration(bright), (4, 4), (8, 8))
+        decode_segmentation({"logits": [np.zeros(5)]}, read_declaration(bright), Placement((8, 8), (4, 4), 0, 0, 4, 4))

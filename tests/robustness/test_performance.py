@@ -60,6 +60,23 @@ def test_average_precision_is_the_mean_over_thresholds_and_classes() -> None:
     assert counter.performance().value == pytest.approx(0.75)
 
 
+def test_a_region_to_be_ignored_holds_any_number_of_boxes_as_coco_has_it() -> None:
+    """The boxes cover a hundredth of the region each: by intersection over union they would be false alarms."""
+    counter = BoxCounter({0: "car"}, (0.5,))
+    region = [0.0, 0.0, 100.0, 100.0]
+    truth = BoxTruth(np.array([region, [200, 0, 210, 10.0]]), ("car", "car"), np.array([True, False]))
+    inside = [[10.0 * k, 50.0, 10.0 * k + 10, 60.0] for k in range(5)]
+    half_out = [[94.0, 0.0, 106.0, 10.0]]  # half of it: a hit of the region at 0.5
+    found = {"boxes": [*inside, *half_out, [200, 0, 210, 10]], "scores": [0.9] * 6 + [0.1], "labels": ["car"] * 7}
+    counter.add(found, truth)
+    assert counter.performance().value == 1.0
+    assert counter.judged == {"car": 1}
+    outside = {**found, "boxes": [*inside, [95.0, 0.0, 106.0, 10.0], [200, 0, 210, 10]]}
+    counter = BoxCounter({0: "car"}, (0.5,))
+    counter.add(outside, truth)  # less than half of it: a false alarm
+    assert counter.performance().value == 0.5
+
+
 def test_without_pycocotools_it_is_said_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     with pytest.raises(TorchweatherError, match=r"torchweather\[detection\]"):

@@ -231,6 +231,16 @@ def test_a_night_sky_keeps_its_own_light_and_is_warned_of() -> None:
     assert float(found.max()) < 0.01
 
 
+def test_a_picture_of_the_night_without_a_sky_gets_no_glowing_fog() -> None:
+    rgb = torch.full((3, H, W), 0.06)  # 0.005 in linear light
+    with pytest.warns(TorchweatherWarning) as caught:
+        found = airlight(rgb, torch.full((1, H, W), 20.0))
+    said = " ".join(str(one.message) for one in caught)
+    assert "its mean light stands in" in said
+    assert "night" in said
+    assert float(found.max()) < 0.01
+
+
 def test_results_carry_how_sure_the_depth_is() -> None:
     rgb, depth_m = street()
     fog = AsBayer(BayerFog(Fog(mor_m=100.0), camera(), airlight=0.6))

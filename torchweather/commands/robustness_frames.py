@@ -67,26 +67,26 @@ class RobustnessFrames:
                     raise ValueError(f"{self.labels}: no ground truth for {stem}; wanted {stem} with {wanted}.")
         if declaration.sensor == "camera" and args.depth is None and (args.data / "depth").is_dir():
             args.depth = str(args.data / "depth")
-        self.depth = self._depth_of(args)
+        self._refuse_guess(args)
         # What a sweep can say and this command does not.
         args.region, args.complete_scan, args.meta = None, False, None
         self.maker = MAKERS[declaration.sensor](args, preset, notes)
         self.options = dict(source.options)
         self._take_fields(args, source, preset)
 
-    def _depth_of(self, args: argparse.Namespace) -> str:
-        """How sure the depth is; all frames have the same kind of source. Guessed depth is refused here."""
+    def _refuse_guess(self, args: argparse.Namespace) -> None:
+        """Refuse guessed depth before the first frame is rendered; all frames have the same kind of source."""
         from torchweather.camera.depth import GUESSED
         from torchweather.commands.frames import depth_source
         from torchweather.errors import TorchweatherError
         from torchweather.robustness.run import guessed_depth_error
 
-        if self.declaration.sensor != "camera":
-            return ""
-        confidence = depth_source(args.depth or "ground", args.depth_encoding, self.files[0]).confidence
-        if confidence == GUESSED and not args.allow_guessed_depth:
+        if self.declaration.sensor != "camera" or args.allow_guessed_depth:
+            return
+        # Without --depth, a picture's depth is guessed from it and a raw frame's is flat ground: both are guesses.
+        source = depth_source(args.depth or "ground", args.depth_encoding, self.files[0], args=args)
+        if source.confidence == GUESSED:
             raise TorchweatherError(guessed_depth_error(self.stems[0]))
-        return confidence
 
     def _take_fields(self, args: argparse.Namespace, source: Suite | Recipe, preset: str) -> None:
         """What the suite or recipe says of its sensor beside the preset; the command line's own stands above it."""
@@ -117,7 +117,7 @@ class RobustnessFrames:
             options = {key: value for key, value in self.options.items() if key not in ("depth", "lost")}
             subject = replace(subject, options={**options, **subject.options})
             if self.truths is not None:
-                yield LabelledFrame(stem, subject, self.truths[stem], self.depth)
+                yield LabelledFrame(stem, subject, self.truths[stem])
                 continue
             shape = (
                 (len(subject.points),)
@@ -125,4 +125,4 @@ class RobustnessFrames:
                 else (int(subject.data.shape[-2]), int(subject.data.shape[-1]))
             )
             truth = read_label_truth(self.labels, stem, self.declaration.sensor, shape)
-            yield LabelledFrame(stem, subject, truth, self.depth)
+            yield LabelledFrame(stem, subject, truth)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchweather.errors import check_finite
 
-__all__ = ["bev_iou", "box_iou"]
+__all__ = ["bev_coverage", "bev_iou", "box_coverage", "box_iou"]
 
 # Turned pairs that are worked on at once: some 40 numbers each, 350 MB in float64.
 PORTION = 1 << 20
@@ -27,18 +27,43 @@ def box_iou(first: Tensor, second: Tensor) -> Tensor:
         >>> box_iou(torch.tensor([[0.0, 0.0, 2.0, 2.0]]), torch.tensor([[1.0, 0.0, 3.0, 2.0], [5.0, 5.0, 6.0, 6.0]]))
         tensor([[0.3333, 0.0000]])
     """
+    shared = _shared_in_image(first, second, "box_iou")
+    area, other = ((boxes[:, 2:] - boxes[:, :2]).prod(-1) for boxes in (first, second))
+    return _over_union(shared, area, other)
+
+
+def box_coverage(first: Tensor, second: Tensor) -> Tensor:
+    """Share of every first box that each second box covers, along the axes of an image.
+
+    COCO's overlap with a region to be ignored (``iscrowd``): a box inside the region has 1, however small it is.
+
+    Args:
+        first: ``(N, 4)`` left, top, right, bottom: any unit, right and bottom are edges, not the last pixel.
+        second: ``(M, 4)``, likewise: the regions.
+
+    Returns:
+        ``(N, M)`` in [0, 1]; 0 where the first box has no area.
+
+    Example:
+        >>> box_coverage(torch.tensor([[0.0, 0.0, 2.0, 2.0]]), torch.tensor([[1.0, 0.0, 9.0, 9.0]]))
+        tensor([[0.5000]])
+    """
+    shared = _shared_in_image(first, second, "box_coverage")
+    return _over(shared, (first[:, 2:] - first[:, :2]).prod(-1)[:, None])
+
+
+def _shared_in_image(first: Tensor, second: Tensor, owner: str) -> Tensor:
+    """Area that each box shares with each other, ``(N, M)``."""
     for name, boxes in (("first", first), ("second", second)):
-        _check(name, boxes, 4, "left, top, right, bottom", "box_iou")
+        _check(name, boxes, 4, "left, top, right, bottom", owner)
         if bool((boxes[:, 2:] < boxes[:, :2]).any()):
             raise ValueError(
-                f"box_iou: {name} must have left <= right and top <= bottom; got a box turned inside out. If yours are "
+                f"{owner}: {name} must have left <= right and top <= bottom; got a box turned inside out. If yours are "
                 "x, y, width, height, add the corner."
             )
     low = torch.maximum(first[:, None, :2], second[None, :, :2])
     high = torch.minimum(first[:, None, 2:], second[None, :, 2:])
-    shared = (high - low).clamp_min(0).prod(-1)  # (N, M)
-    area, other = ((boxes[:, 2:] - boxes[:, :2]).prod(-1) for boxes in (first, second))
-    return _over_union(shared, area, other)
+    return (high - low).clamp_min(0).prod(-1)
 
 
 def bev_iou(first: Tensor, second: Tensor) -> Tensor:
@@ -65,15 +90,38 @@ def bev_iou(first: Tensor, second: Tensor) -> Tensor:
         >>> bev_iou(car, across)  # 4 of 12 square metres
         tensor([[0.3333]])
     """
-    for name, boxes in (("first", first), ("second", second)):
-        _check(name, boxes, 5, "x, y, length, width, yaw", "bev_iou")
-        if bool((boxes[:, 2:4] < 0).any()):
-            raise ValueError(f"bev_iou: {name} must have lengths and widths of 0 m or more; got a negative one.")
-    rows = max(PORTION // max(len(second), 1), 1)
-    shared = torch.cat([_shared_area(some, second) for some in torch.split(first, rows)]) if len(first) else None
-    if shared is None:
-        shared = first.new_zeros(0, len(second))
+    shared = _shared_on_ground(first, second, "bev_iou")
     return _over_union(shared, first[:, 2] * first[:, 3], second[:, 2] * second[:, 3])
+
+
+def bev_coverage(first: Tensor, second: Tensor) -> Tensor:
+    """Share of every first rectangle on the ground that each second one covers.
+
+    Args:
+        first: ``(N, 5)`` x, y, length, width in metres, yaw in radians, as in ``bev_iou``.
+        second: ``(M, 5)``, likewise: the regions.
+
+    Returns:
+        ``(N, M)`` in [0, 1]; 0 where the first rectangle has no area.
+
+    Example:
+        >>> car, region = torch.tensor([[10.0, 0.0, 4.0, 2.0, 0.0]]), torch.tensor([[10.0, 0.0, 50.0, 1.0, 0.0]])
+        >>> bev_coverage(car, region)
+        tensor([[0.5000]])
+    """
+    return _over(_shared_on_ground(first, second, "bev_coverage"), (first[:, 2] * first[:, 3])[:, None])
+
+
+def _shared_on_ground(first: Tensor, second: Tensor, owner: str) -> Tensor:
+    """Area that each rectangle shares with each other, in portions that memory holds, ``(N, M)``."""
+    for name, boxes in (("first", first), ("second", second)):
+        _check(name, boxes, 5, "x, y, length, width, yaw", owner)
+        if bool((boxes[:, 2:4] < 0).any()):
+            raise ValueError(f"{owner}: {name} must have lengths and widths of 0 m or more; got a negative one.")
+    if not len(first):
+        return first.new_zeros(0, len(second))
+    rows = max(PORTION // max(len(second), 1), 1)
+    return torch.cat([_shared_area(some, second) for some in torch.split(first, rows)])
 
 
 def _check(name: str, boxes: Tensor, columns: int, names: str, owner: str) -> None:
@@ -84,8 +132,11 @@ def _check(name: str, boxes: Tensor, columns: int, names: str, owner: str) -> No
 
 
 def _over_union(shared: Tensor, area: Tensor, other: Tensor) -> Tensor:
-    union = area[:, None] + other[None] - shared
-    return torch.where(union > 0, shared / torch.where(union > 0, union, 1.0), 0.0).clamp(0.0, 1.0)
+    return _over(shared, area[:, None] + other[None] - shared)
+
+
+def _over(shared: Tensor, whole: Tensor) -> Tensor:
+    return torch.where(whole > 0, shared / torch.where(whole > 0, whole, 1.0), 0.0).clamp(0.0, 1.0)
 
 
 def _shared_area(first: Tensor, second: Tensor) -> Tensor:

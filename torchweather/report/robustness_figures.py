@@ -17,23 +17,26 @@ from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, svg_ur
 from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, BEHIND_M, range_rings
 from torchweather.report.pictures import data_uri, jpeg_uri
 from torchweather.robustness import BoxTruth, ConditionResult
-from torchweather.robustness.run import Look
+from torchweather.robustness.frames import Look
 from torchweather.sweep import Level
 
 __all__ = ["FOUND", "LEGENDS", "TRUE", "WRONG", "look_uri", "performance_uri"]
 
 # Told apart by every eye, on light and on dark.
-FOUND, TRUE, WRONG, RIGHT = "#ff8c1a", "#35c4f0", "#e8590c", "#8a97a3"
-PICTURE_PX = 480
+FOUND, TRUE, IGNORED, WRONG, RIGHT = "#ff8c1a", "#35c4f0", "#b8b8c4", "#e8590c", "#8a97a3"
+PICTURE_PX = 640
 LEGENDS = {
-    "boxes": ((TRUE, "ground truth"), (FOUND, "found")),
+    "boxes": ((TRUE, "ground truth"), (IGNORED, "to be ignored"), (FOUND, "found, score {threshold} or more")),
     "segmentation": ((RIGHT, "right"), (WRONG, "wrong")),
 }
 """By the decoder: colours and what they mean."""
 
 
 def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str) -> str:
-    """Performance against the weather, the heaviest to the right; dashed: in clear air; band: of the storms."""
+    """Performance against the weather, the heaviest to the right.
+
+    Dashed: in clear air; band: of the storms; lines: 95 % intervals over the frames.
+    """
     first = group[0].condition
     shades = SHADES.get(first.kind, ("#5f6f7e",))
     colour = shades[len(shades) // 2]
@@ -50,6 +53,12 @@ def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str
             axes.text(len(group) - 0.6, clear, "clear", color=MUTED, fontsize=8.5, ha="right", va="bottom")
         if seeds.shape[1] > 1:
             axes.fill_between(place, seeds.min(1), seeds.max(1), color=colour, alpha=0.22, linewidth=0)
+        ends = [
+            (np.nan, np.nan) if each.interval is None else (each.interval.low, each.interval.high) for each in group
+        ]
+        low, high = np.array(ends).T
+        # An interval of percentiles need not hold the value itself.
+        axes.vlines(place, low, high, color=colour, linewidth=1.3, alpha=0.75)
         axes.plot(place, values, "-o", color=colour, linewidth=2.0, markersize=5)
         axes.set_xticks(place, labels=[f"{each.condition.value:g}" for each in group])
         axes.set_xlim(-0.4, len(group) - 0.6 if len(group) > 1 else 0.4)
@@ -60,12 +69,12 @@ def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str
         return svg_uri(figure)
 
 
-def look_uri(look: Look) -> str:
-    """What the detector got and found."""
-    return _cloud_uri(look) if look.frame.subject.sensor == "lidar" else _frame_uri(look)
+def look_uri(look: Look, least_score: float = 0.0) -> str:
+    """The detector's input, with the truth and its answer; boxes from a score on."""
+    return _cloud_uri(look) if look.frame.subject.sensor == "lidar" else _frame_uri(look, least_score)
 
 
-def _frame_uri(look: Look) -> str:
+def _frame_uri(look: Look, least_score: float) -> str:
     picture = look.shown.float()
     cut = max(1, round(picture.shape[-1] / PICTURE_PX))
     factor = float(cut)
@@ -76,10 +85,10 @@ def _frame_uri(look: Look) -> str:
     drawn = small.clone()
     if isinstance(look.frame.truth, BoxTruth):
         for box, ignored in zip(look.frame.truth.boxes, look.frame.truth.ignore, strict=True):
-            if not ignored:
-                _rectangle(drawn, [float(v) / factor for v in box], TRUE)
+            _rectangle(drawn, [float(v) / factor for v in box], IGNORED if ignored else TRUE)
         for box, score in zip(look.found["boxes"], look.found["scores"], strict=True):
-            _rectangle(drawn, [float(v) / factor for v in box], FOUND, strength=0.25 + 0.75 * min(float(score), 1.0))
+            if score >= least_score:
+                _rectangle(drawn, [float(v) / factor for v in box], FOUND)
     else:
         wrong = torch.as_tensor(look.found != look.frame.truth.classes)
         step = (torch.arange(drawn.shape[-2]) * factor).long(), (torch.arange(drawn.shape[-1]) * factor).long()
@@ -89,7 +98,7 @@ def _frame_uri(look: Look) -> str:
     return jpeg_uri(drawn)
 
 
-def _rectangle(picture: Tensor, box: Sequence[float], colour: str, *, strength: float = 1.0, width: int = 2) -> None:
+def _rectangle(picture: Tensor, box: Sequence[float], colour: str, *, width: int = 2) -> None:
     """Draw the edges of a box into ``(3, H, W)``; in place."""
     height, columns = picture.shape[-2:]
     left, right = (int(min(max(v, 0), columns - 1)) for v in (box[0], box[2]))
@@ -101,7 +110,7 @@ def _rectangle(picture: Tensor, box: Sequence[float], colour: str, *, strength: 
         (slice(top, bottom + 1), slice(left, left + width)),
         (slice(top, bottom + 1), slice(max(right - width + 1, 0), right + 1)),
     ):
-        picture[:, rows, cols] = (1 - strength) * picture[:, rows, cols] + strength * ink
+        picture[:, rows, cols] = ink
 
 
 def _cloud_uri(look: Look) -> str:

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from torchweather import __version__
 from torchweather.io import atomic_folder, atomic_write, write_table
-from torchweather.metrics.condition_table import FEWEST
-from torchweather.metrics.correlation import Correlation, correlate
 from torchweather.report.correlation_page import write_correlation
 from torchweather.report.page import html_page
 from torchweather.report.robustness_figures import LEGENDS, look_uri, performance_uri
+from torchweather.report.robustness_summary import correlation_of, plain, summary_of, table_of
 from torchweather.report.sweep_figures import NAMES
 from torchweather.robustness import Declaration, Rates, RobustnessResult
-from torchweather.robustness.baseline import RESULT_FORMAT, reference_of
-from torchweather.robustness.run import Look
+from torchweather.robustness.baseline import reference_of
+from torchweather.robustness.frames import Look
+from torchweather.robustness.remarks import interval_text, remarks
 from torchweather.sweep import Level
 
 __all__ = ["write_robustness"]
@@ -65,15 +64,15 @@ def write_robustness(
     with atomic_folder(Path(out_dir)) as staging:
         result = ask(looks.append)
         found = result.rates(None if baseline is None else reference_of(baseline, result))
-        correlation, said = _correlation(result)
-        summary = _summary(result, found, declaration, model=model, recipe=recipe, sensor=sensor, seed=seed)
+        correlation, said = correlation_of(result)
+        summary = summary_of(result, found, declaration, model=model, recipe=recipe, sensor=sensor, seed=seed)
         summary["baseline"] = None if baseline is None else baseline["model"]
         if found.reference == "clear" and result.clear.value == 1.0:
             said.append("The detector makes no error in clear air, so none can be relative to it; give --baseline.")
-        summary["notes"] = list(dict.fromkeys([*notes, *said]))
+        summary["notes"] = list(dict.fromkeys([*remarks(result), *notes, *said]))
         summary["correlation"] = None
         write_table(staging / "performance.csv", result.performance_table())
-        write_table(staging / "robustness.csv", _table(summary))
+        write_table(staging / "robustness.csv", table_of(summary))
         if result.scores["metric"]:
             write_table(staging / "scores.csv", result.scores)
         if correlation is not None:
@@ -83,101 +82,11 @@ def write_robustness(
                 for each in shown["metrics"]
             ]
         with atomic_write(staging / "robustness.json") as unfinished:
-            unfinished.write_text(json.dumps(_plain(summary), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            unfinished.write_text(json.dumps(plain(summary), indent=1, allow_nan=False) + "\n", encoding="utf-8")
         with atomic_write(staging / "index.html") as unfinished:
             unfinished.write_text(_page(summary, result, found, declaration, looks), encoding="utf-8")
-    plain: dict[str, Any] = _plain(summary)
-    return plain
-
-
-def _plain(value: Any) -> Any:
-    """As JSON can hold it."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _correlation(result: RobustnessResult) -> tuple[Correlation | None, list[str]]:
-    """Scores against the performance, and why there is none."""
-    if not result.scores["metric"]:
-        return None, []
-    if len(result.conditions) < FEWEST:
-        return None, [f"{len(result.conditions)} conditions are too few for a correlation; {FEWEST} would do."]
-    if all(math.isnan(each.value) for each in result.conditions):
-        return None, ["No class has a truth, so there is no performance to correlate with."]
-    return correlate(result.scores, result.performance_table(), performance_column=result.measure), []
-
-
-def _summary(
-    result: RobustnessResult, found: Rates, declaration: Declaration, *, model: str, recipe: str, sensor: str, seed: int
-) -> dict[str, Any]:
-    means = _mean_scores(result)
-    return {
-        "format": RESULT_FORMAT,
-        "torchweather": __version__,
-        "model": model,
-        "detector": declaration.title,
-        "recipe": recipe,
-        "sensor": sensor,
-        "decoder": declaration.decoder,
-        "measure": result.measure,
-        "thresholds": list(result.thresholds),
-        "seed": seed,
-        "frames": list(result.frames),
-        "clear": result.clear.value,
-        "clear_by_class": dict(result.clear.by_class),
-        "conditions": [
-            {
-                "weather": each.condition.name,
-                "kind": each.condition.kind,
-                "knob": each.condition.knob,
-                "value": each.condition.value,
-                "severity": each.condition.severity,
-                "performance": each.value,
-                "by_seed": list(each.by_seed),
-                "by_class": dict(each.by_class),
-                "scores": means.get((each.condition.name, each.condition.severity), {}),
-            }
-            for each in result.conditions
-        ],
-        "mean_corruption_error": found.mean_corruption_error,
-        "mean_resilience_rate": found.mean_resilience,
-        "corruption_error": dict(found.corruption_error),
-        "resilience_rate": dict(found.resilience),
-        "reference": found.reference,
-    }
-
-
-def _mean_scores(result: RobustnessResult) -> dict[tuple[str, int], dict[str, float]]:
-    """Mean of each metric over frames and storms, by weather and severity."""
-    values: dict[tuple[str, int], dict[str, list[float]]] = {}
-    table = result.scores
-    for weather, severity, metric, score in zip(
-        table["weather"], table["severity"], table["metric"], table["score"], strict=True
-    ):
-        values.setdefault((weather, severity), {}).setdefault(metric, []).append(score)
-    return {key: {name: float(np.mean(v)) for name, v in by_metric.items()} for key, by_metric in values.items()}
-
-
-def _table(summary: dict[str, Any]) -> dict[str, list[Any]]:
-    """A row a condition: performance, and the rates of its weather."""
-    columns: dict[str, list[Any]] = {
-        name: []
-        for name in (
-            *("weather", "knob", "value", "severity", summary["measure"], "clear"),
-            *("resilience_rate", "corruption_error"),
-        )
-    }
-    for each in summary["conditions"]:
-        row = (
-            *(each["weather"], each["knob"], each["value"], each["severity"], each["performance"], summary["clear"]),
-            *(summary["resilience_rate"][each["weather"]], summary["corruption_error"][each["weather"]]),
-        )
-        for column, entry in zip(columns.values(), row, strict=True):
-            column.append(entry)
-    return columns
+    written: dict[str, Any] = plain(summary)
+    return written
 
 
 # ---- the page -------------------------------------------------------------------------------------------------------
@@ -187,6 +96,8 @@ def _page(
     summary: dict[str, Any], result: RobustnessResult, found: Rates, declaration: Declaration, looks: list[Look]
 ) -> str:
     groups = result.by_weather
+    point = result.operating
+    least = 0.0 if point is None else point.threshold
     clear_look = [look for look in looks if look.condition is None]
     there = [each for each in result.conditions if not math.isnan(each.value)]
     worst = min(there, key=lambda each: each.value) if there else None
@@ -195,11 +106,15 @@ def _page(
         summary=summary,
         meaning=MEANINGS[result.measure],
         clear=_text(result.clear.value),
+        clear_interval=interval_text(result.clear_interval),
         resilience=_percent(found.mean_resilience),
         error=_text(found.mean_corruption_error),
         worst=None if worst is None else {"text": _level(worst.condition).text, "value": _text(worst.value)},
         severities=max(len(group) for group in groups.values()),
-        legend=[{"colour": colour, "name": name} for colour, name in LEGENDS[declaration.decoder]],
+        legend=[
+            {"colour": colour, "name": name.format(threshold="" if point is None else f"{point.threshold:.2f}")}
+            for colour, name in LEGENDS[declaration.task]
+        ],
         upright=declaration.sensor == "lidar",
         classes=_classes(result),
         parts=[
@@ -208,13 +123,21 @@ def _page(
                 "title": name[:1].upper() + name[1:],
                 "labels": [f"{each.condition.value:g} {_level(each.condition).unit}" for each in group],
                 "cells": [
-                    {"text": _text(each.value), "shade": _shade(each.value, result.clear.value)} for each in group
+                    {
+                        "text": _text(each.value),
+                        "interval": interval_text(each.interval),
+                        "shade": _shade(each.value, result.clear.value),
+                    }
+                    for each in group
                 ],
                 "resilience": _percent(found.resilience[name]),
                 "error": _text(found.corruption_error[name]),
                 "chart": performance_uri(group, result.clear.value, result.measure),
                 "pictures": [
-                    {"label": "Clear" if look.condition is None else _level(look.condition).text, "uri": look_uri(look)}
+                    {
+                        "label": "Clear" if look.condition is None else _level(look.condition).text,
+                        "uri": look_uri(look, least),
+                    }
                     for look in (*clear_look, *(k for k in looks if k.condition and k.condition.name == name))
                 ],
                 "scores": _score_rows(summary, name),
@@ -236,12 +159,15 @@ def _classes(result: RobustnessResult) -> list[dict[str, Any]]:
         {
             "name": name,
             "clear": _text(clear),
+            "interval": interval_text(result.clear_class_intervals.get(name)),
+            "truths": f"{result.truths[name]:,}".replace(",", " "),
             "cells": [
                 _text(float(np.mean([each.by_class.get(name, math.nan) for each in group])))
                 for group in result.by_weather.values()
             ],
         }
         for name, clear in result.clear.by_class.items()
+        if name in result.truths
     ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.errors import TorchweatherError
-from torchweather.robustness.run import RobustnessResult
+from torchweather.robustness.result import RobustnessResult
 
 __all__ = ["RESULT_FORMAT", "read_baseline"]
 

@@ -69,8 +69,8 @@ def airlight_argument(value: Sequence[float] | float | str | None, owner: object
 def estimate_airlight(state: CameraState, owner: object, mode: str | None = None) -> Tensor:
     """Airlight per colour, ``(B, 3)``, from the sky just above the horizon.
 
-    Where a frame shows no sky, a grey of 0.6 (colour planes) or the brightest 3 x 3 neighbourhood of each colour
-    (mosaics, whose exposure is not known) stands in, with a warning.
+    Where a frame shows no sky, a grey of 0.6 (colour planes; at night its mean light) or the brightest 3 x 3
+    neighbourhood of each colour (mosaics, whose exposure is not known) stands in, with a warning.
 
     Args:
         state: the frame.
@@ -87,7 +87,7 @@ def estimate_airlight(state: CameraState, owner: object, mode: str | None = None
     grey = mode == "grey" or (mode is None and planes)
     if grey:
         light = _neutral(light)
-    instead = torch.full_like(light, DEFAULT_GREY) if planes else per_colour(_brightest(state), state)
+    instead = _grey_without_sky(state) if planes else per_colour(_brightest(state), state)
     if grey and not planes:
         instead = instead.mean(1, keepdim=True).expand_as(light)
     airlight = torch.where(seen[:, None], light, instead)
@@ -96,9 +96,16 @@ def estimate_airlight(state: CameraState, owner: object, mode: str | None = None
     return airlight
 
 
+def _grey_without_sky(state: CameraState) -> Tensor:
+    """Stand-in for the airlight of a picture without a sky, ``(B, 3)``: a grey by day, the mean light at night."""
+    mean = (frame_mean(state) * state.signal.new_tensor(REC709)).sum(1, keepdim=True)
+    return torch.where(mean < NIGHT_BELOW, mean, DEFAULT_GREY).expand(-1, 3)
+
+
 def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> None:
     if not bool(seen.all()):
-        stands_in = f"a grey of {DEFAULT_GREY:g}" if planes else "the brightest spot"
+        day = bool((airlight[~seen].amax(1) >= NIGHT_BELOW).any())
+        stands_in = "the brightest spot" if not planes else f"a grey of {DEFAULT_GREY:g}" if day else "its mean light"
         warnings.warn(
             f"{type(owner).__name__}: no sky in the frame and no airlight given; {stands_in} stands in for it. Give "
             "airlight=(red, green, blue), linear, in units of saturation.",
@@ -107,8 +114,8 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> Non
         )
     if bool((airlight.amax(1) < NIGHT_BELOW).any()):
         warnings.warn(
-            f"{type(owner).__name__}: the sky is darker than {NIGHT_BELOW:g} of saturation; night and artificial "
-            "light are not modelled. Give airlight= if this is day.",
+            f"{type(owner).__name__}: the sky, or a picture without one, is darker than {NIGHT_BELOW:g} of saturation; "
+            "night and artificial light are not modelled. Give airlight= if this is day.",
             TorchweatherWarning,
             stacklevel=4,
         )

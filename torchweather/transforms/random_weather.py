@@ -224,7 +224,7 @@ class RandomRain(RandomWeather):
     """
 
     def __init__(self, rate_mm_per_h: Values = RAIN_MM_PER_H, **options: Any) -> None:
-        super().__init__(Rain(rate_mm_per_h=rate_mm_per_h), **options)  # type: ignore[arg-type]
+        super().__init__(Rain(rate_mm_per_h=rate_mm_per_h), **options)
 
 
 class RandomFog(RandomWeather):
@@ -241,7 +241,7 @@ class RandomFog(RandomWeather):
     """
 
     def __init__(self, mor_m: Values = FOG_MOR_M, **options: Any) -> None:
-        super().__init__(Fog(mor_m=mor_m), **options)  # type: ignore[arg-type]
+        super().__init__(Fog(mor_m=mor_m), **options)
 
 
 class RandomSnow(RandomWeather):
@@ -258,4 +258,4 @@ class RandomSnow(RandomWeather):
     """
 
     def __init__(self, rate_mm_per_h: Values = SNOW_MM_PER_H, **options: Any) -> None:
-        super().__init__(Snow(rate_mm_per_h=rate_mm_per_h), **options)  # type: ignore[arg-type]
+        super().__init__(Snow(rate_mm_per_h=rate_mm_per_h), **options)

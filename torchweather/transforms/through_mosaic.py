@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -78,5 +79,9 @@ def padded(image: Tensor, height: int, width: int) -> Tensor:
 
 def padded_scene(scene: SceneDepth, height: int, width: int) -> SceneDepth:
     """The scene of the padded image."""
-    given = {name: value for name in ("depth_m", "sky", "near_mask") if (value := getattr(scene, name)) is not None}
-    return replace(scene, **{name: padded(value, height, width) for name, value in given.items()})
+    larger: dict[str, Any] = {
+        name: padded(value, height, width)
+        for name in ("depth_m", "sky", "near_mask")
+        if (value := getattr(scene, name)) is not None
+    }
+    return replace(scene, **larger)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -74,7 +74,7 @@ def scene_of(
         return source.scene(camera, height, width, device=device, dtype=dtype, image=image)
     pictures = image.reshape(-1, *image.shape[-3:])
     scenes = [source.scene(camera, height, width, device=device, dtype=dtype, image=picture) for picture in pictures]
-    together = {}
+    together: dict[str, Any] = {}
     for name in ("depth_m", "sky", "near_mask"):
         shares = [getattr(scene, name) for scene in scenes]
         if any(share is not None for share in shares):
