@@ -19,7 +19,7 @@ from torch import Tensor
 import torchweather
 from torchweather.cli import main
 from torchweather.explain import explain
-from torchweather.image import ConstantDepth, FlatGround, quantise
+from torchweather.image import ConstantDepth, quantise
 from torchweather.io import read_image, write_image
 from torchweather.physics import mor_from_extinction
 from torchweather.sensors import Camera
@@ -301,7 +301,7 @@ def test_apply_writes_what_the_transform_gives_under_the_same_name(run: Any, tmp
     assert entry["seconds"] > 0
 
 
-def test_samples_take_seed_plus_their_number_and_flat_ground_is_the_default(run: Any, tmp_path: Path) -> None:
+def test_samples_take_seed_plus_their_number_and_depth_is_guessed_without_one(run: Any, tmp_path: Path) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
     batch = torch.stack([raw_frame(), raw_frame()])
@@ -312,7 +312,9 @@ def test_samples_take_seed_plus_their_number_and_flat_ground_is_the_default(run:
     assert "flat ground 1.5 m" in err
     assert "scaled to them" in err
     assert [entry["seed"] for entry in json.loads(out)["files"]] == [4, 6]
-    transform = AsBayer(BayerWeather(parse_weather("snow:rate=1"), small_camera(25, 33), depth=FlatGround()))
+    assert "depth is guessed: flat ground" in err  # of the photograph, with walls and sky
+    assert [entry["depth"] for entry in json.loads(out)["files"]] == ["guessed", "guessed"]
+    transform = AsBayer(BayerWeather(parse_weather("snow:rate=1"), small_camera(25, 33), depth="auto"))
     expected = transform(rgb_image(), noise=transform.draw(rgb_image(), seed=6))
     assert torch.equal(read_image(tmp_path / "out" / "b.png")[0], expected)
     _, text, _ = run("apply", "--weather", "snow:rate=1", folder / "b.png", "--out", tmp_path / "out", "--quiet")
@@ -333,11 +335,11 @@ def test_no_weather_writes_the_same_values(run: Any, tmp_path: Path) -> None:
 def test_depth_comes_from_a_file_a_folder_or_a_number(run: Any, tmp_path: Path) -> None:
     write_image(tmp_path / "frame.png", raw_frame())
     depth = np.full((24, 32), 12.0, dtype=np.float32)
-    depth[:8] = np.inf
+    depth[:8] = 30.0
     np.save(tmp_path / "depth.npy", depth)
     maps = tmp_path / "maps"
     maps.mkdir()
-    millimetres = np.where(np.isinf(depth), 0, depth * 1000)
+    millimetres = depth * 1000
     write_image(maps / "frame.png", torch.from_numpy(millimetres.astype(np.int32)).to(torch.uint16))
     means = []
     for number, given in enumerate(
@@ -348,8 +350,9 @@ def test_depth_comes_from_a_file_a_folder_or_a_number(run: Any, tmp_path: Path) 
         )
         means.append(json.loads(out)["files"][0]["transmission_mean"])
     assert means[0] == pytest.approx(means[1])
-    # Two thirds at 12 m of 30 m visibility, along rays up to 1.4 times as long; one third is sky.
-    assert 2 / 3 * 0.05 ** (1.4 * 12 / 30) < means[0] < 2 / 3 * 0.05 ** (12 / 30)
+    # Two thirds at 12 m and one at 30 m of 30 m visibility, along rays up to 1.4 times as long.
+    shares = [2 / 3 * 0.05 ** (stretch * 12 / 30) + 1 / 3 * 0.05**stretch for stretch in (1.4, 1.0)]
+    assert shares[0] < means[0] < shares[1]
 
 
 def test_camera_arguments_reach_the_transform(run: Any, tmp_path: Path) -> None:
@@ -362,7 +365,17 @@ def test_camera_arguments_reach_the_transform(run: Any, tmp_path: Path) -> None:
     )  # fmt: skip
     assert (code, err) == (0, "")
     camera = Camera.from_intrinsics(
-        100.0, 100.0, 10.0, 11.5, 32, 24, bayer_pattern="GRBG", exposure_s=0.01, bit_depth=14, focal_length_mm=6.0
+        100.0,
+        100.0,
+        10.0,
+        11.5,
+        32,
+        24,
+        bayer_pattern="GRBG",
+        exposure_s=0.01,
+        bit_depth=14,
+        focal_length_mm=6.0,
+        lens_blur_px=2.2,
     )
     transform = BayerWeather(Rain(50.0), camera, depth=30.0, airlight=(0.7, 0.7, 0.7), ego_speed_m_per_s=10.0)
     expected = transform(frame, noise=transform.draw(frame, seed=0))

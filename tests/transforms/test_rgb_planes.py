@@ -217,6 +217,30 @@ def test_a_blue_sky_is_darker_than_its_fog_and_an_overexposed_one_brighter() -> 
         torch.testing.assert_close(found, torch.full((3,), expected), rtol=0.0, atol=1e-5)
 
 
+def test_thin_fog_adds_the_light_that_the_horizon_has_already() -> None:
+    _, depth_m = street()
+    light = torch.tensor([0.2, 0.3, 0.4])
+    rgb = srgb_encode(light[:, None, None].expand(3, H, W))
+    seen = [
+        AsBayer(BayerFog(Fog(mor_m=mor), camera(), extinction="koschmieder")).run(rgb, depth_m).airlight
+        for mor in (1e3, 1e4, 1e7)
+    ]
+    torch.testing.assert_close(seen[0], torch.full((3,), 0.5), rtol=0.0, atol=1e-5)  # opaque over 5 km
+    torch.testing.assert_close(seen[2], light, rtol=0.0, atol=1e-3)  # exp(-0.0015) of it is the sky's own
+    own = math.exp(-5000.0 * math.log(20.0) / 1e4)
+    torch.testing.assert_close(seen[1], own * light + (1 - own) * 0.5, rtol=0.0, atol=1e-3)
+
+
+def test_thin_fog_leaves_an_uneven_sky_at_the_horizon_as_it_is() -> None:
+    rgb, depth_m = street()
+    rgb[:, :16] = torch.linspace(0.3, 0.9, W)  # darker on the left: no single airlight is right
+    depth_m[:, 16:21] = math.inf  # down to the horizon
+    fog = AsBayer(BayerFog(Fog(mor_m=1e6), camera()))
+    given = AsBayer(BayerFog(Fog(mor_m=1e6), camera(), airlight=0.5))
+    assert psnr_db(fog(rgb, depth_m), rgb) > 60.0
+    assert psnr_db(given(rgb, depth_m), rgb) < 50.0  # a measured airlight counts as it is
+
+
 def test_without_a_sky_a_named_grey_stands_in_and_never_the_trees() -> None:
     rgb, _ = street()
     with pytest.warns(TorchweatherWarning, match="no sky in the frame.*a grey of 0.6 stands in"):

@@ -107,21 +107,22 @@ def _process(
 ) -> tuple[list[dict[str, object]], str]:
     """What was done to every frame, as values and as text."""
     scenes = _scenes(args, kind)
+    sequence = kind == "camera" and _is_sequence(args)
+    if isinstance(args.ego_speed_m_per_s, Path) and not sequence:
+        raise ValueError(
+            f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
+            "--sequence; give one number of m/s."
+        )
     if scenes:
         from torchweather.commands import apply_radar_scene
 
         done = apply_radar_scene.process(args, weather, recipe, preset, scenes)
         return done, "\n".join(apply_radar_scene.line(entry) for entry in done)
-    if kind == "camera" and _is_sequence(args):
+    if sequence:
         from torchweather.commands import apply_sequence
 
         done = apply_sequence.process(args, weather, recipe, preset)
         return done, "\n".join(apply_sequence.line(entry) for entry in done)
-    if isinstance(args.ego_speed_m_per_s, Path):
-        raise ValueError(
-            f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
-            "--sequence; give one number of m/s."
-        )
     if kind == "lidar":
         from torchweather.commands import apply_lidar as work
     elif kind == "radar":

@@ -144,7 +144,7 @@ class _Work:
         # One source serves all frames, except a folder of maps.
         key = (named, frame if Path(named).is_dir() else None)
         if key not in self.depths:
-            self.depths = {key: depth_source(named, self.args.depth_encoding, frame)}
+            self.depths = {key: depth_source(named, self.args.depth_encoding, frame, args=self.args)}
         return self.depths[key]
 
 

@@ -64,8 +64,8 @@ def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.N
         seen = points[..., 3][points[..., :3].square().sum(-1) > 0]
         raise TorchweatherError(
             f"{owner}: {name}: {floored} of {returns} points are, by their intensity, fainter than the sensor can "
-            f"detect, yet it detected them. Their intensities are {float(seen.min()):g} to {float(seen.max()):g}, median "
-            f"{float(seen.median()):g}, read as {sensor.intensity_unit}. Give --intensity-unit (reflectivity, "
+            f"detect, yet it detected them. Their intensities are {float(seen.min()):g} to {float(seen.max()):g}, "
+            f"median {float(seen.median()):g}, read as {sensor.intensity_unit}. Give --intensity-unit (reflectivity, "
             "reflectivity_percent, uint8_linear, uint8_calibrated, photons, none) or --range-at-10-percent-m; --force "
             "goes on as it is."
         )

@@ -99,6 +99,7 @@ def _are_photographs(frames: list[Path]) -> bool:
 
 def _photo(path: Path, args: argparse.Namespace) -> Photo:
     """A photograph with its camera and depth."""
+    from torchweather.camera.depth import AUTO
     from torchweather.commands.frames import camera_fields, depth_source, fitted_camera
     from torchweather.io import read_image
     from torchweather.report.photo_demo import Photo
@@ -116,7 +117,11 @@ def _photo(path: Path, args: argparse.Namespace) -> Photo:
         assumed.append(f"{camera.height_m:g} m above the road")
     if assumed:
         notes.append(f"From the preset camera:{preset or DEFAULT_CAMERA}: {', '.join(assumed)}.")
-    depth = None if args.depth is None else depth_source(args.depth, args.depth_encoding, path)
+    depth = (
+        None
+        if args.depth is None and args.depth_model is None
+        else depth_source(args.depth or AUTO, args.depth_encoding, path, args=args)
+    )
     return Photo(path, rgb, camera, depth, notes)
 
 
@@ -124,6 +129,7 @@ def _options(frames: list[Path], args: argparse.Namespace) -> dict[str, Any]:
     """Camera, depth and sensors for the page of raw frames or of the embedded scene."""
     from torchweather.commands.frames import camera_fields, depth_source, fitted_camera
     from torchweather.io import read_image
+    from torchweather.io.depth_sources import GROUND
     from torchweather.transforms.recipes import camera_of
 
     preset = args.sensor.partition(":")[2]
@@ -138,6 +144,8 @@ def _options(frames: list[Path], args: argparse.Namespace) -> dict[str, Any]:
         height, width = read_image(frames[0])[0].shape[-2:] if frames else (camera.height, camera.width)
         options["camera"], said = fitted_camera(camera, height, width, args)
         options["notes"] += [said] if said else []
-    if args.depth is not None:
-        options["depth"] = [depth_source(args.depth, args.depth_encoding, frame) for frame in frames]
+    if args.depth is not None or args.depth_model is not None:
+        options["depth"] = [
+            depth_source(args.depth or GROUND, args.depth_encoding, frame, args=args) for frame in frames
+        ]
     return options

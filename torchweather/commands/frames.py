@@ -140,8 +140,9 @@ def fitted_camera(
         camera: the preset with the fields that the arguments replaced.
         height, width: of the frames, pixels.
         args: with the arguments of `add_camera_arguments`.
-        frame: the file of the frame, for its EXIF tags.
+        frame: the file of the frame, for its EXIF tags, and its calibration in a folder of ``--calib``.
     """
+    args = _with_calibration(args, frame)
     said = ""
     if getattr(args, "camera", None) is not None:
         camera, said = _calibrated(camera, height, width, args)
@@ -155,6 +156,18 @@ def fitted_camera(
         camera, said = _photographed(camera, height, width, frame)
     cx, cy = camera.principal_point_px
     return replace(camera, cx=cx if args.cx is None else args.cx, cy=cy if args.cy is None else args.cy), said
+
+
+def _with_calibration(args: argparse.Namespace, frame: Path | None) -> argparse.Namespace:
+    """The arguments with the camera of ``--calib``, where nothing else gives the intrinsics."""
+    calibration = getattr(args, "calib", None)
+    given = any(getattr(args, name, None) is not None for name in ("camera", "fx", "fy"))
+    if given or calibration is None or frame is None:
+        return args
+    from torchweather.io.depth_clouds import calibration_file, frame_camera_name
+
+    named = args.camera_name or frame_camera_name(frame)
+    return argparse.Namespace(**{**vars(args), "camera": calibration_file(calibration, frame), "camera_name": named})
 
 
 def _focal(args: argparse.Namespace) -> tuple[float, float]:

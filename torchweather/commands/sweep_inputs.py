@@ -104,7 +104,7 @@ class _Camera(Maker):
         if said:
             self.notes.append(f"{said[0].upper()}{said[1:]}")
         named = self.args.depth or (AUTO if info.kind == "rgb" else GROUND)
-        source = depth_source(named, self.args.depth_encoding, file)
+        source = depth_source(named, self.args.depth_encoding, file, args=self.args)
         _refuse_guess(source, file, self.args)
         depth = scene_of(source, camera, height, width, image=data)
         if depth.confidence == GUESSED:

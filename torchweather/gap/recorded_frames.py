@@ -18,7 +18,8 @@ from torchweather.gap.frames import Frame
 from torchweather.gap.scan_grid import DirectionMean, organised_frame, scan_frame
 from torchweather.gap.study_checks import numbers
 from torchweather.image import mosaic, normalise, srgb_decode
-from torchweather.io import read_depth, read_image, read_points
+from torchweather.io import read_image, read_points
+from torchweather.io.depth_maps import map_source
 from torchweather.sensors import Camera, Lidar, scan_directions
 from torchweather.transforms.raw_levels import raw_to_linear
 
@@ -86,7 +87,7 @@ def shared_depth(given: Any, encoding: str | None, camera: Camera, name: str) ->
     if given is None:
         raise TorchweatherError(f"{name} is missing: a camera study needs metres along the axis, inf for sky.")
     if isinstance(given, (str, Path)):
-        depth = read_depth(given, encoding).squeeze(0).numpy()
+        depth = map_source(Path(given), encoding)(camera, camera.height, camera.width).squeeze(0).numpy()
     elif isinstance(given, (int, float)):
         depth = np.full((camera.height, camera.width), float(given), dtype=np.float32)
     else:

@@ -1,7 +1,8 @@
-"""Depth maps from files: metres as arrays, and the three ways in which data sets pack depth into a PNG."""
+"""Depth maps from files: float metres, and the ways in which data sets pack depth or disparity into integers."""
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 from pathlib import Path
@@ -9,36 +10,66 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.camera.depth.sparse import depth_from_disparity
+from torchweather.errors import TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_array
+from torchweather.io.depth_plausible import check_plausible
 from torchweather.io.images import read_image
 
-__all__ = ["CARLA_FAR_M", "DEPTH_ENCODINGS", "carla_depth_m", "read_depth"]
+__all__ = ["CARLA_FAR_M", "DEPTH_ENCODINGS", "DISPARITY_ENCODINGS", "carla_depth_m", "read_depth", "read_disparity"]
 
-DEPTH_ENCODINGS = ("metre", "millimetre", "kitti", "carla")
-"""Names of the encodings: float metres; 1 mm, 1/256 m per step of an integer; 24 bits in red, green, blue."""
+# KITTI's development kits: depth = value / 256 m, disparity = value / 256 px; 0 is no value.
+_STEPS = {
+    "metre": 1.0,
+    "centimetre": 1e-2,
+    "millimetre": 1e-3,
+    "kitti": 1.0 / 256.0,
+    "disparity": 1.0,
+    "disparity_kitti": 1.0 / 256.0,
+}
+DISPARITY_ENCODINGS = ("disparity", "disparity_kitti")
+"""Encodings of a stereo pair's disparity: pixels, and 1/256 pixel per step of an integer."""
+DEPTH_ENCODINGS = ("metre", "centimetre", "millimetre", "kitti", "carla", *DISPARITY_ENCODINGS)
+"""Names of the encodings: 1 m, 1 cm, 1 mm, 1/256 m; 24 bits in red, green, blue; 1 and 1/256 pixel of disparity."""
+_STEP_TEXT = (
+    "metre, centimetre, millimetre, kitti (1/256 m), carla (24 bits in red, green, blue), disparity (pixels), "
+    "disparity_kitti (1/256 pixel)"
+)
+# Floats are no steps of 1/256; as a length they may well be centimetres.
+_INTEGER_ONLY = ("kitti", "disparity_kitti")
+# A misspelt name reaches 0.89 (millimeter), another unit 0.74 (decimetre for centimetre); a wrong unit does harm.
+_SAME_NAME = 0.85
 
-_STEP_M = {"millimetre": 1e-3, "kitti": 1.0 / 256.0}  # KITTI depth development kit: depth = value / 256, 0 is no value
 # CARLA sensor reference: depth = 1000 (R + 256 G + 65536 B) / (2^24 - 1)
 CARLA_FAR_M = 1000.0
 CARLA_FULL = 256**3 - 1
 
 
-def read_depth(path: str | os.PathLike[str], encoding: str | None = None, *, missing_m: float = math.inf) -> Tensor:
-    """Depth map of a file, metres along the optical axis.
+def read_depth(
+    path: str | os.PathLike[str],
+    encoding: str | None = None,
+    *,
+    missing_m: float = math.nan,
+    fx_px: float | None = None,
+    baseline_m: float | None = None,
+) -> Tensor:
+    """Depth map of a file, metres.
 
     Args:
         path: ``.npy``, ``.npz`` (array ``depth_m`` or ``depth``, else the only one), ``.png`` or ``.tiff``.
         encoding: one of `DEPTH_ENCODINGS`. Float data are metres. For integers it must be named, because nothing in
-            such a file tells 1 mm from 1/256 m.
-        missing_m: depth of pixels without a value (0 in ``millimetre`` and ``kitti``). Default: ``inf``, sky.
+            such a file distinguishes 1 mm from 1/256 m.
+        missing_m: depth of pixels without a value: 0, NaN and ``-inf``. Default: NaN, unknown. ``inf`` makes sky of
+            them.
+        fx_px: focal length of the rectified pair, pixels; of ``disparity`` and ``disparity_kitti`` alone.
+        baseline_m: distance between the two lenses, metres; of the same two.
 
     Returns:
-        ``(1, H, W)`` float32 (an array may carry batch dimensions in front); ``inf`` is sky, and so is CARLA's far
-        plane at 1000 m.
+        ``(1, H, W)`` float32 (an array may carry batch dimensions in front). NaN is unknown; ``inf`` is sky, and so is
+        CARLA's far plane at 1000 m.
 
     Raises:
-        TorchweatherError: no depth map, unnamed or wrong encoding, NaN or negative values.
+        TorchweatherError: no depth map, unnamed or wrong encoding, negative values, or values that no street has.
 
     Example:
         >>> import tempfile
@@ -46,28 +77,51 @@ def read_depth(path: str | os.PathLike[str], encoding: str | None = None, *, mis
         >>> file = Path(tempfile.mkdtemp()) / "depth.png"
         >>> write_image(file, torch.tensor([[[0, 2560]]], dtype=torch.uint16))
         >>> read_depth(file, "kitti")
-        tensor([[[inf, 10.]]])
+        tensor([[[nan, 10.]]])
     """
     source = Path(path)
-    if encoding is not None and encoding not in DEPTH_ENCODINGS:
-        raise TorchweatherError(
-            f"{source}: encoding must be one of {', '.join(DEPTH_ENCODINGS)}; got {encoding!r}."
-            f"{nearest_name(encoding, DEPTH_ENCODINGS)}"
-        )
-    if not missing_m >= 0:
-        raise ValueError(f"read_depth: missing_m must be 0 m or more, inf for sky; got {missing_m!r}.")
-    if source.suffix.lower() in (".npy", ".npz"):
-        raw = array_to_tensor(read_array(source, ["depth_m", "depth"]), source, "a depth map")
-        raw = raw[None] if raw.ndim == 2 else raw
+    _check_encoding(source, encoding)
+    if missing_m < 0:
+        raise ValueError(f"read_depth: missing_m must be 0 m or more, inf for sky, NaN for unknown; got {missing_m!r}.")
+    if encoding in DISPARITY_ENCODINGS:
+        if fx_px is None or baseline_m is None:
+            raise ValueError(
+                f"read_depth: encoding {encoding!r} needs fx_px (pixels) and baseline_m (metres): depth = fx baseline "
+                "/ disparity. Take both from the stereo pair's calibration."
+            )
+        depth = depth_from_disparity(read_disparity(source, encoding), fx_px, baseline_m)
+        check_plausible(depth, source, encoding)
     else:
-        raw, _ = read_image(source)
-    depth = _in_metres(raw, encoding, missing_m, source)
-    if not bool((depth >= 0).all()):
-        raise TorchweatherError(
-            f"{source}: depth must be 0 m or more, inf for sky; got {int(depth.isnan().sum())} NaN and "
-            f"{int((depth < 0).sum())} negative of {depth.numel()} pixels."
-        )
-    return depth
+        raw = _stored(source)
+        depth = carla_depth_m(_carla_colours(raw, source)) if encoding == "carla" else _metres(raw, encoding, source)
+    return depth if math.isnan(missing_m) else torch.where(depth.isnan(), missing_m, depth)
+
+
+def read_disparity(path: str | os.PathLike[str], encoding: str = "disparity") -> Tensor:
+    """Disparity map of a file, pixels.
+
+    Args:
+        path: as of `read_depth`; in ``.npz`` the array ``disparity`` or ``disparity_px``, else the only one.
+        encoding: ``disparity`` (pixels) or ``disparity_kitti`` (integers, 1/256 pixel).
+
+    Returns:
+        ``(1, H, W)`` float32, more than 0; NaN is unknown: 0, negative, NaN or infinite in the file.
+
+    Example:
+        >>> import tempfile
+        >>> from torchweather.io import write_image
+        >>> file = Path(tempfile.mkdtemp()) / "disparity.png"
+        >>> write_image(file, torch.tensor([[[0, 2560]]], dtype=torch.uint16))
+        >>> read_disparity(file, "disparity_kitti")
+        tensor([[[nan, 10.]]])
+    """
+    source = Path(path)
+    if encoding not in DISPARITY_ENCODINGS:
+        raise ValueError(f"read_disparity: encoding must be one of {', '.join(DISPARITY_ENCODINGS)}; got {encoding!r}.")
+    raw = _one_value_each(_stored(source, ("disparity", "disparity_px")), encoding, source)
+    pixels = raw.to(torch.float64) * _STEPS[encoding]
+    known = (pixels > 0) & torch.isfinite(pixels)
+    return torch.where(known, pixels, torch.nan).to(torch.float32)
 
 
 def carla_depth_m(rgb: Tensor) -> Tensor:
@@ -89,24 +143,65 @@ def carla_depth_m(rgb: Tensor) -> Tensor:
     return metres.to(torch.float32).unsqueeze(-3)
 
 
-def _in_metres(raw: Tensor, encoding: str | None, missing_m: float, source: Path) -> Tensor:
-    channels = 3 if encoding == "carla" else 1
+def _check_encoding(source: Path, encoding: str | None) -> None:
+    if encoding is None or encoding in DEPTH_ENCODINGS:
+        return
+    near = difflib.get_close_matches(str(encoding), DEPTH_ENCODINGS, n=1, cutoff=_SAME_NAME)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise TorchweatherError(f"{source}: encoding must be one of {_STEP_TEXT}; got {encoding!r}.{hint}")
+
+
+def _stored(source: Path, keys: tuple[str, ...] = ("depth_m", "depth")) -> Tensor:
+    """The file's numbers, ``(..., C, H, W)``."""
+    if source.suffix.lower() in (".npy", ".npz"):
+        raw = array_to_tensor(read_array(source, list(keys)), source, "a depth map")
+        return raw[None] if raw.ndim == 2 else raw
+    return read_image(source)[0]
+
+
+def _carla_colours(raw: Tensor, source: Path) -> Tensor:
+    _check_shape(raw, 3, source)
+    if raw.dtype != torch.uint8:
+        raise TorchweatherError(f"{source}: CARLA's depth is 8-bit colour; got {raw.dtype}.")
+    return raw
+
+
+def _check_shape(raw: Tensor, channels: int, source: Path) -> None:
     if raw.ndim < 3 or raw.shape[-3] != channels or raw.numel() == 0:
         advice = ' A colour PNG may be CARLA\'s: encoding="carla".' if raw.ndim >= 3 and raw.shape[-3] == 3 else ""
         raise TorchweatherError(
             f"{source}: wanted a depth map of shape (..., {channels}, H, W); got {tuple(raw.shape)}.{advice}"
         )
-    if encoding == "carla":
-        if raw.dtype != torch.uint8:
-            raise TorchweatherError(f"{source}: CARLA's depth is 8-bit colour; got {raw.dtype}.")
-        return carla_depth_m(raw)
-    in_steps = encoding in _STEP_M
-    if in_steps if raw.is_floating_point() else encoding is None:
+
+
+def _one_value_each(raw: Tensor, encoding: str | None, source: Path) -> Tensor:
+    """A map ``(..., 1, H, W)`` whose dtype fits its encoding."""
+    _check_shape(raw, 1, source)
+    if raw.is_floating_point() and encoding in _INTEGER_ONLY:
         raise TorchweatherError(
-            f"{source}: {raw.dtype} with encoding={encoding!r}; floats are metres (encoding None or 'metre'), integers "
-            "need 'millimetre', 'kitti' (1/256 m) or 'metre', because nothing in the file tells them apart."
+            f"{source}: {raw.dtype} with encoding={encoding!r}; floats are metres (encoding None or 'metre'), "
+            "'centimetre', 'millimetre' or 'disparity' (pixels). Steps of 1/256 are integers."
         )
-    if encoding is None or not in_steps:
-        return raw.to(torch.float32)
-    code = raw.to(torch.float64)
-    return torch.where(code == 0, missing_m, code * _STEP_M[encoding]).to(torch.float32)
+    if not raw.is_floating_point() and encoding is None:
+        raise TorchweatherError(
+            f"{source}: {raw.dtype} with encoding=None; integers need 'millimetre', 'kitti' (1/256 m), 'centimetre', "
+            "'metre' or a disparity, because nothing in the file distinguishes them. On the command line: "
+            "--depth-encoding."
+        )
+    return raw
+
+
+def _metres(raw: Tensor, encoding: str | None, source: Path) -> Tensor:
+    """Float32 metres; NaN where the file has no value: 0, NaN, -inf."""
+    value = _one_value_each(raw, encoding, source).to(torch.float64)
+    # Nothing stands 0 m before a lens: 0 is how a projected LiDAR, and KITTI, write "no value".
+    unknown = value.isnan() | torch.isneginf(value) | (value == 0)
+    depth = torch.where(unknown, torch.nan, value * _STEPS[encoding or "metre"]).to(torch.float32)
+    negative = int((depth < 0).sum())
+    if negative:
+        raise TorchweatherError(
+            f"{source}: depth must be 0 m or more, inf for sky, NaN for unknown; got {negative} negative of "
+            f"{depth.numel()} pixels. If they mark missing values, write NaN or 0 there."
+        )
+    check_plausible(depth, source, encoding, code=value, floats=raw.is_floating_point())
+    return depth

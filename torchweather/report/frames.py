@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherError, TorchweatherWarning
 from torchweather.image import (
-    DepthMap,
     FlatGround,
     as_depth_source,
     cfa_index,
@@ -23,7 +22,8 @@ from torchweather.image import (
     quantise,
     srgb_decode,
 )
-from torchweather.io import read_depth, read_image, write_image
+from torchweather.io import read_image, write_image
+from torchweather.io.depth_maps import map_source
 from torchweather.report.pictures import Look, look_of
 from torchweather.scenes import fog_tunnel, test_track
 from torchweather.scenes.raw_frame import raw_frame
@@ -198,7 +198,7 @@ def user_frame(path: Path, name: str, depth: object, camera: Camera | None) -> F
         source: Any = FlatGround()
         notes.append("No depth was given: flat ground below a sky is assumed, so objects stand too far away.")
     elif isinstance(depth, (str, Path)):
-        source = DepthMap(read_depth(depth))
+        source = map_source(Path(depth))
     else:
         source = as_depth_source(depth)
     depth_m = source(camera, height, width, image=data).reshape(1, height, width)

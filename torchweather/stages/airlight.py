@@ -42,7 +42,10 @@ REC709 = (0.2126, 0.7152, 0.0722)  # luminance of linear sRGB, ITU-R BT.709
 # 0.5 to 0.7 looks right on photographs (chosen by eye; measured airlight goes to airlight=).
 GREY_RANGE = (0.5, 0.7)
 DEFAULT_GREY = 0.6
-DAYLIGHT_ABOVE = 0.1  # linear luminance of a horizon sky by day; below, the sky's own light is kept
+DAYLIGHT_ABOVE = 0.05  # linear luminance of a horizon sky by day; below, the sky's own light is kept
+# A picture's horizon is seen through kilometres of its own air: fog whose optical depth over this way is small adds the
+# light that is there already; fog that is opaque over it has its own.
+OWN_AIR_M = 5000.0
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
 
 
@@ -66,7 +69,9 @@ def airlight_argument(value: Sequence[float] | float | str | None, owner: object
     return values
 
 
-def estimate_airlight(state: CameraState, owner: object, mode: str | None = None) -> Tensor:
+def estimate_airlight(
+    state: CameraState, owner: object, mode: str | None = None, extinction_per_m: Tensor | None = None
+) -> Tensor:
     """Airlight per colour, ``(B, 3)``, from the sky just above the horizon.
 
     Where a frame shows no sky, a grey of 0.6 (colour planes; at night its mean light) or the brightest 3 x 3
@@ -76,6 +81,8 @@ def estimate_airlight(state: CameraState, owner: object, mode: str | None = None
         state: the frame.
         owner: named in warnings.
         mode: ``sky`` or ``grey``; ``None`` is grey for colour planes and sky for a mosaic.
+        extinction_per_m: ``(B, 3)`` of the fog: as it tends to 0, grey tends to the sky's own light, so that thin fog
+            leaves a sky at the horizon as it is.
     """
     planes = state.cfa_index is None
     light, seen = _horizon_sky(state, STRIDES_PX)
@@ -86,7 +93,9 @@ def estimate_airlight(state: CameraState, owner: object, mode: str | None = None
         light, seen = torch.where(seen[:, None], light, every), seen | seen_at_all
     grey = mode == "grey" or (mode is None and planes)
     if grey:
-        light = _neutral(light)
+        neutral = _neutral(light)
+        own = 0.0 if extinction_per_m is None else own_air(extinction_per_m.to(light))
+        light = neutral + own * (light - neutral)
     instead = _grey_without_sky(state) if planes else per_colour(_brightest(state), state)
     if grey and not planes:
         instead = instead.mean(1, keepdim=True).expand_as(light)
@@ -94,6 +103,11 @@ def estimate_airlight(state: CameraState, owner: object, mode: str | None = None
     if not is_exporting() and state.signal.numel():
         _warn(airlight, seen, owner, planes=planes)
     return airlight
+
+
+def own_air(extinction_per_m: Tensor) -> Tensor:
+    """Share of the fog's light at a picture's horizon that is the picture's own, ``exp(-5 km alpha)``, as shaped."""
+    return torch.exp(-OWN_AIR_M * extinction_per_m)
 
 
 def _grey_without_sky(state: CameraState) -> Tensor:
@@ -192,8 +206,10 @@ def scaled_airlight(airlight: Tensor, state: CameraState) -> Tensor:
     return airlight if state.airlight_scale is None else (airlight * state.airlight_scale).clamp_max(1.0)
 
 
-def given_or_estimated(given: Airlight, state: CameraState, owner: object) -> Tensor:
-    """Airlight ``(B, 3)``: the given signals, or an estimate of the given mode."""
+def given_or_estimated(
+    given: Airlight, state: CameraState, owner: object, extinction_per_m: Tensor | None = None
+) -> Tensor:
+    """Airlight ``(B, 3)``: the given signals, or an estimate of the given mode for fog of an extinction."""
     if given is None or isinstance(given, str):
-        return estimate_airlight(state, owner, given)
+        return estimate_airlight(state, owner, given, extinction_per_m)
     return state.signal.new_tensor(given).expand(state.batch, 3)

@@ -17,7 +17,7 @@ from torchweather.errors import TorchweatherWarning, check_one_of
 from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.sensors import Camera
-from torchweather.stages.airlight import airlight_argument, given_or_estimated, scaled_airlight
+from torchweather.stages.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
 from torchweather.stages.by_rows import by_rows, is_exporting
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
@@ -95,6 +95,7 @@ class ExtinctionAndAirlight(Stage):
 
     ``I = I0 exp(-alpha l) + A (1 - exp(-alpha l))`` per colour, l the length of the ray, not the depth (``PHYSICS.md``
     4.8), up to the top of the layer where the ray leaves it: the sky shows through thin fog (``PHYSICS.md`` 10.11).
+    Where a photograph's airlight is estimated, fog thinner than its own air leaves its sky as it is.
 
     Identity: ``mor_m = inf``.
 
@@ -152,7 +153,7 @@ class ExtinctionAndAirlight(Stage):
 
     def airlight(self, state: CameraState) -> Tensor:
         """Airlight per colour, ``(B, 3)``: given, or estimated from the frame."""
-        return given_or_estimated(self.given_airlight, state, self)
+        return given_or_estimated(self.given_airlight, state, self, self.extinction_per_m(state.batch))
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor], out: Tensor | None = None) -> CameraState:
         """The foggy frame."""
@@ -172,6 +173,9 @@ class ExtinctionAndAirlight(Stage):
         # Zero extinction times infinite depth is zero, and so is its gradient.
         clip = is_exporting() or extinction.requires_grad or density is not None or bool((extinction == 0).any())
 
+        estimated = state.cfa_index is None and not isinstance(self.given_airlight, tuple)
+        own = state.per_pixel(own_air(extinction)) if estimated else None
+
         def let_through(ray_m: Tensor, rows: tuple[Any, ...]) -> Tensor:
             clear = state.by_cells(ray_m if density is None else ray_m * density[rows]) * alpha_rows
             return clear.clamp_min_(-OPAQUE).exp_()
@@ -184,6 +188,10 @@ class ExtinctionAndAirlight(Stage):
                 # The share of the pixel that is sky is seen through all of the layer (PHYSICS.md 10.11).
                 above = let_through(state.ray_in_layer_m[rows], rows)
                 clear = torch.lerp(clear, above, state.by_cells(state.sky[rows]).to(clear.dtype))
+            if own is not None:
+                # Air as thin as the picture's own adds the light that each pixel of its sky has already.
+                sky = torch.isinf(state.depth_m[rows]) if state.sky is None else state.sky[rows]
+                clear = 1.0 - (1.0 - clear) * (1.0 - state.by_cells(sky.to(clear.dtype)) * own)
             if state.near_mask is not None:
                 clear = torch.lerp(clear, torch.ones_like(clear), state.by_cells(state.near_mask[rows]).to(clear.dtype))
             # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.

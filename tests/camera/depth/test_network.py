@@ -121,6 +121,20 @@ def test_cars_and_houses_on_the_ground_do_not_move_its_scale(red: str) -> None:
     assert float(relative_error(depth_m, inverse).median()) < 0.03
 
 
+@pytest.mark.parametrize("name", ["near_mask", "sky"])
+def test_what_is_masked_is_not_taken_for_the_ground(red: str, name: str) -> None:
+    inverse = ground_and_wall()
+    given = inverse.clone()
+    given[55:] *= 2.0  # most of the lower rows are a plane twice as near
+    mask = torch.zeros(1, HEIGHT, WIDTH)
+    mask[:, 55:] = 1.0
+    seen = (slice(0, 55),)
+    for options, right in [({**PLAIN, name: mask}, True), (PLAIN, False)]:
+        source = DepthNetwork(red, output="depth", scale="ground", **options)
+        found = source(CAMERA, HEIGHT, WIDTH, image=picture(0.02 / given))
+        assert (float(relative_error(found, inverse)[seen].median()) < 0.02) == right
+
+
 def test_relative_depth_gets_a_scale_and_no_shift(red: str) -> None:
     inverse = ground_and_wall()
     source = DepthNetwork(red, output="depth", scale="ground", **PLAIN)

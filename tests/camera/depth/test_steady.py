@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import gc
 import math
+import os
 import weakref
 from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from torchweather.camera.depth import COMPLETED, GUESSED, SceneDepth
+from torchweather.camera.depth import COMPLETED, GUESSED, SceneDepth, ScenePrior
 from torchweather.camera.depth.steady import common_near_mask, is_cut, reach_of, steady_scenes
+from torchweather.sensors import Camera
 
 BLUE, LEAF = 0.7, 0.3  # grey values
 
@@ -170,3 +174,37 @@ def test_the_reach_is_a_fifth_of_a_second_within_bounds() -> None:
     assert [reach_of(rate) for rate in (1.0, 10.0, 15.0, 25.0, 30.0, 120.0)] == [2, 2, 3, 5, 6, 6]
     with pytest.raises(ValueError, match="reach"):
         list(steady_scenes([], reach=-1))
+
+
+@pytest.mark.real_data
+def test_a_highway_drive_does_not_flicker() -> None:
+    """Frames of the second half of the clip; the constants were chosen on the first half."""
+    root = os.environ.get("TORCHWEATHER_REAL_DATA")
+    if not root:
+        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
+    clip = Path(root) / "dashcam_highway" / "test_video.mp4"
+    if not clip.is_file():
+        pytest.skip(f"TORCHWEATHER_REAL_DATA holds no {clip.name}")
+    pytest.importorskip("av", reason="PyAV is not installed: no videos here (pip install 'torchweather[video]')")
+    from torchweather.io.video import VideoReader
+
+    lens = {"k1": -0.2517, "k2": 0.0204, "p1": -0.0004, "k3": -0.0630}
+    camera = Camera(width=1280, height=720, fx=1158.6, fy=1155.4, cx=669.2, cy=390.8, height_m=1.3, **lens)
+    images = [frame.rgb for number, frame in enumerate(VideoReader(clip)) if 19 <= number < 31]
+    scenes = [ScenePrior(near_mask=None).scene(camera, 720, 1280, image=image) for image in images]
+    calm = steady(images, scenes, reach=reach_of(25.0))
+
+    def of_frames(some: list[SceneDepth]) -> tuple[float, float]:
+        """Sky that changes where the picture does not, pixels a frame; largest step of the horizon, pixels."""
+        changes, steps = [], []
+        for (image, before), (next_image, after) in pairwise(zip(images, some, strict=True)):
+            alike = (image.int() - next_image.int()).abs().amax(0, keepdim=True) <= 4
+            changes.append(float((after.sky_share - before.sky_share).abs()[alike].sum()))
+            assert before.horizon_row is not None
+            assert after.horizon_row is not None
+            steps.append(abs(after.horizon_row - before.horizon_row))
+        return sum(changes) / len(changes), max(steps)
+
+    (sky, horizon), (calm_sky, calm_horizon) = of_frames(scenes), of_frames(calm)
+    assert calm_sky < 0.4 * sky
+    assert calm_horizon < 0.5 * horizon

@@ -7,6 +7,7 @@ from torchweather.camera.depth.given import AUTO, ConstantDepth, DepthFromCallab
 from torchweather.camera.depth.ground import FlatGround
 from torchweather.camera.depth.horizon import Horizon, find_horizon
 from torchweather.camera.depth.near_mask import find_near_mask
+from torchweather.camera.depth.network import DepthNetwork
 from torchweather.camera.depth.points import DepthFromPoints
 from torchweather.camera.depth.projection import project_points
 from torchweather.camera.depth.scene_depth import (
@@ -36,6 +37,7 @@ __all__ = [
     "DepthFromCallable",
     "DepthFromPoints",
     "DepthMap",
+    "DepthNetwork",
     "DepthSource",
     "FlatGround",
     "Horizon",
