@@ -301,6 +301,7 @@ def test_apply_writes_what_the_transform_gives_under_the_same_name(run: Any, tmp
     assert entry["seconds"] > 0
 
 
+@pytest.mark.filterwarnings("ignore:.*no sky in the frame")
 def test_samples_take_seed_plus_their_number_and_depth_is_guessed_without_one(run: Any, tmp_path: Path) -> None:
     folder = tmp_path / "in"
     folder.mkdir()

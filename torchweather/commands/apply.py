@@ -54,6 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
     parser.add_argument(
+        "--preview",
+        action="store_true",
+        help="also write NAME.html: of an image a slider over three severities, of a cloud its points to turn",
+    )
+    parser.add_argument(
         "--airlight",
         nargs=3,
         type=float,

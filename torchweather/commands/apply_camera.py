@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from torchweather.camera.depth import AUTO, scene_of
+from torchweather.camera.depth import AUTO, SceneDepth, scene_of
 from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.commands.output import note
 from torchweather.errors import TorchweatherError
@@ -91,14 +91,16 @@ class _Work:
         seed = self.args.seed + self.samples
         self.samples += image.shape[:-3].numel()
         try:
-            result, after = self._weathered(frame, image, info.kind == "rgb", seed)
+            result, transform, scene = self._weathered(frame, image, info.kind == "rgb", seed)
         except (ValueError, TypeError) as error:
             raise TorchweatherError(f"{frame}: {error}") from error
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_image(target, after)
+        write_image(target, result.rgb if info.kind == "rgb" else result.bayer)
+        page = self._preview(target, image, transform, scene, seed)
         return {
             "input": str(frame),
             "output": str(target),
+            **({} if page is None else {"preview": str(page)}),
             "seed": seed,
             "weather": self.plan.weather.to_dict(),
             "transmission_mean": float(result.transmission.mean()),
@@ -108,7 +110,8 @@ class _Work:
             "seconds": time.perf_counter() - started,
         }
 
-    def _weathered(self, frame: Path, image: Any, rgb: bool, seed: int) -> tuple[Any, Any]:
+    def _weathered(self, frame: Path, image: Any, rgb: bool, seed: int) -> tuple[Any, Any, SceneDepth]:
+        """The result, the transform that gave it, and the scene."""
         height, width = image.shape[-2:]
         camera, said = fitted_camera(self.plan.camera, height, width, self.args, frame=frame)
         self._say(said)
@@ -120,7 +123,21 @@ class _Work:
             self._say(f"{frame.name}: {sentence}." if self.plan.depth is None else "")
         noise = transform.draw(image, seed=seed)
         result = transform.run(image, scene, noise)
-        return result, result.rgb if rgb else result.bayer
+        return result, transform, scene
+
+    def _preview(self, target: Path, image: Any, transform: Any, scene: SceneDepth, seed: int) -> Path | None:
+        """The page of a single image, where it is asked for."""
+        if not self.args.preview:
+            return None
+        if image.ndim != 3:
+            self._say(f"{target.name}: --preview shows single images; this file holds several.")
+            return None
+        from torchweather.commands.preview import preview_image
+
+        page = target.with_name(f"{target.name}.html")
+        given = self.plan.options.get("airlight") is not None
+        preview_image(page, image, transform, scene, seed, airlight_given=given, name=target.name)
+        return page
 
     def _say(self, sentence: str) -> None:
         """A note, once."""

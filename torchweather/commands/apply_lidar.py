@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -125,6 +126,8 @@ class _Work:
         if isinstance(result.second, Tensor):
             second = self._outgoing(frame.cloud, result.second, result.second_kind, without_intensity)
         written = self.files.write(frame, first, second, result)
+        if self.args.preview:
+            written["preview"] = self._preview(Path(str(written["output"])), clear.points, result, transform, seed)
         return {
             "input": str(frame.path),
             **({} if frame.number is None else {"frame": frame.number}),
@@ -137,6 +140,24 @@ class _Work:
             "scan": result.scan,
             "seconds": time.perf_counter() - started,
         }
+
+    def _preview(self, target: Path, points: Tensor, result: LidarResult, transform: LidarWeather, seed: int) -> str:
+        """The page of a cloud in clear air and in weather, beside the result."""
+        from torchweather.report.cloud_view import write_cloud_view
+
+        page = target.with_name(f"{target.name}.html")
+        name = f"lidar ({transform.sensor.wavelength_nm:g} nm, {transform.sensor.intensity_unit})"
+        write_cloud_view(
+            page,
+            points,
+            result,
+            transform.sensor,
+            weather=transform.weather,
+            seed=seed,
+            name=target.name,
+            sensor_name=name,
+        )
+        return str(page)
 
     def _transform(self, columns: Sequence[str]) -> LidarWeather:
         """The transform, told which column of this file holds the ring where beams are to be inferred."""
