@@ -37,6 +37,7 @@ CONFINED: dict[str, set[str]] = {
     "matplotlib": {"report"},
     "jinja2": {"report"},
     "kornia": {"camera", "image"},
+    "av": {"io"},
     "pyarrow": {"io"},
     "pycocotools": {"metrics"},
     "torchvision": set(),

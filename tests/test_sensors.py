@@ -255,3 +255,15 @@ def test_raw_levels_follow_the_bit_depth() -> None:
     assert Camera(**PLAIN).saturation_level == 4095.0
     assert Camera(**PLAIN, bit_depth=8).saturation_level == 255.0
     assert Camera(**PLAIN, white_level=3800.0).saturation_level == 3800.0
+
+
+def test_beyond_the_lens_undistorted_coordinates_stay_finite() -> None:
+    # A real dashcam's calibration: the polynomial folds back at a distorted radius of 0.70, the corner lies at 0.67.
+    lens = {"k1": -0.2517, "k2": 0.0204, "p1": -0.0004, "k3": -0.0630}
+    camera = Camera(width=1280, height=720, fx=1158.6, fy=1155.4, cx=669.2, cy=390.8, **lens)
+    x = torch.linspace(-1.5, 1.5, 61)[None].expand(61, 61)
+    xu, yu = camera.undistort(x, x.T)
+    assert bool(torch.isfinite(xu).all() & torch.isfinite(yu).all())
+    inside = torch.hypot(x, x.T) < 0.65
+    back = torch.stack(camera.distort(xu, yu))[:, inside]
+    assert torch.allclose(back, torch.stack([x, x.T])[:, inside], atol=2e-3)

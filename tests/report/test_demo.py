@@ -128,7 +128,7 @@ def test_users_frames_make_the_same_page_and_names_are_escaped(tmp_path: Path) -
     assert "<script" not in text
     assert "&lt;script&gt;alert(&#39;x&#39;)&amp;amp;" in text
     assert page.mistakes == []
-    assert any("25" not in note and "brightest" in note for note in summary["subjects"][0]["notes"])  # no sky in it
+    assert any("25" not in note and "a grey of 0.6" in note for note in summary["subjects"][0]["notes"])  # no sky in it
     frame, _ = read_image(tmp_path / "out" / summary["subjects"][0]["weathers"][0]["file"])
     assert (frame.dtype, tuple(frame.shape)) == (torch.uint8, (3, 33, 45))
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([hostile.name, "out"])

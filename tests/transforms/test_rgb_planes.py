@@ -178,6 +178,19 @@ def test_a_share_of_sky_lets_through_that_share_of_the_sky_s_light() -> None:
     torch.testing.assert_close(mixed, 0.75 * wall + 0.25 * sky, rtol=1e-6, atol=1e-7)
 
 
+def test_particles_in_front_of_a_pixel_that_is_mostly_sky_are_those_of_the_sky() -> None:
+    rgb = torch.full((3, H, W), 0.1)
+    near = torch.full((1, H, W), 3.0)  # the wall of which the pixel shows a little
+    snow = AsBayer(BayerWeather(Snow(3.0), camera(), airlight=0.7))
+    noise = snow.draw(rgb, seed=1)
+    open_sky = snow.run(rgb, torch.full((1, H, W), math.inf), noise).particle_mask
+    mostly = snow.run(rgb, SceneDepth(near, sky=torch.full_like(near, 0.9)), noise).particle_mask
+    little = snow.run(rgb, SceneDepth(near, sky=torch.full_like(near, 0.1)), noise).particle_mask
+    assert torch.equal(mostly, open_sky)
+    assert torch.equal(little, snow.run(rgb, near, noise).particle_mask)
+    assert float(open_sky.mean()) > 2 * float(little.mean())
+
+
 @pytest.mark.parametrize("weather", WEATHERS, ids=IDS)
 def test_no_weather_lies_in_front_of_the_own_vehicle(weather: Weather) -> None:
     rgb, depth_m = street()
@@ -187,6 +200,32 @@ def test_no_weather_lies_in_front_of_the_own_vehicle(weather: Weather) -> None:
     out = seen(rgb, SceneDepth(depth_m, near_mask=near), seen.draw(rgb, seed=1))
     assert torch.equal(out[:, 40:], rgb[:, 40:])
     assert not torch.equal(out[:, :40], rgb[:, :40])
+
+
+# ---- an overcast sky ------------------------------------------------------------------------------------------------
+
+
+def test_an_overcast_sky_has_the_cie_s_gradient_and_stays_in_the_sky() -> None:
+    rgb, depth_m = street()
+    cam = camera()
+    rain = BayerWeather(Rain(50.0), cam, airlight=0.5, sky="overcast")
+    state = rain.planes_state(linear := torch.full((1, 3, H, W), 0.2), SceneDepth(depth_m), (1,))
+    after = rain.chain.stages["overcast_sky"](state, {}).signal
+    assert torch.equal(after[..., 16:, :], linear[..., 16:, :])
+    sine = [math.sin(math.atan((20.0 - row) / 60.0)) for row in (2, 14)]
+    share = 50.0 / 50.1  # of the sky at 50 mm/h
+    for row, up in zip((2, 14), sine, strict=True):
+        expected = share * 0.5 * (1 + 2 * up) / (1 + 4 / 3) + (1 - share) * 0.2
+        torch.testing.assert_close(after[0, :, row, 31], torch.full((3,), expected), rtol=1e-3, atol=0.0)
+    assert not torch.equal(AsBayer(rain)(rgb, depth_m), rgb)
+
+
+def test_an_overcast_sky_comes_with_its_rain() -> None:
+    rgb, depth_m = street()
+    assert torch.equal(AsBayer(BayerWeather(Rain(0.0), camera(), airlight=0.5, sky="overcast"))(rgb, depth_m), rgb)
+    with pytest.raises(ValueError, match="sky"):
+        BayerWeather(Rain(1.0), camera(), sky="cloudy")
+    assert "overcast_sky" not in BayerWeather(Fog(mor_m=100.0), camera(), sky="overcast").chain.stages
 
 
 # ---- airlight of photographs (PHYSICS.md 10.7) ----------------------------------------------------------------------

@@ -118,6 +118,8 @@ def _process(
             f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
             "--sequence; give one number of m/s."
         )
+    if sequence and args.preview:
+        raise ValueError("apply: --preview is of single frames; give some of them without --sequence.")
     if scenes:
         from torchweather.commands import apply_radar_scene
 

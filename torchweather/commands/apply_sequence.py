@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from torchweather import __version__
 from torchweather.commands.frames import camera_fields, fitted_camera, gathered
 from torchweather.commands.output import note
@@ -30,7 +28,10 @@ from torchweather.weather import Weather
 __all__ = ["is_video", "line", "process"]
 
 SURVEYED = 7  # frames for airlight and own vehicle: medians of 7 stand against 3 that are wrong
-VARIES = 0.05  # share of the mean by which a speed may vary without a note
+DEPTH_ARGUMENTS = (
+    *("depth_encoding", "depth_along", "baseline_m", "calib", "camera_name"),
+    *("depth_model", "depth_model_output", "depth_model_scale", "depth_model_multiple_px"),
+)
 
 
 def is_video(path: Path) -> bool:
@@ -44,7 +45,9 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     frames = _frames_of(args)
     rate_hz = _rate(args, frames)
     sampled, count = frames.sample(SURVEYED)
-    speed, said = _speed(args.ego_speed_m_per_s, count, rate_hz)
+    speeds, said = _speeds(args.ego_speed_m_per_s, count, rate_hz)
+    # The fastest sets the margins; a file's speeds move the particles one by one.
+    speed = None if speeds is None else max(speeds, key=abs)
     if isinstance(frames, ClipFrames) and frames.video.has_audio:
         said.append("the video's sound is left out.")
     plan = _planned(args, weather, recipe, preset, frames, speed)
@@ -56,9 +59,10 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
         "camera": plan.camera.to_dict(),
         "options": {key: value for key, value in plan.options.items() if key != "effects"},
         "effects": [str(effect) for effect in plan.options.get("effects", ())],
-        "depth": _depth_named(plan.depth, args.depth_encoding, frames),
+        "depth": _depth_named(plan.depth, args, frames),
         "seed": args.seed,
         "frame_rate_hz": rate_hz,
+        "ego_speeds_m_per_s": speeds,
         "frames": count,
         "frames_digest": frames.digest(),
     }
@@ -79,7 +83,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
             **({"video": f"libx264, crf {CRF}"} if is_video(args.out) else {}),
         }
         with result:
-            for frame, after in work.weathered(count, rate_hz, result.done):
+            for frame, after in work.weathered(count, rate_hz, result.done, speeds):
                 result.write(frame, after)
                 written += 1
     entry = {
@@ -88,7 +92,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
         "frames": count,
         "frames_kept": count - written,
         "frame_rate_hz": rate_hz,
-        "ego_speed_m_per_s": speed,
+        "ego_speed_m_per_s": None if speeds is None else sum(speeds) / len(speeds),
         "seed": args.seed,
         "weather": weather.to_dict(),
         "airlight": None if survey is None else survey.airlight,
@@ -120,15 +124,12 @@ def _rate(args: argparse.Namespace, frames: FolderFrames | ClipFrames) -> float:
     return float(rate)
 
 
-def _speed(given: float | Path | None, count: int, rate_hz: float) -> tuple[float | None, list[str]]:
-    """Mean speed of the vehicle, m/s, and what to say about it."""
+def _speeds(given: float | Path | None, count: int, rate_hz: float) -> tuple[list[float] | None, list[str]]:
+    """Speed of the vehicle in each frame, m/s, and what to say about it."""
     if isinstance(given, Path):
         speeds = read_speeds(given).at_frames(count, rate_hz)
-        mean = float(speeds.mean())
-        varied = float(np.abs(speeds - mean).max()) > VARIES * abs(mean)
-        said = f"{given}: speeds of {speeds.min():.1f} to {speeds.max():.1f} m/s; the particles move by the mean, "
-        return mean, [f"{said}{mean:.2f} m/s, in every frame."] if varied else []
-    return given, []
+        return speeds.tolist(), [f"{given}: speeds of {speeds.min():.1f} to {speeds.max():.1f} m/s."]
+    return None if given is None else [given] * count, []
 
 
 def _planned(
@@ -157,16 +158,17 @@ def _planned(
     return SequencePlan(weather, camera, options, str(usual if args.depth is None else args.depth), said)
 
 
-def _depth_named(depth: str, encoding: str | None, frames: FolderFrames | ClipFrames) -> dict[str, Any]:
-    """The depth as part of the settings; a file or folder by its content."""
-    path = Path(depth)
-    if path.is_dir():
-        if not isinstance(frames, FolderFrames):
-            raise ValueError("apply: a folder of depth maps goes with a folder of frames; extract the video's frames.")
-        files = sorted(file for file in path.iterdir() if file.is_file())
-    else:
-        files = [path] if path.is_file() else []
-    return {"given": depth, "encoding": encoding, "digests": {file.name: file_digest(file) for file in files}}
+def _depth_named(depth: str, args: argparse.Namespace, frames: FolderFrames | ClipFrames) -> dict[str, Any]:
+    """The depth as part of the settings; files and folders by their content."""
+    if Path(depth).is_dir() and not isinstance(frames, FolderFrames):
+        raise ValueError("apply: a folder of depth maps goes with a folder of frames; extract the video's frames.")
+    given = {name: getattr(args, name, None) for name in DEPTH_ARGUMENTS}
+    digests = {}
+    for path in (Path(depth), *(value for value in given.values() if isinstance(value, Path))):
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            if file.is_file():
+                digests[str(file)] = file_digest(file)
+    return {"given": depth, **{name: None if v is None else str(v) for name, v in given.items()}, "digests": digests}
 
 
 def _result_of(

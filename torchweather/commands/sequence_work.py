@@ -58,7 +58,7 @@ class SequenceWork:
         self.plan, self.args, self.frames = plan, args, frames
         self.inner = BayerWeather(plan.weather, plan.camera, **plan.options)
         self.per_frame = Path(plan.depth).is_dir()
-        self.source = None if self.per_frame else depth_source(plan.depth, args.depth_encoding, Path(frames.name))
+        self.source = None if self.per_frame else self._source(Path(frames.name))
 
     def survey(self, sampled: list[Frame]) -> Survey:
         """One airlight and one outline of the own vehicle for the whole drive, the medians of these frames."""
@@ -78,11 +78,15 @@ class SequenceWork:
             notes = ["depth is guessed."]
         return Survey(airlight, confidence, notes)
 
-    def weathered(self, count: int, rate_hz: float, done: set[str] | frozenset[str]) -> Iterator[tuple[Frame, Tensor]]:
-        """The frames that are not done, each with its result."""
+    def weathered(
+        self, count: int, rate_hz: float, done: set[str] | frozenset[str], speeds_m_per_s: list[float] | None
+    ) -> Iterator[tuple[Frame, Tensor]]:
+        """The frames that are not done, each with its result, seen from the vehicle at each frame's speed."""
         transform: Any = AsBayer(self.inner) if self.frames.is_rgb else self.inner
         first = torch.zeros(()).expand(3 if self.frames.is_rgb else 1, *self.frames.size)
-        noises = transform.draw_sequence(first, count, 1.0 / rate_hz, seed=self.args.seed)
+        noises = transform.draw_sequence(
+            first, count, 1.0 / rate_hz, seed=self.args.seed, ego_speeds_m_per_s=speeds_m_per_s
+        )
         reach = reach_of(rate_hz)
         skipped = self._done_at_start(done)
         begin = max(0, skipped - reach)
@@ -95,7 +99,8 @@ class SequenceWork:
         bar = tqdm(steady, unit="frame", file=sys.stderr, disable=quiet, total=count, initial=skipped)
         for (frame, scene), noise in zip(bar, noises, strict=True):
             if frame.name not in done:
-                after: Tensor = self._guarded(frame, partial(transform, frame.image, scene, noise))
+                own = transform if speeds_m_per_s is None else transform.at_ego_speed(speeds_m_per_s[frame.number])
+                after: Tensor = self._guarded(frame, partial(own, frame.image, scene, noise))
                 yield frame, after
 
     def _done_at_start(self, done: set[str] | frozenset[str]) -> int:
@@ -105,11 +110,12 @@ class SequenceWork:
         names = [path.name for path in self.frames.paths]
         return next((number for number, name in enumerate(names) if name not in done), len(names))
 
+    def _source(self, frame: Path) -> DepthSource:
+        return depth_source(self.plan.depth, self.args.depth_encoding, frame, args=self.args)
+
     def _scene(self, frame: Frame) -> SceneDepth:
         def found() -> SceneDepth:
-            source: DepthSource | None = self.source
-            if source is None:
-                source = depth_source(self.plan.depth, self.args.depth_encoding, Path(frame.name))
+            source = self._source(Path(frame.name)) if self.source is None else self.source
             return scene_of(source, self.plan.camera, *self.frames.size, image=frame.image)
 
         return self._guarded(frame, found)

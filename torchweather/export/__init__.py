@@ -9,12 +9,13 @@ from torchweather.export.feed import draw_feed
 if TYPE_CHECKING:
     from torchweather.export.fusing import fuse
     from torchweather.export.graph import to_onnx
-    from torchweather.export.picture import MosaicToImage
+    from torchweather.export.picture import ImageToDetector, MosaicToImage
 
-__all__ = ["MosaicToImage", "draw_feed", "fuse", "to_onnx"]
+__all__ = ["ImageToDetector", "MosaicToImage", "draw_feed", "fuse", "to_onnx"]
 
 # Late, because they load torch, which a machine that only runs graphs can do without.
 LATE = {
+    "ImageToDetector": "torchweather.export.picture",
     "MosaicToImage": "torchweather.export.picture",
     "fuse": "torchweather.export.fusing",
     "to_onnx": "torchweather.export.graph",

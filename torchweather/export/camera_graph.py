@@ -1,4 +1,4 @@
-"""A camera transform as a function of tensors: frame, depth, intrinsics, knobs and noise in, signal out."""
+"""A camera transform as a function of tensors: image, depth, shares, intrinsics, knobs and noise in, image out."""
 
 from __future__ import annotations
 
@@ -12,30 +12,51 @@ from torchweather.image.bayer import cfa_colour_index
 from torchweather.random import draw_variates, sizes_of
 from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
 from torchweather.stages.camera_rays import rays_of
+from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerWeather
+from torchweather.transforms.rgb_planes import encoded_planes, linear_planes
 
-__all__ = ["traceable_camera"]
+__all__ = ["IMAGE_OUTPUTS", "traceable_camera"]
 
+IMAGE_OUTPUTS = {"bayer": "signal", "rgb": "weathered"}
+"""Image input of a camera's graph to its output."""
 INTRINSICS = ("fx", "fy", "cx", "cy")
+SHARES = ("sky", "near_mask")
 
 
-def traceable_camera(transform: BayerWeather, height: int, width: int) -> Traceable:
-    """What the exporter needs of a camera transform; ``height`` and ``width`` are those of the traced frame."""
+def traceable_camera(transform: BayerWeather | AsBayer, height: int, width: int, *, masks: bool = False) -> Traceable:
+    """What the exporter needs of a camera transform.
+
+    Args:
+        transform: of raw frames, or of RGB images as colour planes.
+        height, width: of the traced image.
+        masks: whether shares of sky and of the own vehicle are inputs.
+    """
     device = next(transform.buffers()).device
-    graph = _CameraGraph(transform).to(device)
+    graph = _CameraGraph(transform, masks=masks).to(device)
     arguments, shapes, names = _example(graph, height, width, device)
-    return Traceable(graph, arguments, shapes, names, ["signal"], graph.variates)
+    return Traceable(graph, arguments, shapes, names, [IMAGE_OUTPUTS[graph.image]], graph.variates)
 
 
 class _CameraGraph(nn.Module):
-    """A camera transform as a function of tensors only."""
+    """A camera transform as a function of tensors only.
 
-    def __init__(self, transform: BayerWeather) -> None:
+    Args:
+        transform: of raw frames, or of RGB images as colour planes.
+        masks: whether ``forward`` takes the shares of sky and own vehicle.
+    """
+
+    def __init__(self, transform: BayerWeather | AsBayer, *, masks: bool) -> None:
         super().__init__()
+        self.image = "rgb" if isinstance(transform, AsBayer) else "bayer"
+        if isinstance(transform, AsBayer):
+            transform = transform.transform
+        self.shares: tuple[str, ...] = SHARES if masks else ()
         self.chain = transform.chain
         self.camera, self.layer_top_m = transform.camera, transform.layer_top_m
-        self.register_buffer("cfa_index", torch.tensor(cfa_colour_index(self.camera.bayer_pattern)))
-        self.cfa_index: Tensor
+        cfa = torch.tensor(cfa_colour_index(self.camera.bayer_pattern)) if self.image == "bayer" else None
+        self.register_buffer("cfa_index", cfa)
+        self.cfa_index: Tensor | None
         self.variates = {
             f"{name}.{variate.name}": variate
             for name, stage in self.chain.stages.items()
@@ -44,15 +65,22 @@ class _CameraGraph(nn.Module):
         self.knobs = _knobs(transform)
 
     def forward(
-        self, bayer: Tensor, depth: Tensor, intrinsics: list[Tensor], knobs: list[Tensor], noise: list[Tensor]
+        self,
+        image: Tensor,
+        depth: Tensor,
+        shares: list[Tensor],
+        intrinsics: list[Tensor],
+        knobs: list[Tensor],
+        noise: list[Tensor],
     ) -> Tensor:
-        height, width = bayer.shape[-2:]
+        height, width = image.shape[-2:]
         fx, fy, cx, cy = intrinsics
-        x = (torch.arange(width, device=bayer.device).to(bayer.dtype) - cx) / fx
-        y = (torch.arange(height, device=bayer.device).to(bayer.dtype) - cy) / fy
+        x = (torch.arange(width, device=image.device).to(image.dtype) - cx) / fx
+        y = (torch.arange(height, device=image.device).to(image.dtype) - cy) / fy
         rays = rays_of(self.camera, *self.camera.undistort(x[None, :], y[:, None]), self.layer_top_m)
+        named_shares = dict(zip(self.shares, shares, strict=True))
         state = CameraState(
-            signal=bayer,
+            signal=linear_planes(image) if self.cfa_index is None else image,
             depth_m=depth,
             ray_per_depth=rays.per_depth,
             cfa_index=self.cfa_index,
@@ -60,10 +88,14 @@ class _CameraGraph(nn.Module):
             camera=self.camera,
             ray_in_layer_m=rays.in_layer_m,
             sine_elevation=rays.sine_elevation,
+            sky=named_shares.get("sky"),
+            near_mask=named_shares.get("near_mask"),
         )
         named_noise = dict(zip(self.variates, noise, strict=True))
         named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))
         after: CameraState = torch.func.functional_call(self.chain, named_knobs, (state, named_noise))
+        if self.cfa_index is None:
+            return encoded_planes(after.signal, state.signal, image)
         return after.signal
 
 
@@ -85,9 +117,14 @@ def _example(
     graph: _CameraGraph, height: int, width: int, device: torch.device
 ) -> tuple[tuple[Any, ...], tuple[Any, ...], list[str]]:
     """Arguments to trace with, their dynamic dimensions, and the names of the inputs."""
-    sizes = sizes_of(height, width)
-    half_h, half_w = torch.export.Dim("half_height", min=1), torch.export.Dim("half_width", min=1)
-    dims = {"H": 2 * half_h, "W": 2 * half_w}
+    planes = 1 if graph.image == "bayer" else 3
+    sizes = sizes_of(height, width, planes)
+    dims: dict[str, Any]
+    if graph.image == "bayer":
+        half_h, half_w = torch.export.Dim("half_height", min=1), torch.export.Dim("half_width", min=1)
+        dims = {"H": 2 * half_h, "W": 2 * half_w}
+    else:
+        dims = {"H": torch.export.Dim("height", min=2), "W": torch.export.Dim("width", min=2)}
     frame = {2: dims["H"], 3: dims["W"]}
     noise, noise_shapes = [], []
     for number, (key, variate) in enumerate(graph.variates.items()):
@@ -102,8 +139,16 @@ def _example(
     camera = graph.camera
     intrinsics = [torch.tensor(float(value), device=device) for value in camera.intrinsics]
     generator = torch.Generator().manual_seed(0)
-    bayer = torch.rand(1, 1, height, width, generator=generator).to(device)
+    image = torch.rand(1, planes, height, width, generator=generator).to(device)
     depth = 5.0 + 20.0 * torch.rand(1, 1, height, width, generator=generator).to(device)
-    arguments = (bayer, depth, intrinsics, knobs, noise)
-    shapes: tuple[Any, ...] = (frame, frame, [{} for _ in intrinsics], [{} for _ in knobs], noise_shapes)
-    return arguments, shapes, ["bayer", "depth", *INTRINSICS, *graph.knobs, *graph.variates]
+    shares = [torch.rand(1, 1, height, width, generator=generator).to(device) for _ in graph.shares]
+    arguments = (image, depth, shares, intrinsics, knobs, noise)
+    shapes: tuple[Any, ...] = (
+        frame,
+        frame,
+        [frame for _ in shares],
+        [{} for _ in intrinsics],
+        [{} for _ in knobs],
+        noise_shapes,
+    )
+    return arguments, shapes, [graph.image, "depth", *graph.shares, *INTRINSICS, *graph.knobs, *graph.variates]

@@ -16,9 +16,11 @@ from torchweather.random import Variate, draw_variates, sizes_of
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-__all__ = ["METADATA_KEY", "draw_feed", "variates_to_metadata"]
+__all__ = ["METADATA_KEY", "TRANSFORM_KEY", "draw_feed", "variates_to_metadata"]
 
 METADATA_KEY = "torchweather_variates"
+TRANSFORM_KEY = "torchweather_transform"
+RGB = "rgb"  # the image of a graph of three colour planes
 
 
 def draw_feed(
@@ -33,7 +35,7 @@ def draw_feed(
 
     Args:
         model: the onnxruntime session that runs the graph, or the graph's file or bytes (read anew at each call).
-        height, width: of a camera's frame, pixels, even.
+        height, width: of a camera's frame, pixels; even where the graph takes a mosaic.
         points: rows of a LiDAR's cloud or a radar's list.
         seed: the sample's integer, or one for each sample of a batch; the numbers equal
             ``transform.draw(data, seed=seed)``.
@@ -44,8 +46,8 @@ def draw_feed(
     Raises:
         TorchweatherError: the model was not written by ``to_onnx``.
     """
-    sizes = _sizes(height, width, points)
-    variates = _variates_of(model)
+    variates, image = _read(model)
+    sizes = _sizes(height, width, points, image)
     of_clouds = any("N" in variate.shape for variate in variates.values())
     if variates and of_clouds != ("N" in sizes):
         wanted, given = ("points", "height and width") if of_clouds else ("height and width", "points")
@@ -60,7 +62,8 @@ def draw_feed(
     return feed
 
 
-def _sizes(height: int | None, width: int | None, points: int | None) -> dict[str, int]:
+def _sizes(height: int | None, width: int | None, points: int | None, image: str | None) -> dict[str, int]:
+    """The named sizes of the data; ``image`` is ``bayer`` or ``rgb``, or ``None`` where the graph does not say."""
     if points is not None and height is None and width is None:
         if points < 0:
             raise ValueError(f"draw_feed: points must be 0 or more; got {points}.")
@@ -69,6 +72,10 @@ def _sizes(height: int | None, width: int | None, points: int | None) -> dict[st
         raise ValueError(
             "draw_feed: give height and width of a camera's frame, or the points of a LiDAR's cloud or a radar's list."
         )
+    if image == RGB:
+        if height < 1 or width < 1:
+            raise ValueError(f"draw_feed: height and width must be 1 px or more; got {height} x {width}.")
+        return sizes_of(height, width, 3)
     if height < 2 or width < 2 or height % 2 or width % 2:
         raise ValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
     return sizes_of(height, width)
@@ -79,9 +86,11 @@ def variates_to_metadata(variates: Mapping[str, Variate]) -> str:
     return json.dumps([{"input": key, **variate.to_dict()} for key, variate in variates.items()])
 
 
-def _variates_of(model: str | os.PathLike[str] | bytes | InferenceSession) -> dict[str, Variate]:
+def _read(model: str | os.PathLike[str] | bytes | InferenceSession) -> tuple[dict[str, Variate], str | None]:
+    """Noise inputs and their variates; and the image that a camera's graph takes, where it says."""
     session = model if hasattr(model, "get_modelmeta") else _opened(model)
-    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    said = session.get_modelmeta().custom_metadata_map
+    text = said.get(METADATA_KEY)
     if text is None:
         from torchweather.errors import TorchweatherError
 
@@ -90,7 +99,8 @@ def _variates_of(model: str | os.PathLike[str] | bytes | InferenceSession) -> di
             f"needs (metadata {METADATA_KEY!r})."
         )
     entries: Sequence[Mapping[str, Any]] = json.loads(text)
-    return {entry["input"]: Variate(**{k: v for k, v in entry.items() if k != "input"}) for entry in entries}
+    variates = {entry["input"]: Variate(**{k: v for k, v in entry.items() if k != "input"}) for entry in entries}
+    return variates, json.loads(said.get(TRANSFORM_KEY, "{}")).get("image")
 
 
 def _opened(model: str | os.PathLike[str] | bytes) -> InferenceSession:

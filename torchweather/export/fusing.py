@@ -11,11 +11,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import TorchweatherError
+from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.export.camera_graph import IMAGE_OUTPUTS
 from torchweather.export.graph import OPSET, traced_model
 from torchweather.export.joining import check_connection, inputs_of, join_models, signature_text
 from torchweather.export.metadata import set_properties
 from torchweather.io.atomic import atomic_write
+from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
@@ -23,15 +25,21 @@ from torchweather.transforms.radar import RadarAttenuation
 __all__ = ["fuse"]
 
 # Of the weather's graph, what a detector takes where nothing else is said.
-MAIN_OUTPUT = {BayerWeather: "signal", LidarWeather: "cloud", RadarAttenuation: "detections"}
+MAIN_OUTPUT = {
+    BayerWeather: IMAGE_OUTPUTS["bayer"],
+    AsBayer: IMAGE_OUTPUTS["rgb"],
+    LidarWeather: "cloud",
+    RadarAttenuation: "detections",
+}
 BETWEEN_HINT = (
     "Give between= a module that brings one into the form of the other, such as "
-    "torchweather.export.MosaicToImage for images, or connect= where it is another input."
+    "torchweather.export.MosaicToImage for mosaics and ImageToDetector for RGB images, or connect= where it is another "
+    "input."
 )
 
 
 def fuse(
-    transform: BayerWeather | LidarWeather | RadarAttenuation,
+    transform: BayerWeather | AsBayer | LidarWeather | RadarAttenuation,
     detector: str | os.PathLike[str] | bytes | nn.Module | Any,
     path: str | os.PathLike[str],
     *,
@@ -41,6 +49,7 @@ def fuse(
     keep: Sequence[str] = (),
     height: int = 64,
     width: int = 96,
+    masks: bool = False,
     points: int = 1000,
     columns: int | None = None,
     directions: bool | None = None,
@@ -54,14 +63,16 @@ def fuse(
         transform: as in ``to_onnx``.
         detector: an ONNX file, its bytes or ``onnx.ModelProto``; or a torch module, which is exported first.
         path: where to write; under a temporary name first.
-        between: from the weather's output to the detector's input, such as ``MosaicToImage``; exported with them.
-        connect: input of the detector to output of the weather (``signal``, ``cloud``, ``kind``, ``detections``, ...).
-            Default: the only input, or the one called as the output is, gets ``signal``, ``cloud`` or ``detections``.
+        between: from the weather's output to the detector's input, such as ``MosaicToImage`` or, behind
+            ``AsBayer``, ``ImageToDetector``; exported with them.
+        connect: input of the detector to output of the weather (``signal``, ``weathered``, ``cloud``, ``kind``,
+            ``detections``, ...). Default: the only input, or the one called as the output is, gets ``signal``,
+            ``weathered``, ``cloud`` or ``detections``.
             Inputs of the detector that are not connected become inputs of the graph.
         outputs: names for what a torch module gives; default its keys where it gives a dict, else ``output_0``, ...
         keep: outputs of the weather that the graph gives too, such as ``signal`` or ``kind``.
-        height, width, points, columns, directions: of the traced data, as in ``to_onnx``. Take those that the detector
-            wants.
+        height, width, masks, points, columns, directions: of the traced data, as in ``to_onnx``. Take those that the
+            detector wants.
 
     Returns:
         Names of the graph's inputs, in order.
@@ -87,8 +98,8 @@ def fuse(
     main = next((name for kind, name in MAIN_OUTPUT.items() if isinstance(transform, kind)), None)
     if main is None:
         raise TypeError(
-            "fuse: transform must be a Bayer or LiDAR transform or RadarAttenuation; got "
-            f"{type(transform).__name__}. Of AsBayer take its transform."
+            "fuse: transform must be a Bayer or LiDAR transform, AsBayer or RadarAttenuation; got "
+            f"{type(transform).__name__}."
         )
     if not target.parent.is_dir():
         raise FileNotFoundError(f"fuse: {target.parent}: no such folder.")
@@ -97,7 +108,7 @@ def fuse(
     # Before the weather's export, which takes long.
     opened: Any = None if isinstance(detector, nn.Module) else _opened(detector)
     weather, traceable, properties = traced_model(
-        transform, height=height, width=width, points=points, columns=columns, directions=directions
+        transform, height=height, width=width, masks=masks, points=points, columns=columns, directions=directions
     )
     for name in keep:
         if name not in {each.name for each in weather.graph.output}:
@@ -157,7 +168,9 @@ def _only_input(weather: Any, detector: Any, source: str) -> str:
 
 def _example(module: nn.Module, arguments: tuple[Any, ...], number: int) -> Tensor:
     """What the weather gives of the traced data."""
-    found = module(*arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TorchweatherWarning)  # the traced scene is made up, and may show no sky
+        found = module(*arguments)
     tensor: Tensor = found if isinstance(found, Tensor) else found[number]
     return tensor
 
@@ -171,10 +184,10 @@ def _exported(module: nn.Module, example: Tensor, name: str, outputs: Sequence[s
             warnings.simplefilter("ignore")  # the exporter's own
             names = list(outputs) if outputs is not None else _names(module(example))
             auto = torch.export.Dim.AUTO
-            # A size of 1 is one that never changes: the batch of a camera's graph, the colours of a mosaic.
-            shape = {place: auto for place, size in enumerate(example.shape) if size > 1}
-            if name != "signal":
-                shape.pop(example.ndim - 1, None)  # columns of a cloud
+            if name in IMAGE_OUTPUTS.values():  # one image of one or three planes
+                shape = {2: auto, 3: auto}
+            else:  # a size of 1 never changes, nor do the columns of a cloud
+                shape = {place: auto for place, size in enumerate(example.shape[:-1]) if size > 1}
             program = torch.onnx.export(
                 module,
                 (example,),

@@ -19,6 +19,7 @@ from torchweather.export.radar_graph import traceable_map, traceable_radar
 from torchweather.export.traceable import Traceable
 from torchweather.io.atomic import atomic_write
 from torchweather.radar import RangeDopplerMap
+from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
@@ -30,11 +31,12 @@ FEWEST_COLUMNS = {LidarWeather: 4, RadarAttenuation: 6}
 
 
 def to_onnx(
-    transform: BayerWeather | LidarWeather | RadarAttenuation | RangeDopplerMap,
+    transform: BayerWeather | AsBayer | LidarWeather | RadarAttenuation | RangeDopplerMap,
     path: str | os.PathLike[str],
     *,
     height: int = 64,
     width: int = 96,
+    masks: bool = False,
     points: int = 1000,
     columns: int | None = None,
     directions: bool | None = None,
@@ -44,6 +46,10 @@ def to_onnx(
     Inputs of a camera's graph: ``bayer`` and ``depth`` ``(1, 1, H, W)`` (linear, black 0, saturation 1; metres),
     ``fx, fy, cx, cy`` in pixels, the knob (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its names
     (``draw_feed``). Output: ``signal`` ``(1, 1, H, W)``. H and W are dynamic and even.
+
+    The graph of ``AsBayer``, for RGB images, has ``rgb`` ``(1, 3, H, W)`` in place of ``bayer`` and ``weathered`` in
+    place of ``signal``, both sRGB-encoded in 0..1. A sample that the weather does not change keeps its bits. H and W
+    may be odd.
 
     Inputs of a LiDAR's graph: ``points`` ``(B, N, columns)``, ``directions`` ``(N, 3)`` if asked for, the knob
     ``(B,)``, and the noise. Outputs: ``cloud`` ``(B, N, columns)`` and ``kind`` ``(B, N)`` int8 (``PointKind``); for a
@@ -60,10 +66,12 @@ def to_onnx(
     In a mixture of rain and snow the rates are ``rain_rate_mm_per_h`` and ``snow_rate_mm_per_h``.
 
     Args:
-        transform: ``BayerRain``, ``LidarFog``, ... , ``BayerWeather``, ``LidarWeather``, ``RadarAttenuation`` or
-            ``torchweather.radar.RangeDopplerMap``.
+        transform: ``BayerRain``, ``LidarFog``, ... , ``BayerWeather``, ``LidarWeather``, ``RadarAttenuation``,
+            ``torchweather.radar.RangeDopplerMap``, or ``AsBayer`` without ``through_mosaic``.
         path: where to write; under a temporary name first.
-        height, width: of a camera's traced frame; any even size runs.
+        height, width: of a camera's traced image; any even size runs, of RGB images any size.
+        masks: of a camera's graph: take the shares of a ``SceneDepth`` as inputs ``sky`` and ``near_mask``,
+            ``(1, 1, H, W)`` in 0..1. Default: the sky is where ``depth`` is infinite, and the own vehicle is not seen.
         points: of a LiDAR's traced cloud or a radar's list; any number runs.
         columns: of every cloud of a LiDAR (x, y, z, intensity) or list of a radar (x, y, z, speed, power, radar cross
             section) and others that are carried along; ``None``: these 4 or 6.
@@ -78,7 +86,7 @@ def to_onnx(
         length may be set freely; above the transform's own, the faintest listed particles become fewer. The margins
         around the frame, from which moving particles reach into it, are those of the transform's camera: for a frame
         much larger than it, with a tilted or distorting camera or a moving one, export the transform of the larger
-        camera.
+        camera. The mounting is fixed too: for a ``SceneDepth`` with a horizon row, export a camera of that pitch.
 
         LiDAR: sensor, return mode and the number of particles in a beam are fixed in the graph; the last follows from
         the transform's rate in the modes ``last``, ``first`` and ``dual``, so export the largest rate that will be fed.
@@ -99,7 +107,7 @@ def to_onnx(
         _check(transform, height, width)
         raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")
     model, traceable, properties = traced_model(
-        transform, height=height, width=width, points=points, columns=columns, directions=directions
+        transform, height=height, width=width, masks=masks, points=points, columns=columns, directions=directions
     )
     set_properties(model, properties)
     with atomic_write(target) as unfinished:
@@ -108,12 +116,23 @@ def to_onnx(
 
 
 def traced_model(
-    transform: Any, *, height: int, width: int, points: int, columns: int | None, directions: bool | None
+    transform: Any,
+    *,
+    height: int,
+    width: int,
+    points: int,
+    columns: int | None,
+    directions: bool | None,
+    masks: bool = False,
 ) -> tuple[Any, Traceable, dict[str, str]]:
     """A transform as onnx holds it, what was traced, and what the graph says of itself; the arguments of `to_onnx`."""
     _check(transform, height, width)
     import onnx
 
+    if masks and not isinstance(transform, (BayerWeather, AsBayer)):
+        raise ValueError(
+            f"to_onnx: masks=True adds shares of a camera's pixels; {type(transform).__name__} has none. Leave it out."
+        )
     fewest = next((number for kind, number in FEWEST_COLUMNS.items() if isinstance(transform, kind)), 0)
     columns = fewest if columns is None else columns
     if points < 2 or columns < fewest:
@@ -125,7 +144,7 @@ def traced_model(
     elif isinstance(transform, RangeDopplerMap):
         traceable = traceable_map(transform)
     else:
-        traceable = traceable_camera(transform, height, width)
+        traceable = traceable_camera(transform, height, width, masks=masks)
     model = _traced(traceable)
     onnx.checker.check_model(model)
     return model, traceable, model_properties(transform, traceable)
@@ -138,13 +157,21 @@ def _check(transform: object, height: int, width: int) -> None:
         import onnxscript  # noqa: F401  (torch's exporter needs it)
     except ImportError as error:
         raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
-    if height % 2 or width % 2 or height < 4 or width < 4:
+    if isinstance(transform, AsBayer):
+        if height < 4 or width < 4:
+            raise ValueError(f"to_onnx: height and width must be 4 or more; got {height} x {width}.")
+    elif height % 2 or width % 2 or height < 4 or width < 4:
         raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
-    if not isinstance(transform, (BayerWeather, LidarWeather, RadarAttenuation, RangeDopplerMap)):
+    if not isinstance(transform, (BayerWeather, AsBayer, LidarWeather, RadarAttenuation, RangeDopplerMap)):
         raise TypeError(
-            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), a LiDAR transform, "
-            "such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
+            "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), AsBayer of one, a "
+            "LiDAR transform, such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
             f"{type(transform).__name__}."
+        )
+    if isinstance(transform, AsBayer) and transform.through_mosaic:
+        raise ValueError(
+            "AsBayer.through_mosaic: a graph takes colour planes or a raw mosaic, and does not sample or demosaic; got "
+            "True. Take its transform, whose graph takes the mosaic, or leave through_mosaic out."
         )
 
 

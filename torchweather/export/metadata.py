@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torchweather
-from torchweather.export.feed import METADATA_KEY, variates_to_metadata
+from torchweather.export.feed import METADATA_KEY, TRANSFORM_KEY, variates_to_metadata
 from torchweather.export.traceable import Traceable
 from torchweather.radar import RangeDopplerMap
+from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerWeather
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
@@ -22,6 +23,9 @@ OF_WEATHER = {"rain": "2.2, 2.5, 3", "fog": "2.3, 3", "snow": "2.4, 2.5, 3"}
 MAP_SECTION = "6.4"
 UNITS = {
     "bayer": "linear in light: 0 black, 1 saturation",
+    "rgb": "sRGB-encoded, 0 to 1; so is the output",
+    "sky": "share of the pixel that shows the sky, 0 to 1",
+    "near_mask": "share of the pixel that shows the own vehicle, 0 to 1",
     "depth": "m along the optical axis; inf is the sky",
     "fx": "px",
     "fy": "px",
@@ -53,11 +57,12 @@ SEEDS = (
 
 def model_properties(transform: object, traceable: Traceable) -> dict[str, str]:
     """Name to text; what is not plain text is JSON."""
+    weather = transform.transform if isinstance(transform, AsBayer) else transform
     found = {
         "torchweather_version": torchweather.__version__,
-        "torchweather_transform": json.dumps(_plain(transform)),
-        "torchweather_equations": _equations(transform),
-        "torchweather_units": json.dumps({name: _unit(name, transform, traceable) for name in traceable.inputs}),
+        TRANSFORM_KEY: json.dumps(_plain(weather, traceable)),
+        "torchweather_equations": _equations(weather),
+        "torchweather_units": json.dumps({name: _unit(name, weather, traceable) for name in traceable.inputs}),
         "torchweather_seeds": SEEDS,
     }
     return {**found, METADATA_KEY: variates_to_metadata(traceable.variates)}
@@ -78,13 +83,15 @@ def _kind(transform: object) -> str:
     return "camera" if isinstance(transform, BayerWeather) else "radar"
 
 
-def _plain(transform: Any) -> dict[str, Any]:
+def _plain(transform: Any, traceable: Traceable) -> dict[str, Any]:
     if isinstance(transform, (LidarWeather, RadarAttenuation)):
         sensor = transform.sensor.to_dict()
     else:
         sensor = (transform.camera if isinstance(transform, BayerWeather) else transform.radar).to_dict()
     sensor.pop("directions", None)  # of the data; where they matter they are an input
     found = {"class": type(transform).__name__, "sensor": {"kind": _kind(transform), **sensor}}
+    if isinstance(transform, BayerWeather):
+        found["image"] = traceable.inputs[0]
     if not isinstance(transform, RangeDopplerMap):
         found["weather"] = transform.weather.to_dict()
         found["stages"] = list(transform.chain.stages)

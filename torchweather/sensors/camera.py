@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -244,14 +245,29 @@ class Camera(Sensor):
         )
 
     def undistort(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Distorted normalised coordinates to undistorted ones, by fixed point; identity without distortion."""
+        """Distorted normalised coordinates to undistorted ones, by fixed point; identity without distortion.
+
+        Coordinates that the lens cannot reach, outside the picture, become those of its outermost ray.
+        """
         if not self.distorted:
             return x, y
-        xu, yu = x, y
+        xu, yu, fold = x, y, self._fold_radius()
         for _ in range(UNDISTORT_ITERATIONS):
             xd, yd = self.distort(xu, yu)
             xu, yu = xu + (x - xd), yu + (y - yd)
+            if math.isfinite(fold):
+                shrink = (fold / torch.sqrt(xu * xu + yu * yu).clamp_min(1e-12)).clamp_max(1.0)
+                xu, yu = xu * shrink, yu * shrink
         return xu, yu
+
+    def _fold_radius(self) -> float:
+        """Undistorted radius at which ``r (1 + k1 r^2 + k2 r^4 + k3 r^6)`` stops growing; infinity where it does not.
+
+        No ray of the lens lies outside of it: there the polynomial is beyond what it was fitted to.
+        """
+        roots = np.roots([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
+        real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 0]
+        return math.sqrt(min(real)) if real else math.inf
 
     def distortion_jacobian(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Derivatives of the distorted by the undistorted coordinates: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""

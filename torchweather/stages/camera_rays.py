@@ -45,7 +45,7 @@ def rays_of(camera: Camera, x: Tensor, y: Tensor, layer_top_m: float = math.inf)
     Example:
         >>> camera = Camera.from_intrinsics(100, 100, 0, 0, 2, 2, height_m=2.0)
         >>> rays_of(camera, torch.zeros(1, 2), torch.tensor([[0.0, -1.0]]), layer_top_m=200.0).in_layer_m.round()
-        tensor([[[[50480.,   280.]]]])
+        tensor([[[[50482.,   280.]]]])
     """
     right, down, forward = camera.down_direction()
     per_depth = torch.sqrt(1 + x.square() + y.square())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -120,6 +121,19 @@ class ParticleVeil(Stage):
                 )
             )
 
+    def at_ego_speed(self, ego_speed_m_per_s: float) -> ParticleVeil:
+        """The same particles seen from the vehicle at another, smaller speed; it takes the noise of this one.
+
+        Args:
+            ego_speed_m_per_s: forward; its magnitude is at most that of the constructor's.
+        """
+        fastest = abs(float(self.options["ego_speed_m_per_s"]))
+        check_between("ego_speed_m_per_s", ego_speed_m_per_s, -fastest, fastest, unit="m/s", owner=self)
+        other = copy.copy(self)
+        other._modules = dict(self._modules)
+        other.populations = torch.nn.ModuleList(part.at_ego_speed(ego_speed_m_per_s) for part in self.parts)
+        return other
+
     @property
     def parts(self) -> list[Population]:
         """The populations, one for each kind of particle."""
@@ -232,6 +246,11 @@ class ParticleVeil(Stage):
     def _render(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         if state.signal.numel() == 0:
             return replace(state, particle_mask=state.one_plane if state.keep_truth else None)
+        before = state
+        if state.sky is not None:
+            # Particles reach to the far limit in front of the sky. A pixel that is mostly sky shows those, not the few
+            # in front of the leaf that it has in part: where the share comes near 1, nothing jumps.
+            state = replace(state, depth_m=torch.where(state.sky > 0.5, torch.inf, state.depth_m))
         for part in self.parts:
             part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
@@ -268,7 +287,7 @@ class ParticleVeil(Stage):
             return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
 
         results = by_rows(band, state.signal.shape, state.signal, apart=True)
-        return replace(state, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
+        return replace(before, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
 
     def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:
         """Colour of particles seen through fog: their light fades, the airlight takes its place."""

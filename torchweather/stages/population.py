@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from copy import copy as shallow_copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -124,7 +125,18 @@ class Population(nn.Module):
         )
         self.register_buffer("rate_mm_per_h", torch.as_tensor(rate, dtype=torch.float32))
         self._set_motion(ego_speed_m_per_s)
+        self.reach_drift_m_per_s = self.drift_m_per_s
         self._set_tables()
+
+    def at_ego_speed(self, ego_speed_m_per_s: float) -> Population:
+        """The same particles seen from the vehicle at another, smaller speed; margins and slots stay as they are.
+
+        Args:
+            ego_speed_m_per_s: forward; its magnitude is at most that of the constructor's.
+        """
+        other = shallow_copy(self)  # shares tables
+        other._set_motion(ego_speed_m_per_s)
+        return other
 
     def _set_motion(self, ego_speed_m_per_s: float) -> None:
         rotation = torch.tensor(self.camera.camera_from_vehicle(), dtype=torch.float64)
@@ -163,7 +175,7 @@ class Population(nn.Module):
         """Margin of a shell, px: half of its longest path with its widest mark."""
         shell = self.tables.listed[number]
         nearest = math.exp(float(shell.log_footprint[0]))
-        across, along, axial = (abs(v) for v in self.drift_m_per_s)
+        across, along, axial = (abs(v) for v in self.reach_drift_m_per_s)
         fastest = shell.length_max_px * nearest / self.optics.exposure_s  # fall speed of the fastest particle, m/s
         radial = axial + fastest * abs(self.down[2])
         half_u = max(self.camera.principal_point_px[0], self.camera.width - self.camera.principal_point_px[0])

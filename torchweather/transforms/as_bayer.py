@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -132,6 +132,11 @@ class AsBayer(nn.Module):
         assert isinstance(inner, BayerWeather)
         return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
 
+    def at_ego_speed(self, ego_speed_m_per_s: float) -> AsBayer:
+        """The same seen from the vehicle at another speed; see ``BayerWeather.at_ego_speed``."""
+        inner = self.transform.at_ego_speed(ego_speed_m_per_s)
+        return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
+
     def run(
         self, rgb: Tensor, depth: Tensor | SceneDepth | None = None, noise: Mapping[str, Tensor] | None = None
     ) -> RgbResult:
@@ -187,6 +192,8 @@ class AsBayer(nn.Module):
         frame_interval_s: float,
         generator: torch.Generator | None = None,
         seed: int | Tensor | None = None,
+        *,
+        ego_speeds_m_per_s: Sequence[float] | None = None,
     ) -> Iterator[dict[str, Tensor]]:
         """Noise of successive frames in which particles move; arguments as ``BayerWeather.draw_sequence``."""
         self._check(rgb)
@@ -195,8 +202,11 @@ class AsBayer(nn.Module):
         if self.through_mosaic:
             height, width = padded_size(*rgb.shape[-2:])
             frame = torch.zeros(()).expand(*rgb.shape[:-3], 1, height, width)
-            return self._inner(height, width).draw_sequence(frame, frames, frame_interval_s, generator, seed)
-        return self.transform.sequence_of(rgb, frames, frame_interval_s, generator, seed)
+            inner = self._inner(height, width)
+            return inner.draw_sequence(
+                frame, frames, frame_interval_s, generator, seed, ego_speeds_m_per_s=ego_speeds_m_per_s
+            )
+        return self.transform.sequence_of(rgb, frames, frame_interval_s, generator, seed, ego_speeds_m_per_s)
 
     def without_weather(self, rgb: Tensor) -> Tensor:
         """The clear image to compare images in weather with: the image itself, or by way of the mosaic alone.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,6 +30,7 @@ from torchweather.stages import (
 from torchweather.stages.airlight import airlight_argument, given_or_estimated, scaled_airlight
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera_rays import Rays, rays_of
+from torchweather.stages.overcast_sky import OvercastSky
 from torchweather.stages.patchy_air import PatchyAir, patchy_air
 from torchweather.transforms.raw_levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.transforms.weather_transform import Sizes, WeatherTransform, options_of
@@ -37,6 +39,7 @@ from torchweather.weather import Fog, Rain, Snow, Weather, check_knobs
 __all__ = ["BayerFog", "BayerRain", "BayerSnow", "BayerWeather", "CameraResult"]
 
 VARIANTS = ("d3_4",)
+SKIES = ("overcast",)
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class BayerWeather(WeatherTransform):
             luminance of the frame's sky above the horizon; ``None`` is ``sky``, and ``grey`` for RGB images.
         layer_top_m: height of the fog's top above the ground, metres; above it the sky shows through. Default: 200 m,
             the top of deep radiation fog; infinity is fog without end.
+        sky: ``overcast`` puts the grey of an overcast sky behind rain and snow, where the frame shows sky; sunlight and
+            cast shadows stay. ``None`` keeps the frame's.
         extinction: of fog: ``mie`` or ``koschmieder``.
         near_m, far_m: limits of falling particles along the optical axis.
         cut, crowding: peak coverage above which, and number per pixel and e-fold of depth up to which, particles are
@@ -101,6 +106,7 @@ class BayerWeather(WeatherTransform):
         depth: object = None,
         airlight: Sequence[float] | float | str | None = None,
         layer_top_m: float = 200.0,
+        sky: str | None = None,
         extinction: str = "mie",
         near_m: float = 0.5,
         far_m: float = 200.0,
@@ -119,6 +125,8 @@ class BayerWeather(WeatherTransform):
         self._check_sensor(camera, Camera, "lucid-triton")
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
+        if sky is not None:
+            check_one_of("sky", sky, SKIES, owner=self)
         airlight = airlight_argument(airlight, owner=self)
         check_at_least(
             "layer_top_m", layer_top_m, camera.height_m, unit="m", owner=self, advice="It must be above the camera."
@@ -130,6 +138,8 @@ class BayerWeather(WeatherTransform):
         stages: dict[str, Stage] = patchy_air(weather, ego_speed_m_per_s)
         fogs = [part for part in weather.parts if isinstance(part, Fog)]
         falling = [part for part in weather.parts if isinstance(part, (Rain, Snow))]
+        if falling and sky is not None:
+            stages["overcast_sky"] = OvercastSky(falling, airlight)
         if fogs:
             stages["extinction_and_airlight"] = ExtinctionAndAirlight(
                 fogs[0], tuple(camera.bands.values()), airlight, extinction, variant
@@ -265,6 +275,8 @@ class BayerWeather(WeatherTransform):
         frame_interval_s: float,
         generator: torch.Generator | None = None,
         seed: int | Tensor | None = None,
+        *,
+        ego_speeds_m_per_s: Sequence[float] | None = None,
     ) -> Iterator[dict[str, Tensor]]:
         """Noise of successive frames in which particles and patches move with fall speed, wind and ego motion.
 
@@ -273,6 +285,8 @@ class BayerWeather(WeatherTransform):
             frames: how many.
             frame_interval_s: from frame to frame, seconds.
             generator, seed: as in ``draw``; the first frame is what ``draw`` gives.
+            ego_speeds_m_per_s: one speed a frame, none faster than the constructor's. Frame k is then that of
+                ``at_ego_speed(ego_speeds_m_per_s[k])``. Default: the constructor's in every frame.
 
         Yields:
             Noise for ``forward``, frame after frame.
@@ -290,7 +304,22 @@ class BayerWeather(WeatherTransform):
             3
         """
         check_bayer(bayer, self.camera, self)
-        return self.sequence_of(bayer, frames, frame_interval_s, generator, seed)
+        return self.sequence_of(bayer, frames, frame_interval_s, generator, seed, ego_speeds_m_per_s)
+
+    def at_ego_speed(self, ego_speed_m_per_s: float) -> BayerWeather:
+        """The same seen from the vehicle at another speed; it takes the noise of this one.
+
+        Args:
+            ego_speed_m_per_s: forward; its magnitude is at most that of the constructor's.
+        """
+        stages = self.chain.stages | patchy_air(self.weather.densest(), ego_speed_m_per_s)
+        for name, stage in stages.items():
+            if isinstance(stage, ParticleVeil):
+                stages[name] = stage.at_ego_speed(ego_speed_m_per_s)
+        other = copy.copy(self)
+        other._modules = dict(self._modules)
+        other.chain = Chain(stages)
+        return other
 
     def sequence_of(
         self,
@@ -299,10 +328,16 @@ class BayerWeather(WeatherTransform):
         frame_interval_s: float,
         generator: torch.Generator | None,
         seed: int | Tensor | None,
+        ego_speeds_m_per_s: Sequence[float] | None = None,
     ) -> Iterator[dict[str, Tensor]]:
         """Noise of successive frames of an image ``(..., C, H, W)``."""
         check_at_least("frames", frames, 1, owner=self)
         check_positive("frame_interval_s", frame_interval_s, unit="s", owner=self)
+        if ego_speeds_m_per_s is not None and len(ego_speeds_m_per_s) != frames:
+            raise ValueError(
+                f"{type(self).__name__}: ego_speeds_m_per_s must hold one speed for each of {frames} frames; got "
+                f"{len(ego_speeds_m_per_s)}."
+            )
         batch = image.shape[:-3]
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == batch else seed
         seeds = sample_seeds((math.prod(batch),), generator, flat_seed)
@@ -311,7 +346,10 @@ class BayerWeather(WeatherTransform):
         noise = self.drawn((len(seeds),), sizes.sizes, None, torch.tensor(seeds))
         for frame in range(int(frames)):
             if frame:
-                for name, stage in self.chain.stages.items():
+                moving = self
+                if ego_speeds_m_per_s is not None:  # the mean over the interval moves the particles
+                    moving = self.at_ego_speed(0.5 * (ego_speeds_m_per_s[frame - 1] + ego_speeds_m_per_s[frame]))
+                for name, stage in moving.chain.stages.items():
                     own = {k.removeprefix(f"{name}."): v for k, v in noise.items() if k.startswith(f"{name}.")}
                     if isinstance(stage, ParticleVeil):
                         own = stage.next_frame(own, (height, width), frame_interval_s, seeds, name, frame)
