@@ -156,6 +156,15 @@ def test_exposure_of_the_condition_counts() -> None:
     assert not np.array_equal(short, long)
 
 
+def test_a_measured_airlight_of_the_condition_counts() -> None:
+    built = study("camera", clear=2, frames=1)
+    condition = replace(built.conditions[0], weather=Fog(mor_m=5.0), airlight=(0.3, 0.4, 0.5))
+    foggy = simulate(built, condition, seed=1)["bayer"]
+    # Of a scene some metres away nothing is left in fog of 5 m, but where it is near: the airlight shows.
+    assert np.median(foggy[0::2, 0::2]) == pytest.approx(0.3, abs=0.05)
+    assert np.median(foggy[1::2, 1::2]) == pytest.approx(0.5, abs=0.05)
+
+
 # ---- radar -----------------------------------------------------------------------------------------------------------
 
 

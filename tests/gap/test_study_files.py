@@ -9,6 +9,7 @@ import os
 import pickle
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +60,16 @@ def refused(folder: Path, message: str) -> None:
 @every_kind
 def test_what_is_written_is_read_back_exactly(kind: str, tmp_path: Path) -> None:
     before = study(kind)
+    if kind == "camera":
+        lit = replace(before.conditions[0], airlight=(0.31, 0.33, 0.36))
+        before = replace(before, conditions=(lit, *before.conditions[1:]))
     before.write(tmp_path / "study")
     after = Study.read(tmp_path / "study")
     assert after.sha256 == before.sha256
     assert after.sensor == before.sensor
     assert (after.kind, list(after.scenes)) == (before.kind, list(before.scenes))
     for one, two in zip(before.conditions, after.conditions, strict=True):
-        for name in ("id", "scene", "weather", "rel_sd", "split", "ego_speed_m_per_s", "exposure_s"):
+        for name in ("id", "scene", "weather", "rel_sd", "split", "ego_speed_m_per_s", "exposure_s", "airlight"):
             assert getattr(one, name) == getattr(two, name), name
         assert np.array_equal(np.array(one.time_s), np.array(two.time_s))
         for frame, again in zip(one.frames, two.frames, strict=True):

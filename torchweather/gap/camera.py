@@ -140,7 +140,9 @@ class CameraFrames:
                 if condition.exposure_s is not None:
                     camera = replace(camera, exposure_s=condition.exposure_s)
                 airlight, _ = self._airlight[condition.scene]
-                if airlight is not None:  # of all clear frames, which knows it better than one
+                if condition.airlight is not None:
+                    options["airlight"] = condition.airlight
+                elif airlight is not None:  # of all clear frames, which knows it better than one
                     options.setdefault("airlight", airlight)
                 self.transforms[condition.id] = BayerWeather(weather, camera, **options)
             return self.transforms[condition.id]
@@ -156,6 +158,8 @@ class CameraFrames:
     def _airlight_sd(self, condition: Condition) -> dict[str, float]:
         """Relative standard deviation of the airlight by colour: in fog of a noisy sky, in rain as drops show it."""
         airlight, sky_sd = self._airlight[condition.scene]
+        if condition.airlight is not None:  # measured: nothing of it is open but what drops show
+            airlight, sky_sd = condition.airlight, {}
         assert condition.weather is not None
         kinds = {part.kind for part in condition.weather.parts}
         if "fog" in kinds:

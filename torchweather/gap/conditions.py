@@ -42,6 +42,8 @@ class Condition:
         split: ``fit`` or ``holdout``.
         ego_speed_m_per_s: speed of the vehicle; ``None`` is unknown.
         exposure_s: of the camera, where it is not the sensor's.
+        airlight: measured light of the fog or sky of a camera's condition: red, green, blue, linear, in units of
+            saturation; ``None`` is estimated from the clear frames.
     """
 
     id: str
@@ -53,3 +55,4 @@ class Condition:
     split: str
     ego_speed_m_per_s: float | None
     exposure_s: float | None
+    airlight: tuple[float, float, float] | None = None

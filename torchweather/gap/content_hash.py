@@ -59,4 +59,6 @@ def _lines(study: Study) -> Iterable[Any]:
         weather = None if one.weather is None else plain(one.weather.to_dict())
         times = None if one.time_s is None else one.time_s.tolist()
         stated = [one.id, one.scene, weather, one.rel_sd, times, one.split, one.ego_speed_m_per_s, one.exposure_s]
+        if one.airlight is not None:  # studies without keep the hash that they had
+            stated.append(list(one.airlight))
         yield [*stated, [frame_sha256(frame) for frame in one.frames]]

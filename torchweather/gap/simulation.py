@@ -85,7 +85,9 @@ def simulate(study: Study, condition: Condition, *, seed: int, number: int = 0) 
             camera = replace(camera, exposure_s=condition.exposure_s)
         depth_m = scene.geometry["depth_m"]
         speed = condition.ego_speed_m_per_s or 0.0
-        return simulated_camera(clear, depth_m, condition.weather, camera, drawn, ego_speed_m_per_s=speed)
+        return simulated_camera(
+            clear, depth_m, condition.weather, camera, drawn, ego_speed_m_per_s=speed, airlight=condition.airlight
+        )
     assert isinstance(study.sensor, Radar)  # kinds are checked when a study is built
     return simulated_radar(clear, scene.geometry, condition.weather, study.sensor, drawn)
 
@@ -148,15 +150,25 @@ def _flat(values: Array) -> Tensor:
 
 
 @lru_cache(maxsize=TRANSFORMS_KEPT)
-def _camera_transform(weather: Weather, camera: Camera, ego_speed_m_per_s: float) -> BayerWeather:
+def _camera_transform(
+    weather: Weather, camera: Camera, ego_speed_m_per_s: float, airlight: tuple[float, float, float] | None
+) -> BayerWeather:
     # The frames of a study are linear already.
-    return BayerWeather(weather, replace(camera, response_knots=None), ego_speed_m_per_s=ego_speed_m_per_s)
+    linear = replace(camera, response_knots=None)
+    return BayerWeather(weather, linear, ego_speed_m_per_s=ego_speed_m_per_s, airlight=airlight)
 
 
 def simulated_camera(
-    clear: Frame, depth_m: Array, weather: Weather, camera: Camera, seed: int, *, ego_speed_m_per_s: float = 0.0
+    clear: Frame,
+    depth_m: Array,
+    weather: Weather,
+    camera: Camera,
+    seed: int,
+    *,
+    ego_speed_m_per_s: float = 0.0,
+    airlight: tuple[float, float, float] | None = None,
 ) -> dict[str, Array]:
-    """A raw frame in a weather; the airlight is that of the clear frame's sky, as ``BayerWeather`` finds it.
+    """A raw frame in a weather.
 
     Args:
         clear: ``bayer (H, W)``, linear, black 0, saturation 1.
@@ -164,11 +176,12 @@ def simulated_camera(
         weather, camera: as in ``BayerWeather``; the camera's exposure is that of the frame.
         seed: of the weather.
         ego_speed_m_per_s: of the vehicle, forward.
+        airlight: as measured, linear; ``None`` takes that of the clear frame's sky, as ``BayerWeather`` finds it.
 
     Returns:
         ``bayer (H, W)``.
     """
-    transform = _camera_transform(weather, camera, ego_speed_m_per_s)
+    transform = _camera_transform(weather, camera, ego_speed_m_per_s, airlight)
     bayer = torch.from_numpy(np.array(clear["bayer"], dtype=np.float32))[None]
     depth = torch.from_numpy(np.array(depth_m, dtype=np.float32))[None]
     with torch.no_grad():

@@ -317,6 +317,8 @@ def _condition_values(one: Condition, frames: Sequence[str]) -> dict[str, Any]:
     for name in ("ego_speed_m_per_s", "exposure_s"):
         if getattr(one, name) is not None:
             values[name] = getattr(one, name)
+    if one.airlight is not None:
+        values["airlight"] = list(one.airlight)
     return values
 
 

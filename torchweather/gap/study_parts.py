@@ -18,6 +18,7 @@ from torchweather.gap.frames import Frame, Frames, FrameSource, load
 from torchweather.gap.splits import SPLITS, resolve_splits
 from torchweather.gap.study_checks import ARRAYS, FrameRule
 from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.stages.airlight import airlight_argument
 from torchweather.stages.intensity import FULL_SCALE
 from torchweather.weather import Fog, Rain, Snow, Weather, parse_weather, weather_from_dict
 
@@ -35,7 +36,7 @@ CLEAR = "clear"
 SCENE_KEYS = ("id", "clear", "geometry")
 CONDITION_KEYS = (
     *("id", "scene", "weather", "rel_sd", "frames", "time_s", "split"),
-    *("ego_speed_m_per_s", "exposure_s"),
+    *("ego_speed_m_per_s", "exposure_s", "airlight"),
 )
 # Guards against another unit. A record that is off by its own value says nothing; 10 % is 0.1.
 MOST_REL_SD = 1.0
@@ -166,8 +167,28 @@ def _conditions(
             split=split or "",
             ego_speed_m_per_s=_optional(row, "ego_speed_m_per_s", key, FASTEST_M_PER_S, "m/s", owner),
             exposure_s=_optional(row, "exposure_s", key, LONGEST_EXPOSURE_S, "s", owner),
+            airlight=_airlight(row, kind, key, owner),
         )
     return resolve_splits(tuple(built.values()))
+
+
+def _airlight(row: Values, kind: str, key: str, owner: str) -> tuple[float, float, float] | None:
+    """The measured airlight of a camera's condition, red, green, blue."""
+    given = row.get("airlight")
+    if given is None:
+        return None
+    if kind != "camera":
+        raise TorchweatherError(f"{owner}: {key}.airlight belongs to a camera; the study is of a {kind}. Leave it out.")
+    try:
+        found = airlight_argument(given, f"{key}")
+    except (TypeError, ValueError) as error:
+        raise TorchweatherError(f"{owner}: {key}.airlight: {error}") from error
+    if isinstance(found, str):
+        raise TorchweatherError(
+            f"{owner}: {key}.airlight must be a number or (red, green, blue) in 0..1, linear, as measured; got "
+            f"{found!r}."
+        )
+    return found
 
 
 def _needed(kind: str) -> list[str]:

@@ -28,7 +28,6 @@ from torchweather.weather import Rain, Snow, weather_from_dict
 __all__ = ["REFLECTED_SHARE", "ParticleVeil"]
 
 REFLECTED_SHARE = 0.06  # of the light of a drop comes from its outside: Garg & Nayar 2007, PHYSICS.md 4.1
-UPPER_SHARE = 0.6  # of the rows is the part of the frame seen through a drop in D3.4's code
 DROP_VIEWS = ("frame", "upper")
 FAINTEST = 1e-20  # optical depth below which a colour does not matter
 
@@ -192,7 +191,8 @@ class ParticleVeil(Stage):
     def _seen_through(self, state: CameraState) -> Tensor:
         if self.drop_view == "frame":
             return frame_mean(state)
-        rows = max(2, int(state.signal.shape[-2] * UPPER_SHARE) // 2 * 2)
+        # Whole row pairs of the upper three fifths; sym_max, so that a graph of any height counts anew.
+        rows = torch.sym_max(2, state.signal.shape[-2] * 3 // 5 // 2 * 2)  # type: ignore[no-untyped-call]
         return frame_mean(replace(state, signal=state.signal[..., :rows, :]))
 
     def behind(self, state: CameraState, particle_mask: Tensor) -> CameraState:

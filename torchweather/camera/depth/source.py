@@ -104,5 +104,5 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
         nan, negative = int(depth_m.isnan().sum()), int((depth_m < 0).sum())
         raise ValueError(
             f"{name}: depth must be 0 m or more along the optical axis, inf for sky; got {nan} NaN and {negative} "
-            f"negative of {depth_m.numel()} pixels. Fill unknown pixels (torchweather.io.read_depth has missing_m=)."
+            f"negative of {depth_m.numel()} pixels. Complete maps with unknown pixels: CompletedDepthMap(depth)."
         )
