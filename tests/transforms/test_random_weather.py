@@ -113,6 +113,7 @@ def test_a_seed_of_the_transform_makes_the_weather_a_function_of_the_picture() -
     one, other = picture(), 255 - picture()
     first = rain(one)
     rain(other)
+    assert rain._seed_of(one) != rain._seed_of(other)  # another storm
     assert torch.equal(rain(one), first)
     assert torch.equal(rain(torch.stack([other, one]))[1], first)
     assert not torch.equal(tw.RandomRain((5, 50), p=1.0, depth=30.0, airlight=0.7, seed=8)(one), first)

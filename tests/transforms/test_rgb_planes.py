@@ -145,6 +145,17 @@ def test_the_sky_is_seen_through_the_layer_along_its_ray() -> None:
     assert float(seen[0, row, column]) == pytest.approx(expected, rel=1e-3)
 
 
+def test_the_horizon_of_the_scene_sets_the_elevation_of_its_rays() -> None:
+    rgb, _ = street()
+    fog = AsBayer(BayerFog(Fog(mor_m=1000.0), camera(), airlight=AIRLIGHT))
+    endless = torch.full((1, H, W), math.inf)
+    seen = fog.run(rgb, SceneDepth(endless, horizon_row=30.0)).transmission  # the camera's own is row 20
+    pitch_rad = math.atan((30.0 - 20.0) / 60.0)
+    pitched = AsBayer(BayerFog(Fog(mor_m=1000.0), camera(pitch_rad=pitch_rad), airlight=AIRLIGHT))
+    torch.testing.assert_close(seen, pitched.run(rgb, endless).transmission, rtol=1e-5, atol=1e-7)
+    assert float(seen[0, 10, 31]) > 5 * float(fog.run(rgb, endless).transmission[0, 10, 31])
+
+
 def test_a_level_ray_ends_where_the_earth_curves_away() -> None:
     seen = transmission(1e6, torch.full((1, H, W), math.inf), layer_top_m=200.0)
     level_m = math.sqrt(2 * 6.371e6 * 200.0)
