@@ -76,6 +76,7 @@ def test_without_a_recording_the_example_says_what_it_needs(tmp_path: Path) -> N
     assert "two frames or more" in done.stderr
 
 
+@pytest.mark.long  # minutes
 @pytest.mark.real_data
 def test_real_snow_is_searched(tmp_path: Path) -> None:
     root = os.environ.get("TORCHWEATHER_REAL_DATA")

@@ -134,6 +134,7 @@ def column(text: str, label: str) -> list[float]:
     return [float(value) for value in re.findall(r"([\d.]+) ±", line)]
 
 
+@pytest.mark.long  # minutes
 @pytest.mark.real_data
 def test_measured_links_lose_at_their_wet_ends(tmp_path: Path) -> None:
     root = os.environ.get("TORCHWEATHER_REAL_DATA")
