@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from torchweather.commands.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.commands.detections import RADAR_ARGUMENTS, add_radar_arguments
-from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments
+from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 
 if TYPE_CHECKING:
     from torchweather.transforms.recipes import Recipe
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 NAME = "apply"
 SUMMARY = "weather on files of images, point clouds and radar detections"
 DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
-pixel is a raw Bayer mosaic, a colour file goes through its mosaic and back. A point cloud is KITTI or WADS .bin,
+pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin,
 nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
 (nuScenes' or one's own), .npz or .csv. In a video, and in a folder with --sequence, the particles move from frame to
 frame. Each output keeps the name and format of its input (of a .pcap each frame
@@ -81,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_depth_arguments(parser)
     add_camera_arguments(parser)
+    add_through_mosaic(parser)
     add_lidar_arguments(parser)
     add_radar_arguments(parser)
 

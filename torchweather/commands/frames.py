@@ -15,6 +15,7 @@ __all__ = [
     "CAMERA_ARGUMENTS",
     "add_camera_arguments",
     "add_depth_arguments",
+    "add_through_mosaic",
     "camera_fields",
     "depth_source",
     "fitted_camera",
@@ -26,7 +27,7 @@ CAMERA_ARGUMENTS = (
     *("camera", "camera_name", "pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy"),
     *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
     *("depth_along", "baseline_m", "calib", "depth_model", "depth_model_output", "depth_model_scale"),
-    "depth_model_multiple_px",
+    *("depth_model_multiple_px", "through_mosaic"),
 )
 
 
@@ -56,13 +57,17 @@ def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--cx", type=float, help="principal point, pixels of the frame")
     group.add_argument("--cy", type=float, help="principal point, pixels of the frame")
     group.add_argument("--exposure-s", type=float, help="exposure time, s: it sets the length of the streaks")
-    group.add_argument(
-        "--through-mosaic",
-        action="store_true",
-        help="take colour images through the camera's mosaic and back, with the loss of its demosaicing",
-    )
     group.add_argument("--height-m", type=float, help="height above the road, m, for --depth ground")
     group.add_argument("--pitch-rad", type=float, help="pitch, rad, positive looks up, for --depth ground")
+
+
+def add_through_mosaic(parser: argparse.ArgumentParser) -> None:
+    """The argument that takes colour images through the camera's mosaic."""
+    parser.add_argument(
+        "--through-mosaic",
+        action="store_true",
+        help="take colour images, clear ones too, through the camera's mosaic and back: the sensor's own loss",
+    )
 
 
 def add_depth_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.commands.clouds import LIDAR_FIELDS, add_lidar_fields
-from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments
+from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.commands.robustness_frames import RobustnessFrames, truth_file
 
 if TYPE_CHECKING:
@@ -81,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ego-speed-m-per-s", type=float, help="of a camera: speed of the vehicle")
     add_depth_arguments(parser)
     add_camera_arguments(parser)
+    add_through_mosaic(parser)
     add_lidar_fields(parser.add_argument_group("lidar", "replaces what the preset says"))
 
 

@@ -82,7 +82,9 @@ class SequenceWork:
         self, count: int, rate_hz: float, done: set[str] | frozenset[str], speeds_m_per_s: list[float] | None
     ) -> Iterator[tuple[Frame, Tensor]]:
         """The frames that are not done, each with its result, seen from the vehicle at each frame's speed."""
-        transform: Any = AsBayer(self.inner) if self.frames.is_rgb else self.inner
+        transform: Any = (
+            AsBayer(self.inner, through_mosaic=self.args.through_mosaic) if self.frames.is_rgb else self.inner
+        )
         first = torch.zeros(()).expand(3 if self.frames.is_rgb else 1, *self.frames.size)
         noises = transform.draw_sequence(
             first, count, 1.0 / rate_hz, seed=self.args.seed, ego_speeds_m_per_s=speeds_m_per_s

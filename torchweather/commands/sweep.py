@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from torchweather.commands.clouds import LIDAR_FIELDS, add_force, add_lidar_fields
 from torchweather.commands.detections import RADAR_FIELDS, add_radar_fields
-from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments
+from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.commands.regions import REGION_HELP
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ego-speed-m-per-s", type=float, help="of a camera: speed of the vehicle")
     add_depth_arguments(parser)
     add_camera_arguments(parser)
+    add_through_mosaic(parser)
     lidar = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(lidar)
     lidar.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")

@@ -113,7 +113,14 @@ class _Camera(Maker):
             )
         self.notes += [f"{file.name}: {sentence}." for sentence in depth.notes]
         yield CameraSubject(
-            str(file), data, depth.depth_m, camera, scene=scene, options=self.options, scene_depth=depth
+            str(file),
+            data,
+            depth.depth_m,
+            camera,
+            scene=scene,
+            options=self.options,
+            scene_depth=depth,
+            through_mosaic=self.args.through_mosaic,
         )
 
 

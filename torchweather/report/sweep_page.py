@@ -272,7 +272,7 @@ def _pictures(series: Series, subject: Subject) -> list[dict[str, str]]:
 
 def _camera_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[str]:
     frame = Frame(subject.name, subject.name, subject.data, subject.depth_m, subject.camera)
-    data = [subject.data, *(subject.render(level.weather, seed) for level in levels)]
+    data = [subject.reference, *(subject.render(level.weather, seed) for level in levels)]
     return [jpeg_uri(shrunk(frame.picture(one), PICTURE_PX)) for one in data]
 
 

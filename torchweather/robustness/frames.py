@@ -82,7 +82,7 @@ class FrameInWeather:
             if isinstance(subject, LidarSubject):
                 self._cloud(subject.points, torch.zeros(len(subject.points), dtype=torch.bool), None)
             else:
-                self._frame(subject, subject.data, None)
+                self._frame(subject, subject.reference, None)
         self.add(counter)
 
     def weather(self, condition: Condition, seed: int, metrics: Sequence[str], *, first: bool) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
@@ -18,7 +19,7 @@ from torchweather.radar import FmcwRadar, Scatterers
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerWeather, LidarResult, LidarWeather, RadarAttenuation
 from torchweather.transforms.raw_levels import raw_to_linear
-from torchweather.weather import Weather
+from torchweather.weather import Fog, Weather
 
 __all__ = ["CameraSubject", "LidarSubject", "RadarSceneSubject", "RadarSubject", "Subject"]
 
@@ -74,6 +75,7 @@ class CameraSubject:
         scene: of the frames that are judged together; empty: the frame alone.
         indoors: it neither rains nor snows there.
         options: of ``BayerWeather``, such as ``airlight``.
+        through_mosaic: take RGB frames, the clear one too, through the camera's mosaic and back.
         scene_depth: what a depth source knows beside ``depth_m``: sky, own vehicle, confidence.
 
     Note:
@@ -97,6 +99,7 @@ class CameraSubject:
     indoors: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
     scene_depth: SceneDepth | None = None
+    through_mosaic: bool = False
 
     sensor: ClassVar[str] = "camera"
     directions: ClassVar[Mapping[str, str]] = IMAGE_DIRECTIONS
@@ -114,10 +117,18 @@ class CameraSubject:
         """True for a colour image, False for a mosaic."""
         return self.data.shape[-3] == 3
 
+    @property
+    def reference(self) -> Tensor:
+        """The clear frame that frames in weather are compared with; by way of the mosaic where they went that way."""
+        if not (self.is_rgb and self.through_mosaic):
+            return self.data
+        clear_air = BayerWeather(Fog(mor_m=math.inf), self.camera)
+        return AsBayer(clear_air, through_mosaic=True).without_weather(self.data)
+
     def render(self, weather: Weather, seed: int) -> Tensor:
         """The frame in a weather, in its own format."""
         transform = BayerWeather(weather, self.camera, **self.options)
-        taker = AsBayer(transform) if self.is_rgb else transform
+        taker = AsBayer(transform, through_mosaic=self.through_mosaic) if self.is_rgb else transform
         with torch.no_grad():
             depth = self.depth_m if self.scene_depth is None else self.scene_depth
             found: Tensor = taker(self.data, depth, taker.draw(self.data, seed=seed))
@@ -125,7 +136,7 @@ class CameraSubject:
 
     def score(self, distorted: Tensor, names: Sequence[str]) -> dict[str, float]:
         """Image scores against the clear frame."""
-        first, second = self._light(distorted), self._light(self.data)
+        first, second = self._light(distorted), self._light(self.reference)
         with torch.no_grad():
             if self.is_rgb:
                 found = image_scores(first, second, names)
@@ -135,7 +146,7 @@ class CameraSubject:
 
     def facts(self, distorted: Tensor | None) -> dict[str, float]:
         """Mean and contrast (standard deviation) of what is in [0, 1]."""
-        light = self._light(self.data if distorted is None else distorted).double()
+        light = self._light(self.reference if distorted is None else distorted).double()
         return {"mean": float(light.mean()), "contrast": float(light.std())}
 
     def _light(self, data: Tensor) -> Tensor:
