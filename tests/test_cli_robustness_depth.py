@@ -23,7 +23,7 @@ from torchweather.transforms.suites import read_suite
 
 
 def without_depth(folder: Path) -> list[str]:
-    """Data without depth maps: flat ground is all that is left."""
+    """Data without depth maps, so that depth is guessed as flat ground."""
     camera_data(folder / "data")
     shutil.rmtree(folder / "data" / "depth")
     camera_model(folder)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.image import DepthFromPoints, FlatGround
 from torchweather.io import (
     read_image,
@@ -39,17 +39,7 @@ KNOTS = ((0.0, 0.0), (2**11 / 2**20, 0.5), (2**16 / 2**20, 0.75), (1.0, 1.0))
 
 @pytest.fixture
 def find() -> Find:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-
-    def path(pattern: str) -> Path:
-        found = sorted(Path(root).glob(pattern))
-        if not found:
-            pytest.skip(f"TORCHWEATHER_REAL_DATA holds no {pattern}")
-        return found[0]
-
-    return path
+    return recording
 
 
 def lidar_depth(image: Path, cloud: Tensor, matrix: Tensor, transform: Tensor) -> tuple[Tensor, Camera, Tensor]:

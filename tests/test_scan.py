@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.errors import TorchweatherWarning
 from torchweather.sensors import Lidar
 from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
@@ -453,49 +452,39 @@ def test_the_rings_of_a_preset_span_the_view_of_its_data_sheet(
 # recordings
 
 
-@pytest.fixture
-def real() -> Path:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    return Path(root)
-
-
-def recording(root: Path, pattern: str, columns: int) -> Tensor:
-    found = sorted(root.glob(pattern))
-    if not found:
-        pytest.skip(f"TORCHWEATHER_REAL_DATA holds no {pattern}")
-    if found[0].suffix == ".csv":
-        return torch.from_numpy(np.loadtxt(found[0], delimiter=",", dtype=np.float32))
-    return torch.from_numpy(np.fromfile(found[0], dtype=np.float32).reshape(-1, columns))
+def points(pattern: str, columns: int) -> Tensor:
+    found = recording(pattern)
+    if found.suffix == ".csv":
+        return torch.from_numpy(np.loadtxt(found, delimiter=",", dtype=np.float32))
+    return torch.from_numpy(np.fromfile(found, dtype=np.float32).reshape(-1, columns))
 
 
 @pytest.mark.real_data
-def test_an_hdl_32e_gives_its_rings_back(real: Path) -> None:
+def test_an_hdl_32e_gives_its_rings_back() -> None:
     lidar = Lidar.preset("velodyne-hdl-32e")
-    fog = recording(real, "radiate_fog/velo_lidar/*.csv", 5)
+    fog = points("radiate_fog/velo_lidar/*.csv", 5)
     assert torch.equal(recover_ring(fog, lidar), fog[:, 4].long())
     # Points and empty beams together are one turn: its speed differs from 10 a second by less than 0.5 %.
     whole = replace(lidar, min_range_m=0.0)  # some of the points lie on the vehicle, nearer than 1 m
     assert len(fog) + len(empty_beams(fog, whole)[0]) == pytest.approx(32 * 2170, rel=0.005)
     # nuScenes compensates the motion of the vehicle, 0.4 m in a turn: far points keep their elevation.
-    drive = recording(real, "kitti_nuscenes_demo/nuscenes/*.pcd.bin", 5)
+    drive = points("kitti_nuscenes_demo/nuscenes/*.pcd.bin", 5)
     far = drive[drive[:, :3].norm(dim=-1) > 10.0]
     assert (recover_ring(far, lidar) == far[:, 4].long()).float().mean() > 0.999
 
 
 @pytest.mark.real_data
-def test_an_hdl_64e_gives_its_rings_back_beyond_ten_metres_once_its_heights_are_known(real: Path) -> None:
-    cloud = recording(real, "stf_raw/lidar*.bin", 5)
+def test_an_hdl_64e_gives_its_rings_back_beyond_ten_metres_once_its_heights_are_known() -> None:
+    cloud = points("stf_raw/lidar*.bin", 5)
     far = cloud[cloud[:, :3].norm(dim=-1) > 10.0]
     ring = recover_ring(far, Lidar.preset("velodyne-hdl-64e"), origin_heights_m=(0.15,) * 32 + (0.21,) * 32)
     assert (ring == far[:, 4].long()).float().mean() > 0.99
 
 
 @pytest.mark.real_data
-def test_points_and_empty_beams_of_wads_make_one_turn(real: Path) -> None:
+def test_points_and_empty_beams_of_wads_make_one_turn() -> None:
     lidar = Lidar.preset("pandar64-wads")
-    cloud = recording(real, "wads_snow/velodyne/*.bin", 4)
+    cloud = points("wads_snow/velodyne/*.bin", 4)
     ring = recover_ring(cloud, lidar)
     beams = torch.unique(torch.stack([ring.float(), (azimuths(cloud) * 1000).round()]), dim=1).shape[1]
     assert beams + len(empty_beams(cloud, lidar)[0]) == pytest.approx(64 * 1800, rel=1e-3)
@@ -505,8 +494,8 @@ def test_points_and_empty_beams_of_wads_make_one_turn(real: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_a_kitti_crop_stays_a_crop(real: Path) -> None:
-    cloud = recording(real, "kitti_nuscenes_demo/kitti/*.bin", 4)
+def test_a_kitti_crop_stays_a_crop() -> None:
+    cloud = points("kitti_nuscenes_demo/kitti/*.bin", 4)
     lidar = Lidar.preset("velodyne-hdl-64e")
     directions, _, _ = empty_beams(cloud, lidar, origin_heights_m=(0.124,) * 32 + (0.204,) * 32)
     aside = azimuths(cloud)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.errors import TorchweatherError, TorchweatherWarning
 from torchweather.gap.adapters import study_from_folders, study_from_kitti
 from torchweather.gap.scan_grid import scan_frame
@@ -327,12 +327,7 @@ def test_organised_and_other_clouds_do_not_mix(tmp_path: Path) -> None:
     ],
 )
 def test_recorded_clouds_are_a_study(folder: str, preset: str, most_lost: float) -> None:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    path = Path(root) / folder
-    if not path.is_dir():
-        pytest.skip(f"TORCHWEATHER_REAL_DATA holds no {folder}")
+    path = recording(folder)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         found = study_from_folders(path, {path: "fog:mor=50"}, f"lidar:{preset}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +16,7 @@ import pytest
 from scipy import stats
 
 from tests.gap import studies
+from tests.recordings import recording
 from torchweather.gap import embedded_study as embedded
 from torchweather.gap.comparison import Comparison, Sample, judged
 from torchweather.gap.embedded_study import embedded_study
@@ -256,24 +256,19 @@ def test_links_with_twice_the_loss_differ() -> None:
 
 @pytest.mark.real_data
 def test_recorded_links_lose_what_rain_takes() -> None:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    folder = Path(root) / "cml_germany"
-    if not folder.is_dir():
-        pytest.skip("TORCHWEATHER_REAL_DATA holds no cml_germany")
+    folder = recording("cml_germany")
     example = links_example()
-    recording = example.read_germany(folder)
-    attenuation_db = example.measured_db(recording)[0]
-    chosen = example.quiet_links(recording, attenuation_db, 0.0)
+    measured = example.read_germany(folder)
+    attenuation_db = example.measured_db(measured)[0]
+    chosen = example.quiet_links(measured, attenuation_db, 0.0)
     frame = {
         "time_s": 300.0 * np.arange(len(attenuation_db)),  # 5-min steps
         "attenuation_db": attenuation_db[:, chosen],
-        "rain_mm_per_h": recording.rain_mm_per_h[:, chosen, None],
+        "rain_mm_per_h": measured.rain_mm_per_h[:, chosen, None],
     }
     links = {
-        "length_km": recording.length_km[chosen],
-        "frequency_ghz": recording.frequency_ghz[chosen],
+        "length_km": measured.length_km[chosen],
+        "frequency_ghz": measured.frequency_ghz[chosen],
         "polarisation": np.ones(int(np.sum(chosen))),
         "split": np.arange(int(np.sum(chosen))) % 2,
     }

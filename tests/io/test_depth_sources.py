@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import torch
 from onnx import TensorProto, helper
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth import (
     CompletedDepth,
     CompletedDepthMap,
@@ -307,12 +307,7 @@ def test_options_of_a_network_are_checked(folder: Path) -> None:
 
 @pytest.mark.real_data
 def test_clouds_of_kitti_and_nuscenes_are_found_by_name_and_meet_their_points() -> None:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    demo = Path(root) / "kitti_nuscenes_demo"
-    if not demo.is_dir():
-        pytest.skip("TORCHWEATHER_REAL_DATA holds no kitti_nuscenes_demo")
+    demo = recording("kitti_nuscenes_demo")
     kitti = demo / "kitti" / "000008.png"
     rgb, _ = read_image(kitti)
     height, width = rgb.shape[-2:]

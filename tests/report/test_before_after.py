@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from parsed_page import Page
 from PIL import Image
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth import ConstantDepth, DepthMap
 from torchweather.errors import TorchweatherError
 from torchweather.image import quantise
@@ -222,12 +222,7 @@ def test_severities_are_clear_to_a_reader() -> None:
 
 @pytest.mark.real_data
 def test_a_real_photograph_has_a_page(tmp_path: Path) -> None:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    file = Path(root) / "kitti_13" / "image_2" / "000008.png"
-    if not file.exists():
-        pytest.skip("TORCHWEATHER_REAL_DATA holds no kitti_13")
+    file = recording("kitti_13/image_2/000008.png")
     rgb = read_image(file)[0]
     height, width = rgb.shape[-2:]
     shown = Photo(file, rgb, Camera.from_intrinsics(721.5, 721.5, 609.6, 172.9, width, height), ConstantDepth(25.0))

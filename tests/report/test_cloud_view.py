@@ -6,7 +6,6 @@ import base64
 import inspect
 import json
 import math
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ import torch
 from parsed_page import Page
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.errors import TorchweatherError
 from torchweather.io import read_kitti_points
 from torchweather.report.cloud_counts import cloud_counts, has_return
@@ -229,12 +229,7 @@ def test_shares_never_round_to_none_or_all() -> None:
 
 @pytest.mark.real_data
 def test_a_real_sweep_in_snow_loses_far_points_and_gains_near_ones(tmp_path: Path) -> None:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    file = Path(root) / "kitti_13" / "velodyne" / "000008.bin"
-    if not file.exists():
-        pytest.skip("TORCHWEATHER_REAL_DATA holds no kitti_13")
+    file = recording("kitti_13/velodyne/000008.bin")
     cloud, sensor = read_kitti_points(file), lidar()
     result = weathered(cloud, sensor, parse_weather("snow:rate=1"))
     summary, page = written(tmp_path / "a.html", cloud, sensor, result, weather=parse_weather("snow:rate=1"))

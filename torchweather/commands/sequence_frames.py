@@ -139,7 +139,7 @@ class FolderResult:
 
     Args:
         folder: of the results; made where it does not exist.
-        settings: all that the results depend on, plain values.
+        settings: every option that changes the results, as plain values.
 
     Attributes:
         about: what was found on the way, for the manifest.

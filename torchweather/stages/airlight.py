@@ -87,9 +87,8 @@ def estimate_airlight(
     planes = state.cfa_index is None
     light, seen = _horizon_sky(state, STRIDES_PX)
     if is_exporting() or not bool(seen.all()):
-        every, seen_at_all = _horizon_sky(
-            state, (1, 1) if planes else (2, 2)
-        )  # a sky that shows between the thinned pixels only
+        # A sky may show between the thinned pixels only.
+        every, seen_at_all = _horizon_sky(state, (1, 1) if planes else (2, 2))
         light, seen = torch.where(seen[:, None], light, every), seen | seen_at_all
     grey = mode == "grey" or (mode is None and planes)
     if grey:

@@ -6,14 +6,12 @@ all frames.
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth.completion import CompletedDepth
 from torchweather.camera.depth.hidden_points import hidden_points
 from torchweather.camera.depth.points import DepthFromPoints
@@ -32,10 +30,7 @@ def no_sky(rgb: Tensor, **_: object) -> Tensor:
 
 
 def read(name: str) -> tuple[Tensor, Camera, Tensor, Tensor]:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root or not (Path(root) / "kitti_13").is_dir():
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set, or holds no kitti_13: no real recordings here")
-    folder = Path(root) / "kitti_13"
+    folder = recording("kitti_13")
     known = read_kitti_calibration(folder / f"calib/{name}.txt")
     rgb = read_image(folder / f"image_2/{name}.png")[0]
     fx, fy, cx, cy = (float(known.camera_matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import torch
 from onnx import TensorProto, helper
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth import CompletedDepth, CompletedDepthMap, FlatGround, scene_of
 from torchweather.camera.depth.horizon import find_horizon
 from torchweather.camera.depth.network import IMAGENET_MEAN, IMAGENET_STD, DepthNetwork
@@ -341,12 +341,7 @@ def test_wrong_outputs_are_refused_with_the_remedy(tmp_path: Path, red: str) -> 
 @pytest.mark.parametrize("number", ["000001", "000004", "000020"])
 def test_the_road_of_kitti_gives_lidar_depth_back_its_scale_and_shift(tmp_path: Path, number: str) -> None:
     """An exact network: the completed LiDAR as inverse depth, scaled, shifted and written into the picture's red."""
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    folder = Path(root) / "kitti_13"
-    if not folder.is_dir():
-        pytest.skip("TORCHWEATHER_REAL_DATA holds no kitti_13")
+    folder = recording("kitti_13")
     rgb, _ = read_image(folder / "image_2" / f"{number}.png")
     height, width = rgb.shape[-2:]
     calibration = read_kitti_calibration(folder / "calib" / f"{number}.txt")

@@ -6,7 +6,6 @@ walls and 60 m. The six KITTI frames are those that no parameter was chosen on.
 
 from __future__ import annotations
 
-import os
 import statistics
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth import DepthFromPoints
 from torchweather.camera.depth.horizon import find_horizon
 from torchweather.camera.depth.near_mask import find_near_mask
@@ -31,10 +31,7 @@ HORIZON_ROWS = {"000001": 173.8, "000004": 175.0, "000006": 167.9, "000019": 181
 
 @pytest.fixture(scope="module")
 def root() -> Path:
-    folder = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not folder or not (Path(folder) / "kitti_13").is_dir():
-        pytest.skip("TORCHWEATHER_REAL_DATA with kitti_13 is not set: no real recordings here")
-    return Path(folder)
+    return recording("kitti_13").parent
 
 
 def frame(root: Path, name: str) -> tuple[Tensor, Camera, Tensor]:

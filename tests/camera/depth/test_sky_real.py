@@ -5,37 +5,25 @@ Skipped, visibly, where ``TORCHWEATHER_REAL_DATA`` is unset. ``benchmarks/sky_ma
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import pytest
 import torch
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth.sky import find_sky, sky_mask
 from torchweather.io import read_image
 
 pytestmark = pytest.mark.real_data
 
 
-def real(path: str) -> Path:
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real photographs here")
-    found = Path(root) / path
-    if not found.exists():
-        pytest.skip(f"TORCHWEATHER_REAL_DATA holds no {path}")
-    return found
-
-
 def frame(name: str) -> tuple[Tensor, Tensor]:
     """A photograph and its drawn mask: 255 sky, 0 no sky, 128 undecided."""
     folder, suffix = ("kitti_13/image_2", "png") if name.startswith("0") else ("dashcam_highway", "jpg")
     if name.startswith("roadcam"):
-        photograph = real("roadcam_fog/frames/20200216/2020-02-16-11-06.jpg")
+        photograph = recording("roadcam_fog/frames/20200216/2020-02-16-11-06.jpg")
     else:
-        photograph = real(f"{folder}/{name}.{suffix}")
-    drawn = read_image(real(f"sky_truth/{name}.png"))[0][:1]
+        photograph = recording(f"{folder}/{name}.{suffix}")
+    drawn = read_image(recording(f"sky_truth/{name}.png"))[0][:1]
     return read_image(photograph)[0], (255 * drawn).round() if drawn.is_floating_point() else drawn
 
 

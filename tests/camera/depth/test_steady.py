@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import gc
 import math
-import os
 import weakref
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
+from tests.recordings import recording
 from torchweather.camera.depth import COMPLETED, GUESSED, SceneDepth, ScenePrior
 from torchweather.camera.depth.steady import common_near_mask, is_cut, reach_of, steady_scenes
 from torchweather.sensors import Camera
@@ -179,12 +178,7 @@ def test_the_reach_is_a_fifth_of_a_second_within_bounds() -> None:
 @pytest.mark.real_data
 def test_a_highway_drive_does_not_flicker() -> None:
     """Frames of the second half of the clip; the constants were chosen on the first half."""
-    root = os.environ.get("TORCHWEATHER_REAL_DATA")
-    if not root:
-        pytest.skip("TORCHWEATHER_REAL_DATA is not set: no real recordings here")
-    clip = Path(root) / "dashcam_highway" / "test_video.mp4"
-    if not clip.is_file():
-        pytest.skip(f"TORCHWEATHER_REAL_DATA holds no {clip.name}")
+    clip = recording("dashcam_highway/test_video.mp4")
     pytest.importorskip("av", reason="PyAV is not installed: no videos here (pip install 'torchweather[video]')")
     from torchweather.io.video import VideoReader
 

@@ -17,9 +17,9 @@ Array = npt.NDArray[np.floating[Any]]
 _SEARCHED_SHARE = 0.16
 _COLUMNS = 160  # blocks across the picture: a block averages the road's and the bonnet's texture
 _STEP_ROWS_SHARE = 0.007  # rows averaged above and below a candidate edge, of the height: 5 of 720
+_FINE_ROWS_SHARE = 0.003  # the same for the exact row once the path is known
 # The gates lie in the gap between eight highway pictures with a bonnet and twenty street pictures without one; thirty
 # more without one, of a roadside camera, then gave no false alarm.
-_FINE_ROWS_SHARE = 0.003  # the same for the exact row once the path is known
 _EVIDENT_STEP = 0.03  # colour step across the edge, sRGB 0..1
 _OVER_TEXTURE = 2.2  # and times the median step elsewhere: grass and gravel have steps everywhere
 _EVIDENT_SHARE = 0.90  # of the columns
