@@ -20,6 +20,7 @@ from torchweather.camera.depth import (
     along_ray_to_axis,
     depth_from_disparity,
 )
+from torchweather.camera.depth.source import SceneSource
 from torchweather.errors import TorchweatherError, check_one_of, check_positive
 from torchweather.io.depth import DISPARITY_ENCODINGS, read_depth, read_disparity
 from torchweather.io.depth_plausible import check_plausible
@@ -128,7 +129,7 @@ def known_below_horizon(depth_m: Tensor, camera: Camera) -> float:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ConvertedDepth(DepthSource):
+class ConvertedDepth(SceneSource):
     """A map that the camera's intrinsics turn into depth: distances along the ray, or disparity.
 
     Args:
@@ -149,19 +150,6 @@ class ConvertedDepth(DepthSource):
         if not bool(self.stored.isnan().any()):
             # A whole disparity is a matcher's answer; whole distances are vouched for, as a DepthMap is.
             object.__setattr__(self, "confidence", EXACT if self.baseline_m is None else MEASURED)
-
-    def __call__(
-        self,
-        camera: Camera,
-        height: int,
-        width: int,
-        *,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype = torch.float32,
-        image: Tensor | None = None,
-    ) -> Tensor:
-        """Depth ``(..., 1, H, W)``, metres along the axis."""
-        return self.scene(camera, height, width, device=device, dtype=dtype, image=image).depth_m
 
     def scene(
         self,

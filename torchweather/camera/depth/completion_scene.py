@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.completion_core import Completion, complete
 from torchweather.camera.depth.scene_depth import COMPLETED, SceneDepth
-from torchweather.camera.depth.source import DepthSource
+from torchweather.camera.depth.source import SceneSource
 from torchweather.sensors import Camera
 
 __all__ = ["CompletedSource", "SeenPoints", "Sky", "at_upper_edge"]
@@ -69,7 +69,7 @@ def at_upper_edge(elevation_rad: Numbers, range_m: Numbers, margin_rad: float) -
     return edge
 
 
-class CompletedSource(DepthSource):
+class CompletedSource(SceneSource):
     """Depth of some pixels, completed to all of them. Subclasses give the points, and ``sky`` as `CompletedDepth`."""
 
     confidence: ClassVar[str] = COMPLETED
@@ -79,19 +79,6 @@ class CompletedSource(DepthSource):
     @abstractmethod
     def seen_points(self, camera: Camera, height: int, width: int) -> tuple[tuple[int, ...], list[SeenPoints]]:
         """Leading dimensions of the frames, and the points of each."""
-
-    def __call__(
-        self,
-        camera: Camera,
-        height: int,
-        width: int,
-        *,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype = torch.float32,
-        image: Tensor | None = None,
-    ) -> Tensor:
-        """Depth ``(..., 1, H, W)``, metres; ``inf`` where a pixel is sky alone."""
-        return self.scene(camera, height, width, device=device, dtype=dtype, image=image).depth_m
 
     def scene(
         self,

@@ -18,7 +18,7 @@ from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.camera.depth.network_graph import NetworkGraph, open_graph
 from torchweather.camera.depth.network_scale import check_metric, fit_to_ground, fit_to_points, points_in_picture
 from torchweather.camera.depth.scene_depth import COMPLETED, GUESSED, SceneDepth
-from torchweather.camera.depth.source import DepthSource
+from torchweather.camera.depth.source import SceneSource
 from torchweather.errors import check_one_of, check_positive
 from torchweather.sensors import Camera
 
@@ -36,7 +36,7 @@ _OWN_VEHICLE_M = 1.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class DepthNetwork(DepthSource):
+class DepthNetwork(SceneSource):
     """Depth by a network in an ONNX file, run with onnxruntime.
 
     The network takes one RGB picture and gives one map: metric depth, inverse depth, or disparity. A relative map gets
@@ -138,19 +138,6 @@ class DepthNetwork(DepthSource):
 
     def _graph(self) -> NetworkGraph:
         return open_graph(os.fspath(self.path), tuple(self.providers), self.threads, self.layout, self.output_name)
-
-    def __call__(
-        self,
-        camera: Camera,
-        height: int,
-        width: int,
-        *,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype = torch.float32,
-        image: Tensor | None = None,
-    ) -> Tensor:
-        """Depth ``(1, H, W)``, metres; ``inf`` where a pixel is sky alone."""
-        return self.scene(camera, height, width, device=device, dtype=dtype, image=image).depth_m
 
     @torch.no_grad()
     def scene(

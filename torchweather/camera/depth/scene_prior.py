@@ -13,7 +13,7 @@ from torchweather.camera.depth.horizon import Horizon, find_horizon, horizon_of_
 from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.camera.depth.object_boxes import paint_boxes
 from torchweather.camera.depth.scene_depth import GUESSED, SceneDepth
-from torchweather.camera.depth.source import DepthSource
+from torchweather.camera.depth.source import SceneSource
 from torchweather.camera.depth.street_walls import (
     guessed_farthest_m,
     guessed_half_width_m,
@@ -33,7 +33,7 @@ _OWN_VEHICLE_M = 1.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ScenePrior(DepthSource):
+class ScenePrior(SceneSource):
     """Guessed depth of a street photograph.
 
     The scene is flat ground, a wall on each side of the street and a far end (`street_depth`). The picture gives the
@@ -108,19 +108,6 @@ class ScenePrior(DepthSource):
                     "Convert (x, y, width, height) to (x, y, x + width, y + height)."
                 )
             object.__setattr__(self, "boxes", boxes)
-
-    def __call__(
-        self,
-        camera: Camera,
-        height: int,
-        width: int,
-        *,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype = torch.float32,
-        image: Tensor | None = None,
-    ) -> Tensor:
-        """Depth ``(1, H, W)``, metres; ``inf`` where a pixel is sky alone."""
-        return self.scene(camera, height, width, device=device, dtype=dtype, image=image).depth_m
 
     @torch.no_grad()
     def scene(

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
 from torchweather.sensors import Camera
 
-__all__ = ["DepthSource", "check_depth", "scene_of"]
+__all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of"]
 
 
 class DepthSource(ABC):
@@ -54,6 +54,36 @@ class DepthSource(ABC):
         """Depth with what else the source knows: sky, own vehicle, confidence."""
         depth_m = self(camera, height, width, device=device, dtype=dtype, image=image)
         return SceneDepth(depth_m, self.confidence)
+
+
+class SceneSource(DepthSource):
+    """A source that finds the scene, of which its depth is a part."""
+
+    @abstractmethod
+    def scene(
+        self,
+        camera: Camera,
+        height: int,
+        width: int,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        image: Tensor | None = None,
+    ) -> SceneDepth:
+        """Depth, sky, own vehicle and confidence."""
+
+    def __call__(
+        self,
+        camera: Camera,
+        height: int,
+        width: int,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        image: Tensor | None = None,
+    ) -> Tensor:
+        """Depth ``(..., 1, H, W)``, metres; ``inf`` where a pixel is sky alone."""
+        return self.scene(camera, height, width, device=device, dtype=dtype, image=image).depth_m
 
 
 def scene_of(
