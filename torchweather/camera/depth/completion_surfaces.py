@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.camera.depth.completion_noise import level_depths, rows_closer
+
 __all__ = ["Surfaces", "lay_surfaces"]
 
 Numbers = npt.NDArray[np.floating[Any]]
@@ -48,7 +50,8 @@ def lay_surfaces(
 ) -> Surfaces:
     """Lay planes through neighbouring points, where these lie on one surface.
 
-    Inverse depth is linear in the image of a plane, so it is what is interpolated over a Delaunay triangulation.
+    Inverse depth is linear in the image of a plane, so it is what is interpolated over a Delaunay triangulation, after
+    the noise of points on planes is taken out.
 
     Args:
         pixel_xy: ``(N, 2)`` column and row of every point, not rounded; points beside the picture help at its edges.
@@ -65,7 +68,7 @@ def lay_surfaces(
     depth_m = np.full((height, width), np.nan)
     ground = None
     try:
-        mesh = Delaunay(pixel_xy)
+        mesh = Delaunay(rows_closer(pixel_xy))
     except (QhullError, ValueError):  # fewer than three points, or all on one line
         mesh = None
     if mesh is not None:
@@ -73,7 +76,7 @@ def lay_surfaces(
         normal, lens_m = _planes(points_xyz[corner])
         is_surface = _are_surfaces(pixel_xy[corner], points_xyz[corner, 2], lens_m)
         ground = _ground(normal, lens_m, is_surface, points_xyz[corner], down_xyz)
-        _interpolate(depth_m, mesh, is_surface, 1.0 / points_xyz[:, 2])
+        _interpolate(depth_m, mesh, pixel_xy, is_surface, 1.0 / level_depths(pixel_xy, points_xyz[:, 2]))
     column, row = np.rint(pixel_xy).astype(np.intp).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     nearest = np.full((height, width), np.inf)
@@ -114,12 +117,14 @@ def _ground(
     return plane
 
 
-def _interpolate(depth_m: Numbers, mesh: Any, is_surface: npt.NDArray[np.bool_], inverse_depth: Numbers) -> None:
+def _interpolate(
+    depth_m: Numbers, mesh: Any, pixel_xy: Numbers, is_surface: npt.NDArray[np.bool_], inverse_depth: Numbers
+) -> None:
     height, width = depth_m.shape
-    first = max(0, int(np.floor(mesh.min_bound[1])))
-    last = min(height, int(np.ceil(mesh.max_bound[1])) + 1)
+    first = max(0, int(np.floor(pixel_xy[:, 1].min())))
+    last = min(height, int(np.ceil(pixel_xy[:, 1].max())) + 1)
     row, column = np.mgrid[first:last, 0:width].reshape(2, -1)
-    place = np.stack([column, row], -1).astype(np.float64)
+    place = rows_closer(np.stack([column, row], -1).astype(np.float64))
     triangle = mesh.find_simplex(place)
     on_surface = (triangle >= 0) & is_surface[triangle]
     triangle, place = triangle[on_surface], place[on_surface]
