@@ -260,13 +260,6 @@ def test_airlight_is_the_grey_of_the_sky_above_the_horizon_not_of_all_sky() -> N
     assert float(coloured[2]) > float(coloured[0])
 
 
-def test_a_blue_sky_is_darker_than_its_fog_and_an_overexposed_one_brighter() -> None:
-    _, depth_m = street()
-    for level, expected in ((0.3, 0.5), (1.0, 0.7), (0.6, 0.6)):
-        found = airlight(srgb_encode(torch.full((3, H, W), level)), depth_m)
-        torch.testing.assert_close(found, torch.full((3,), expected), rtol=0.0, atol=1e-5)
-
-
 def test_thin_fog_adds_the_light_that_the_horizon_has_already() -> None:
     _, depth_m = street()
     light = torch.tensor([0.2, 0.3, 0.4])

@@ -39,8 +39,10 @@ BAND_SINE = math.sin(math.radians(3.0))
 the lowest degrees, and a clear sky darkens within some ten."""
 REC709 = (0.2126, 0.7152, 0.0722)  # luminance of linear sRGB, ITU-R BT.709
 # A blue sky's light is darker than that of a fog lit by it and the sun, and an overexposed sky says nothing: neutral
-# 0.5 to 0.7 looks right on photographs (chosen by eye; measured airlight goes to airlight=).
+# 0.5 to 0.7 looks right on photographs (chosen by eye; measured airlight goes to airlight=). A grey sky, overcast or
+# misty, is lit as fog is: it keeps its own light. Between them the lower bound rises with the sky's saturation.
 GREY_RANGE = (0.5, 0.7)
+BLUE_SATURATION = 0.3  # of 21 street scenes, blue skies have 0.28 to 0.65, grey and overexposed ones 0.00 to 0.16
 DEFAULT_GREY = 0.6
 DAYLIGHT_ABOVE = 0.05  # linear luminance of a horizon sky by day; below, the sky's own light is kept
 # A picture's horizon is seen through kilometres of its own air: fog whose optical depth over this way is small adds the
@@ -172,9 +174,13 @@ def _thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Te
 
 
 def _neutral(light: Tensor) -> Tensor:
-    """Grey of the luminance of a horizon sky, by day within `GREY_RANGE`; ``(B, 3)``."""
+    """Grey of the luminance of a horizon sky, ``(B, 3)``; by day of a blue one within `GREY_RANGE`."""
     luminance = (light * light.new_tensor(REC709)).sum(1, keepdim=True)
-    return torch.where(luminance > DAYLIGHT_ABOVE, luminance.clamp(*GREY_RANGE), luminance).expand_as(light)
+    brightest = light.amax(1, keepdim=True)
+    saturation = (brightest - light.amin(1, keepdim=True)) / brightest.clamp_min(1e-6)
+    lowest = GREY_RANGE[0] * (saturation / BLUE_SATURATION).clamp_max(1.0)
+    by_day = luminance.clamp_max(GREY_RANGE[1]).maximum(lowest)
+    return torch.where(luminance > DAYLIGHT_ABOVE, by_day, luminance).expand_as(light)
 
 
 def _brightest(state: CameraState) -> Tensor:

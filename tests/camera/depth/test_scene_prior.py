@@ -233,3 +233,18 @@ def test_masks_of_another_size_or_range_are_refused(name: str) -> None:
         ScenePrior(**{name: torch.zeros(1, 10, 10)})(CAMERA, *SIZE)
     with pytest.raises(ValueError, match=f"ScenePrior.{name}: expected shares"):
         ScenePrior(**{name: torch.full((1, *SIZE), 255.0)})(CAMERA, *SIZE)
+
+
+def test_sky_below_an_unsure_horizon_lowers_it() -> None:
+    height, width, truth = 120, 320, 66
+    camera = Camera.from_intrinsics(fx=250, fy=250, cx=159.5, cy=59.5, width=width, height=height, height_m=1.5)
+    picture = torch.full((3, height, width), 0.2)
+    picture[:, : truth + 1] = torch.tensor([0.5, 0.7, 0.9])[:, None, None]
+    scene = ScenePrior(near_mask=None).scene(camera, height, width, image=picture)
+    assert scene.sky is not None
+    assert float(scene.sky[0, truth - 3].min()) > 0.99, "sky above the true horizon"
+    assert any(f"row {truth}" in note for note in scene.notes)
+    assert float(scene.depth_m[0, truth + 20].min()) > 10.0, "the ground starts at the lower horizon"
+    kept = ScenePrior(near_mask=None, horizon="camera").scene(camera, height, width, image=picture)
+    assert kept.sky is not None
+    assert float(kept.sky[0, truth - 3].max()) == 0.0, "a horizon that is given stays"

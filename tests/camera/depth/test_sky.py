@@ -279,3 +279,14 @@ def test_pole_is_upright_and_eaves_are_not() -> None:
 def test_wrong_arguments_are_named(arguments: dict[str, Tensor], error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         sky_mask(**arguments)
+
+
+def test_hill_in_mist_is_no_sky_and_the_mist_before_it_fades() -> None:
+    height, width = 240, 800
+    across = torch.linspace(0.0, 1.0, width)
+    grey = (0.9 - 0.7 * ((across - 0.3) / 0.4).clamp(0.0, 1.0)).expand(3, height // 2, width)  # 0.9 to 0.2, no edge
+    picture = torch.cat([grey, ground(height - height // 2, width)], 1)
+    share = sky_mask(picture, horizon_row=height / 2)[0, : height // 2 - 20]
+    assert float(share[:, : width // 4].min()) == 1.0
+    assert float(share[:, 3 * width // 4 :].max()) < 0.01
+    assert float((share[:, 1:] - share[:, :-1]).abs().max()) < 0.1, "a torn edge"

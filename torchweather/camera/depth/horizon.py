@@ -14,7 +14,7 @@ from torch import Tensor
 from torchweather.camera.depth.line_segments import LineSegments, find_segments, grey_levels
 from torchweather.sensors import Camera
 
-__all__ = ["Horizon", "find_horizon", "horizon_of_camera"]
+__all__ = ["Horizon", "below_the_sky", "find_horizon", "horizon_of_camera"]
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -34,6 +34,9 @@ _LONGEST_PX = 200.0  # longer edges weigh no more
 _CONFIDENT_RAD = math.radians(0.5)
 _PRIOR_PROBABILITY = math.erf(_CONFIDENT_RAD / _PITCH_SD_RAD / math.sqrt(2.0))
 _LEAST_CONFIDENCE = 0.05  # below it the camera's own pitch stands
+
+# Columns of sky that a row needs to lie above the horizon, as a share of the width: less may be a puddle's reflection.
+_LEAST_SKY = 0.02
 
 _MOST_HEADING, _MOST_PITCH = 0.6, 0.10  # searched, tangents: 31 and 6 degrees
 _WIDEST_PX = 1600  # wider pictures are averaged down: more pixels make no straighter edge
@@ -75,6 +78,35 @@ def horizon_of_camera(camera: Camera, *, pitch_rad: float | None = None, heading
     )  # on the horizon: at the principal column; in the street's direction
     x, y = camera.distort(points[:, 0], points[:, 1])
     return Horizon(float(fy * y[0] + cy), float(fx * x[1] + cx), 0.0, pitch, heading_rad)
+
+
+def below_the_sky(horizon: Horizon, sky: Tensor, camera: Camera) -> tuple[Horizon, bool]:
+    """Lower a horizon that is not sure to the lowest row with sky, for no sky lies below the horizon.
+
+    Args:
+        horizon: to start from.
+        sky: ``(H, W)`` share of sky.
+        camera: of the picture.
+
+    Returns:
+        The horizon, with the heading of the one given and confidence 0, and whether it was lowered.
+
+    Example:
+        >>> camera = Camera.from_intrinsics(fx=100, fy=100, cx=50, cy=30, width=101, height=61)
+        >>> sky = (torch.arange(61)[:, None] <= 40).float().expand(61, 101)
+        >>> horizon, lowered = below_the_sky(horizon_of_camera(camera), sky, camera)
+        >>> round(horizon.row, 3), lowered
+        (40.0, True)
+    """
+    rows = ((sky > 0.5).float().mean(-1) >= _LEAST_SKY).nonzero()
+    lowest = float(rows.max()) if len(rows) else -math.inf
+    if lowest <= horizon.row:
+        return horizon, False
+    _, fy, _, cy = camera.intrinsics
+    # The lens' distortion along the principal column is left out: a few pixels of a row that is not sure itself.
+    return horizon_of_camera(
+        camera, pitch_rad=math.atan((lowest - cy) / fy * math.cos(camera.roll_rad)), heading_rad=horizon.heading_rad
+    ), True
 
 
 def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.camera.depth.horizon import Horizon, find_horizon, horizon_of_camera
+from torchweather.camera.depth.horizon import Horizon, below_the_sky, find_horizon, horizon_of_camera
 from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.camera.depth.object_boxes import paint_boxes
 from torchweather.camera.depth.scene_depth import GUESSED, SceneDepth
@@ -51,7 +51,8 @@ class ScenePrior(SceneSource):
             `sky_mask`.
         near_mask: ``auto`` looks for the own bonnet; ``(1, H, W)`` gives the own vehicle's share of each pixel;
             ``None``: there is none in view.
-        horizon: ``auto`` looks for the vanishing point in the picture; ``camera`` keeps the camera's own pitch.
+        horizon: ``auto`` looks for the vanishing point in the picture; where edges say nothing, the camera's own pitch
+            stands, or the lowest sky where that is lower. ``camera`` keeps the camera's own pitch.
 
     Note:
         The confidence is ``guessed``. At the LiDAR's returns of 13 KITTI frames the median error is 11 %, and 91 % of
@@ -146,9 +147,13 @@ class ScenePrior(SceneSource):
     ) -> SceneDepth:
         rgb = None if image is None or image.shape[0] != 3 else image
         horizon, notes = self._horizon(rgb, camera)
+        uncertain = rgb is not None and self.horizon == "auto" and horizon.confidence == 0
+        sky = self._share("sky", self._sky(rgb, horizon, uncertain=uncertain), height, width, device)
+        if uncertain and sky is not None:
+            horizon, lower = below_the_sky(horizon, sky, camera)
+            notes += [f"the sky reaches below that row: the horizon is taken at row {horizon.row:.0f}"] if lower else []
         view = view_of_street(camera, height, width, horizon.pitch_rad, horizon.heading_rad, device)
-        near = self._share("near_mask", self._near(rgb), view.fall)
-        sky = self._share("sky", self._sky(rgb, horizon), view.fall)
+        near = self._share("near_mask", self._near(rgb), height, width, device)
         if sky is not None and near is not None:
             sky = sky * (1.0 - near)
         shares = (_USUAL_SKY,) * 3 if sky is None else sky_shares(view, sky)
@@ -197,7 +202,7 @@ class ScenePrior(SceneSource):
             return self.near_mask
         return None if self.near_mask is None or rgb is None else find_near_mask(rgb)
 
-    def _sky(self, rgb: Tensor | None, horizon: Horizon) -> Tensor | None:
+    def _sky(self, rgb: Tensor | None, horizon: Horizon, *, uncertain: bool) -> Tensor | None:
         if isinstance(self.sky, Tensor):
             return self.sky
         if rgb is None:
@@ -206,19 +211,21 @@ class ScenePrior(SceneSource):
             return torch.as_tensor(self.sky(rgb))
         from torchweather.camera.depth.sky import sky_mask
 
-        found: Tensor = sky_mask(rgb, horizon_row=horizon.row, vanishing_column=horizon.column)
+        row = None if uncertain else horizon.row
+        found: Tensor = sky_mask(rgb, horizon_row=row, vanishing_column=horizon.column)
         return found
 
-    def _share(self, name: str, share: Tensor | None, like: Tensor) -> Tensor | None:
+    def _share(
+        self, name: str, share: Tensor | None, height: int, width: int, device: torch.device | str | None
+    ) -> Tensor | None:
         """A given or found share as ``(H, W)``, checked."""
         if share is None:
             return None
-        if share.shape[-2:] != like.shape or share.numel() != like.numel():
+        if share.shape[-2:] != (height, width) or share.numel() != height * width:
             raise ValueError(
-                f"ScenePrior.{name}: expected the picture's size (1, {like.shape[0]}, {like.shape[1]}); got "
-                f"{tuple(share.shape)}."
+                f"ScenePrior.{name}: expected the picture's size (1, {height}, {width}); got {tuple(share.shape)}."
             )
-        share = share.reshape(like.shape).to(like)
+        share = share.reshape(height, width).to(device=device, dtype=torch.float32)
         if not bool((share >= 0).all() & (share <= 1).all()):
             raise ValueError(f"ScenePrior.{name}: expected shares 0..1; got values outside. Divide 8-bit masks by 255.")
         return share
