@@ -73,9 +73,9 @@ def sky_mask(
         ``(1, H, W)`` or ``(B, 1, H, W)``, float32, on the device of ``rgb``.
 
     Note:
-        Known to fail: a white wall against a white sky, without an edge between; pale hills in mist; a sky that no part of
-        touches the picture's top; a picture of a bright road alone, unless ``horizon_row`` says that the horizon is
-        above it. A night sky is not found. About 0.1 s for 1242 x 375 on one thread; not differentiable.
+        Known to fail: a white wall against a white sky, without an edge between; pale hills in mist; a sky that no
+        part of touches the picture's top; a picture of a bright road alone, unless ``horizon_row`` says that the
+        horizon is above it. A night sky is not found. About 0.1 s for 1242 x 375 on one thread; not differentiable.
 
     References:
         PHOTOGRAPHS.md, section sky mask.
