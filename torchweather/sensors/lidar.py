@@ -6,6 +6,7 @@ Frame: x forward, y left, z up; azimuth from x to y, elevation up.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.sensors.base import Sensor
+from torchweather.sensors.cloud_frame import checked_origin, checked_rotation, split_pose
 
 __all__ = ["INTENSITY_UNITS", "RETURN_MODES", "Lidar"]
 
@@ -59,8 +61,12 @@ class Lidar(Sensor):
         origin_heights_m: height of each ring's laser over the cloud's origin; ``None`` is 0.
         ring_column: column of the cloud that holds the ring, 4 or more; ``None`` recovers it from the elevation where
             it is needed.
-        directions: ``(N, 3)`` direction of every row of an organised cloud, so that beams without return can be
-            simulated too; not compared by ``==``.
+        origin_m: x, y, z of the sensor in the cloud's frame; (0, 0, 0) where the cloud is in the sensor's own. Weather
+            is computed in the sensor's frame and written back in the cloud's (``sensors/cloud_frame.py``).
+        rotation: ``(3, 3)`` whose columns are the sensor's x, y and z in the cloud's frame; ``None`` is the identity.
+            ``with_pose`` takes both from a matrix.
+        directions: ``(N, 3)`` direction of every row of an organised cloud in the cloud's frame, so that beams without
+            return can be simulated too; not compared by ``==``.
 
     Example:
         >>> lidar = Lidar.preset("ouster-os1-128", return_mode="dual")
@@ -93,6 +99,8 @@ class Lidar(Sensor):
     azimuth_offsets_deg: tuple[float, ...] | None = None
     origin_heights_m: tuple[float, ...] | None = None
     ring_column: int | None = None
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[tuple[float, float, float], ...] | None = None
     directions: Tensor | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -119,6 +127,8 @@ class Lidar(Sensor):
         check_one_of("intensity_unit", self.intensity_unit, INTENSITY_UNITS, owner=self)
         self._check_ranges()
         self._check_pattern()
+        object.__setattr__(self, "origin_m", checked_origin(self.origin_m))
+        object.__setattr__(self, "rotation", checked_rotation(self.rotation))
         if self.directions is not None:
             object.__setattr__(self, "directions", unit_directions(self.directions, owner=self))
 
@@ -182,6 +192,19 @@ class Lidar(Sensor):
         """The same sensor with the near-range response of Hahner 2022: none below 0.9 m, full from 1 m on."""
         start, full = HAHNER_OVERLAP_M
         return replace(self, near_start_m=start, near_full_m=full, near_power=1.0)
+
+    def with_pose(self, pose: Tensor | Sequence[Sequence[float]]) -> Lidar:
+        """The same sensor at a pose in the cloud's frame.
+
+        Args:
+            pose: ``T_cloud_from_sensor`` ``(4, 4)``, or its first three rows; metres.
+
+        Example:
+            >>> Lidar(905.0).with_pose([[1, 0, 0, 1.43], [0, 1, 0, 0], [0, 0, 1, 2.18], [0, 0, 0, 1]]).origin_m
+            (1.43, 0.0, 2.18)
+        """
+        origin_m, rotation = split_pose(pose)
+        return replace(self, origin_m=origin_m, rotation=rotation)
 
     def near_response(self, range_m: Tensor) -> Tensor:
         """Near-range response xi, 0 to 1, of the shape of ``range_m`` (metres)."""

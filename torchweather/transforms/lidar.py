@@ -14,6 +14,11 @@ from torch import Tensor
 
 from torchweather.errors import check_one_of
 from torchweather.sensors import Lidar
+from torchweather.sensors.cloud_frame import (
+    directions_in_sensor_frame,
+    points_in_cloud_frame,
+    points_in_sensor_frame,
+)
 from torchweather.stages import (
     Chain,
     Detection,
@@ -276,7 +281,8 @@ class LidarWeather(WeatherTransform):
         check_points(points, self.sensor, self)
         count = points.shape[-2]
         if self.complete_scan:
-            count = beams_of(points, self.sensor, None, complete_scan=True, owner=self).points.shape[-2]
+            local = points_in_sensor_frame(points, self.sensor)
+            count = beams_of(local, self.sensor, None, complete_scan=True, owner=self).points.shape[-2]
         return self.drawn(points.shape[:-2], {"N": count}, generator, seed)
 
     def on_numpy(
@@ -347,7 +353,10 @@ class LidarWeather(WeatherTransform):
     def _begin(self, points: Tensor, directions: Tensor | None) -> tuple[Beams, LidarState]:
         check_points(points, self.sensor, self)
         check_knobs(self.weather, points.shape[:-2], owner=self)
-        beams = beams_of(points, self.sensor, directions, complete_scan=self.complete_scan, owner=self)
+        along = self.sensor.directions if directions is None else directions
+        along = directions_in_sensor_frame(along, self.sensor)
+        points = points_in_sensor_frame(points, self.sensor)  # from here on, and until _outgoing
+        beams = beams_of(points, self.sensor, along, complete_scan=self.complete_scan, owner=self)
         flat = beams.points
         range_m = _range_m(flat, self.sensor.min_range_m)
         reach_m = range_m
@@ -429,7 +438,8 @@ class LidarWeather(WeatherTransform):
         """Values ``(B, N, ...)`` of the beams as they leave: shape and dtype of the input, lost points as asked for."""
         batch = points.shape[:-2]
         if values.ndim == 3:  # the cloud itself
-            values = values.to(points.dtype)
+            given = points.reshape(len(values), *points.shape[-2:])
+            values = points_in_cloud_frame(values, beams.points, given, self.sensor).to(points.dtype)
             if self.lost == "nan":
                 had_return = _range_m(beams.points, self.sensor.min_range_m) > 0
                 gone = (kind == PointKind.LOST) & had_return
