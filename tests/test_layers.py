@@ -17,7 +17,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"distributions", "errors", "file_names", "random", "threads"}),
     frozenset({"physics"}),
     frozenset({"weather", "sensors"}),
-    frozenset({"camera", "image", "stages", "radar"}),
+    frozenset({"camera", "image", "lidar", "radar", "stages"}),
     frozenset({"transforms"}),
     frozenset({"scenes", "io", "export", "explain"}),
     frozenset({"augment", "gap", "sweep"}),

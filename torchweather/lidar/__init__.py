@@ -1,0 +1,8 @@
+"""What a LiDAR's sweep says about its sensor and its scene: scan pattern, ground, ends of beams without return."""
+
+from __future__ import annotations
+
+from torchweather.lidar.beam_ends import BeamEnd, BeamEnds, beam_ends
+from torchweather.lidar.ground import GroundPlane, fit_ground
+
+__all__ = ["BeamEnd", "BeamEnds", "GroundPlane", "beam_ends", "fit_ground"]

@@ -1,0 +1,178 @@
+"""A sweep as a raster of rings and azimuths: the nearest returns about a beam, and regions without any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Neighbour", "SweepRaster"]
+
+Numbers = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
+
+TURN_DEG = 360.0
+# Beams without ring numbers: those within this elevation share a row.
+_ROW_DEG = 0.3
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """The nearest return on one side of each beam.
+
+    Args:
+        range_m: ``(M,)`` its range; ``inf`` where none is near enough.
+        away_deg: ``(M,)`` angle to it; ``inf`` likewise.
+        raised: ``(M,)`` whether it lies above the ground.
+    """
+
+    range_m: Numbers
+    away_deg: Numbers
+    raised: Mask
+
+
+class SweepRaster:
+    """Returns and beams without return of one sweep by ring and azimuth.
+
+    Args:
+        points_xyz: ``(N, 3)`` returns, metres in the sensor's frame.
+        raised: ``(N,)`` returns above the ground.
+        direction: ``(M, 3)`` unit vectors of the beams without return.
+        step_deg: width of a column.
+        ring: ``(N,)`` and ``direction_ring`` ``(M,)``, any numbers; ``None``: rows of 0.3 degrees of elevation.
+        direction_ring: see ``ring``.
+    """
+
+    def __init__(
+        self,
+        points_xyz: Numbers,
+        raised: Mask,
+        direction: Numbers,
+        step_deg: float,
+        ring: npt.NDArray[np.integer[Any]] | None,
+        direction_ring: npt.NDArray[np.integer[Any]] | None,
+    ) -> None:
+        self.columns = max(1, round(TURN_DEG / step_deg))
+        self.step_deg = TURN_DEG / self.columns
+        x, y, z = points_xyz.T
+        flat = np.hypot(x, y)
+        range_m = np.hypot(flat, z)
+        elevation = np.degrees(np.arctan2(z, flat))
+        beam_elevation = np.degrees(np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)))
+        if ring is None or direction_ring is None:
+            lowest = min(elevation.min(), beam_elevation.min())
+            row = ((elevation - lowest) / _ROW_DEG).astype(np.intp)
+            self.row = ((beam_elevation - lowest) / _ROW_DEG).astype(np.intp)
+            rows = int(max(row.max(), self.row.max())) + 1
+            self.elevation_deg = lowest + (np.arange(rows) + 0.5) * _ROW_DEG
+        else:
+            row, self.row, self.elevation_deg = _rows_of_rings(ring, direction_ring, elevation, beam_elevation)
+            rows = len(self.elevation_deg)
+        column = self._column(x, y)
+        self.column = self._column(direction[:, 0], direction[:, 1])
+        self.range_m = np.full((rows, self.columns), np.inf)
+        cell = row * self.columns + column
+        farthest_first = np.argsort(-range_m, kind="stable")
+        self.range_m.flat[cell[farthest_first]] = range_m[farthest_first]
+        self.raised = np.zeros(self.range_m.shape, bool)
+        self.raised.flat[cell[farthest_first]] = raised[farthest_first]
+
+    def _column(self, x: Numbers, y: Numbers) -> Index:
+        azimuth = np.degrees(np.arctan2(y, x)) % TURN_DEG
+        column: Index = (azimuth / self.step_deg).astype(np.intp) % self.columns
+        return column
+
+    def neighbours(self, azimuth_deg: float, elevation_deg: float) -> tuple[Neighbour, Neighbour, Neighbour, Neighbour]:
+        """The nearest returns to the left, right, above and below of every beam.
+
+        Args:
+            azimuth_deg: farthest to the sides.
+            elevation_deg: farthest up and down.
+        """
+        reach = min(round(azimuth_deg / self.step_deg), self.columns)
+        there = np.isfinite(self.range_m)
+        around = np.concatenate([there[:, self.columns - reach :], there, there[:, :reach]], 1)
+        place = self.column + reach
+        index = np.arange(around.shape[1], dtype=np.int32)
+        none = -4 * self.columns
+        before = np.maximum.accumulate(np.where(around, index, none), 1)[self.row, place]
+        after = np.minimum.accumulate(np.where(around, index, -none)[:, ::-1], 1)[:, ::-1][self.row, place]
+        level = np.arange(len(there), dtype=np.int32)[:, None]
+        under = np.maximum.accumulate(np.where(there, level, -1), 0)[self.row, self.column]
+        over = np.minimum.accumulate(np.where(there, level, len(there))[::-1], 0)[::-1][self.row, self.column]
+        left, right = (
+            self._side(
+                self.row,
+                (found - reach) % self.columns,
+                np.abs(found - place) * self.step_deg <= azimuth_deg,
+                np.abs(found - place) * self.step_deg,
+            )
+            for found in (after, before)
+        )
+        ends = []
+        for found in (over, under):
+            row = np.clip(found, 0, len(there) - 1)
+            away = np.abs(self.elevation_deg[row] - self.elevation_deg[self.row])
+            ends.append(self._side(row, self.column, (row == found) & (away <= elevation_deg), away))
+        return left, right, ends[0], ends[1]
+
+    def _side(self, row: Index, column: Index, near: Mask, away_deg: Numbers) -> Neighbour:
+        return Neighbour(
+            np.where(near, self.range_m[row, column], np.inf),
+            np.where(near, away_deg, np.inf),
+            near & self.raised[row, column],
+        )
+
+    def regions(self, *, width_deg: float, below: Mask, reaching: Mask, except_: Mask) -> Mask:
+        """Beams in connected regions without return.
+
+        Args:
+            width_deg: least width of a region.
+            below: ``(M,)`` beams that may belong to one.
+            reaching: ``(M,)`` beams of which a region must hold at least one.
+            except_: ``(M,)`` beams that no region grows from.
+
+        Returns:
+            ``(M,)``.
+        """
+        from scipy.ndimage import binary_opening, label
+
+        empty = np.zeros(self.range_m.shape, bool)
+        empty[self.row[below], self.column[below]] = True
+        empty &= ~np.isfinite(self.range_m)
+        seed = empty.copy()
+        seed[self.row[except_], self.column[except_]] = False
+        width = max(2, round(width_deg / self.step_deg))
+        # Around the turn once and a half, so that a region at the seam is whole.
+        half = self.columns // 2
+        seed = binary_opening(np.concatenate([seed, seed[:, :half]], 1), np.ones((1, width), bool))
+        seed[:, :half] |= seed[:, self.columns :]
+        wanted = np.zeros(empty.shape, bool)
+        wanted[self.row[reaching & below], self.column[reaching & below]] = True
+        labels, count = label(np.concatenate([seed[:, : self.columns], seed[:, :half]], 1), np.ones((3, 3)))
+        held = np.zeros(count + 1, bool)
+        held[np.unique(labels[np.concatenate([wanted, wanted[:, :half]], 1)])] = True
+        held[0] = False
+        region = held[labels]
+        region[:, :half] |= region[:, self.columns :]
+        found: Mask = region[:, : self.columns][self.row, self.column]
+        return found
+
+
+def _rows_of_rings(
+    ring: npt.NDArray[np.integer[Any]],
+    direction_ring: npt.NDArray[np.integer[Any]],
+    elevation: Numbers,
+    beam_elevation: Numbers,
+) -> tuple[Index, Index, Numbers]:
+    """Rows of the rings by rising elevation: of the returns, of the beams, and the elevation of each row."""
+    numbers, place = np.unique(np.concatenate([ring, direction_ring]), return_inverse=True)
+    mean = np.bincount(place, np.concatenate([elevation, beam_elevation])) / np.bincount(place)
+    order = np.argsort(mean, kind="stable")
+    rank = np.empty(len(numbers), np.intp)
+    rank[order] = np.arange(len(numbers))
+    rows = rank[place]
+    return rows[: len(ring)], rows[len(ring) :], mean[order]
