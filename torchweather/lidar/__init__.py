@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from torchweather.lidar.beam_ends import BeamEnd, BeamEnds, beam_ends
 from torchweather.lidar.ground import GroundPlane, fit_ground
+from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern
 
-__all__ = ["BeamEnd", "BeamEnds", "GroundPlane", "beam_ends", "fit_ground"]
+__all__ = ["BeamEnd", "BeamEnds", "GroundPlane", "ScanPattern", "beam_ends", "estimate_pattern", "fit_ground"]
