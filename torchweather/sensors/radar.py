@@ -46,6 +46,8 @@ class Radar(Sensor):
         detection_snr_db: signal over the noise floor from which a target is detected.
         margin_db: mean of the exponential law by which a listed point exceeds the threshold where its power column says
             that it does not (it was detected, so it did).
+        compensated_to_m: range up to which the receiver weakens echoes with ``(R / compensated_to_m)^4``, so that like
+            targets look alike; the echoes of rain in recorded power maps follow it. 0: not at all.
 
     Note:
         The element's pattern is Gaussian in both angles, ``-12 dB (angle / width)^2``, and ends 30 dB below its peak.
@@ -80,6 +82,7 @@ class Radar(Sensor):
     noise_floor_db: float | None = None
     detection_snr_db: float = 12.0
     margin_db: float = 3.0
+    compensated_to_m: float = 0.0
 
     def __post_init__(self) -> None:
         check_between("frequency_ghz", self.frequency_ghz, 1.0, 1000.0, unit="GHz", owner=self)
@@ -93,6 +96,7 @@ class Radar(Sensor):
             check_between(name, getattr(self, name), 0.0, 100.0, unit="dB", owner=self)
         if self.noise_floor_db is not None:
             check_between("noise_floor_db", self.noise_floor_db, -300.0, 300.0, unit="dB", owner=self)
+        check_between("compensated_to_m", self.compensated_to_m, 0.0, 10_000.0, unit="m", owner=self)
         check_between("detection_snr_db", self.detection_snr_db, -100.0, 100.0, unit="dB", owner=self)
         for name, unit in (("bandwidth_mhz", "MHz"), ("sample_rate_mhz", "MHz"), ("chirp_period_us", "us")):
             check_positive(name, getattr(self, name), unit=unit, owner=self)

@@ -73,7 +73,7 @@ class Compose(nn.Module):
 
     Args:
         transforms: key of the sample to the transform of what is there: ``BayerRain`` and its like, ``AsBayer`` around
-            one, ``LidarRain`` and its like, ``RadarAttenuation``.
+            one, ``LidarRain`` and its like, ``RadarAttenuation``, ``RadarMapWeather``.
         weather: what all of them get, in place of what each was built with: a ``Weather``, whose numbers may be
             distributions; or a list or ``Choice`` of weathers, ``None`` among them for clear air. ``None``: what the
             transforms were built with, which must then be the same for all.
@@ -347,7 +347,7 @@ class Compose(nn.Module):
         """Samples in a batch; ``None`` where it is a single one."""
         found: dict[str, int | None] = {}
         for key, value in data.items():
-            single = 3 if isinstance(self.plans[key].sensor, Camera) else 2
+            single = self.plans[key].dimensions
             if isinstance(value, list):
                 found[key] = len(value)
             elif value.ndim == single:
@@ -355,7 +355,7 @@ class Compose(nn.Module):
             elif value.ndim == single + 1:
                 found[key] = len(value)
             else:
-                what = "(1, H, W) or (3, H, W)" if single == 3 else "(N, C)"
+                what = "(1, H, W) or (3, H, W)" if isinstance(self.plans[key].sensor, Camera) else f"of {single} sizes"
                 raise ValueError(
                     f"Compose: {key!r} must have shape {what}, or one dimension more for a batch; got "
                     f"{tuple(value.shape)}."

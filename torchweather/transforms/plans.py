@@ -13,11 +13,12 @@ from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
+from torchweather.transforms.radar_map import RadarMapWeather
 from torchweather.weather import Weather
 
 __all__ = ["TRANSFORMS", "Plan", "TransformClass", "class_for", "plan_of", "sensor_of"]
 
-TransformClass = type[BayerWeather] | type[LidarWeather] | type[RadarAttenuation]
+TransformClass = type[BayerWeather] | type[LidarWeather] | type[RadarAttenuation] | type[RadarMapWeather]
 OF_CAMERA: tuple[TransformClass, ...] = (BayerRain, BayerFog, BayerSnow, BayerWeather)
 OF_LIDAR: tuple[TransformClass, ...] = (LidarRain, LidarFog, LidarSnow, LidarWeather)
 TRANSFORMS: dict[str, TransformClass] = {
@@ -33,7 +34,7 @@ def class_for(kind: TransformClass, weather: Weather) -> TransformClass:
     return TRANSFORMS[kind.takes_all]
 
 
-def sensor_of(transform: BayerWeather | LidarWeather | RadarAttenuation) -> Camera | Lidar | Radar:
+def sensor_of(transform: BayerWeather | LidarWeather | RadarAttenuation | RadarMapWeather) -> Camera | Lidar | Radar:
     """The sensor that a transform was built for."""
     return transform.camera if isinstance(transform, BayerWeather) else transform.sensor
 
@@ -57,6 +58,13 @@ class Plan:
     through_mosaic: bool = False
     method: str = "malvar"
 
+    @property
+    def dimensions(self) -> int:
+        """Of the data of one sample: an image's, a map's, or those of a list of points."""
+        if isinstance(self.sensor, Camera):
+            return 3
+        return len(self.options["axes"].dims) if issubclass(self.kind, RadarMapWeather) else 2
+
     def build(self, weather: Weather) -> Any:
         """The transform for a weather."""
         built = class_for(self.kind, weather)(weather, self.sensor, **self.options)  # type: ignore[arg-type]
@@ -74,9 +82,9 @@ def plan_of(transform: nn.Module) -> Plan:
         ValueError: its chain was changed after it was built.
     """
     inner = transform.transform if isinstance(transform, AsBayer) else transform
-    if not isinstance(inner, (BayerWeather, LidarWeather, RadarAttenuation)):
+    if not isinstance(inner, (BayerWeather, LidarWeather, RadarAttenuation, RadarMapWeather)):
         raise TypeError(
-            f"wanted a transform of weather ({', '.join(TRANSFORMS)}, or AsBayer around one of a camera); got "
+            f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one of a camera); got "
             f"{type(transform).__name__}."
         )
     plan = Plan(type(inner), sensor_of(inner), dict(inner.given))

@@ -31,7 +31,7 @@ def as_tensor(value: Any, key: str) -> Any:
 
 def data_of(result: Any) -> Any:
     """The data themselves, of a result."""
-    for name in ("bayer", "rgb", "points"):
+    for name in ("bayer", "rgb", "points", "values"):
         if hasattr(result, name):
             return getattr(result, name)
     raise TypeError(f"Compose: a result without data: {type(result).__name__}.")
