@@ -40,7 +40,26 @@ ACTIVE: dict[str, dict[str, float]] = {
     "lidar.patchy_weather": {"log_std": 0.75},
     "lidar.spray": {"strength": 2.0, "azimuth_rad": 3.0, "width_rad": 1.5},
     "lidar.ring_gain": {"db_per_ring": 0.5},
+    "lidar.particle_density_azimuth": {
+        "amplitude": 4.0,
+        "azimuth_rad": 3.0,
+        "width_rad": 1.5,
+        "wind_amplitude": 0.5,
+        "wind_azimuth_rad": 1.5,
+    },
+    "lidar.particle_density_elevation": {"amplitude": 4.0, "elevation_rad": -0.1, "width_rad": 0.25},
+    "lidar.particle_sizes": {
+        "factor_1mm": 4.0,
+        "factor_2mm": 0.5,
+        "factor_4mm": 2.0,
+        "factor_8mm": 0.5,
+    },
+    "lidar.shared_particles": {"share": 1.0, "width_factor": 30.0},
 }
+
+
+# Fields of a state whose ``None`` stands for 1.
+OF_ONE = ("density_scale", "threshold_scale", "beam_density", "path_density", "size_factors")
 
 
 def active(name: str, **more: Any) -> Effect:
@@ -108,7 +127,7 @@ def assert_same_state(one: LidarState, other: LidarState, sample: int | slice = 
     for field in fields(LidarState):
         first, second = getattr(one, field.name), getattr(other, field.name)
         if not isinstance(first, Tensor):
-            if field.name in ("density_scale", "threshold_scale") and second is not None:
+            if field.name in OF_ONE and second is not None:
                 assert (second[sample] == 1.0).all()
             elif field.name == "extra_divergence_rad" and second is not None:
                 assert (second[sample] == 0.0).all()

@@ -64,11 +64,29 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "lidar.patchy_weather": {"log_std": 0.0},
     "lidar.spray": {"strength": 0.0, "azimuth_rad": None, "width_rad": None},
     "lidar.ring_gain": {"db_per_ring": 0.0},
+    "lidar.particle_density_azimuth": {
+        "amplitude": 0.0,
+        "azimuth_rad": None,
+        "width_rad": None,
+        "wind_amplitude": 0.0,
+        "wind_azimuth_rad": None,
+    },
+    "lidar.particle_density_elevation": {"amplitude": 0.0, "elevation_rad": None, "width_rad": None},
+    "lidar.particle_sizes": {"factor_1mm": 1.0, "factor_2mm": 1.0, "factor_4mm": 1.0, "factor_8mm": 1.0},
+    "lidar.shared_particles": {"share": 0.0, "width_factor": None},
 }
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
 every_effect = pytest.mark.parametrize("name", LIDAR)
-# They look at the rows of the scan, or draw one number for the whole frame.
-BEAMS_TOGETHER = {"lidar.isolated_return_filter", "lidar.ring_gain", "lidar.patchy_weather"}
+# They look at the rows of the scan or the beam beside, draw one number for the whole frame, or give each beam a density
+# of its own, which is put together for whole clouds alone.
+BEAMS_TOGETHER = {
+    "lidar.particle_density_azimuth",
+    "lidar.particle_density_elevation",
+    "lidar.isolated_return_filter",
+    "lidar.ring_gain",
+    "lidar.patchy_weather",
+    "lidar.shared_particles",
+}
 # They know the scan's rows; an exported graph takes any number of points and so has none.
 NOT_IN_A_GRAPH = {"lidar.isolated_return_filter", "lidar.ring_gain"}
 
@@ -113,7 +131,7 @@ def test_what_is_confusable_is_so_from_both_sides_where_the_other_says_so() -> N
 
 def test_titles_of_the_cause_tree_are_named_in_the_notice() -> None:
     titles = [EFFECTS[name].percollect for name in LIDAR]
-    assert sum(title is not None for title in titles) == 14
+    assert sum(title is not None for title in titles) == 17
     assert "PerCollECT" in (Path(__file__).parents[2] / "NOTICE").read_text(encoding="utf-8")
 
 
@@ -123,12 +141,16 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
         "to_energy",
         "static_structure",
         "patchy_weather",
+        "particle_density_azimuth",
+        "particle_density_elevation",
         "extinction",
         "beam_divergence",
         "extinction_scale",
         "wet_target",
         "limited_extent",
+        "particle_sizes",
         "particle_returns",
+        "shared_particles",
         "threshold_shift",
         "particle_backscatter",
         "spray",
@@ -322,6 +344,19 @@ SMOOTH = {
     "lidar.patchy_weather": {"log_std": 2.0**-12},
     "lidar.spray": {"strength": 2.0**-12},
     "lidar.ring_gain": {"db_per_ring": 2.0**-7},
+    "lidar.particle_density_azimuth": {
+        "amplitude": 2.0**-7,
+        "azimuth_rad": 2.0**-10,
+        "width_rad": 2.0**-10,
+        "wind_amplitude": 2.0**-7,
+        "wind_azimuth_rad": 2.0**-10,
+    },
+    "lidar.particle_density_elevation": {
+        "amplitude": 2.0**-7,
+        "elevation_rad": 2.0**-12,
+        "width_rad": 2.0**-12,
+    },
+    "lidar.particle_sizes": {"factor_1mm": 2.0**-7, "factor_8mm": 2.0**-7},
 }
 CASES = [(name, key) for name, keys in SMOOTH.items() for key in keys]
 
@@ -332,9 +367,11 @@ def response(name: str, state: Any, noise: Any, **values: Any) -> Tensor:
     changed = effect(state, noise)
     weight = torch.linspace(0.5, 1.5, BEAMS, dtype=torch.float64)[None, :, None]
     total = (weight * changed.signal).sum() / 1e-4 + (weight * changed.range_m).sum()
-    for field in ("density_scale", "threshold_scale", "extra_divergence_rad"):
+    for field in ("density_scale", "threshold_scale", "extra_divergence_rad", "beam_density", "size_factors"):
         value = getattr(changed, field)
-        total = total if value is None else total + value.double().sum()
+        if value is not None:
+            each = weight[..., 0] if value.shape[-1] == BEAMS else 1.0
+            total = total + (each * value.double()).sum()
     return total
 
 

@@ -21,7 +21,7 @@ from torchweather.stages.patchy_air import BanksAlongBeams, of_beams
 from torchweather.stages.strongest import expected_number
 from torchweather.weather import Rain, Snow
 
-__all__ = ["BeamParticles", "RATE_HIGH_MM_PER_H", "RATE_LOW_MM_PER_H", "RATE_NODES"]
+__all__ = ["SIZE_KNOTS_MM", "BeamParticles", "RATE_HIGH_MM_PER_H", "RATE_LOW_MM_PER_H", "RATE_NODES"]
 
 RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES = 1e-3, 300.0, 64
 DIAMETER_NODES = 512
@@ -29,6 +29,7 @@ SIGNAL_NODES = 65  # cells by powers of two: the search in strongest.py halves t
 FAINTEST = 1e-3  # of the threshold: particles below it are not drawn
 SMALLEST_MM = 1e-2  # measured bins may begin at 0; below this nothing is seen
 FEW_PER_M3 = 1e-9  # number that counts as none: a beam holds 10 m^3 at most
+SIZE_KNOTS_MM = (1.0, 2.0, 4.0, 8.0)  # outlines at which the number of particles may be another (``between``)
 SHARE_MORE = 1e-4  # probability that a beam holds more visible particles than are drawn
 MOST_PARTICLES = 64
 # D3.4 as published (PHYSICS.md 5, 8): a cylinder of radius 4.75 mm, drops of 0.5-6 mm, evenly from 10 % of the object's
@@ -120,6 +121,7 @@ class BeamParticles(nn.Module):
         extinction_per_m: Tensor,
         density_scale: Tensor | None = None,
         air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
     ) -> Tensor:
         """Expected number of particles from one node of the signal to the next up to each node of range, ``(B, E, P)``.
 
@@ -128,6 +130,7 @@ class BeamParticles(nn.Module):
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` particles over those of the rate; ``None`` is 1.
             air: patches along each of the B beams; ``None`` is the same everywhere.
+            sizes: ``(B, knots)`` number of particles at ``SIZE_KNOTS_MM`` over that of the rate; ``None`` is 1.
         """
         batch = extinction_per_m.shape[0]
         full, diameter_m, area_m2 = self._seen(beam, extinction_per_m, air)
@@ -138,6 +141,8 @@ class BeamParticles(nn.Module):
         position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1.0)
         node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
         tails = self._tails(batch)
+        if sizes is not None:
+            tails = self._of_sizes(tails, sizes.to(tails))
         if density_scale is not None:
             tails = tails * density_scale.to(tails)[:, None]
         flat = node.flatten(1)
@@ -153,6 +158,21 @@ class BeamParticles(nn.Module):
         tails: Tensor = self.tail(self.rate_mm_per_h.reshape(-1))
         return of_beams((tails - FEW_PER_M3).clamp_min(0.0), batch)
 
+    def _of_sizes(self, tails: Tensor, factors: Tensor) -> Tensor:
+        """N_> ``(B, D)`` with the number of each size times a factor, linear in ln D between the knots ``(B, knots)``.
+
+        A sample whose factors are all 1 keeps its bits.
+        """
+        step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
+        middle = math.log(1e3 * self.smallest_m) + step * (torch.arange(DIAMETER_NODES - 1, device=tails.device) + 0.5)
+        place = ((middle.to(tails) - math.log(SIZE_KNOTS_MM[0])) / math.log(2.0)).clamp(0.0, len(SIZE_KNOTS_MM) - 1.0)
+        knot = place.floor().clamp_max(len(SIZE_KNOTS_MM) - 2)
+        low = knot.to(torch.int64)
+        factor = torch.lerp(factors[:, low], factors[:, low + 1], place - knot)  # (B, D - 1)
+        cells = (tails[:, :-1] - tails[:, 1:]) * factor
+        more = torch.cat([cells.flip(1).cumsum(1).flip(1), torch.zeros_like(tails[:, :1])], 1) + tails[:, -1:]
+        return torch.where((factors == 1.0).all(1, keepdim=True), tails + (more - more.detach()), more)
+
     def expected_above(self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, reach_m: Tensor) -> Tensor:
         """Lambda(e, R): expected number of particles before ``reach_m`` above ``signal``, ``(B, N)``."""
         row = ((torch.log(signal.clamp_min(1e-30)) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
@@ -164,6 +184,7 @@ class BeamParticles(nn.Module):
         extinction_per_m: Tensor,
         density_scale: Tensor | None = None,
         air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
     ) -> None:
         """Where particles of a signal are follows from ``between``."""
 

@@ -27,6 +27,12 @@ from torchweather.stages.effects_lidar_sensor import (
     LidarRingGain,
     LidarThresholdShift,
 )
+from torchweather.stages.effects_lidar_structure import (
+    LidarParticleDensityAzimuth,
+    LidarParticleDensityElevation,
+    LidarParticleSizes,
+    LidarSharedParticles,
+)
 
 __all__ = [
     "EFFECTS",
@@ -39,12 +45,16 @@ __all__ = [
     "LidarLastReturn",
     "LidarLimitedExtent",
     "LidarParticleBackscatter",
+    "LidarParticleDensityAzimuth",
+    "LidarParticleDensityElevation",
+    "LidarParticleSizes",
     "LidarPatchyWeather",
     "LidarRangeBias",
     "LidarRangeNoise",
     "LidarRangeStretch",
     "LidarRingGain",
     "LidarSectorLoss",
+    "LidarSharedParticles",
     "LidarSpray",
     "LidarStaticStructure",
     "LidarThresholdShift",
@@ -73,5 +83,9 @@ for _effect in (
     LidarPatchyWeather,
     LidarSpray,
     LidarRingGain,
+    LidarParticleDensityAzimuth,
+    LidarParticleDensityElevation,
+    LidarParticleSizes,
+    LidarSharedParticles,
 ):
     register_effect(_effect)

@@ -316,18 +316,19 @@ class LidarParticleBackscatter(Effect):
     """Drops, flakes or droplets are brighter or darker than modelled; objects stay.
 
     Args:
-        gain_db: of the particles' power, -10 to 10 dB.
+        gain_db: of the particles' power, -20 to 10 dB.
 
     Note:
         Fog's readings, photon noise included, are scaled as a whole. Those below a tenth of the threshold are not
-        drawn, so 10 dB are the most.
+        drawn, so 10 dB are the most. The least is for sensors that see objects much farther than flakes tell: the
+        snow of WADS is 16 dB fainter than a Lambertian flake beside objects at 200 m (10 %).
     """
 
     id: ClassVar[str] = "lidar.particle_backscatter"
     title: ClassVar[str] = "particles are brighter or darker than modelled"
     term: ClassVar[str] = "backscatter efficiency"
     # The backscatter of drops is uncertain between 0.094 and 0.6, 8 dB (PHYSICS.md 3.2).
-    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("gain_db", "dB", -10.0, 10.0, scale=3.0, identity=0.0),)
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("gain_db", "dB", -20.0, 10.0, scale=3.0, identity=0.0),)
     percollect: ClassVar[str | None] = "Backscattering by atm. aerosol particles and accumulated hydrometeors"
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = -2

@@ -42,6 +42,7 @@ from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
 __all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
 
 DB = math.log(10.0) / 10.0
+THINNEST = 1e-6  # density of a beam that counts as none
 NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
@@ -238,6 +239,9 @@ class Extinction(Stage):
             extinction = extinction * state.density_scale.to(extinction)
         if state.patches is not None:
             state = self._through_patches(state, state.patches)
+        if state.beam_density is not None:
+            own = state.beam_density if state.path_density is None else state.path_density * state.beam_density
+            state = replace(state, path_density=own)
         clear = torch.exp(-2.0 * extinction[:, None] * state.uniform_m)
         return replace(state, signal=state.signal * clear[..., None], extinction_per_m=extinction)
 
@@ -345,9 +349,9 @@ class ParticleReturns(Stage):
         """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
         reach_m = state.reach_m.to(extinction.dtype)
         reach, start = part.grid.position(reach_m), part.start(reach_m)
-        density = state.density_scale
-        table = self._table(part, beam, extinction, density) if start is None else None
-        between = None if table is not None else part.between(beam, extinction, density)
+        density, sizes = state.density_scale, state.size_factors
+        table = self._table(part, beam, extinction, density, sizes) if start is None else None
+        between = None if table is not None else part.between(beam, extinction, density, sizes=sizes)
 
         def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             if table is not None:
@@ -355,7 +359,7 @@ class ParticleReturns(Stage):
             assert between is not None
             return strongest_before(between, arrived, own_place, reach, start)
 
-        return _echoes(part, beam, reach_m, arrival, place, strongest)
+        return _echoes(part, beam, reach_m, arrival, place, strongest, state.beam_density)
 
     def _drawn_in_patches(
         self,
@@ -377,7 +381,8 @@ class ParticleReturns(Stage):
 
         if state.extra_divergence_rad is not None:
             beam = self.beam.widened(state.extra_divergence_rad.repeat_interleave(SECTORS, 0))
-        of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(state.density_scale), air)
+        own = (state.density_scale, air, state.size_factors)
+        of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(own[0]), own[1], each(own[2]))
         between, places = part.between(*of_sectors), part.places(*of_sectors)
         sector = sector_of(_azimuth_and_level(state)[0])
         reach_m = state.reach_m.to(extinction.dtype)
@@ -386,24 +391,32 @@ class ParticleReturns(Stage):
         def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             return strongest_before(between, arrived, own_place, reach, None, places, sector, SECTORS)
 
-        return _echoes(part, beam, reach_m, arrival, place, strongest)
+        return _echoes(part, beam, reach_m, arrival, place, strongest, state.beam_density)
 
     def _table(
-        self, part: BeamParticles | SoftReturn, beam: Beam, extinction: Tensor, density: Tensor | None
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        density: Tensor | None,
+        sizes: Tensor | None = None,
     ) -> ReturnTable:
         """The table at this weather and sensor; the last one is kept while nothing it depends on has changed."""
         inputs = [extinction, *part.parameters_of_table(), *beam.buffers()]
-        if density is not None:
-            inputs.append(density)
+        inputs += [value for value in (density, sizes) if value is not None]
+
+        def solved(own: Tensor) -> ReturnTable:
+            between = part.between(beam, own, density, sizes=sizes)
+            return ReturnTable.of(between, part.places(beam, own, density, sizes=sizes))
+
         if is_exporting() or any(value.requires_grad for value in inputs):
-            return ReturnTable.of(part.between(beam, extinction, density), part.places(beam, extinction, density))
+            return solved(extinction)
         before, table = self._last_tables.get(part.kind, (None, None))
         if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
-            shared = density is None and all(value.numel() == 1 for value in inputs[1:]) and _all_alike(extinction)
+            shared = density is None and sizes is None and all(value.numel() == 1 for value in inputs[1:]) and _all_alike(extinction)
             with torch.no_grad():
                 # One table serves all samples that are in the same weather.
-                own = extinction[:1] if shared else extinction
-                table = ReturnTable.of(part.between(beam, own, density), part.places(beam, own, density))
+                table = solved(extinction[:1] if shared else extinction)
             table = table.expanded(len(extinction)) if shared else table
             self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
         return table
@@ -416,6 +429,7 @@ def _echoes(
     arrival: Tensor,
     place: Tensor,
     strongest: Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]],
+    density: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Range and signal, ``(B, N, echoes)``, of the strongest, the next strongest and so on; 0 where there is none.
 
@@ -425,14 +439,21 @@ def _echoes(
         reach_m: ``(B, N)`` up to which it counts.
         arrival, place: ``(B, echoes, N)`` its variates.
         strongest: solves for signal, range and whether there is one, as ``strongest_before`` gives them.
+        density: ``(B, N)`` of each beam over that of the weather; ``None`` is 1.
     """
     ranges, signals = [], []
     arrived = torch.zeros_like(reach_m)
+    # d times as many particles: d Lambda = E. Fog is no list of particles; of it there is d times the light.
+    counted = isinstance(part, BeamParticles)
+    own = None if density is None else density.to(reach_m)
+    per_density = None if own is None or not counted else own.clamp_min(THINNEST).reciprocal()
     for echo in range(part.echoes):
         arrived = arrived + exponential(arrival[:, echo].to(reach_m))
-        row, column, exists = strongest(arrived, place[:, echo].to(reach_m))
+        reached = arrived if per_density is None else arrived * per_density
+        row, column, exists = strongest(reached, place[:, echo].to(reach_m))
+        signal = part.signal_at(row, beam) * exists
         ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
-        signals.append(part.signal_at(row, beam) * exists)
+        signals.append(signal if own is None or counted else signal * own)
     return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
 
 

@@ -182,6 +182,7 @@ class SoftReturn(nn.Module):
         extinction_per_m: Tensor,
         density_scale: Tensor | None = None,
         air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
     ) -> Tensor:
         """Lambda from one node of the reading to the next up to each node of range, ``(B, E, P)``.
 
@@ -190,6 +191,7 @@ class SoftReturn(nn.Module):
             extinction_per_m: ``(B,)`` of all weather together.
             density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
             air: patches along each of the B beams; ``None`` is the same everywhere.
+            sizes: of particles that are seen one by one; droplets are not.
         """
         photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
         steep = slope.abs()
@@ -204,6 +206,7 @@ class SoftReturn(nn.Module):
         extinction_per_m: Tensor,
         density_scale: Tensor | None = None,
         air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
     ) -> Tensor:
         """Weight of the places up to each node of range for a reading between two nodes, ``(B, E, P)``."""
         photons, slope = self._photons(beam, extinction_per_m, density_scale, air)

@@ -176,6 +176,9 @@ class LidarState:
         extra_m: ``(B, ...)`` by how much longer the ways would be in uniform air, laid out as ``patches``; of all
             weather together.
         path_density: ``(B, N)`` mean density on each beam's way to ``reach_m`` over that of the weather; ``None`` is 1.
+        beam_density: ``(B, N)`` particles along each beam over those of the weather; ``None`` is 1.
+        size_factors: ``(B, knots)`` number of particles of each size over that of the weather, at the outlines
+            ``beam_particles.SIZE_KNOTS_MM``; ``None`` is 1.
         extra_divergence_rad: ``(B,)`` by which the beam is wider than the sensor says, full angle; ``None`` is 0.
         threshold_scale: ``(B,)`` threshold of the detection over ``threshold``; ``None`` is 1.
         cos_incidence: ``(1 or B, N)`` cosine between the beam and the normal of the surface it meets; ``None`` where
@@ -210,6 +213,8 @@ class LidarState:
     sensor: Lidar | None = None
     points: Tensor | None = None
     second: Tensor | None = None
+    beam_density: Tensor | None = None
+    size_factors: Tensor | None = None
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -259,6 +264,7 @@ PER_BEAM = (
     "kind",
     "reach_m",
     "path_density",
+    "beam_density",
     "cos_incidence",
     "up",
 )
