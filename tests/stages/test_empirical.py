@@ -259,6 +259,7 @@ def test_a_batch_is_its_samples(kind: str) -> None:
                 name: getattr(state, name)[number : number + 1]
                 for name in (
                     "points_in",
+                    "zero_intensity",
                     "clear_range_m",
                     "clear_signal",
                     "range_m",

@@ -55,6 +55,9 @@ class Lidar(Sensor):
             ``uint8_linear`` (255 = 1), ``uint8_calibrated`` (0-100 percent, above retroreflective), ``photons``, or
             ``none`` (a column without meaning; every return counts as ``assumed_reflectivity``).
         assumed_reflectivity: reflectivity of every target where the unit is ``none``.
+        zero_intensity: intensity that a value of 0 stands for, in the unit: a sensor that counts in steps rounds
+            ``[0, step)`` down to it. ``None`` is half a step where the data have one (integers of 8 bits, multiples of
+            0.01), else 0.
         elevations_deg: elevation of each ring, in the order of the sensor's ring numbers; ``None`` is unknown.
         columns: firings of each ring per turn.
         azimuth_offsets_deg: azimuth of each ring relative to its column; ``None`` is 0.
@@ -94,6 +97,7 @@ class Lidar(Sensor):
     echo_separation_m: float | None = None
     intensity_unit: str = "reflectivity"
     assumed_reflectivity: float = 0.1
+    zero_intensity: float | None = None
     elevations_deg: tuple[float, ...] | None = None
     columns: int | None = None
     azimuth_offsets_deg: tuple[float, ...] | None = None
@@ -123,6 +127,9 @@ class Lidar(Sensor):
             check_finite(name, getattr(self, name), unit="m", owner=self)
         if self.echo_separation_m is not None:
             check_at_least("echo_separation_m", self.echo_separation_m, 0.0, unit="m", owner=self)
+        if self.zero_intensity is not None:
+            check_at_least("zero_intensity", self.zero_intensity, 0.0, owner=self)
+            check_finite("zero_intensity", self.zero_intensity, owner=self)
         check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)
         check_one_of("intensity_unit", self.intensity_unit, INTENSITY_UNITS, owner=self)
         self._check_ranges()

@@ -66,9 +66,17 @@ class Beam(nn.Module):
         """Cross-section ``pi D_b^2 / 4``, m^2."""
         return 0.25 * math.pi * self.diameter_m(range_m).square()
 
+    def _ramp(self, range_m: Tensor) -> Tensor:
+        """Place between the beginning of the near-range response, 0, and its end, 1; beyond both ends too."""
+        return (range_m - self.near_start_m) / (self.near_full_m - self.near_start_m)
+
+    def near_ramp(self, range_m: Tensor) -> Tensor:
+        """The near-range response before its power, 0 to 1."""
+        return self._ramp(range_m).clamp(0.0, 1.0)
+
     def near_response(self, range_m: Tensor) -> Tensor:
         """xi, 0 to 1: share of a near target's light that the receiver takes."""
-        ramp = (range_m - self.near_start_m) / (self.near_full_m - self.near_start_m)
+        ramp = self._ramp(range_m)
         if not is_exporting() and not self.near_power.requires_grad and float(self.near_power) == 1.0:
             return ramp.clamp(0.0, 1.0)
         inside = ramp.clamp(1e-12, 1.0)  # a power of 0 would have no gradient

@@ -6,6 +6,7 @@ Smooth in rates, visibility and sensor parameters, so that they can be fitted. T
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +14,16 @@ import torch
 from torch import Tensor
 
 from torchweather.stages.beam_particles import BeamParticles
-from torchweather.stages.lidar import DB, Detection, Extinction, ParticleReturns, ToEnergy
+from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.stages.states import LidarState
 
 __all__ = ["expected_detection"]
 
-# Gauss-Laguerre nodes over the margin of points that stand on it.
+# Nodes over the margin of points that stand on it: Gauss-Laguerre, or Gauss-Legendre where the margin has an end, of
+# which so many means are looked at.
 MARGIN_NODES = 8
+LONGEST_MARGIN = 8.0
 TINY = 1e-12
 
 
@@ -44,33 +47,71 @@ def expected_detection(
         PHYSICS.md 5.3-5.5.
     """
     range_m, seen = state.clear_range_m, state.clear_range_m > 0
-    threshold, margin = to_energy.beam.threshold, DB * to_energy.margin_db
+    threshold = to_energy.beam.threshold
+    law = _Margin.of(to_energy, range_m)
     alpha = extinction.extinction_per_m(state.batch).to(range_m)
     transmission = torch.exp(-2.0 * alpha[:, None] * range_m)
-    clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m)
+    clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m, state.zero_intensity)
     floored, dimmed = torch.maximum(clear, threshold * torch.ones_like(clear)), clear * transmission
     rivals = _Rivals(range_m, alpha, returns, detection)
-
-    def unbeaten_above(signal: Tensor) -> Tensor:
-        """Mean over objects that stand an exponential margin above this signal."""
-        nodes, weights = np.polynomial.laguerre.laggauss(MARGIN_NODES)
-        parts = [
-            float(weight) * rivals.unbeaten(signal * torch.exp(margin * float(node)))
-            for node, weight in zip(nodes, weights, strict=True)
-        ]
-        return torch.stack(parts).sum(0)
 
     photons = to_energy.photons_at_threshold / threshold
     spread = torch.sqrt((floored * photons * transmission * (1.0 - transmission)).clamp_min(TINY))
     above = torch.special.ndtr((dimmed - threshold) * photons / spread)
-    # The exponential law has no memory: what of the margin is left above any level is exponential again.
-    on_margin = (threshold / floored) ** (1.0 / margin)
-    strong = torch.lerp(rivals.unbeaten(dimmed), unbeaten_above(dimmed), on_margin)
-    weak = transmission ** (1.0 / margin) * unbeaten_above(threshold * torch.ones_like(clear))
+    surplus, loss = (floored / threshold).log(), 2.0 * alpha[:, None] * range_m
+    strong = torch.lerp(
+        rivals.unbeaten(dimmed), law.mean_above(rivals.unbeaten, dimmed, surplus), law.chance_above(surplus)
+    )
+    weak = law.chance_above(loss) * law.mean_above(rivals.unbeaten, threshold * torch.ones_like(clear), loss)
     reported = torch.lerp(weak, strong, above)
     near = range_m < detection.sensor.near_start_m  # nothing lies in front of these
     reported = torch.where(near, 1.0, reported)
     return torch.where(seen, floored * transmission, 0.0), torch.where(seen, reported, 0.0)
+
+
+@dataclass(frozen=True)
+class _Margin:
+    """The law of ln(signal / threshold) of returns that stand on the margin: exponential, up to an end where near.
+
+    Args:
+        mean, end: ``(B, N)``.
+        near: ``(B, N)`` bool, whether there is an end.
+    """
+
+    mean: Tensor
+    end: Tensor
+    near: Tensor
+
+    @classmethod
+    def of(cls, to_energy: ToEnergy, range_m: Tensor) -> _Margin:
+        """The law of `ToEnergy.log_margin`."""
+        mean, end = to_energy.margin_law(range_m)
+        return cls(mean, end, end.isfinite())
+
+    def chance_above(self, level: Tensor) -> Tensor:
+        """Probability that the logarithm exceeds a level, ``(B, N)``."""
+        return torch.exp(-level / self.mean) * ~(self.near & (level >= self.end))
+
+    def mean_above(self, function: Callable[[Tensor], Tensor], signal: Tensor, level: Tensor) -> Tensor:
+        """Mean of a function of the signal over returns whose logarithm exceeds a level.
+
+        Args:
+            function: of a signal ``(B, N)``.
+            signal: of a return that stands just on the level.
+            level: ln of the level over the threshold.
+        """
+        # The exponential law has no memory: what is left above a level is exponential again, as far as the end is.
+        left = torch.minimum((self.end - level).clamp_min(0.0), LONGEST_MARGIN * self.mean)
+        laguerre = np.polynomial.laguerre.laggauss(MARGIN_NODES)
+        legendre = np.polynomial.legendre.leggauss(MARGIN_NODES)
+        found = torch.zeros_like(signal)
+        for far_place, far_weight, place, weight in zip(*laguerre, *legendre, strict=True):
+            inside = 0.5 * (1.0 + float(place)) * left
+            share = 0.5 * float(weight) * left / self.mean * torch.exp(-inside / self.mean)
+            part = torch.where(self.near, inside, self.mean * float(far_place))
+            found = found + torch.where(self.near, share, float(far_weight)) * function(signal * torch.exp(part))
+        at_end = torch.where(self.near, torch.exp(-left / self.mean), 0.0)
+        return found + at_end * function(signal * torch.exp(torch.where(self.near, left, 0.0)))
 
 
 @dataclass(frozen=True)

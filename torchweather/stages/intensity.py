@@ -19,6 +19,7 @@ __all__ = [
     "intensity_from_signal",
     "intensity_of_reflectivity",
     "reflectivity_from_intensity",
+    "zero_intensity",
 ]
 
 # Largest value of a unit; None where there is no end.
@@ -38,12 +39,43 @@ _LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0
 # Units whose values may be integers; those are then rounded down.
 COUNTED = ("reflectivity_percent", "uint8_linear", "uint8_calibrated", "photons")
 
+EIGHT_BITS = ("uint8_linear", "uint8_calibrated")
+# Step of KITTI's intensities, and how far off its multiples their float32 may lie, in steps.
+HUNDREDTH = 0.01
+OFF_STEP = 1e-3
+
 
 def are_integers(intensity: Tensor, unit: str) -> Tensor:
     """Whether all intensities of a sample ``(B, N)`` are integers of a unit that counts, bool ``(B, 1)``."""
     if unit not in COUNTED:
         return torch.zeros_like(intensity[..., :1], dtype=torch.bool)
     return (intensity == intensity.floor()).all(-1, keepdim=True)
+
+
+def zero_intensity(intensity: Tensor, unit: str, given: float | None = None) -> Tensor:
+    """Intensity that a value of 0 stands for, ``(..., 1)``: the middle of what is rounded to it.
+
+    A sensor that counts in steps reports 0 for ``[0, step)``. The step is 1 for units of 8 bits whose values are all
+    integers, and 0.01 for reflectivities that are all multiples of it (KITTI). Of other data 0 is 0.
+
+    Args:
+        intensity: ``(..., N)`` of one sensor.
+        unit: see the module.
+        given: the answer where it is known, ``Lidar.zero_intensity``.
+
+    Example:
+        >>> zero_intensity(torch.tensor([[0.0, 0.31, 0.02]]), "reflectivity")
+        tensor([[0.0050]])
+    """
+    if given is not None:
+        return torch.full_like(intensity[..., :1], given)
+    if unit in EIGHT_BITS:
+        return 0.5 * are_integers(intensity, unit).to(intensity)
+    if unit != "reflectivity":
+        return torch.zeros_like(intensity[..., :1])
+    steps = intensity / HUNDREDTH
+    stepped = ((steps - steps.round()).abs() < OFF_STEP).all(-1, keepdim=True)
+    return 0.5 * HUNDREDTH * (stepped & (intensity > 0).any(-1, keepdim=True)).to(intensity)
 
 
 def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) -> Tensor:

@@ -16,6 +16,7 @@ from torchweather.errors import check_at_least, check_one_of
 from torchweather.physics import Q_EFF, KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.random import Variate
 from torchweather.sensors import Lidar
+from torchweather.sensors.lidar import CALIBRATION_REFLECTIVITY
 from torchweather.stages.beam import Beam
 from torchweather.stages.beam_particles import (
     PUBLISHED_DOMAIN_MM,
@@ -42,6 +43,7 @@ from torchweather.weather import Fog, Rain, Snow, Weather, weather_from_dict
 __all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
 
 DB = math.log(10.0) / 10.0
+LEAST_RAMP = 1e-4  # of the near-range response, so that margins stay finite
 THINNEST = 1e-6  # density of a beam that counts as none
 NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
@@ -86,7 +88,14 @@ class ToEnergy(_SensorStage):
     """Signal of each object in clear air, from its intensity.
 
     ``X = (I / pi) xi(R) / R^2`` from a reflectivity, ``X = I / K`` from photons. A return in the input was detected, so
-    ``X >= X_thr 10^(m/10)`` with a margin m of exponential law (``PHYSICS.md`` 5.3).
+    ``X >= X_thr 10^(m/10)`` with a margin m of exponential law (``PHYSICS.md`` 5.3). An intensity of 0 stands for
+    ``zero_intensity`` of the state.
+
+    Note:
+        Where the receiver's response rises, that a return was detected says how wrong the response is rather than how
+        faint the return: the mean margin there is that of the sensor over the ramp of the response, up to the signal of
+        a 10 % target in full response. So the chance to lose a faint return goes to 0 towards ``near_start_m``, nearer
+        than which none is lost (``Detection``).
 
     Args:
         sensor: the LiDAR, or its dictionary.
@@ -106,22 +115,53 @@ class ToEnergy(_SensorStage):
         """The margin of each beam, as the probability of a smaller one."""
         return (Variate("margin", "uniform", ("N",)),)
 
-    def signal_of_intensity(self, intensity: Tensor, range_m: Tensor) -> Tensor:
-        """X of an object from its intensity, without the floor, ``(B, N)``; 0 for a beam without return."""
+    def signal_of_intensity(self, intensity: Tensor, range_m: Tensor, zero_intensity: Tensor | None = None) -> Tensor:
+        """X of an object from its intensity, without the floor, ``(B, N)``; 0 for a beam without return.
+
+        Args:
+            intensity: ``(B, N)`` in the sensor's unit.
+            range_m: ``(B, N)``.
+            zero_intensity: ``(B, 1)`` intensity that a value of 0 stands for; ``None`` is 0.
+        """
         unit = self.sensor.intensity_unit
+        if zero_intensity is not None:
+            intensity = torch.where(intensity == 0, zero_intensity.to(intensity), intensity)
         if unit == "photons":
             return intensity * (range_m > 0) * (self.beam.threshold / self.photons_at_threshold)
         reflectivity = reflectivity_from_intensity(intensity, unit, self.sensor.assumed_reflectivity)
         # At range 0 the receiver's response is 0.
         return reflectivity * self.beam.near_response(range_m) / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2)
 
+    def margin_law(self, range_m: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and end of the margin, ln of a signal over the threshold, ``(B, N)`` each; an end only where it is near.
+
+        Args:
+            range_m: ``(B, N)``.
+        """
+        ramp = self.beam.near_ramp(range_m)
+        full = CALIBRATION_REFLECTIVITY / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2) / self.beam.threshold
+        end = torch.where(ramp < 1.0, full.log().clamp_min(0.0), torch.inf)
+        return DB * self.margin_db / ramp.clamp_min(LEAST_RAMP), end
+
+    def log_margin(self, range_m: Tensor, uniform: Tensor) -> Tensor:
+        """ln of the least signal of a return over the threshold, ``(B, N)``.
+
+        Args:
+            range_m: ``(B, N)``.
+            uniform: ``(B, N)`` the probability of a smaller one.
+        """
+        mean, end = self.margin_law(range_m)
+        drawn = exponential(uniform.to(range_m))
+        return torch.minimum(mean * drawn, torch.maximum(end, DB * self.margin_db * drawn))
+
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the objects' signals."""
 
         range_m, margin = state.clear_range_m, noise["margin"]
         seen = range_m > 0
-        floor = self.beam.threshold * torch.exp(DB * self.margin_db * exponential(margin.to(range_m)))
-        signal = torch.maximum(self.signal_of_intensity(state.points_in[..., 3], range_m), floor)
+        floor = self.beam.threshold * torch.exp(self.log_margin(range_m, margin))
+        given = self.signal_of_intensity(state.points_in[..., 3], range_m, state.zero_intensity)
+        signal = torch.maximum(given, floor)
         signal = torch.where(seen, signal, 0.0)
         kind = torch.where(seen, OBJECT, LOST).to(torch.int8)
         return replace(
@@ -413,7 +453,12 @@ class ParticleReturns(Stage):
             return solved(extinction)
         before, table = self._last_tables.get(part.kind, (None, None))
         if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
-            shared = density is None and sizes is None and all(value.numel() == 1 for value in inputs[1:]) and _all_alike(extinction)
+            shared = (
+                density is None
+                and sizes is None
+                and all(value.numel() == 1 for value in inputs[1:])
+                and _all_alike(extinction)
+            )
             with torch.no_grad():
                 # One table serves all samples that are in the same weather.
                 table = solved(extinction[:1] if shared else extinction)

@@ -170,6 +170,7 @@ class LidarState:
             no return but a direction; 0 where it has neither.
         threshold: ``()`` signal that is detected.
         integral: ``(B, 1)`` bool, whether the sample's intensities are integers; they then stay integers.
+        zero_intensity: ``(B, 1)`` intensity that a value of 0 stands for; ``None`` is 0.
         extinction_per_m: ``(B,)`` effective extinction of all weather together; ``None`` is clear air.
         density_scale: ``(B,)`` particles in the air over those that the weather says; ``None`` is 1.
         patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
@@ -213,6 +214,7 @@ class LidarState:
     sensor: Lidar | None = None
     points: Tensor | None = None
     second: Tensor | None = None
+    zero_intensity: Tensor | None = None
     beam_density: Tensor | None = None
     size_factors: Tensor | None = None
 

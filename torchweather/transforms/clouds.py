@@ -11,8 +11,10 @@ from torch import Tensor
 
 from torchweather.errors import TorchweatherWarning, owner_name
 from torchweather.sensors import Lidar, empty_beams
+from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.sensors.lidar import unit_directions
 from torchweather.stages.by_rows import is_exporting
+from torchweather.stages.intensity import zero_intensity
 from torchweather.stages.lidar import ToEnergy
 
 __all__ = ["Beams", "beams_of", "below_floor", "check_points"]
@@ -35,11 +37,12 @@ def below_floor(points: Tensor, sensor: Lidar) -> tuple[int, int]:
         >>> below_floor(cloud, Lidar.preset("velodyne-hdl-64e", intensity_unit="reflectivity"))
         (1, 2)
     """
-    values = points.detach()[..., :4].double()
+    values = points_in_sensor_frame(points.detach()[..., :4].double(), sensor)
     range_m = values[..., :3].square().sum(-1).sqrt()
     stage = ToEnergy(sensor).double()
     seen = (range_m > 0) & range_m.isfinite()
-    signal = stage.signal_of_intensity(values[..., 3], range_m)
+    zero = zero_intensity(values[..., 3], sensor.intensity_unit, sensor.zero_intensity)
+    signal = stage.signal_of_intensity(values[..., 3], range_m, zero)
     return int((seen & (signal < stage.beam.threshold)).sum()), int(seen.sum())
 
 

@@ -34,7 +34,7 @@ from torchweather.stages import (
 )
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.expected_detection import expected_detection
-from torchweather.stages.intensity import are_integers
+from torchweather.stages.intensity import are_integers, zero_intensity
 from torchweather.stages.patchy_air import PatchyAir, patchy_air
 from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms.clouds import Beams, beams_of, check_points
@@ -377,6 +377,7 @@ class LidarWeather(WeatherTransform):
             reach_m=reach_m,
             threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
             integral=are_integers(flat[..., 3], self.sensor.intensity_unit),
+            zero_intensity=zero_intensity(flat[..., 3], self.sensor.intensity_unit, self.sensor.zero_intensity),
             grid=self._grid(flat.shape[1]),
         )
         return beams, state
@@ -430,7 +431,7 @@ class LidarWeather(WeatherTransform):
 
     def _floored(self, state: LidarState) -> Tensor:
         stage = self._stage(ToEnergy)
-        signal = stage.signal_of_intensity(state.points_in[..., 3], state.clear_range_m)
+        signal = stage.signal_of_intensity(state.points_in[..., 3], state.clear_range_m, state.zero_intensity)
         floored: Tensor = (state.clear_range_m > 0) & (signal < stage.beam.threshold)
         return floored.sum(-1)
 
@@ -438,7 +439,7 @@ class LidarWeather(WeatherTransform):
         """Values ``(B, N, ...)`` of the beams as they leave: shape and dtype of the input, lost points as asked for."""
         batch = points.shape[:-2]
         if values.ndim == 3:  # the cloud itself
-            given = points.reshape(len(values), *points.shape[-2:])
+            given = points.reshape(values.shape[0], *points.shape[-2:])
             values = points_in_cloud_frame(values, beams.points, given, self.sensor).to(points.dtype)
             if self.lost == "nan":
                 had_return = _range_m(beams.points, self.sensor.min_range_m) > 0
