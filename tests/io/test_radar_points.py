@@ -332,8 +332,8 @@ def test_a_list_that_is_none_is_refused(tmp_path: Path, header: str, row: str, m
 
 
 def test_wrong_arguments_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"must end in \.pcd, \.npz, \.csv; got 'a\.bin'"):
-        read_radar(tmp_path / "a.bin")
+    with pytest.raises(ValueError, match=r"must end in \.pcd, \.npz, \.csv, \.bin; got 'a\.xyz'"):
+        read_radar(tmp_path / "a.xyz")
     for name, value in (("speed", "radial"), ("gain", "beam"), ("format", "ply")):
         with pytest.raises(ValueError, match=rf"read_radar: {name} must be one of"):
             read_radar(tmp_path / "a.csv", **{name: value})  # type: ignore[arg-type]

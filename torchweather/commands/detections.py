@@ -15,6 +15,7 @@ __all__ = [
     "radar_options",
 ]
 
+DETECTION_SUFFIXES = (".pcd", ".npz", ".csv", ".bin")
 # Named as they stand in the arguments.
 RADAR_FIELDS = ("frequency_ghz", "polarisation", "noise_floor_db", "detection_snr_db")
 RADAR_OPTIONS = ("clutter", "radome_loss_db", "radome_film_db")
@@ -56,9 +57,7 @@ def radar_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def gathered_detections(inputs: list[Path]) -> list[Path]:
     """The files: as they are, of a folder all that may hold detections by name."""
-    from torchweather.io import RADAR_FORMATS
-
-    known = tuple(f".{name}" for name in RADAR_FORMATS)
+    known = DETECTION_SUFFIXES
     found: list[Path] = []
     for path in inputs:
         if path.is_dir():

@@ -130,12 +130,13 @@ def _inside(folder: Path, sensor: str | None) -> list[Path]:
 
 
 def _endings(sensor: str | None) -> tuple[str, ...]:
-    from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES, RADAR_FORMATS
+    from torchweather.commands.detections import DETECTION_SUFFIXES
+    from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
 
     known = {
         "camera": IMAGE_SUFFIXES,
         "lidar": tuple(POINT_SUFFIXES),
-        "radar": tuple(f".{name}" for name in RADAR_FORMATS),
+        "radar": DETECTION_SUFFIXES,
     }
     return tuple(dict.fromkeys((*IMAGE_SUFFIXES, *POINT_SUFFIXES))) if sensor is None else known[sensor]
 

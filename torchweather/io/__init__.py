@@ -51,6 +51,7 @@ from torchweather.io.labels import (
     read_labels,
     write_labels,
 )
+from torchweather.io.map_layout import MAP_LAYOUTS, MapLayout, map_layout
 from torchweather.io.npz_points import NPZ_ENCODINGS
 from torchweather.io.nuscenes import read_nuscenes_calibration, read_nuscenes_points
 from torchweather.io.nuscenes_boxes import (
@@ -66,7 +67,9 @@ from torchweather.io.pcd import PCD_ENCODINGS
 from torchweather.io.ply import PLY_ENCODINGS
 from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, write_points
+from torchweather.io.power_maps import MAP_SUFFIXES, MapRecord, read_power_map, write_power_map
 from torchweather.io.radar_points import RADAR_COLUMNS, RADAR_FORMATS, RadarPoints, read_radar, write_radar
+from torchweather.io.sensor_pose import read_sensor_pose
 from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 
 __all__ = [
@@ -79,6 +82,8 @@ __all__ = [
     "IMAGE_SUFFIXES",
     "INTENSITY_NAMES",
     "LYING_SNOW",
+    "MAP_LAYOUTS",
+    "MAP_SUFFIXES",
     "NPZ_ENCODINGS",
     "NUSCENES_RADAR_STATES",
     "OUSTER_INTENSITIES",
@@ -102,6 +107,8 @@ __all__ = [
     "ImageInfo",
     "Mmdet3dAdapter",
     "OpenPcdetAdapter",
+    "MapLayout",
+    "MapRecord",
     "OusterFrame",
     "PointCloud",
     "PointLabels",
@@ -122,6 +129,7 @@ __all__ = [
     "image_from_carla",
     "image_to_carla",
     "join_indexed",
+    "map_layout",
     "merge_kind",
     "parsivel_area_mm2",
     "parsivel_edges_mm",
@@ -148,6 +156,8 @@ __all__ = [
     "read_nuscenes_points",
     "read_ouster",
     "read_points",
+    "read_sensor_pose",
+    "read_power_map",
     "read_radar",
     "read_table",
     "spectrum_from_counts",
@@ -161,6 +171,7 @@ __all__ = [
     "write_labels",
     "write_nuscenes_boxes",
     "write_points",
+    "write_power_map",
     "write_radar",
     "write_table",
 ]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from torchweather.errors import TorchweatherError
 
-__all__ = ["POSITIONS", "SPEEDS", "RadarColumns"]
+__all__ = ["POSITIONS", "RADIAL", "SPEEDS", "RadarColumns"]
 
 Column = npt.NDArray[np.float64]
 Columns = dict[str, Column]
@@ -27,6 +27,8 @@ POSITIONS = (*CARTESIAN, *SPHERICAL)
 POWERS = ("power_dbm", "power_db")
 CROSS_SECTIONS = ("rcs_dbsm", "rcs")
 SPEED = "speed_m_per_s"
+# View-of-Delft's radial speeds, m/s.
+RADIAL = {"relative": "v_r", "compensated": "v_r_compensated"}
 # Ground velocities in m/s, nuScenes' names: as the radar measures them, and less the car's own motion.
 SPEEDS = {"relative": ("vx", "vy"), "compensated": ("vx_comp", "vy_comp")}
 # Angles and roots come out differently in the last bits on another machine: fewer parts of the number are no change.
@@ -72,6 +74,8 @@ class RadarColumns:
         velocities: tuple[tuple[str, str], ...] = ()
         if SPEED in lower:
             speeds: tuple[str, ...] = (lower[SPEED],)
+        elif RADIAL.get(speed) in lower:
+            speeds = (lower[RADIAL[speed]],)
         else:
             pairs = {key: (lower[a], lower[b]) for key, (a, b) in SPEEDS.items() if a in lower and b in lower}
             if speed not in pairs:

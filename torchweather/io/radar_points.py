@@ -1,4 +1,6 @@
-"""Radar detections from files and back: nuScenes' PCD, csv and NPZ; power and cross section by the radar equation."""
+"""Radar detections from files and back: PCD (nuScenes), View-of-Delft, csv, NPZ; power and cross section by the radar
+equation.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +21,17 @@ from torchweather.io.nuscenes_radar import empty_sweep, is_nuscenes_radar
 from torchweather.io.pcd import read_pcd
 from torchweather.io.point_cloud import PointCloud, exact_dtype, flat_columns
 from torchweather.io.points import write_points
-from torchweather.io.radar_columns import POSITIONS, SPEEDS, RadarColumns
+from torchweather.io.radar_columns import POSITIONS, RADIAL, SPEEDS, RadarColumns
 from torchweather.io.stored_points import PointLayout, StoredPoints
+from torchweather.io.vod_radar import read_vod_radar, write_vod_radar
 from torchweather.physics import received_power_dbm, target_rcs_dbsm
 from torchweather.sensors import Radar
 
 __all__ = ["RADAR_COLUMNS", "RADAR_FORMATS", "RadarPoints", "read_radar", "write_radar"]
 
 RADAR_COLUMNS = ("x_m", "y_m", "z_m", "speed_m_per_s", "power_dbm", "rcs_dbsm")
-RADAR_FORMATS = ("pcd", "npz", "csv")
+RADAR_FORMATS = ("pcd", "npz", "csv", "vod")
+SUFFIX_OF = {"vod": "bin"}  # others end in their name
 RADAR_EQUATION = "radar equation"
 FROM_FILE = "file"
 GAINS = ("boresight", "pattern")
@@ -35,6 +39,7 @@ _READERS: dict[str, Callable[[Path], StoredPoints]] = {
     "pcd": read_pcd,
     "npz": lambda path: read_npz_points(path, positions=POSITIONS, usual=RADAR_COLUMNS),
     "csv": read_csv_points,
+    "vod": read_vod_radar,
 }
 
 
@@ -108,11 +113,12 @@ def read_radar(
 
     Args:
         path: ``.pcd`` (nuScenes' radars, or columns as above), ``.npz`` (an array for each column, or a table
-            ``points`` of the six), ``.csv`` with a line of names.
+            ``points`` of the six), ``.csv`` with a line of names, ``.bin`` (View-of-Delft: seven float32 a row).
         radar: whose link budget gives the power from the cross section or the reverse, where the file has but one.
         format: one of `RADAR_FORMATS`, where the suffix does not tell.
         speed: which velocity of nuScenes is taken, ``relative`` (``vx``, ``vy``: what the radar measures) or
-            ``compensated`` (``vx_comp``, ``vy_comp``); the radial speed is ``(x vx + y vy) / r``.
+            ``compensated`` (``vx_comp``, ``vy_comp``); the radial speed is ``(x vx + y vy) / r``. Of View-of-Delft
+            ``v_r`` or ``v_r_compensated``.
         gain: antenna gain in the radar equation: ``boresight`` in all directions, or the radar's ``pattern``.
         keep: values to keep by column; other rows are left out. All rows are read by default, those that a maker marks
             as invalid too; `NUSCENES_RADAR_STATES` is nuScenes' usual choice.
@@ -173,7 +179,7 @@ def read_radar(
         (*first, *others),
         FROM_FILE if names.power is not None else RADAR_EQUATION,
         FROM_FILE if names.rcs is not None else RADAR_EQUATION,
-        speed if names.velocities else FROM_FILE,
+        speed if names.velocities or names.speed[0] in RADIAL.values() else FROM_FILE,
         as_read,
         stored.layout,
     )
@@ -225,6 +231,9 @@ def write_radar(
     else:
         wanted = tuple(name for one in layout.fields for name in one.columns)
         table = _in_fields(points, radar_points, wanted, target)
+    if kind == "vod":
+        write_vod_radar(target, {name: table[:, k] for k, name in enumerate(wanted)})
+        return
     cloud = PointCloud(torch.from_numpy(np.ascontiguousarray(table)), wanted, layout=layout)
     write_points(target, cloud, format=kind)
 
@@ -234,12 +243,13 @@ def _format(path: Path, format: str | None, owner: str) -> str:
         check_one_of("format", format, RADAR_FORMATS, owner=owner)
         return format
     suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in RADAR_FORMATS:
+    known = {SUFFIX_OF.get(name, name): name for name in RADAR_FORMATS}
+    if suffix not in known:
         raise ValueError(
-            f"{owner}: path must end in .{', .'.join(RADAR_FORMATS)}; got {path.name!r}. Or name the format: "
+            f"{owner}: path must end in .{', .'.join(known)}; got {path.name!r}. Or name the format: "
             f"format='{RADAR_FORMATS[0]}'."
         )
-    return suffix
+    return known[suffix]
 
 
 def _kept(

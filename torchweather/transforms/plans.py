@@ -84,8 +84,8 @@ def plan_of(transform: nn.Module) -> Plan:
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, (BayerWeather, LidarWeather, RadarAttenuation, RadarMapWeather)):
         raise TypeError(
-            f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one of a camera); got "
-            f"{type(transform).__name__}."
+            f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one "
+            f"of a camera); got {type(transform).__name__}."
         )
     plan = Plan(type(inner), sensor_of(inner), dict(inner.given))
     changed = _changed(inner, plan.build(inner.weather))

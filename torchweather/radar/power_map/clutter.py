@@ -120,8 +120,11 @@ class MapClutter(Stage):
             return state
         gain_db = state.gain_db
         eta, fall, fall_std = (value.to(gain_db) for value in self.falling(state.batch))
-        of_path = self._over_range(gain_db)[None] * self.share * eta[:, None, None] * torch.exp(
-            DB * gain_db.reshape(state.batch, *self._line_shape)
+        of_path = (
+            self._over_range(gain_db)[None]
+            * self.share
+            * eta[:, None, None]
+            * torch.exp(DB * gain_db.reshape(state.batch, *self._line_shape))
         )
         of_path = of_path * self._density(state)
         found = self.axes.laid_out(of_path, ("range", "azimuth"))
@@ -155,7 +158,8 @@ class MapClutter(Stage):
             return state.gain_db.new_ones(1, 1, 1)
         range_m = self.axes.axis("range", state.gain_db)[None, :, None]
         azimuth = within_half_turn(self.axes.axis("azimuth", state.gain_db))[None, None]
-        return state.patches.banks(self.weather).at(azimuth, range_m)
+        density: Tensor = state.patches.banks(self.weather).at(azimuth, range_m)
+        return density
 
     def _pattern(self, like: Tensor) -> Tensor:
         """``(1, A, E)`` two-way pattern; a turning antenna looks along each azimuth."""
@@ -188,6 +192,6 @@ class MapClutter(Stage):
         folds = torch.arange(-FOLDS, FOLDS + 1, device=mean.device, dtype=mean.dtype) * period
         place = off[..., None] + folds
         inside = torch.special.ndtr((place + 0.5 * width) / std) - torch.special.ndtr((place - 0.5 * width) / std)
-        share = inside.sum(-1)
+        share: Tensor = inside.sum(-1)
         share = share / share.sum(-1, keepdim=True)
         return share.reshape(mean.shape[0], *along.shape[:2], len(speeds))

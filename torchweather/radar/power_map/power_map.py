@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -69,7 +70,7 @@ class MapAxes:
             if given is not None:
                 object.__setattr__(self, axis, _numbers(axis, given))
         ranges = self.range_m
-        if len(ranges) < 2 or ranges[0] < 0 or any(b <= a for a, b in zip(ranges, ranges[1:], strict=False)):
+        if len(ranges) < 2 or ranges[0] < 0 or any(b <= a for a, b in pairwise(ranges)):
             raise ValueError(
                 "MapAxes: range_m must be two metres or more of 0 or more, rising; got "
                 f"{ranges[:3]}{'...' if len(ranges) > 3 else ''}."
@@ -165,7 +166,8 @@ class MapAxes:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> MapAxes:
         """The inverse of ``to_dict``."""
-        return cls(**{key: None if value is None else tuple(value) for key, value in values.items()})
+        given: dict[str, Any] = {key: None if value is None else tuple(value) for key, value in values.items()}
+        return cls(**given)
 
 
 @dataclass(frozen=True, eq=False)

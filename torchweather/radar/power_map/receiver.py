@@ -1,7 +1,7 @@
 r"""Radar stage map_receiver: what the receiver shows of weakened echoes, its own noise, and the weather's echo.
 
-A cell of a recording holds ``|s + n|^2``: an echo s and noise n of mean power N, which cannot be told apart. Weakened by
-the weather to ``s sqrt(L)``, with the noise as strong as before, it is
+A cell of a recording holds ``|s + n|^2``: an echo s and noise n of mean power N, which cannot be told apart. Weakened
+by the weather to ``s sqrt(L)``, with the noise as strong as before, it is
 
     z' = sqrt(L) z + sqrt(F - L + C / N) sqrt(N) w,    z = s + n,  |z|^2 = P
 
@@ -167,7 +167,9 @@ class MapReceiver(Stage):
         low_db, high_db = self.scale.bounds_db(values)
         place = noise["level"].to(high_db)
         high = torch.exp(DB * (high_db - floor_db))
-        inside = torch.exp(DB * (torch.lerp(torch.where(low_db.isfinite(), low_db, high_db), high_db, place) - floor_db))
+        inside = torch.exp(
+            DB * (torch.lerp(torch.where(low_db.isfinite(), low_db, high_db), high_db, place) - floor_db)
+        )
         below = -torch.log1p(place * torch.expm1(-high))  # of the exponential law, cut off at the first edge
         return torch.where(low_db.isfinite(), inside, below)
 
