@@ -38,6 +38,8 @@ LIDAR_FIELDS = (
     "near_full_m",
     "max_range_m",
     "columns",
+    "sensor_origin",
+    "sensor_pose",
 )
 LIDAR_ARGUMENTS = (*LIDAR_FIELDS, "intensity", "lost", "complete_scan", "labels", "labels_in", "meta", "force")
 
@@ -64,10 +66,10 @@ def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.N
         seen = points[..., 3][points[..., :3].square().sum(-1) > 0]
         raise TorchweatherError(
             f"{owner}: {name}: {floored} of {returns} points are, by their intensity, fainter than the sensor can "
-            f"detect, yet it detected them. Their intensities are {float(seen.min()):g} to {float(seen.max()):g}, "
-            f"median {float(seen.median()):g}, read as {sensor.intensity_unit}. Give --intensity-unit (reflectivity, "
-            "reflectivity_percent, uint8_linear, uint8_calibrated, photons, none) or --range-at-10-percent-m; --force "
-            "goes on as it is."
+            f"detect, yet it detected them. Their intensities are {float(seen.min()):g} to {float(seen.max()):g}, half "
+            f"of them {float(seen.median()):g} or less, read as {sensor.intensity_unit}. Give --intensity-unit "
+            "(reflectivity, reflectivity_percent, uint8_linear, uint8_calibrated, photons, none) or "
+            "--range-at-10-percent-m; --force goes on as it is."
         )
 
 
@@ -106,12 +108,35 @@ def add_lidar_fields(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--near-start-m", type=float, help="nearer than this, m, it sees nothing of the weather")
     group.add_argument("--near-full-m", type=float, help="from here on, m, it sees the weather in full")
     group.add_argument("--max-range-m", type=float, help="largest range, m")
+    group.add_argument(
+        "--sensor-origin",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="where the sensor stands in the cloud's frame, m; Waymo's clouds: 1.43 0 2.18. Default 0 0 0",
+    )
+    group.add_argument(
+        "--sensor-pose",
+        type=Path,
+        metavar="FILE",
+        help="the same with a rotation: T_cloud_from_sensor, 4 x 4 (.npy, .json, .yaml, or numbers in a .txt)",
+    )
     group.add_argument("--columns", type=int, help="firings of each ring in a turn, for --complete-scan")
 
 
 def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
     """Fields of the LiDAR that the arguments replace."""
-    given = {name: getattr(args, name) for name in LIDAR_FIELDS}
+    given = {name: getattr(args, name, None) for name in LIDAR_FIELDS}
+    origin, pose = given.pop("sensor_origin"), given.pop("sensor_pose")
+    if origin is not None and pose is not None:
+        raise ValueError("--sensor-origin and --sensor-pose both say where the sensor stands; give one of them.")
+    if pose is not None:
+        from torchweather.io import read_sensor_pose
+        from torchweather.sensors.cloud_frame import split_pose
+
+        given["origin_m"], given["rotation"] = split_pose(read_sensor_pose(pose))
+    elif origin is not None:
+        given["origin_m"] = tuple(origin)
     # What the column is called says its unit.
     if args.intensity_unit is None and args.intensity in ("none", "signal"):
         given["intensity_unit"] = "none" if args.intensity == "none" else "photons"

@@ -51,7 +51,7 @@ def read_sensor_pose(path: str | os.PathLike[str]) -> Tensor:
     if not source.is_file():
         raise TorchweatherError(f"{source}: no such file; {_WANTED}.")
     if source.suffix.lower() == ".npy":
-        values: Any = read_array(source).double()
+        values: Any = read_array(source, ("T_cloud_from_sensor",))
     else:
         if source.stat().st_size > _MAX_BYTES:
             raise TorchweatherError(f"{source}: {_WANTED}; got {source.stat().st_size} bytes.")

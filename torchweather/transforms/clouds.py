@@ -20,10 +20,11 @@ from torchweather.stages.lidar import ToEnergy
 __all__ = ["Beams", "beams_of", "below_floor", "check_points"]
 
 COLUMNS_WANTED = "x, y, z in metres and intensity"
-# Intensities that contradict the declared unit: reflectivity of more than this is no reflectivity, and 8-bit values
-# that all lie below this, some of them no integers, are no 8-bit values.
+# Intensities whose bulk contradicts the declared unit: a reflectivity above this is none, but of a few retroreflectors;
+# 8-bit values that lie below this, some of them no integers, are no 8-bit values.
 BRIGHTEST_REFLECTIVITY = 4.0
 FAINTEST_FULL_SCALE = 1.0
+BULK = 0.9  # quantile of the intensities above 0
 # Farther than this is no return but a mark of none, such as the largest float; its square may overflow.
 FARTHEST_M = 1e9
 
@@ -100,17 +101,13 @@ def _refuse_absurd(points: Tensor, name: str) -> None:
 
 def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> None:
     unit = sensor.intensity_unit
+    eight_bits = unit in ("uint8_linear", "uint8_calibrated")
+    bright = high > (BRIGHTEST_REFLECTIVITY if unit == "reflectivity" else 255.0)
+    faint = 0 < high <= FAINTEST_FULL_SCALE and bool((intensity != intensity.floor()).any())
     evidence = ""
-    if unit == "reflectivity" and high > BRIGHTEST_REFLECTIVITY:
-        guess = "uint8_linear (0-255)" if high <= 255 else "photons"
-        evidence = f"the largest is {high:g}, where a white target has 1. Is the unit {guess}?"
-    elif unit in ("uint8_linear", "uint8_calibrated") and high > 255:
-        evidence = f"the largest is {high:g}, above 255. Is the unit photons?"
-    elif (
-        unit in ("uint8_linear", "uint8_calibrated", "reflectivity_percent")
-        and 0 < high <= FAINTEST_FULL_SCALE
-        and bool((intensity != intensity.floor()).any())
-    ):
+    if bright and (unit == "reflectivity" or eight_bits):
+        evidence = _too_bright(intensity, unit)
+    elif faint and (eight_bits or unit == "reflectivity_percent"):
         evidence = f"the largest is {high:g} and not all are integers. Is the unit reflectivity (0-1)?"
     if evidence:
         warnings.warn(
@@ -119,6 +116,23 @@ def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> N
             TorchweatherWarning,
             stacklevel=5,
         )
+
+
+def _too_bright(intensity: Tensor, unit: str) -> str:
+    """Evidence for a brighter unit from the bulk of the intensities; empty where only a few are bright."""
+    positive = intensity[intensity > 0].double()
+    bulk = float(positive.kthvalue(max(1, round(BULK * len(positive)))).values)
+    if unit == "reflectivity":
+        guess = "uint8_linear (0-255)" if bulk <= 255 else "photons"
+        bulky = f"a tenth lies above {bulk:g}, where a white target has 1. Is the unit {guess}?"
+        return bulky if bulk > BRIGHTEST_REFLECTIVITY else ""
+    if bulk > 255:
+        return f"a tenth lies above {bulk:g}, where the largest is 255. Is the unit photons?"
+    above = int((positive > 255).sum())
+    return (
+        f"{above} of {len(positive)} lie above 255, which 8 bits cannot hold; nine tenths lie at {bulk:g} or below, so "
+        "the unit itself is plausible. Look at those points, or clip the column."
+    )
 
 
 @dataclass(frozen=True)
