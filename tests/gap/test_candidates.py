@@ -34,7 +34,7 @@ def departures(effect: type[Effect], line: Line) -> dict[str, list[float]]:
 
 
 def test_the_catalogue_is_there() -> None:
-    assert len(NAMES) == 20
+    assert len(NAMES) == 24
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -47,7 +47,12 @@ ACTIVE: dict[str, dict[str, float]] = {
         "wind_amplitude": 0.5,
         "wind_azimuth_rad": 1.5,
     },
-    "lidar.particle_density_elevation": {"amplitude": 4.0, "elevation_rad": -0.1, "width_rad": 0.25},
+    "lidar.particle_density_elevation": {
+        "amplitude": 4.0,
+        "elevation_rad": -0.1,
+        "width_rad": 0.25,
+        "steepness": 2.0,
+    },
     "lidar.particle_sizes": {
         "factor_1mm": 4.0,
         "factor_2mm": 0.5,

@@ -71,7 +71,12 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
         "wind_amplitude": 0.0,
         "wind_azimuth_rad": None,
     },
-    "lidar.particle_density_elevation": {"amplitude": 0.0, "elevation_rad": None, "width_rad": None},
+    "lidar.particle_density_elevation": {
+        "amplitude": 0.0,
+        "elevation_rad": None,
+        "width_rad": None,
+        "steepness": None,
+    },
     "lidar.particle_sizes": {"factor_1mm": 1.0, "factor_2mm": 1.0, "factor_4mm": 1.0, "factor_8mm": 1.0},
     "lidar.shared_particles": {"share": 0.0, "width_factor": None},
 }
@@ -355,6 +360,7 @@ SMOOTH = {
         "amplitude": 2.0**-7,
         "elevation_rad": 2.0**-12,
         "width_rad": 2.0**-12,
+        "steepness": 2.0**-7,
     },
     "lidar.particle_sizes": {"factor_1mm": 2.0**-7, "factor_8mm": 2.0**-7},
 }

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.gap.lidar_forms import LIDAR_FORMS
 from torchweather.gap.lidar_nuisance import (
     ClearScale,
     EchoGain,
@@ -67,6 +68,7 @@ class LidarFrames:
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
         self.catalogue = [name for name in EFFECTS if name.startswith("lidar.")]
+        self.forms: Mapping[str, type[Effect]] = LIDAR_FORMS
         self.as_record: AbstractSet[str] = frozenset()
         direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))
         self.grid = (direction.shape[0], direction.shape[1])

@@ -37,16 +37,20 @@ PARTICLE = int(PointKind.PARTICLE)
 MOST = 20.0  # density of a lobe over that beside it, less 1; order of magnitude
 NARROWEST_RAD = 0.01
 LN_2 = math.log(2.0)
+FAR = 1e4  # square of the distance from a lobe's middle over half its width; its eighth power is a number still
 ENDS = 1e-6  # of the overlap's argument, where its derivative ends
 
 
-def lobe(along: tuple[Tensor, Tensor], middle_rad: Tensor, width_rad: Tensor) -> Tensor:
-    """A bump on the circle, 1 in its middle and 1/2 at half its width on either side: ``2^-(chord / half_chord)^2``.
+def lobe(
+    along: tuple[Tensor, Tensor], middle_rad: Tensor, width_rad: Tensor, steepness: Tensor | None = None
+) -> Tensor:
+    """A bump on the circle, 1 in its middle and 1/2 at half its width either side: ``2^-(chord / half_chord)^(2 m)``.
 
     Args:
         along: cosine and sine of the angle, ``(B, N)`` each.
         middle_rad: ``()`` or ``(B, 1)``.
         width_rad: full width at half of the height, above 0 to 2 pi, likewise.
+        steepness: m, 1 or more, likewise; ``None`` is 1, a normal curve. The edges of 8 are nearly upright.
 
     Returns:
         ``(B, N)``, above 0 to 1.
@@ -58,7 +62,9 @@ def lobe(along: tuple[Tensor, Tensor], middle_rad: Tensor, width_rad: Tensor) ->
     """
     cosine, sine = along
     chord_square = (cosine - middle_rad.cos()).square() + (sine - middle_rad.sin()).square()
-    return torch.exp(-LN_2 * chord_square / (4.0 * torch.sin(0.25 * width_rad).square()))
+    ratio = chord_square / (4.0 * torch.sin(0.25 * width_rad).square())
+    # A power of 0 has no gradient in the exponent.
+    return torch.exp(-LN_2 * (ratio if steepness is None else ratio.clamp(1e-12, FAR) ** steepness))
 
 
 def _denser(state: LidarState, factor: Tensor, known: Tensor) -> dict[str, Tensor]:
@@ -129,6 +135,7 @@ class LidarParticleDensityElevation(Effect):
         amplitude: density in the middle of the lobe over that beside it, less 1; -1 (none) to 20.
         elevation_rad: of its middle, up from the sensor's horizon, -pi/2 to pi/2.
         width_rad: full width at half of the height, 0.01 to 2 pi.
+        steepness: of its edges, 1 (a normal curve) to 8 (a layer with a top).
 
     Note:
         As of ``LidarParticleDensityAzimuth``.
@@ -141,6 +148,7 @@ class LidarParticleDensityElevation(Effect):
         Parameter("amplitude", "1", -1.0, MOST, scale=1.0, identity=0.0),  # WADS: 1.1
         Parameter("elevation_rad", "rad", -0.5 * math.pi, 0.5 * math.pi, scale=0.1, default=0.0),
         Parameter("width_rad", "rad", NARROWEST_RAD, 2.0 * math.pi, scale=0.1, default=0.1),
+        Parameter("steepness", "1", 1.0, 8.0, scale=1.0, default=1.0),
     )
     percollect: ClassVar[str | None] = (
         "Spatial differences in number concentration of atm. particles within particle volume"
@@ -160,7 +168,8 @@ class LidarParticleDensityElevation(Effect):
         # The root of 0, straight up, would have no gradient.
         level = (x * x + y * y).clamp_min(1e-20).sqrt()
         along = level * per_length, z * per_length
-        bump = lobe(along, self.value("elevation_rad", x), self.value("width_rad", x))
+        where = (self.value(name, x) for name in ("elevation_rad", "width_rad", "steepness"))
+        bump = lobe(along, *where)
         return _denser(state, 1.0 + self.value("amplitude", x) * bump, known)
 
 
@@ -222,12 +231,12 @@ def beam_overlap(apart_m: Tensor, diameter_m: Tensor) -> Tensor:
 
 
 class LidarSharedParticles(Effect):
-    """A particle where two neighbouring beams overlap returns in both, at one range.
+    """A particle where neighbouring beams overlap returns in each of them, at one range.
 
-    The neighbour of a beam is the row before it. By the share of the cross-section that both have (beam width and step
-    width, at the range of the particle) a beam has the particles of its neighbour in place of its own. The chance of
-    that is the mean of the two beams' shares and so alike for both; the number of returns, and their law in range and
-    signal, is then the same as without.
+    The neighbour of a beam is the row before it. With the chance that is the share of the cross-section that both have
+    (beam width and step width, at the range of the particles) a beam has the particles of its neighbour in place of
+    its own. The chance is the mean of the shares at both beams' particles and so alike for both; the number of returns,
+    and their law in range and signal, is then the same as without.
 
     Args:
         share: of the geometric overlap, 0 to 1.
@@ -235,8 +244,8 @@ class LidarSharedParticles(Effect):
 
     Note:
         Rows must lie along the scan, a ring after the other; where neighbours in the cloud are more than a beam apart
-        nothing is shared. A particle is shared by two beams at most, and not across rings. Where one beam ends in
-        front of a particle of the other, both keep their own. Readings of fog are taken along.
+        nothing is shared, nor across rings. In a run of beams that share, each takes over with a chance at its own
+        range. A beam that ends in front of a particle of the other keeps its own. Readings of fog are taken along.
     """
 
     id: ClassVar[str] = "lidar.shared_particles"
@@ -271,15 +280,22 @@ class LidarSharedParticles(Effect):
         own = torch.where(strongest > 0, strongest, before)
         other = torch.where(before > 0, before, strongest)
         x, y, z = along_beam(state)
-        per_length = (x * x + y * y + z * z).clamp_min(1e-20).rsqrt()
-        along = torch.stack([x * per_length, y * per_length, z * per_length], -1)  # (B, N, 3)
-        known = (x * x + y * y + z * z) > 0
+        square = x * x + y * y + z * z
+        along = torch.stack([x, y, z], -1) * square.clamp_min(1e-20).rsqrt()[..., None]  # (B, N, 3)
         step = torch.linalg.vector_norm(along - _before(along), dim=-1)  # the angle, rad, as far as it matters
         chance = 0.5 * (self._overlap(state, step, own) + self._overlap(state, step, other))
-        taken = noise["neighbour"].to(like) < self.value("share", like) * chance
-        first = torch.arange(like.shape[-1], device=like.device) == 0
-        taken = (taken & reached & known & _before(known) & ~first)[..., None] & particle
-        return {name: torch.where(taken, _before(getattr(state, name)), getattr(state, name)) for name in FIELDS}
+        row = torch.arange(like.shape[-1], device=like.device)
+        linked = (noise["neighbour"].to(like) < self.value("share", like) * chance) & reached & (row > 0)
+        linked = linked & (square > 0) & _before(square > 0)
+        source = torch.where(linked, row - 1, row)
+        for _ in range(LINKS):  # each time twice as far
+            source = source.gather(1, source)
+        source = torch.where(farthest.gather(1, source) < state.reach_m, source, row)
+        found = {}
+        for name in FIELDS:
+            echoes = getattr(state, name)
+            found[name] = torch.where(particle, echoes.gather(1, source[..., None].expand_as(echoes)), echoes)
+        return found
 
     def _overlap(self, state: LidarState, step_rad: Tensor, range_m: Tensor) -> Tensor:
         """Share of the cross-section at a range that two beams have together; 0 at range 0."""
@@ -292,6 +308,7 @@ class LidarSharedParticles(Effect):
         return torch.where(range_m > 0, overlap, 0.0)
 
 
+LINKS = 6  # doublings: a particle is in 64 beams at most
 FIELDS = ("range_m", "signal", "kind")
 
 
