@@ -282,7 +282,7 @@ def test_a_power_column_below_the_sensors_floor_is_said(run: Any, tmp_path: Path
         (["{a}", "{other}", "-o", "{out}"], "both"),
         (["{cut}", "-o", "{out}"], "cut.pcd"),
         (["{nothing}", "-o", "{out}"], "power"),
-        (["{bin}", "-o", "{out}"], "wanted radar detections"),
+        (["{bin}", "-o", "{out}"], "rows of seven float32 numbers"),
         (["{none}", "-o", "{out}"], "no such file"),
         (["{empty}", "-o", "{out}"], "no radar detections"),
         (["{a}", "-o", "{out}", "--frequency-ghz", "5000"], "frequency_ghz"),
@@ -303,7 +303,7 @@ def test_a_mistake_gives_one_line_exit_code_2_and_no_file(run: Any, tmp_path: Pa
     write_radar(here / "other" / "a.pcd", detections())
     (here / "cut.pcd").write_bytes((here / "a.pcd").read_bytes()[:-3])
     (here / "nothing.csv").write_text("x_m,y_m,z_m,speed_m_per_s\n1,2,3,4\n")
-    (here / "a.bin").write_bytes(b"")
+    (here / "a.bin").write_bytes(bytes(16))
     before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
     out = tmp_path / "out"
     names = {

@@ -17,13 +17,14 @@ if TYPE_CHECKING:
 NAME = "apply"
 SUMMARY = "weather on files of images, point clouds and radar detections"
 DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
-pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin,
-nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
-(nuScenes' or one's own), .npz or .csv. In a video, and in a folder with --sequence, the particles move from frame to
-frame. Each output keeps the name and format of its input (of a .pcap each frame
-becomes a .pcd) and is written whole or not at all. Sample i takes the random numbers of seed + i. With --sensor radar,
-scene:test-track and scene:fog-tunnel simulate the radar's frame of an embedded scene: NAME.npz in the weather,
-NAME_clear.npz in clear air, and NAME.png with both."""
+pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin, nuScenes
+.pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
+(nuScenes' or one's own), .npz, .csv or View-of-Delft's .bin; power maps of a radar polar .png, .npy or .npz.
+In a video, and in a folder with --sequence, the particles move from frame to frame. Each output keeps the
+name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. Sample
+i takes the random numbers of seed + i. With --sensor radar, scene:test-track and scene:fog-tunnel simulate
+the radar's frame of an embedded scene: NAME.npz in the weather, NAME_clear.npz in clear air, and NAME.png
+with both."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.
@@ -56,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preview",
         action="store_true",
-        help="also write NAME.html: of an image a slider over three severities, of a cloud its points to turn",
+        help="also write NAME.html: of an image a slider over three severities, of a cloud its points to turn; of a "
+        "radar map NAME_preview.png",
     )
     parser.add_argument(
         "--airlight",
@@ -134,7 +136,12 @@ def _process(
     if kind == "lidar":
         from torchweather.commands import apply_lidar as work
     elif kind == "radar":
-        from torchweather.commands import apply_radar as work  # type: ignore[no-redef]
+        from torchweather.commands.apply_radar_map import has_maps
+
+        if has_maps(args):
+            from torchweather.commands import apply_radar_map as work  # type: ignore[no-redef]
+        else:
+            from torchweather.commands import apply_radar as work  # type: ignore[no-redef]
     else:
         from torchweather.commands import apply_camera as work  # type: ignore[no-redef]
     done = work.process(args, weather, recipe, preset)

@@ -18,8 +18,9 @@ __all__ = [
 DETECTION_SUFFIXES = (".pcd", ".npz", ".csv", ".bin")
 # Named as they stand in the arguments.
 RADAR_FIELDS = ("frequency_ghz", "polarisation", "noise_floor_db", "detection_snr_db")
+MAP_ARGUMENTS = ("map", "noise_law", "map_clutter_share", "looks")
 RADAR_OPTIONS = ("clutter", "radome_loss_db", "radome_film_db")
-RADAR_ARGUMENTS = (*RADAR_FIELDS, *RADAR_OPTIONS, "speed", "gain")
+RADAR_ARGUMENTS = (*RADAR_FIELDS, *RADAR_OPTIONS, "speed", "gain", *MAP_ARGUMENTS)
 
 
 def add_radar_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,6 +32,28 @@ def add_radar_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--clutter", action="store_true", help="add detections of rain and snow themselves")
     group.add_argument("--radome-loss-db", type=float, help="two-way loss of a wet cover, whatever the rate")
     group.add_argument("--radome-film-db", type=float, help="two-way loss of the cover's film at 1 mm/h of rain")
+    add_map_arguments(parser)
+
+
+def add_map_arguments(parser: argparse.ArgumentParser) -> None:
+    """What is known of the power maps of a radar."""
+    group = parser.add_argument_group(
+        "radar power maps", "polar pictures (.png) and arrays (.npy, .npz) of range, azimuth, Doppler, elevation"
+    )
+    group.add_argument(
+        "--map",
+        metavar="NAME|YAML",
+        help="order, axes and scale that the files do not hold: radiate, oxford, mulran, boreas-2020, boreas-2021, or "
+        "a file with dims, range_m, azimuth_deg, elevation_deg, speed_m_per_s, scale",
+    )
+    group.add_argument(
+        "--noise-law",
+        choices=("measured", "scale"),
+        help="of bytes: read their lowest levels so that the recording's own noise has an exponential law (measured, "
+        "default of bytes), or as the scale says",
+    )
+    group.add_argument("--map-clutter-share", type=float, help="factor on the echoes of rain and snow; default 1")
+    group.add_argument("--looks", type=int, help="independent looks whose mean power a cell holds; default 1")
 
 
 def add_radar_fields(group: argparse._ArgumentGroup) -> None:
