@@ -4,6 +4,17 @@ from __future__ import annotations
 
 from torchweather.lidar.beam_ends import BeamEnd, BeamEnds, beam_ends
 from torchweather.lidar.ground import GroundPlane, fit_ground
+from torchweather.lidar.scan_counts import check_scan_counts, scan_count_problem
 from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern
 
-__all__ = ["BeamEnd", "BeamEnds", "GroundPlane", "ScanPattern", "beam_ends", "estimate_pattern", "fit_ground"]
+__all__ = [
+    "BeamEnd",
+    "BeamEnds",
+    "GroundPlane",
+    "ScanPattern",
+    "beam_ends",
+    "check_scan_counts",
+    "estimate_pattern",
+    "fit_ground",
+    "scan_count_problem",
+]

@@ -33,12 +33,14 @@ class AzimuthStep:
         phase_deg: ``(K,)`` azimuth of a firing of each ring, 0 to ``step_deg``; NaN for a ring without points.
         phase_spread_deg: ``(K,)`` circular standard deviation of the azimuths about it; of the order of the step where
             the sensor's speed drifts and the phase means little.
+        beams: beams with a return: rows of one ring and azimuth count once.
     """
 
     step_deg: float
     step_error_deg: float
     phase_deg: Numbers
     phase_spread_deg: Numbers
+    beams: int
 
 
 def fit_azimuth_step(azimuth_deg: Numbers, ring: Integers, rings: int) -> AzimuthStep | None:
@@ -90,7 +92,8 @@ def fit_azimuth_step(azimuth_deg: Numbers, ring: Integers, rings: int) -> Azimut
         phase = np.arctan2(sine, cosine) * (step / (2.0 * np.pi)) % step
         length = np.minimum(np.hypot(cosine, sine), 1.0)
         spread = np.sqrt(-2.0 * np.log(length)) * (step / (2.0 * np.pi))
-    return AzimuthStep(step, error, phase, spread)
+    beams = len(azimuth) - int((gap <= _SAME_BEAM * typical).sum())
+    return AzimuthStep(step, error, phase, spread, beams)
 
 
 def _typical(gap: Numbers) -> float:

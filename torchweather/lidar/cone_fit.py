@@ -54,7 +54,7 @@ class ConeFit:
 def fit_cones(xyz: Numbers, ring: Integers, rings: int) -> ConeFit:
     """Fit a cone to the points of each ring.
 
-    ``z / rho = tan e + h / rho`` by reweighted least squares: equal errors of elevation, far points tell e, near ones h.
+    ``z / rho = tan e + h / rho`` by reweighted least squares: far points tell e, near ones h.
     Where the ranges of a ring are too alike to tell its height (standard error above 0.05 m), the height is the median
     of the rings that do, and 0 if there are none.
 
@@ -77,7 +77,7 @@ def fit_cones(xyz: Numbers, ring: Integers, rings: int) -> ConeFit:
     order = np.argsort(ring, kind="stable")
     xyz, ring = xyz[order].astype(np.float64), ring[order]
     count = np.bincount(ring, minlength=rings)
-    ends = np.cumsum(count)
+    ends: Integers = np.cumsum(count)
     flat = np.hypot(xyz[:, 0], xyz[:, 1])
     near, slope = 1.0 / flat, xyz[:, 2] / flat
     sector = ((np.arctan2(xyz[:, 1], xyz[:, 0]) + np.pi) * (_SECTORS / (2.0 * np.pi))).astype(np.intp) % _SECTORS
@@ -124,7 +124,9 @@ def _sums(near: Numbers, slope: Numbers, weight: Numbers, cell: Integers, rings:
     """Weighted sums of 1, u, u^2, t, t u of each ring and sector, ``(K, sectors, 5)``."""
     size = rings * _SECTORS
     parts = (weight, weight * near, weight * near * near, weight * slope, weight * slope * near)
-    return np.stack([np.bincount(cell, part, size) for part in parts], -1).reshape(rings, _SECTORS, 5)
+    return np.stack([np.bincount(cell, part, size).astype(np.float64) for part in parts], -1).reshape(
+        rings, _SECTORS, 5
+    )
 
 
 def _solved(sums: Numbers) -> tuple[Numbers, Numbers]:
