@@ -152,7 +152,7 @@ class MapReceiver(Stage):
         floor_db = self.floor_db(values)
         if self.scale.kind == "complex":
             scaled = (values * torch.exp(0.5 * DB * -floor_db)).to(torch.complex64)
-            echo = scaled * kept.sqrt() + torch.complex(*self._white(noise, 0)) * added.sqrt()
+            echo = scaled * _root(kept) + torch.complex(*self._white(noise, 0)) * _root(added)
             out = (echo * torch.exp(0.5 * DB * floor_db)).to(values.dtype)
         else:
             power = self._power(values, floor_db, noise)
@@ -176,8 +176,7 @@ class MapReceiver(Stage):
     def _mixed(self, echo: Tensor, added: Tensor, noise: Mapping[str, Tensor]) -> Tensor:
         """Power of an echo and Gaussian noise of mean power ``added``, over all looks."""
         real, imaginary = self._white(noise, 0)
-        root = (self.looks * echo).sqrt()
-        total = (root + added.sqrt() * real).square() + added * imaginary.square()
+        total = (_root(self.looks * echo) + _root(added) * real).square() + added * imaginary.square()
         for look in range(1, self.looks):
             real, imaginary = self._white(noise, look)
             total = total + added * (real.square() + imaginary.square())
@@ -197,6 +196,12 @@ class MapReceiver(Stage):
                 )
             parts.append(white)
         return parts[0], parts[1]
+
+
+def _root(power: Tensor) -> Tensor:
+    """Square root whose gradient at 0 is 0."""
+    there = power > 0
+    return torch.where(there, torch.where(there, power, 1.0).sqrt(), 0.0)
 
 
 def _floor(value: Any, axes: MapAxes) -> float | tuple[float, ...] | None:
