@@ -54,12 +54,12 @@ def fog() -> LidarWeather:
 
 def snow() -> LidarWeather:
     sensor = lidar(return_mode="strongest", near_start_m=3.0, near_full_m=8.0, near_power=1.5)
-    return LidarSnow(Snow(1.0), replace(sensor, directions=torch.eye(3)))
+    return LidarSnow(Snow(1.0), replace(sensor, directions=torch.eye(3)), beam_ends="max_range")
 
 
 def mixture() -> LidarWeather:
     banks = Fog(mor_m=100.0, patch_log_std=0.5, patch_length_m=20.0)
-    return LidarWeather(Mixture(Rain(1.0), banks), lidar(return_mode="last"))
+    return LidarWeather(Mixture(Rain(1.0), banks), lidar(return_mode="last"), beam_ends="max_range")
 
 
 @dataclass(frozen=True)
@@ -391,3 +391,27 @@ def test_a_feed_for_a_frame_is_refused_by_a_lidar_graph(graphs: Callable[[str], 
         draw_feed(graphs("rain").path, height=24, width=32, seed=0)
     with pytest.raises(ValueError, match="points must be 0 or more; got -1"):
         draw_feed(graphs("rain").path, points=-1, seed=0)
+
+
+def test_a_graph_is_told_where_beams_without_return_end(tmp_path: Path) -> None:
+    sensor = lidar(return_mode="strongest", near_start_m=3.0, near_full_m=8.0, near_power=1.5)
+    transform = LidarSnow(Snow(1.0), sensor)
+    inputs = to_onnx(transform, tmp_path / "snow.onnx", points=TRACED, columns=4, directions=True)
+    assert inputs[:3] == ["points", "directions", "reach_m"]
+    points, along = cloud_and_directions(1, 900)
+    reach_m = transform.state_of(points, along).reach_m
+    session = onnxruntime.InferenceSession(tmp_path / "snow.onnx", providers=["CPUExecutionProvider"])
+    noise = draw_feed(session, points=900, seed=range(3, 4))
+    given = {"points": points.numpy(), "directions": along.numpy(), "reach_m": reach_m.numpy()}
+    cloud, kind = session.run(["cloud", "kind"], {**given, "rate_mm_per_h": np.ones(1, np.float32), **noise})
+    torch_noise = {key: torch.from_numpy(array) for key, array in noise.items()}
+    wanted = transform.run(points, torch_noise, directions=along)
+    assert isinstance(wanted.kind, Tensor)
+    assert isinstance(wanted.points, Tensor)
+    empty = points[0, :, :3].norm(dim=-1) == 0
+    assert int((wanted.kind[0, empty] == PointKind.PARTICLE).sum()) > 5
+    assert np.array_equal(kind, wanted.kind.numpy())
+    assert_same_cloud(cloud, wanted.points.numpy())
+    short = {**given, "reach_m": np.zeros_like(given["reach_m"])}
+    _, none = session.run(["cloud", "kind"], {**short, "rate_mm_per_h": np.ones(1, np.float32), **noise})
+    assert (none[0, empty.numpy()] == PointKind.LOST).all(), "nothing floats before an end at 0"

@@ -146,7 +146,7 @@ def test_the_readings_have_the_receiver_s_distribution(found: Found, case: tuple
 def test_in_front_of_a_near_object_fog_is_read_where_its_waveform_ends(object_m: float) -> None:
     """The waveform of fog of 100 m rises to 3.9 m: cut off before, it is largest at its end."""
     library, brute = drawn(100.0, 1000.0, object_m), by_brute_force(100.0, 1000.0, object_m)
-    assert (library.range_m <= object_m).all()
+    assert (library.range_m <= object_m * (1 + 1e-4)).all()  # the beam starts 0.036 m above the object's height
     # On the rising side the places are those at which the waveform comes within its noise of its end: 0.08 m at most.
     assert library.range_m.mean() == pytest.approx(brute.range_m.mean(), abs=0.1)
     # From the last step of the brute force to the object, 0.025 m, the waveform still rises: by 16 photons at 2.8 m.

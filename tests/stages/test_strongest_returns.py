@@ -104,7 +104,8 @@ def medium(transform: LidarWeather, kind: str, rate: float) -> Medium:
 
 def reported(transform: LidarWeather, beams: Scene, seed: int) -> LidarState:
     """State after detection."""
-    _, state = transform._begin(beams.points, beams.directions)
+    to_max_range_m = torch.full(beams.points.shape[:-1], transform.sensor.max_range_m)
+    _, state = transform._begin(beams.points, beams.directions, to_max_range_m)
     noise = transform.chain.draw(state, seed=seed)
     for name, stage in transform.chain.stages.items():
         own = {key.removeprefix(f"{name}."): value for key, value in noise.items() if key.startswith(f"{name}.")}

@@ -48,6 +48,8 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     generator = torch.Generator().manual_seed(0)
     cloud = torch.rand(TRACED_BATCH, points, columns, generator=generator).to(device)
     along = [torch.nn.functional.normalize(cloud[0, :, :3], dim=-1)] if directions else []
+    # Where beams without return end takes a search of the whole sweep: the graph is told.
+    ways = [cloud[..., 0].clone()] if directions and transform.beam_ends == "scene" else []
     knobs = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.knobs]
     noise, noise_shapes = [], []
     for key, variate in graph.variates.items():
@@ -58,12 +60,14 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     shapes: tuple[Any, ...] = (
         {0: batch, 1: count},
         [{0: count} for _ in along],
+        [{0: batch, 1: count} for _ in ways],
         [{0: batch} for _ in knobs],
         noise_shapes,
     )
-    inputs = ["points", *(["directions"] if directions else []), *graph.knobs, *graph.variates]
+    inputs = ["points", *(["directions"] if along else []), *(["reach_m"] if ways else [])]
+    inputs += [*graph.knobs, *graph.variates]
     outputs = list(OUTPUTS if transform.sensor.return_mode == "dual" else OUTPUTS[:2])
-    return Traceable(graph, (cloud, along, knobs, noise), shapes, inputs, outputs, graph.variates)
+    return Traceable(graph, (cloud, along, ways, knobs, noise), shapes, inputs, outputs, graph.variates)
 
 
 class _LidarGraph(nn.Module):
@@ -76,7 +80,12 @@ class _LidarGraph(nn.Module):
         self.knobs = _knobs(transform)
 
     def forward(
-        self, points: Tensor, directions: list[Tensor], knobs: list[Tensor], noise: list[Tensor]
+        self,
+        points: Tensor,
+        directions: list[Tensor],
+        ways: list[Tensor],
+        knobs: list[Tensor],
+        noise: list[Tensor],
     ) -> tuple[Tensor, ...]:
         named_noise = dict(zip(self.variates, noise, strict=True))
         named_knobs = {
@@ -86,7 +95,7 @@ class _LidarGraph(nn.Module):
         }
         along = directions[0] if directions else None
         found: tuple[Tensor, ...] = torch.func.functional_call(
-            self.weathered, named_knobs, (points, along, named_noise)
+            self.weathered, named_knobs, (points, along, ways[0] if ways else None, named_noise)
         )
         return found
 
@@ -98,8 +107,10 @@ class _Weathered(nn.Module):
         super().__init__()
         self.transform = transform
 
-    def forward(self, points: Tensor, directions: Tensor | None, noise: dict[str, Tensor]) -> tuple[Tensor, ...]:
-        result = self.transform.run(points, noise, directions=directions)
+    def forward(
+        self, points: Tensor, directions: Tensor | None, reach_m: Tensor | None, noise: dict[str, Tensor]
+    ) -> tuple[Tensor, ...]:
+        result = self.transform.run(points, noise, directions=directions, reach_m=reach_m)
         found = (result.points, result.kind, result.second, result.second_kind)
         return tuple(tensor for tensor in found if isinstance(tensor, Tensor))
 

@@ -32,6 +32,7 @@ UNITS = {
     "cx": "px, the middle of the top-left pixel is 0",
     "cy": "px, the middle of the top-left pixel is 0",
     "directions": "unit vectors, x forward, y left, z up",
+    "reach_m": "m, way of beams without return to their end",
     "rate_mm_per_h": "mm/h, liquid equivalent",
     "rain_rate_mm_per_h": "mm/h",
     "snow_rate_mm_per_h": "mm/h, liquid equivalent",

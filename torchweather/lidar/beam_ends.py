@@ -7,7 +7,7 @@ below, and from the plane of the ground.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from torchweather.lidar.ground import GroundPlane, fit_ground
 from torchweather.lidar.sweep_raster import SweepRaster
 
-__all__ = ["BeamEnd", "BeamEnds", "beam_ends"]
+__all__ = ["BeamEnd", "BeamEnds", "beam_ends", "ways_above_ground"]
 
 Numbers = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
@@ -33,6 +33,8 @@ _NARROW_DEG = 1.5
 _OWN_WIDTH_DEG = 1.5
 _OWN_ROAD_M = 8.0
 _RAISED_M = 0.4
+# Returns farther below the ground than this come by way of a mirror or water; nothing floats there.
+_BELOW_GROUND_M = 0.25
 # The ground is what a beam meets unless its neighbours on both sides are this much nearer.
 _GROUND_RATIO = 1.1
 
@@ -150,6 +152,35 @@ def beam_ends(
     end[own] = BeamEnd.OWN_VEHICLE
     distance_m[own] = 0.0
     return BeamEnds(distance_m, end, ground)
+
+
+def ways_above_ground(points_xyz: Numbers, ground: GroundPlane | None, origin_height_m: Numbers | float) -> Numbers:
+    """Way of beams with a return on which particles may lie: ``inf``, or to the ground for a return below it.
+
+    Args:
+        points_xyz: ``(N, 3)`` returns, metres in the sensor's frame.
+        ground: the plane, or ``None``.
+        origin_height_m: ``(N,)`` heights at which the beams start.
+
+    Returns:
+        ``(N,)`` metres.
+
+    Example:
+        >>> returns = np.array([[10.0, 0.0, -1.0], [10.0, 0.0, -3.4]])
+        >>> ways_above_ground(returns, GroundPlane(-1.7, 0.0, 0.0, 0.0), 0.0).round(2).tolist()
+        [inf, 6.06]
+    """
+    way = np.full(len(points_xyz), np.inf)
+    if ground is None:
+        return way
+    below = ground.height_above(points_xyz) < -_BELOW_GROUND_M
+    if below.any():
+        height = np.broadcast_to(np.asarray(origin_height_m, np.float64), way.shape)[below]
+        beam = points_xyz[below].astype(np.float64)
+        beam[:, 2] -= height
+        lower = replace(ground, height_m=ground.height_m - _BELOW_GROUND_M)
+        way[below] = lower.distance_along(beam / np.linalg.norm(beam, axis=-1, keepdims=True), height)
+    return way
 
 
 def _road_or_sky(road_m: Numbers, max_range_m: float) -> npt.NDArray[np.int8]:

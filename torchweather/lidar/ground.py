@@ -23,6 +23,8 @@ _LOW_SHARE = 0.1
 # Reweighted least squares (Cauchy): a kerb is 0.1 to 0.15 m.
 _SCALE_M = 0.1
 _ROUNDS = 12
+# So many candidates are enough: about ten in each cell.
+_MOST_POINTS = 30_000
 _STEEPEST = math.tan(math.radians(15.0))
 # Share of the cells within three scales of the plane, for it to be a ground at all.
 _LEAST_AGREEMENT = 0.3
@@ -80,7 +82,7 @@ def fit_ground(points_xyz: Numbers) -> GroundPlane | None:
         >>> round(plane.height_m, 3), round(plane.slope_x, 3)
         (-1.7, 0.02)
     """
-    x, y, z = points_xyz[:, :3].T.astype(np.float64)
+    x, y, z = points_xyz[:: max(1, len(points_xyz) // _MOST_POINTS), :3].T.astype(np.float64)
     flat = np.hypot(x, y)
     with np.errstate(invalid="ignore"):
         low = (z > _LOWEST_M + -0.1 * flat) & (z < _HIGHEST_M + 0.1 * flat) & (flat > _NEAREST_M) & (flat < _FARTHEST_M)

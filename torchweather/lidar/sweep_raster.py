@@ -17,6 +17,8 @@ Index = npt.NDArray[np.intp]
 TURN_DEG = 360.0
 # Beams without ring numbers: those within this elevation share a row.
 _ROW_DEG = 0.3
+_STEP_M = 1e-4
+_NOTHING = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,12 @@ class SweepRaster:
         column = self._column(x, y)
         self.column = self._column(direction[:, 0], direction[:, 1])
         self.range_m = np.full((rows, self.columns), np.inf)
-        cell = row * self.columns + column
-        farthest_first = np.argsort(-range_m, kind="stable")
-        self.range_m.flat[cell[farthest_first]] = range_m[farthest_first]
-        self.raised = np.zeros(self.range_m.shape, bool)
-        self.raised.flat[cell[farthest_first]] = raised[farthest_first]
+        # Range in steps of 0.1 mm, and above the ground or not in the last bit: one minimum finds both.
+        flat_cells = np.full(rows * self.columns, _NOTHING)
+        np.minimum.at(flat_cells, row * self.columns + column, (range_m / _STEP_M).astype(np.int64) * 2 + raised)
+        nearest = flat_cells.reshape(rows, self.columns)
+        self.range_m = np.where(nearest == _NOTHING, np.inf, (nearest // 2) * _STEP_M)
+        self.raised = (nearest != _NOTHING) & (nearest % 2 == 1)
 
     def _column(self, x: Numbers, y: Numbers) -> Index:
         azimuth = np.degrees(np.arctan2(y, x)) % TURN_DEG

@@ -125,22 +125,28 @@ def points_in_sensor_frame(points: Tensor, lidar: Lidar) -> Tensor:
     return torch.cat([local, points[..., 3:]], -1)
 
 
-def points_in_cloud_frame(values: Tensor, local: Tensor, given: Tensor, lidar: Lidar) -> Tensor:
+def points_in_cloud_frame(
+    values: Tensor, local: Tensor, given: Tensor, lidar: Lidar, height_m: Tensor | None = None
+) -> Tensor:
     """A result in the cloud's frame; rows that nothing moved have the bits that they came with.
 
     Args:
-        values: ``(..., N, C)`` in the sensor's frame.
-        local: ``(..., N, C)`` the cloud that went in, in the sensor's frame; rows of 0 where it was completed.
+        values: ``(..., N, C)`` in the sensor's frame, from where each beam starts.
+        local: ``(..., N, C)`` the cloud that went in, likewise; rows of 0 where it was completed.
         given: ``(..., M, C)`` the same as it came, M <= N, in the cloud's frame.
         lidar: with ``origin_m`` and ``rotation``.
+        height_m: ``(..., N)`` at which the beams start over the sensor's origin; ``None`` is 0.
 
     Returns:
         ``(..., N, C)`` in the dtype of ``values``; rows of 0 (lost) stay so.
     """
-    if not is_apart(lidar):
+    if not is_apart(lidar) and height_m is None:
         return values
     here = values[..., :3]
     wide = here if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() else here.double()
+    if height_m is not None:
+        x, y, z = wide.unbind(-1)
+        wide = torch.stack([x, y, z + height_m.to(wide)], -1)
     if lidar.rotation is not None:
         wide = wide @ wide.new_tensor(lidar.rotation).T
     moved = (wide + wide.new_tensor(lidar.origin_m)).to(here)

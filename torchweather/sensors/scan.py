@@ -26,6 +26,7 @@ TURN_DEG = 360.0
 WRONG_STEP = 1.5
 # Gaps of a cloud that are needed before its azimuth step is held against the sensor's.
 GAPS_TO_JUDGE = 100
+GAPS_TO_SORT = 10_000  # enough for its median and lowest tenth
 # Two returns of one beam share its azimuth; a gap below this share of a step lies inside one beam.
 SAME_BEAM = 0.25
 # A gap between sectors of the view is wider than this many columns, however few a sensor has.
@@ -267,6 +268,10 @@ class _Ends(NamedTuple):
 
 
 def _view(azimuth: Tensor, max_gap_deg: float) -> _View:
+    bins = math.ceil(2.0 * TURN_DEG / max_gap_deg)
+    if bool((torch.bincount((azimuth * (bins / TURN_DEG)).long().clamp(0, bins - 1), minlength=bins) > 0).all()):
+        zero = azimuth.new_zeros(1)  # no gap is wider than two bins
+        return _View(azimuth.min(), zero, zero + TURN_DEG, full=True)
     rising = azimuth.sort().values
     gap = torch.cat([rising[1:] - rising[:-1], rising[:1] + TURN_DEG - rising[-1:]])
     wide = (gap > max_gap_deg).nonzero()[:, 0]
@@ -306,9 +311,8 @@ def _ends(azimuth: Tensor, ring: Tensor, rank: Tensor, view: _View, step: float)
         ring, azimuth = torch.cat([ring, again]), torch.cat([azimuth, first[again] + TURN_DEG])
         place = torch.cat([torch.ones_like(again), place])
     ring, azimuth = torch.cat([ring, border_ring]), torch.cat([azimuth, border_azimuth])
-    order = place.argsort(stable=True)
-    for key in (azimuth, ring):  # the last key counts most
-        order = order[key[order].argsort(stable=True)]
+    # By ring, then azimuth (up to twice a turn), then place: the last only where two azimuths are the same number.
+    order = (ring * (4.0 * TURN_DEG) + azimuth + place * ROUNDING).argsort()
     return _Ends(ring[order], azimuth[order], place[order] != 1)
 
 
@@ -360,7 +364,7 @@ def _judge_step(gap: Tensor, step: float, columns: int) -> None:
     apart = gap[gap > SAME_BEAM * step]
     if len(apart) < GAPS_TO_JUDGE:
         return
-    apart = apart.sort().values
+    apart = apart[:: max(1, len(apart) // GAPS_TO_SORT)].sort().values
     # Beams without return widen gaps: of a finer pattern some gaps of one step are left. Points on a wrong ring make
     # small gaps: of a coarser pattern half of the gaps are right.
     least, typical = apart[len(apart) // 10], apart[len(apart) // 2]

@@ -1,23 +1,20 @@
-"""The border of the LiDAR transforms: checks of a cloud, beams without return, and what is lost."""
+"""Checks of a cloud that a LiDAR transform takes."""
 
 from __future__ import annotations
 
-import math
 import warnings
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchweather.errors import TorchweatherWarning, owner_name
-from torchweather.sensors import Lidar, empty_beams
+from torchweather.sensors import Lidar
 from torchweather.sensors.cloud_frame import points_in_sensor_frame
-from torchweather.sensors.lidar import unit_directions
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.intensity import zero_intensity
 from torchweather.stages.lidar import ToEnergy
 
-__all__ = ["Beams", "beams_of", "below_floor", "check_points"]
+__all__ = ["below_floor", "check_points"]
 
 COLUMNS_WANTED = "x, y, z in metres and intensity"
 # Intensities whose bulk contradicts the declared unit: a reflectivity above this is none, but of a few retroreflectors;
@@ -133,79 +130,3 @@ def _too_bright(intensity: Tensor, unit: str) -> str:
         f"{above} of {len(positive)} lie above 255, which 8 bits cannot hold; nine tenths lie at {bulk:g} or below, so "
         "the unit itself is plausible. Look at those points, or clip the column."
     )
-
-
-@dataclass(frozen=True)
-class Beams:
-    """The beams of a cloud.
-
-    Args:
-        points: ``(B, N, C)`` in at least float32; N with the beams that were appended.
-        empty_direction: ``(1 or B, N, 3)`` unit vectors for rows without return, or ``None``.
-        scan: how beams without return were treated, in words.
-        appended: rows at the end that are not in the input.
-    """
-
-    points: Tensor
-    empty_direction: Tensor | None
-    scan: str
-    appended: int
-
-
-def beams_of(points: Tensor, sensor: Lidar, directions: Tensor | None, *, complete_scan: bool, owner: object) -> Beams:
-    """Flatten the batch and find the direction of beams without return.
-
-    Args:
-        points: ``(..., N, C)``.
-        sensor: the LiDAR; its ``directions`` are taken where none are given.
-        directions: ``(N, 3)`` or ``(..., N, 3)``.
-        complete_scan: append the beams that the scan pattern lacks.
-        owner: for messages.
-    """
-    count, columns = points.shape[-2:]
-    batch = math.prod(points.shape[:-2])
-    flat = points.reshape(batch, count, columns)
-    if flat.dtype not in (torch.float32, torch.float64):
-        flat = flat.float()
-    directions = sensor.directions if directions is None else unit_directions(directions, owner=owner)
-    if directions is not None:
-        if complete_scan:
-            raise ValueError(
-                f"{owner_name(owner)}: complete_scan is for clouds without directions; give one or the other."
-            )
-        return Beams(flat, _fitting(directions, points, owner).to(flat), "directions given for every row", 0)
-    if not complete_scan:
-        return Beams(flat, None, "the rows that exist; a row without return has no direction and stays empty", 0)
-    return _completed(flat, sensor)
-
-
-def _fitting(directions: Tensor, points: Tensor, owner: object) -> Tensor:
-    count = points.shape[-2]
-    batch = points.shape[:-2]
-    if directions.shape[-2] != count:
-        raise ValueError(
-            f"{owner_name(owner)}: directions must have one row for each of the {count} points; got "
-            f"{tuple(directions.shape)}. An organised cloud keeps a row for every beam, range 0 where none returned."
-        )
-    if directions.ndim == 2:
-        return directions[None]
-    if directions.shape[:-2] != batch:
-        raise ValueError(
-            f"{owner_name(owner)}: directions {tuple(directions.shape)} must lead with the batch shape {tuple(batch)}."
-        )
-    return directions.reshape(-1, count, 3)
-
-
-def _completed(flat: Tensor, sensor: Lidar) -> Beams:
-    """Append the beams that the scan pattern has and the cloud lacks; samples that lack fewer get rows of zeros."""
-    batch, count, columns = flat.shape
-    column = sensor.ring_column
-    rings = [None if column is None else cloud[:, column].long() for cloud in flat]
-    missing = [empty_beams(cloud, sensor, ring)[0] for cloud, ring in zip(flat, rings, strict=True)]
-    most = max((len(one) for one in missing), default=0)
-    rows = flat.new_zeros(batch, most, columns)
-    direction = flat.new_zeros(batch, count + most, 3)
-    for sample, one in enumerate(missing):
-        direction[sample, count : count + len(one)] = one.to(flat)
-    found = ", ".join(str(len(one)) for one in missing)
-    return Beams(torch.cat([flat, rows], 1), direction, f"completed from the scan pattern with {found} beams", most)

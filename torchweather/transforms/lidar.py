@@ -14,11 +14,7 @@ from torch import Tensor
 
 from torchweather.errors import check_one_of
 from torchweather.sensors import Lidar
-from torchweather.sensors.cloud_frame import (
-    directions_in_sensor_frame,
-    points_in_cloud_frame,
-    points_in_sensor_frame,
-)
+from torchweather.sensors.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.stages import (
     Chain,
     Detection,
@@ -37,7 +33,9 @@ from torchweather.stages.expected_detection import expected_detection
 from torchweather.stages.intensity import are_integers, zero_intensity
 from torchweather.stages.patchy_air import PatchyAir, patchy_air
 from torchweather.stages.soft_return import SoftReturn
-from torchweather.transforms.clouds import Beams, beams_of, check_points
+from torchweather.transforms.beams import COMPLETE_SCAN, BeamFinder, Beams
+from torchweather.transforms.clouds import check_points
+from torchweather.transforms.frame_check import warn_of_frame
 from torchweather.transforms.weather_transform import WeatherTransform, options_of
 from torchweather.weather import Weather, check_knobs
 
@@ -45,6 +43,7 @@ __all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
 
 VARIANTS = ("d3_4",)
 LOST_AS = ("zero", "nan", "drop")
+BEAM_ENDS = ("scene", "max_range")
 BEAMS_AT_ONCE = 1 << 19  # arrays of 2 MB
 Cloud = Tensor | list[Tensor]
 
@@ -64,6 +63,8 @@ class LidarResult:
             ``None`` in the other modes.
         second_source: ``(..., N)`` row of the input that the second return's beam belongs to, -1 where there is none.
         second_kind: ``(..., N)`` ``PointKind`` of the second returns.
+        beam_end: ``(..., N)`` int8, ``lidar.BeamEnd`` of each beam: RETURN 0, and of those without a return SKY 1,
+            GROUND 2, OWN_VEHICLE 3, OBSTACLE 4, or UNKNOWN 5 where the direction is not known. Particles lie before it.
         empty_beams: ``(...)`` rows without return in the input (with those that ``complete_scan`` appended).
         floored_points: ``(...)`` returns whose intensity says less than the detection threshold; they were detected,
             so they stand on it.
@@ -77,6 +78,7 @@ class LidarResult:
     second: Cloud | None
     second_source: Cloud | None
     second_kind: Cloud | None
+    beam_end: Cloud | None
     empty_beams: Tensor
     floored_points: Tensor
     scan: str
@@ -98,7 +100,12 @@ class LidarWeather(WeatherTransform):
         fog_extinction: ``mie`` or ``koschmieder`` (ln 20 / MOR at every wavelength).
         fog_backscatter: ``mie`` or ``hahner`` (0.046 / MOR).
         lost: lost points become ``zero`` rows (further columns stay), ``nan``, or are left out (``drop``).
-        complete_scan: infer the beams without return that an unorganised cloud lacks from the sensor's scan pattern.
+        complete_scan: infer the beams without return that an unorganised cloud lacks from the sensor's scan pattern,
+            and where they end: on the ground, the own vehicle, an obstacle, or in the sky. ``"sky"`` appends only those
+            that end in the sky.
+        beam_ends: where a beam without return ends whose direction is known. ``scene``: where the sweep says, on the
+            ground, the own vehicle, an obstacle, or in the sky (``torchweather.lidar.beam_ends``); ``max_range``: at
+            the sensor's maximum range, through whatever is there.
         variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
             ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
         effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
@@ -130,7 +137,8 @@ class LidarWeather(WeatherTransform):
         fog_extinction: str = "mie",
         fog_backscatter: str = "mie",
         lost: str = "zero",
-        complete_scan: bool = False,
+        complete_scan: bool | str = False,
+        beam_ends: str = "scene",
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
@@ -141,6 +149,12 @@ class LidarWeather(WeatherTransform):
         self._check_sensor(sensor, Lidar, "ouster-os1-128")
         self._check_variant(weather, variant)
         check_one_of("lost", lost, LOST_AS, owner=self)
+        if complete_scan not in COMPLETE_SCAN:
+            raise ValueError(
+                f'{type(self).__name__}: complete_scan must be False, True or "sky"; got {complete_scan!r}.'
+            )
+        check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
+        self.beam_ends, self._find_beams = beam_ends, BeamFinder()
         if variant == "hahner":
             fog_backscatter, fog_extinction = "hahner", "koschmieder"
         self.weather, self.sensor = weather, sensor
@@ -211,7 +225,12 @@ class LidarWeather(WeatherTransform):
     # ---- calls -------------------------------------------------------------------------------------------------
 
     def forward(
-        self, points: Tensor, noise: Mapping[str, Tensor] | None = None, *, directions: Tensor | None = None
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        directions: Tensor | None = None,
+        reach_m: Tensor | None = None,
     ) -> Cloud:
         """The cloud in the weather.
 
@@ -219,21 +238,28 @@ class LidarWeather(WeatherTransform):
             points: ``(..., N, 4 or more)``: x, y, z in metres, intensity in the sensor's unit, further columns.
             noise: what ``draw`` gave; ``None`` draws anew.
             directions: ``(N, 3)`` or ``(..., N, 3)`` direction of every row, for beams without return.
+            reach_m: ``(..., N)`` way of every beam without return to its end, metres; ``None``: as ``beam_ends`` says.
+                Rows with a return do not look at it.
 
         Returns:
             The input's shape, columns and dtype; rows more with ``complete_scan``; a shorter cloud (a list of them for
             a batch) with ``lost="drop"``.
         """
-        beams, state = self._begin(points, directions)
+        beams, state = self._begin(points, directions, reach_m)
         state = self._through(state, noise)
         assert state.points is not None
         return self._outgoing(state.points, state.kind[..., 0], points, beams)
 
     def run(
-        self, points: Tensor, noise: Mapping[str, Tensor] | None = None, *, directions: Tensor | None = None
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        directions: Tensor | None = None,
+        reach_m: Tensor | None = None,
     ) -> LidarResult:
         """The cloud, and what happened to each of its points; arguments as ``forward``."""
-        beams, before = self._begin(points, directions)
+        beams, before = self._begin(points, directions, reach_m)
         state = self._through(before, noise)
         assert state.points is not None
         batch, count = state.kind.shape[:2]
@@ -260,6 +286,7 @@ class LidarWeather(WeatherTransform):
             second=second,
             second_source=second_source,
             second_kind=second_kind,
+            beam_end=None if beams.end is None else self._outgoing(beams.end, kind, points, beams),
             empty_beams=(before.clear_range_m == 0).sum(-1).reshape(lead),
             floored_points=self._floored(before).reshape(lead),
             scan=beams.scan,
@@ -281,8 +308,15 @@ class LidarWeather(WeatherTransform):
         check_points(points, self.sensor, self)
         count = points.shape[-2]
         if self.complete_scan:
-            local = points_in_sensor_frame(points, self.sensor)
-            count = beams_of(local, self.sensor, None, complete_scan=True, owner=self).points.shape[-2]
+            beams = self._find_beams(
+                points,
+                self.sensor,
+                None,
+                complete_scan=self.complete_scan,
+                at_scene=self.beam_ends == "scene",
+                owner=self,
+            )
+            count = beams.points.shape[-2]
         return self.drawn(points.shape[:-2], {"N": count}, generator, seed)
 
     def on_numpy(
@@ -350,21 +384,30 @@ class LidarWeather(WeatherTransform):
 
     # ---- the border --------------------------------------------------------------------------------------------
 
-    def _begin(self, points: Tensor, directions: Tensor | None) -> tuple[Beams, LidarState]:
+    def _begin(
+        self, points: Tensor, directions: Tensor | None, way_m: Tensor | None = None
+    ) -> tuple[Beams, LidarState]:
         check_points(points, self.sensor, self)
+        if directions is None and self.sensor.directions is None:
+            warn_of_frame(points, self.sensor, self)
         check_knobs(self.weather, points.shape[:-2], owner=self)
         along = self.sensor.directions if directions is None else directions
         along = directions_in_sensor_frame(along, self.sensor)
-        points = points_in_sensor_frame(points, self.sensor)  # from here on, and until _outgoing
-        beams = beams_of(points, self.sensor, along, complete_scan=self.complete_scan, owner=self)
+        # In the sensor's frame, from where each beam starts, until _outgoing.
+        at_scene = self.beam_ends == "scene" and way_m is None
+        beams = self._find_beams(
+            points, self.sensor, along, complete_scan=self.complete_scan, at_scene=at_scene, owner=self
+        )
         flat = beams.points
         range_m = _range_m(flat, self.sensor.min_range_m)
         reach_m = range_m
         if beams.empty_direction is not None:
-            farthest: float | Tensor = self.sensor.max_range_m
-            if beams.appended:  # a row of padding points nowhere
-                farthest = (beams.empty_direction != 0).any(-1).to(range_m) * self.sensor.max_range_m
-            reach_m = torch.where(range_m > 0, range_m, farthest)
+            farthest: float | Tensor = self.sensor.max_range_m if beams.end_m is None else beams.end_m
+            if way_m is not None:
+                farthest = self._checked_way(way_m, points).to(range_m)
+            reach_m = torch.where(
+                range_m > 0, range_m if beams.end_m is None else beams.end_m.minimum(range_m), farthest
+            )
         nothing = torch.zeros_like(range_m)[..., None]
         state = LidarState(
             points_in=flat,
@@ -381,6 +424,15 @@ class LidarWeather(WeatherTransform):
             grid=self._grid(flat.shape[1]),
         )
         return beams, state
+
+    def _checked_way(self, way_m: Tensor, points: Tensor) -> Tensor:
+        """Ways to the beams' ends ``(B, N)``."""
+        if way_m.shape != points.shape[:-1]:
+            raise ValueError(
+                f"{type(self).__name__}: reach_m must have shape {tuple(points.shape[:-1])}, a way in metres for every "
+                f"row; got {tuple(way_m.shape)}."
+            )
+        return way_m.reshape(-1, way_m.shape[-1])
 
     def _grid(self, count: int) -> tuple[int, int] | None:
         """Rows and columns where the cloud is the whole scan pattern."""
@@ -440,7 +492,7 @@ class LidarWeather(WeatherTransform):
         batch = points.shape[:-2]
         if values.ndim == 3:  # the cloud itself
             given = points.reshape(values.shape[0], *points.shape[-2:])
-            values = points_in_cloud_frame(values, beams.points, given, self.sensor).to(points.dtype)
+            values = points_in_cloud_frame(values, beams.points, given, self.sensor, beams.height_m).to(points.dtype)
             if self.lost == "nan":
                 had_return = _range_m(beams.points, self.sensor.min_range_m) > 0
                 gone = (kind == PointKind.LOST) & had_return

@@ -1,0 +1,144 @@
+"""A sweep completed: the beams that its scan pattern has and its points lack, where they end, and rows for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
+from torchweather.lidar.beam_heights import beam_heights_m
+from torchweather.lidar.sweep_rings import sweep_rings
+from torchweather.sensors import Lidar, empty_beams
+
+__all__ = ["CompletedScan", "complete_scan"]
+
+TURN_DEG = 360.0
+
+
+@dataclass(frozen=True)
+class CompletedScan:
+    """Beams that a sweep of N rows lacks, M of them.
+
+    Args:
+        direction: ``(M, 3)`` unit vectors.
+        ring: ``(M,)`` int64.
+        height_m: ``(M,)`` at which they start, metres, or ``None`` where all start at the origin.
+        end_m: ``(M,)`` way to the end, metres.
+        end: ``(M,)`` int8, `BeamEnd`.
+        rows: ``(M, C)`` for the cloud: no position, no intensity, its ring in the ring column, the other columns as
+            those of the nearest return of the ring.
+        row_way_m: ``(N,)`` way of the sweep's own rows on which particles may lie, ``inf`` but for returns below the
+            ground; 0 for rows without return.
+        row_height_m: ``(N,)`` at which the beams of the sweep's own rows start, or ``None``.
+        row_end: ``(N,)`` int8, `BeamEnd` of the sweep's own rows.
+        words: how many beams end where.
+    """
+
+    direction: Tensor
+    ring: Tensor
+    height_m: Tensor | None
+    end_m: Tensor
+    end: Tensor
+    rows: Tensor
+    row_way_m: Tensor
+    row_height_m: Tensor | None
+    row_end: Tensor
+    words: str
+
+
+def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> CompletedScan:
+    """Find the beams of a sweep that returned nothing.
+
+    Args:
+        cloud: ``(N, C)`` x, y, z in metres in the sensor's frame, further columns.
+        sensor: with its scan pattern.
+        sky_alone: keep only beams that end in the sky.
+
+    Returns:
+        What the sweep lacks.
+    """
+    column = sensor.ring_column
+    found = sweep_rings(cloud, sensor)
+    ring, sensor = found.ring, found.sensor
+    there = (cloud[:, :3] != 0).any(-1) & (cloud[:, :3].square().sum(-1) >= sensor.min_range_m**2)
+    row_height_m = beam_heights_m(cloud, sensor, ring)
+    lowered = cloud[:, :3].clone()
+    if row_height_m is not None:
+        lowered[:, 2] -= row_height_m
+        lowered = torch.where(there[:, None], lowered, 0.0)
+    direction, found_ring, _ = empty_beams(lowered, sensor, ring)
+    heights = None
+    if sensor.origin_heights_m is not None and row_height_m is not None:
+        heights = cloud.new_tensor(sensor.origin_heights_m)[found_ring]
+    columns = sensor.columns or 1
+    returns = cloud[there, :3].cpu().numpy()
+    ends = beam_ends(
+        returns,
+        direction.cpu().numpy(),
+        sensor.max_range_m,
+        ring=ring[there].cpu().numpy(),
+        direction_ring=found_ring.cpu().numpy(),
+        origin_height_m=0.0 if heights is None else heights.cpu().numpy(),
+        step_deg=TURN_DEG / columns,
+    )
+    end, end_m = torch.from_numpy(ends.end).to(cloud.device), torch.from_numpy(ends.distance_m).to(cloud)
+    kept = end == int(BeamEnd.SKY) if sky_alone else torch.ones_like(end, dtype=torch.bool)
+    direction, found_ring, end, end_m = direction[kept], found_ring[kept], end[kept], end_m[kept]
+    of_row = 0.0 if row_height_m is None else row_height_m[there].cpu().numpy()
+    row_way_m = cloud.new_zeros(len(cloud))
+    row_way_m[there] = torch.from_numpy(ways_above_ground(returns, ends.ground, of_row)).to(cloud)
+    rows = _rows(cloud, there, ring, direction, found_ring, column)
+    row_end = torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8)
+    return CompletedScan(
+        direction,
+        found_ring,
+        None if heights is None else heights[kept],
+        end_m,
+        end,
+        rows,
+        row_way_m,
+        row_height_m,
+        row_end,
+        _words(end, found.words, sky_alone=sky_alone),
+    )
+
+
+def _words(end: Tensor, rings: str, *, sky_alone: bool) -> str:
+    counts = torch.bincount(end.long(), minlength=len(BeamEnd)).tolist()
+    named = {
+        BeamEnd.SKY: "in the sky",
+        BeamEnd.GROUND: "on the ground",
+        BeamEnd.OWN_VEHICLE: "on the own vehicle",
+        BeamEnd.OBSTACLE: "at an obstacle",
+    }
+    parts = ", ".join(f"{counts[kind]} {where}" for kind, where in named.items() if counts[kind])
+    only = "; only beams that end in the sky are simulated" if sky_alone else ""
+    ends = f", which end: {parts}" if parts else ""
+    return f"completed from the scan pattern with {len(end)} beams{ends}{only} ({rings})"
+
+
+def _rows(
+    cloud: Tensor, there: Tensor, ring: Tensor, direction: Tensor, found_ring: Tensor, column: int | None
+) -> Tensor:
+    """Rows for beams without return: further columns as those of the nearest return of the ring in azimuth."""
+    rows = cloud.new_zeros(len(direction), cloud.shape[-1])
+    if cloud.shape[-1] <= 4 or not len(rows):
+        return rows
+    returns = cloud[there]
+    if len(returns):
+        key = 2.0 * TURN_DEG * ring[there].double() + _azimuth_deg(returns)
+        order = key.argsort()
+        sought = 2.0 * TURN_DEG * found_ring.double() + _azimuth_deg(direction)
+        after = torch.searchsorted(key[order], sought).clamp(max=len(order) - 1)
+        before = (after - 1).clamp(min=0)
+        nearer = (key[order][after] - sought).abs() < (key[order][before] - sought).abs()
+        rows[:, 4:] = returns[order[torch.where(nearer, after, before)], 4:]
+    if column is not None:
+        rows[:, column] = found_ring.to(rows)
+    return rows
+
+
+def _azimuth_deg(xyz: Tensor) -> Tensor:
+    return torch.rad2deg(torch.atan2(xyz[:, 1].double(), xyz[:, 0].double())) % TURN_DEG
