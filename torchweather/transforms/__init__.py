@@ -5,6 +5,7 @@ from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, Bayer
 from torchweather.transforms.compose import Compose, Draw
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
 from torchweather.transforms.radar import RadarAttenuation, RadarResult
+from torchweather.transforms.radar_map import RadarMapResult, RadarMapWeather
 from torchweather.transforms.random_weather import RandomFog, RandomRain, RandomSnow, RandomWeather
 from torchweather.transforms.weather_dataset import WeatherDataset
 
@@ -23,6 +24,8 @@ __all__ = [
     "LidarSnow",
     "LidarWeather",
     "RadarAttenuation",
+    "RadarMapResult",
+    "RadarMapWeather",
     "RadarResult",
     "RandomFog",
     "RandomRain",
