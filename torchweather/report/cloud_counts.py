@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.sensors import Lidar
+from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarResult
 
@@ -16,7 +17,7 @@ __all__ = ["cloud_counts", "has_return"]
 
 def has_return(points: Tensor, sensor: Lidar) -> Tensor:
     """Rows ``(N,)`` with a return: those at the origin, or nearer than the sensor measures, have none."""
-    x, y, z = points[:, :3].unbind(-1)
+    x, y, z = points_in_sensor_frame(points[:, :3], sensor).unbind(-1)
     range_m = (x * x + y * y + z * z).sqrt()
     return (range_m > 0) & (range_m >= sensor.min_range_m)
 
