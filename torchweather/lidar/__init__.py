@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torchweather.lidar.beam_ends import BeamEnd, BeamEnds, beam_ends
 from torchweather.lidar.ground import GroundPlane, fit_ground
+from torchweather.lidar.near_response import NearResponseFit, fit_near_response
+from torchweather.lidar.pattern_fit import PatternFit, fit_pattern
 from torchweather.lidar.scan_counts import check_scan_counts, scan_count_problem
 from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern
 
@@ -11,10 +13,14 @@ __all__ = [
     "BeamEnd",
     "BeamEnds",
     "GroundPlane",
+    "NearResponseFit",
+    "PatternFit",
     "ScanPattern",
     "beam_ends",
     "check_scan_counts",
     "estimate_pattern",
     "fit_ground",
+    "fit_near_response",
+    "fit_pattern",
     "scan_count_problem",
 ]
