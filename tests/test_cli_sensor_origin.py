@@ -95,7 +95,7 @@ def test_scores_of_a_sweep_do_not_depend_on_the_frame(run: Any, tmp_path: Path) 
         weather = ("--weather", "fog:mor=200,50", "--seeds", 1)
         code, _, err = run("sweep", path, "-o", folder / "s", *weather, *HDL, *place)
         assert code == 0, err
-        rows = list(csv.DictReader((folder / "s" / "scores.csv").open()))
+        rows = csv.DictReader((folder / "s" / "scores.csv").read_text().splitlines())
         tables.append({(row["severity"], row["metric"]): float(row["score"]) for row in rows})
     assert tables[1] == pytest.approx(tables[0], rel=1e-3)
 
