@@ -127,9 +127,7 @@ def test_the_note_says_what_to_pass_and_then_falls_silent() -> None:
 def test_a_transform_warns_once_of_a_cloud_in_the_vehicles_frame() -> None:
     sensor = Lidar(905.0, max_range_m=119.0, ring_column=4)
     transform = LidarWeather(Rain(rate_mm_per_h=0), sensor)
-    with pytest.warns(
-        TorchweatherWarning, match=r"LidarWeather: The cones .* meet in \(1\.43"
-    ):
+    with pytest.warns(TorchweatherWarning, match=r"LidarWeather: The cones .* meet in \(1\.43"):
         transform(cloud(WAYMO_M))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

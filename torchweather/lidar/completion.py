@@ -9,12 +9,16 @@ from torch import Tensor
 
 from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
 from torchweather.lidar.beam_heights import beam_heights_m
+from torchweather.lidar.echo_pairs import first_rows, holds_pairs
+from torchweather.lidar.scan_counts import check_scan_counts
+from torchweather.lidar.scan_pattern import estimate_pattern
 from torchweather.lidar.sweep_rings import sweep_rings
 from torchweather.sensors import Lidar, empty_beams
 
 __all__ = ["CompletedScan", "complete_scan"]
 
 TURN_DEG = 360.0
+TOO_MANY = 0.03  # the motor's speed changes the columns of a turn by 1 % (KITTI)
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,8 @@ class CompletedScan:
             ground; 0 for rows without return.
         row_height_m: ``(N,)`` at which the beams of the sweep's own rows start, or ``None``.
         row_end: ``(N,)`` int8, `BeamEnd` of the sweep's own rows.
+        first_row: ``(N,)`` int64 first row of each row's beam, where the file holds several echoes a beam; else
+            ``None``.
         words: how many beams end where.
     """
 
@@ -45,6 +51,7 @@ class CompletedScan:
     row_way_m: Tensor
     row_height_m: Tensor | None
     row_end: Tensor
+    first_row: Tensor | None
     words: str
 
 
@@ -58,6 +65,9 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
 
     Returns:
         What the sweep lacks.
+
+    Raises:
+        ValueError: returns and appended beams are more than rings times columns.
     """
     column = sensor.ring_column
     found = sweep_rings(cloud, sensor)
@@ -69,6 +79,7 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         lowered[:, 2] -= row_height_m
         lowered = torch.where(there[:, None], lowered, 0.0)
     direction, found_ring, _ = empty_beams(lowered, sensor, ring)
+    first_row = _checked_beams(cloud, ring, there, len(direction), sensor)
     heights = None
     if sensor.origin_heights_m is not None and row_height_m is not None:
         heights = cloud.new_tensor(sensor.origin_heights_m)[found_ring]
@@ -101,8 +112,25 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         row_way_m,
         row_height_m,
         row_end,
+        first_row,
         _words(end, found.words, sky_alone=sky_alone),
     )
+
+
+def _checked_beams(cloud: Tensor, ring: Tensor, there: Tensor, appended: int, sensor: Lidar) -> Tensor | None:
+    """First rows of the beams where a file holds several echoes a beam; raises where there are too many beams."""
+    rings, columns = len(sensor.elevations_deg or ()), sensor.columns or 1
+    returns = int(there.sum())
+    first = None
+    if holds_pairs(returns, rings, columns):
+        xyz = torch.where(there[:, None], cloud[:, :3], 0.0).double().cpu().numpy()
+        rows = first_rows(xyz, ring.cpu().numpy(), TURN_DEG / columns)
+        first = torch.from_numpy(rows).to(cloud.device)
+        returns = int((first[there] == there.nonzero()[:, 0]).sum())
+    if returns + appended > (1.0 + TOO_MANY) * rings * columns:
+        numbers = torch.where(there, ring, -1).cpu()
+        check_scan_counts(estimate_pattern(cloud[:, :3].cpu(), numbers), appended, rings=rings, columns=columns)
+    return first
 
 
 def _words(end: Tensor, rings: str, *, sky_alone: bool) -> str:

@@ -14,7 +14,8 @@ from torchweather.errors import owner_name
 from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
 from torchweather.lidar.beam_heights import beam_heights_m
 from torchweather.lidar.completion import complete_scan as completed
-from torchweather.sensors import Lidar
+from torchweather.lidar.echo_pairs import first_rows, holds_pairs
+from torchweather.sensors import Lidar, recover_ring
 from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.sensors.lidar import unit_directions
 from torchweather.stages.by_rows import is_exporting
@@ -35,6 +36,7 @@ class Beams:
             ground); ``None``: the maximum range.
         end: ``(B, N)`` int8, `BeamEnd` of each row; ``None`` in an exported graph.
         height_m: ``(1 or B, N)`` at which the beams start over the sensor's origin, or ``None`` for 0.
+        first_row: ``(B, N)`` int64 first row of each row's beam where a file holds several echoes a beam, or ``None``.
         scan: how beams without return were treated, in words.
         appended: rows at the end that are not in the input.
     """
@@ -44,6 +46,7 @@ class Beams:
     end_m: Tensor | None
     end: Tensor | None
     height_m: Tensor | None
+    first_row: Tensor | None
     scan: str
     appended: int
 
@@ -114,7 +117,8 @@ def beams_of(
             )
         along = _fitting(unit_directions(directions, owner=owner), points, owner).to(flat)
         height_m = beam_heights_m(flat, sensor)
-        beams = Beams(_lowered(flat, height_m), along, None, None, height_m, "directions given for every row", 0)
+        words = "directions given for every row"
+        beams = Beams(_lowered(flat, height_m), along, None, None, height_m, None, words, 0)
         return beams if is_exporting() or not at_scene else _with_ends(beams, sensor)
     if complete_scan:
         beams = _completed(flat, sensor, sky_alone=complete_scan == "sky")
@@ -124,9 +128,10 @@ def beams_of(
         return replace(beams, end_m=torch.where(there, sensor.max_range_m, beams.end_m))
     height_m = beam_heights_m(flat, sensor)
     words = "the rows that exist; a row without return has no direction and stays empty"
-    beams = Beams(_lowered(flat, height_m), None, None, None, height_m, words, 0)
+    beams = Beams(_lowered(flat, height_m), None, None, None, height_m, None, words, 0)
     if is_exporting():
         return beams
+    beams = replace(beams, first_row=_pairs(beams.points, sensor))
     there = (flat[..., :3] != 0).any(-1)
     return replace(beams, end=torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8))
 
@@ -200,9 +205,30 @@ def _completed(flat: Tensor, sensor: Lidar, *, sky_alone: bool) -> Beams:
         if height_m is not None and sweep.height_m is not None and sweep.row_height_m is not None:
             height_m[sample, :count] = sweep.row_height_m
             height_m[sample, own] = sweep.height_m
+    first_row = None
+    if any(sweep.first_row is not None for sweep in sweeps):
+        own_rows = torch.arange(count + most, device=flat.device)
+        first_row = own_rows.repeat(batch, 1)
+        for sample, sweep in enumerate(sweeps):
+            if sweep.first_row is not None:
+                first_row[sample, :count] = sweep.first_row
     words = "; ".join(dict.fromkeys(sweep.words for sweep in sweeps))
     points = torch.cat([_lowered(flat, None if height_m is None else height_m[:, :count]), rows], 1)
-    return Beams(points, direction, end_m, end, height_m, words, most)
+    return Beams(points, direction, end_m, end, height_m, first_row, words, most)
+
+
+def _pairs(points: Tensor, sensor: Lidar) -> Tensor | None:
+    """First row of each row's beam ``(B, N)``, where there are more returns than the sensor has beams."""
+    rings, columns = sensor.elevations_deg, sensor.columns
+    if rings is None or columns is None or not holds_pairs(points.shape[1], len(rings), columns):
+        return None
+    found = []
+    for cloud in points.detach():
+        ring = recover_ring(cloud, replace(sensor, origin_heights_m=None)) if sensor.ring_column is None else None
+        number = cloud[:, sensor.ring_column or 0].long() if ring is None else ring
+        rows = first_rows(cloud[:, :3].double().cpu().numpy(), number.cpu().numpy(), 360.0 / columns)
+        found.append(torch.from_numpy(rows).to(points.device))
+    return torch.stack(found)
 
 
 def end_counts(end: Tensor) -> dict[str, int]:

@@ -246,7 +246,7 @@ class LidarWeather(WeatherTransform):
             a batch) with ``lost="drop"``.
         """
         beams, state = self._begin(points, directions, reach_m)
-        state = self._through(state, noise)
+        state = self._through(state, noise, beams.first_row)
         assert state.points is not None
         return self._outgoing(state.points, state.kind[..., 0], points, beams)
 
@@ -260,7 +260,7 @@ class LidarWeather(WeatherTransform):
     ) -> LidarResult:
         """The cloud, and what happened to each of its points; arguments as ``forward``."""
         beams, before = self._begin(points, directions, reach_m)
-        state = self._through(before, noise)
+        state = self._through(before, noise, beams.first_row)
         assert state.points is not None
         batch, count = state.kind.shape[:2]
         rows = torch.arange(count, device=points.device)
@@ -441,12 +441,16 @@ class LidarWeather(WeatherTransform):
             return None
         return len(rings), columns
 
-    def _through(self, state: LidarState, noise: Mapping[str, Tensor] | None) -> LidarState:
+    def _through(
+        self, state: LidarState, noise: Mapping[str, Tensor] | None, first_row: Tensor | None = None
+    ) -> LidarState:
         if noise is None:
             drawn = self.chain.draw(state)
             flat = {key: value.to(state.points_in.device) for key, value in drawn.items()}
         else:
             flat = {key: value.to(state.points_in.device) for key, value in self._flat_noise(noise, state).items()}
+        if first_row is not None:  # echoes of one beam meet the same particles
+            flat = {key: _of_first(value, first_row) for key, value in flat.items()}
         if self._is_large(state):
             return self._in_portions(state, flat)
         found: LidarState = self.chain(state, flat)
@@ -509,6 +513,14 @@ def _range_m(points: Tensor, min_range_m: float) -> Tensor:
     x, y, z = points[..., :3].unbind(-1)
     range_m = (x * x + y * y + z * z).sqrt()
     return torch.where(range_m < min_range_m, 0.0, range_m) if min_range_m > 0 else range_m
+
+
+def _of_first(noise: Tensor, first_row: Tensor) -> Tensor:
+    """Noise ``(B, ..., N)`` with that of each beam's first row for all its rows; other noise as it is."""
+    if noise.shape[-1] != first_row.shape[-1] or noise.shape[0] != first_row.shape[0]:
+        return noise
+    between = (1,) * (noise.ndim - 2)
+    return noise.gather(-1, first_row.view(len(first_row), *between, -1).expand_as(noise))
 
 
 def _from_numpy(array: NDArray[Any]) -> Tensor:
