@@ -104,6 +104,25 @@ def test_without_the_sdk_the_error_names_the_extra(recording: Path, monkeypatch:
         read_ouster(recording)
 
 
+def test_a_package_that_the_sdk_needs_is_named_when_it_is_missing(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(name: str) -> object:
+        raise ModuleNotFoundError("No module named 'rosbags'", name="rosbags")
+
+    monkeypatch.setattr("torchweather.io.ouster.importlib.import_module", broken)
+    with pytest.raises(ImportError, match=r"'rosbags', which ouster-sdk needs .*pip install rosbags") as raised:
+        read_ouster(recording)
+    assert "\n" not in str(raised.value)
+
+
+def test_the_product_is_named_as_the_metadata_name_it(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert next(read_ouster(recording)).product == ""
+    (info,) = Recording.sensor_info
+    monkeypatch.setattr(info, "prod_line", "OS-2-128", raising=False)
+    assert next(read_ouster(recording)).product == "OS-2-128"
+
+
 RECORDINGS = {"OS-0": ("-0-128-U1_v2.3.0_1024x10", 1, 0.74), "OS-1": ("-1-128_v2.3.0_1024x10_lb_n3", 3, 0.82)}
 RECORDINGS["OS-2"] = ("-2-128-U1_v2.3.0_1024x10", 1, 0.91)
 

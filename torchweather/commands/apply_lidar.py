@@ -24,6 +24,7 @@ from torchweather.commands.clouds import (
     refuse_wrong_unit,
     with_ones,
 )
+from torchweather.commands.ouster_product import refuse_other_product
 from torchweather.commands.output import note
 from torchweather.errors import TorchweatherError
 from torchweather.explain import explain
@@ -112,6 +113,7 @@ class _Work:
         clear = with_ones(frame.cloud) if without_intensity else frame.cloud
         transform = self._transform(clear.columns)
         hit = has_return(clear.points, transform.sensor)
+        refuse_other_product(str(frame.name), frame.product, transform.sensor, self.args, "apply")
         refuse_wrong_unit(str(frame.name), clear.points, transform.sensor, self.args, "apply")
         try:
             with torch.no_grad():

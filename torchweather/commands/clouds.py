@@ -52,7 +52,7 @@ NEARLY_ALL = 0.9
 def add_force(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
     """The argument that lets a cloud through whose intensities contradict the sensor."""
     group.add_argument(
-        "--force", action="store_true", help="go on although nearly all intensities contradict the sensor's unit"
+        "--force", action="store_true", help="go on although intensities or a recording contradict the sensor"
     )
 
 
@@ -152,12 +152,14 @@ class CloudFrame:
         number: of the frame, in a recording of several; ``None`` in a file of one.
         cloud: its points.
         directions: ``(N, 3)`` of every beam, where the recording knows them.
+        product: that recorded it, where the file names it.
     """
 
     path: Path
     number: int | None
     cloud: PointCloud
     directions: Tensor | None = None
+    product: str | None = None
 
     @property
     def name(self) -> str:
@@ -197,7 +199,7 @@ def clouds_in(path: Path, args: argparse.Namespace) -> Iterator[CloudFrame]:
         return
     frames = read_ouster(path, args.meta, intensity=args.intensity or "reflectivity")
     for number, frame in enumerate(frames):
-        yield CloudFrame(path, number, frame.cloud, frame.directions)
+        yield CloudFrame(path, number, frame.cloud, frame.directions, frame.product)
 
 
 def with_ones(cloud: PointCloud) -> PointCloud:

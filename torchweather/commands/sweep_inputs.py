@@ -12,6 +12,7 @@ from torchweather.camera.depth import AUTO, GUESSED, DepthSource, scene_of
 from torchweather.commands.clouds import clouds_in, gathered_clouds, lidar_fields, refuse_wrong_unit, with_ones
 from torchweather.commands.detections import gathered_detections, radar_fields
 from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
+from torchweather.commands.ouster_product import refuse_other_product
 from torchweather.commands.regions import parse_region
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.io import read_image, read_radar
@@ -157,6 +158,7 @@ class _Lidar(Maker):
     def _of_file(self, file: Path, scene: str) -> Iterator[Subject]:
         for frame in clouds_in(file, self.args):
             cloud = with_ones(frame.cloud) if self.args.intensity == "none" else frame.cloud
+            refuse_other_product(str(frame.name), frame.product, self.lidar, self.args, "sweep")
             refuse_wrong_unit(str(frame.name), cloud.points, self.lidar, self.args, "sweep")
             yield LidarSubject(
                 frame.name,

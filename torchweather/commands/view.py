@@ -87,7 +87,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_lines(
             f"wrote {args.out}  points {found['points']}: objects {found['objects']}, particles {found['particles']}, "
-            f"lost {found['lost']}" + (f"\nlogged to {found['rerun']}" if "rerun" in found else "")
+            f"lost {found['lost']}"
+            + (f", under the ground {found['under_ground']}" if found["under_ground"] else "")
+            + (f"\nlogged to {found['rerun']}" if "rerun" in found else "")
         )
     if args.open:
         open_page(args.out)
@@ -135,6 +137,7 @@ def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, 
     """The frame, its points with an intensity, the transform, and the sensor's name."""
     from torchweather.commands.apply_lidar import RING, builder
     from torchweather.commands.clouds import clouds_in, gathered_clouds, with_ones
+    from torchweather.commands.ouster_product import refuse_other_product
     from torchweather.errors import TorchweatherError
     from torchweather.sensors import DEFAULT_PRESETS
 
@@ -148,6 +151,7 @@ def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, 
     frame = next(islice(clouds_in(path, args), args.frame, None), None)
     if frame is None or (args.frame and frame.number is None):
         raise TorchweatherError(f"{path}: has no frame {args.frame}. Give a smaller --frame.")
+    refuse_other_product(frame.name, frame.product, sensor, args, "view")
     cloud = with_ones(frame.cloud) if args.intensity == "none" else frame.cloud
     if args.complete_scan and sensor.ring_column is None and RING in cloud.columns[4:]:
         sensor = replace(sensor, ring_column=cloud.columns.index(RING))

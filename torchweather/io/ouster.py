@@ -38,6 +38,7 @@ class OusterFrame:
             as seen from the origin differs from its beam's by up to 0.5 degrees at 10 m, and in the limit not at all.
         frame_id: the sensor's count of frames.
         timestamp_ns: ``(W,)`` int64 time of each column, nanoseconds in the sensor's clock.
+        product: of the sensor, such as ``OS-2-128``, as its metadata name it; empty where they do not.
     """
 
     cloud: PointCloud
@@ -45,6 +46,7 @@ class OusterFrame:
     origins_m: Tensor
     frame_id: int
     timestamp_ns: Tensor
+    product: str = ""
 
 
 def read_ouster(
@@ -68,7 +70,7 @@ def read_ouster(
         Frames: x, y, z in metres, intensity, ring (0 at the top), float32. First returns only.
 
     Raises:
-        ImportError: ``ouster-sdk`` is not installed (extra ``ouster``).
+        ImportError: ``ouster-sdk`` (extra ``ouster``), or a package that it needs itself, is not installed.
         TorchweatherError: files are missing or broken, or the recording lacks the intensity.
     """
     check_one_of("intensity", intensity, OUSTER_INTENSITIES, owner="read_ouster")
@@ -80,10 +82,19 @@ def read_ouster(
     try:
         sdk = importlib.import_module("ouster.sdk")  # untyped, and there only with the extra
     except ImportError as error:
-        raise ImportError(
-            "read_ouster needs ouster-sdk 1.0 or newer. Install it with: pip install 'torchweather[ouster]'"
-        ) from error
+        raise ImportError(_what_to_install(error)) from error
     return _frames(sdk, source, description, intensity.upper(), incomplete)
+
+
+def _what_to_install(error: ImportError) -> str:
+    """Name the package that is missing: the SDK, or one that the SDK needs."""
+    missing = (error.name or "").partition(".")[0]
+    if missing in ("", "ouster"):
+        return "read_ouster needs ouster-sdk 1.0 or newer. Install it with: pip install 'torchweather[ouster]'"
+    return (
+        f"read_ouster needs {missing!r}, which ouster-sdk needs ({error}). Install it with: pip install "
+        f"{missing}, or anew with pip install 'torchweather[ouster]'"
+    )
 
 
 def _frames(sdk: Any, source: Path, description: Path, field: str, incomplete: bool) -> Iterator[OusterFrame]:
@@ -158,4 +169,5 @@ class _Geometry:
             self.origins_m,
             int(frame.frame_id),
             torch.from_numpy(np.asarray(frame.timestamp).astype(np.int64)),
+            str(getattr(self._info, "prod_line", "") or ""),
         )

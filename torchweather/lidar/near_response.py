@@ -129,8 +129,8 @@ def fit_near_response(
     if len(middles) < _FEWEST_BINS:
         raise ValueError(
             f"fit_near_response: expected {_FEWEST_BINS} or more bins of range with {_FEWEST_IN_BIN} returns of "
-            f"diffuse targets (reflectivity {_DARKEST:g} to {_BRIGHTEST:g}) each; got {len(middles)}. Pass more frames, and "
-            "reflectivity with 1 = white."
+            f"diffuse targets (reflectivity {_DARKEST:g} to {_BRIGHTEST:g}) each; got {len(middles)}. Pass more "
+            "frames, and reflectivity with 1 = white."
         )
     best = _fitted(middles)
     left_out = np.array([_fitted(_bins(value[part != k], way[part != k], cell[part != k])) for k in range(_PARTS)])

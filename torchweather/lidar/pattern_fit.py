@@ -174,11 +174,10 @@ def _half_interval(values: Numbers, own_error: Numbers) -> Numbers:
     number = np.maximum(np.isfinite(values).sum(0), 1)
     own = _nanmedian(own_error) / np.sqrt(number)
     if len(values) == 1:
-        return _NORMAL_95 * own
+        return np.asarray(_NORMAL_95 * own)
     scatter = _MAD_TO_STD * _nanmedian(np.abs(values - _nanmedian(values)))
     # A median of n values scatters by 1.2533 of their mean's standard error.
-    error: Numbers = _NORMAL_95 * np.maximum(1.2533 * scatter / np.sqrt(number), own)
-    return error
+    return np.asarray(_NORMAL_95 * np.maximum(1.2533 * scatter / np.sqrt(number), own))
 
 
 def _nanmedian(values: Numbers) -> Numbers:
