@@ -5,7 +5,8 @@
 
 One picture an effect, named after it: the statistic in which it shows, along its axis, in the same weather without the
 effect and at two strengths. The scene is the embedded test track, the sensor an Ouster OS1-128 with few columns; the
-numbers are over all frames. The pictures of docs/effects-lidar.md are made by this script.
+numbers are over all frames. The pictures of docs/effects-lidar.md are made by this script, those of the structure of
+the weather by draw_lidar_structure.py.
 """
 
 from __future__ import annotations
@@ -613,9 +614,14 @@ def weather_text(weather: Weather) -> str:
     return f"{weather.kind}, {float(weather.knob):g} mm/h" if weather.knob else "clear air"
 
 
-def draw(name: str, beams: Beams, frames: Callable[[Weather, tuple[Mapping[str, Any], ...]], Frames]) -> Figure:
-    """The picture of one effect."""
-    picture = PICTURES[name]
+def draw(
+    name: str,
+    beams: Beams,
+    frames: Callable[[Weather, tuple[Mapping[str, Any], ...]], Frames],
+    picture: Picture | None = None,
+) -> Figure:
+    """The picture of one effect, as ``PICTURES`` says unless given."""
+    picture = PICTURES[name] if picture is None else picture
     runs = [Run("without", WITHOUT, frames(picture.weather, ()))]
     for setting, colour in zip(picture.settings, (WEAK, STRONG), strict=True):
         units = {parameter.name: parameter.unit.replace("1", "") for parameter in EFFECTS[name].arguments}

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-lidar.md"
 PICTURES = ROOT / "docs" / "images" / "effects"
 EXAMPLE = ROOT / "examples" / "draw_lidar_effects.py"
+STRUCTURE = ROOT / "examples" / "draw_lidar_structure.py"
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
 
 MOST_BYTES = 40_000  # of a picture: twenty of them are on one page
@@ -130,9 +131,16 @@ def example() -> ModuleType:
     return module_of(EXAMPLE)
 
 
-def test_the_example_has_two_settings_of_every_effect_at_which_it_acts(example: ModuleType) -> None:
-    assert list(example.PICTURES) == LIDAR
-    for name, drawn in example.PICTURES.items():
+@pytest.fixture(scope="module")
+def structure() -> ModuleType:
+    return module_of(STRUCTURE)
+
+
+def test_the_examples_have_two_settings_of_every_effect_at_which_it_acts(
+    example: ModuleType, structure: ModuleType
+) -> None:
+    assert [*example.PICTURES, *structure.PICTURES] == LIDAR
+    for name, drawn in (example.PICTURES | structure.PICTURES).items():
         weak, strong = (EFFECTS[name](**drawn.common, **setting) for setting in drawn.settings)
         assert not bool(weak.at_identity)
         assert not bool(strong.at_identity)
@@ -153,6 +161,20 @@ def test_the_example_draws_one_picture_of_each_make(
         with Image.open(tmp_path / f"{name}.png") as image:
             assert image.size == SIZE_PX
         assert f"{EFFECTS[name].title}: " in printed
+
+
+def test_the_example_of_structure_draws_its_pictures(
+    structure: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = ["--frames", "1", "--columns", "32", "--fine-columns", "512"]
+    monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), *small])
+    structure.main()
+    for name in structure.PICTURES:
+        with Image.open(tmp_path / f"{name}.png") as image:
+            assert image.size == SIZE_PX
+    monkeypatch.setattr(sys, "argv", ["", "lidar.window_loss"])
+    with pytest.raises(SystemExit):
+        structure.main()
 
 
 def test_the_example_refuses_an_effect_that_it_does_not_know(

@@ -71,6 +71,7 @@ MEASURED: dict[str, list[str]] = {
 ELSEWHERE = {
     "draw_camera_effects.py": "test_docs_effects_camera.py",
     "draw_lidar_effects.py": "test_docs_effects.py",
+    "draw_lidar_structure.py": "test_docs_effects.py",
     "draw_radar_effects.py": "test_docs_effects_radar.py",
     "gap_d34_suspicions.py": "gap/test_hidden_study.py",
     "gap_wads_snow.py": "test_gap_wads_example.py",

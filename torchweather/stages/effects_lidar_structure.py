@@ -194,7 +194,6 @@ class LidarParticleSizes(Effect):
     arguments: ClassVar[tuple[Parameter, ...]] = tuple(
         Parameter(f"factor_{knot:g}mm", "1", 0.0, 100.0, scale=0.5, identity=1.0) for knot in SIZE_KNOTS_MM
     )
-    percollect: ClassVar[str | None] = "Particle size distribution"
     after: ClassVar[str] = "extinction"
     axes: ClassVar[tuple[str, ...]] = ("particle_range_m", "particle_intensity")
     confusable_with: ClassVar[Mapping[str, str]] = {
