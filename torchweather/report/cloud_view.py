@@ -15,6 +15,7 @@ from torchweather import __version__
 from torchweather.errors import check_at_least
 from torchweather.io import atomic_write
 from torchweather.report.page import html_page
+from torchweather.report.view_flat import flat_view, under_ground
 from torchweather.report.view_points import (
     INT16_MAX,
     UINT16_MAX,
@@ -80,7 +81,8 @@ def write_cloud_view(
             always of the whole clouds.
 
     Returns:
-        ``points``, ``objects``, ``particles``, ``lost``, ``shown_clear``, ``shown_weather``, ``stride`` (one beam of so
+        ``points``, ``objects``, ``particles``, ``lost``, ``under_ground`` (particles more than 0.3 m under the ground
+        within 40 m; ``None`` where no ground is found), ``shown_clear``, ``shown_weather``, ``stride`` (one beam of so
         many is shown), ``bytes`` of the page.
     """
     check_at_least("most_points", most_points, 1, owner="write_cloud_view")
@@ -88,6 +90,11 @@ def write_cloud_view(
     counts = counts_by_range(clear, seen)
     shown_clear, shown_seen, stride = thinned(clear, seen, most_points)
     data, scales = _data(shown_clear, shown_seen, sensor)
+    flat, plane = flat_view(clear, seen, scales["range_top_m"])
+    data["flat"] = flat
+    if plane is not None:
+        data["ground_m"] = plane.height_m
+    under = under_ground(seen, plane)
     notes = list(notes)
     if isinstance(result.second, Tensor):
         notes.append("The sensor reports two returns of a beam; second returns are shown and counted, too.")
@@ -107,6 +114,8 @@ def write_cloud_view(
         shown_clear=len(shown_clear),
         shown_weather=len(shown_seen),
         scales=scales,
+        flat=flat,
+        under=under,
         colours=COLOURS,
         notes=notes,
         alerts=list(alerts),
@@ -120,6 +129,7 @@ def write_cloud_view(
         "objects": total.objects,
         "particles": total.particles,
         "lost": total.lost,
+        "under_ground": None if plane is None else under,
         "shown_clear": len(shown_clear),
         "shown_weather": len(shown_seen),
         "stride": stride,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchweather.report.cloud_counts import has_return
 from torchweather.sensors import Lidar
+from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarResult
 
@@ -37,7 +38,7 @@ class ViewPoints:
     """Points to be shown.
 
     Args:
-        xyz_m: ``(N, 3)`` float32, metres from the sensor.
+        xyz_m: ``(N, 3)`` float32, metres from the sensor, in its frame.
         intensity: ``(N,)`` float32, in the sensor's unit.
         kind: ``(N,)`` uint8, ``PointKind``; a lost point stands where it was in clear air.
         beam: ``(N,)`` int64, number of the beam; the same in clear air and in weather.
@@ -100,12 +101,16 @@ def view_points(points: Tensor, result: LidarResult, sensor: Lidar) -> tuple[Vie
     if not isinstance(result.points, Tensor) or points.ndim != 2:
         raise ValueError(f"view_points: points must be one cloud (N, C), without batch; got {tuple(points.shape)}.")
     hit = has_return(points, sensor)
+    # From here on about the sensor.
+    points = points_in_sensor_frame(points, sensor)
     beams = torch.arange(len(points), device=points.device)
     clear = _taken(points, torch.full_like(beams, int(PointKind.OBJECT)), beams, hit)
-    first = _reported(result.points, result.kind, result.source, len(points))
+    found = points_in_sensor_frame(result.points, sensor)
+    first = _reported(found, result.kind, result.source, len(points))
     parts = [first]
     if isinstance(result.second, Tensor):
-        parts.append(_reported(result.second, result.second_kind, result.second_source, len(points)))
+        second = points_in_sensor_frame(result.second, sensor)
+        parts.append(_reported(second, result.second_kind, result.second_source, len(points)))
     answered = torch.zeros(len(points) + 1, dtype=torch.bool, device=points.device)
     answered[first.beam.clamp(max=len(points)).to(points.device)] = True
     parts.append(_taken(points, torch.full_like(beams, int(PointKind.LOST)), beams, hit & ~answered[:-1]))

@@ -183,11 +183,14 @@
     now.firstChild.textContent = state.cloud === "clear" ? "Clear air" : "Weather";
     now.lastChild.textContent = `${grouped(clouds[state.cloud].count - counts[LOST])} points shown`;
     now.hidden = false;
+    tell();
     redraw();
   };
+  // The flat pictures follow.
+  const tell = () => document.dispatchEvent(new CustomEvent("cloudview", { detail: { ...state, shown: [...state.shown] } }));
   document.querySelectorAll("[data-cloud]").forEach((button) => button.addEventListener("click", () => { state.cloud = button.dataset.cloud; words(); }));
   document.querySelectorAll("[data-colour]").forEach((button) => button.addEventListener("click", () => { state.mode = Number(button.dataset.colour); words(); }));
-  document.querySelectorAll("[data-kind]").forEach((box) => box.addEventListener("change", () => { state.shown[Number(box.dataset.kind)] = box.checked; redraw(); }));
+  document.querySelectorAll("[data-kind]").forEach((box) => box.addEventListener("change", () => { state.shown[Number(box.dataset.kind)] = box.checked; tell(); redraw(); }));
   document.querySelectorAll("[data-from]").forEach((button) => button.addEventListener("click", () => { from(button.dataset.from); redraw(); }));
   document.addEventListener("keydown", (event) => {
     if (event.key.toLowerCase() !== "w" || event.ctrlKey || event.metaKey || event.altKey) return;
