@@ -38,6 +38,7 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
     "fog_banks.py": (["--width", "120", "--columns", "64", "--out", "banks.png"], ["banks.png"]),
     "first_lidar_rain.py": (["--columns", "64", "--out", "cloud.png"], ["cloud.png"]),
     "first_radar_rain.py": (["--out", "radar.png"], ["radar.png"]),
+    "radar_map_in_rain.py": (["--out", "map.png"], ["map.png"]),
     "metrics_against_detector.py": (
         ["--quick", "--out", "found"],
         [f"found/{name}" for name in ("index.html", "correlation.json", "scores.csv", "performance.csv")],

@@ -191,6 +191,18 @@ def test_one_weather_with_camera_and_lidar_of_the_same_drive() -> None:
     assert isinstance(numbers, np.ndarray)
 
 
+def test_a_map_of_more_dimensions_in_a_compose_is_one_sample() -> None:
+    compose = tw.Compose({"radar": built(Rain(30.0), TENSOR4)})
+    one = {"radar": values_of(TENSOR4, "linear")}
+    batch = {"radar": torch.stack([one["radar"]] * 2)}
+    alone, both = compose(one, seed=3)["radar"], compose(batch, seed=3)["radar"]
+    assert alone.shape == TENSOR4.shape
+    assert torch.equal(both[0], alone)
+    assert not torch.equal(both[1], alone)
+    with pytest.raises(ValueError, match="'radar' must have shape of 4 sizes, or one dimension more"):
+        compose({"radar": one["radar"][0]})
+
+
 def test_a_recorded_map_goes_through_whole() -> None:
     power_map = RadarPowerMap(values_of(TURN, "db_steps"), TURN, PowerScale.steps(0.5), notes=("a note",))
     wet = built(Rain(30.0), kind="db_steps").of_map(power_map, seed=1)

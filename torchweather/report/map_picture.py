@@ -43,7 +43,7 @@ def map_picture(maps: Mapping[str, RadarPowerMap], noise_db: float) -> bytes:
         for place, (heading, one) in zip(axes, maps.items(), strict=True):
             if turning:
                 grid, extent = from_above(one, PIXELS), (far, -far, -far, far)
-                place.set_xlabel("left - y, m - right", color=INK)
+                place.set_xlabel("y, m (left is positive)", color=INK)
             else:
                 grid, extent = _over_range(one)
                 place.set_xlabel("radial speed, m/s" if "doppler" in one.axes.dims else "", color=INK)
