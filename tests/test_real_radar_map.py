@@ -9,9 +9,10 @@ import pytest
 import torch
 
 from tests.recordings import recording
-from torchweather.io import read_power_map, write_power_map
+from torchweather.io import read_image, read_points, read_power_map, write_power_map
 from torchweather.radar.power_map import map_detections, noise_correlation, quiet_cells, with_noise_scale
-from torchweather.sensors import Radar
+from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.transforms import AsBayer, BayerRain, Compose, LidarRain
 from torchweather.transforms.radar_map import RadarMapWeather
 from torchweather.weather import Fog, Mixture, Rain, Snow
 
@@ -69,3 +70,28 @@ def test_heavy_rain_hides_targets_and_lists_no_more_of_its_own_than_it_hides() -
     before, after = (map_detections(one, SENSOR, noise_db=0.0) for one in (clear, rain.of_map(clear, seed=1)))
     assert 0.3 < len(after) / len(before) < 0.9
     assert torch.isfinite(after).all()
+
+
+def test_one_storm_for_radar_lidar_and_camera_of_the_drive() -> None:
+    folder = "radiate_fog"
+    clear = with_noise_scale(read_power_map(recording(f"{folder}/Navtech_Polar/000001.png"), "radiate"))
+    cloud = read_points(recording(f"{folder}/velo_lidar/000001.csv")).points.float()
+    image = read_image(recording(f"{folder}/zed_left/000001.png"))[0].float() / 255.0
+    height, width = image.shape[-2:]
+    camera = Camera.from_intrinsics(337.9, 338.7, 341.7, 200.7, width, height)
+    calm = Rain(0.0)
+    compose = Compose(
+        {
+            "radar": RadarMapWeather(calm, SENSOR, axes=clear.axes, scale=clear.scale),
+            "points": LidarRain(calm, Lidar.preset("velodyne-hdl-32e")),
+            "image": AsBayer(BayerRain(calm, camera, airlight=0.6, depth=30.0)),
+        },
+        weather=[Rain(50.0), None],
+        history="weather",
+    )
+    sample = {"radar": clear.values, "points": cloud, "image": image}
+    for seed in range(6):
+        out = compose(sample, seed=seed)
+        rainy = out["weather"]["weather"] is not None
+        for key, value in sample.items():
+            assert torch.equal(out[key], value) != rainy, key
