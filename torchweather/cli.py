@@ -22,6 +22,7 @@ from torchweather.commands import (
     d34,
     demo,
     explain,
+    fit_sensor,
     gap,
     listing,
     metrics,
@@ -33,7 +34,22 @@ from torchweather.commands import (
 
 __all__ = ["main"]
 
-COMMANDS = (explain, apply, view, augment, demo, metrics, sweep, correlate, robustness, validate, gap, d34, listing)
+COMMANDS = (
+    explain,
+    apply,
+    view,
+    augment,
+    demo,
+    metrics,
+    sweep,
+    correlate,
+    robustness,
+    validate,
+    gap,
+    fit_sensor,
+    d34,
+    listing,
+)
 MISTAKE = 2
 INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
 

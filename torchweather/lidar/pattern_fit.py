@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern
+from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern, filled
 
 if TYPE_CHECKING:
     from torchweather.sensors.lidar import Lidar
@@ -22,13 +22,14 @@ Integers = npt.NDArray[np.integer[Any]]
 
 # Rings of two sweeps are the same where their elevations differ by less than this share of their distance.
 _SAME_RING = 0.5
+_SAME_SENSOR_DEG = 1.0
 _NORMAL_95 = 1.96
 _MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True)
 class PatternFit:
-    """Scan pattern of a sensor. K rings, the lowest first.
+    """Scan pattern of a sensor. K rings in the order of the ring column where there is one, else the lowest first.
 
     Args:
         elevations_deg: ``(K,)`` median over the sweeps.
@@ -60,14 +61,31 @@ class PatternFit:
         return len(self.elevations_deg)
 
     def applied_to(self, lidar: Lidar) -> Lidar:
-        """The same sensor with this pattern; azimuth offsets are left out, as sweeps tell them to a step only."""
-        return replace(
-            lidar,
-            elevations_deg=tuple(np.round(self.elevations_deg, 3).tolist()),
-            origin_heights_m=tuple(np.round(self.heights_m, 4).tolist()),
-            columns=self.columns,
-            azimuth_offsets_deg=None,
-        )
+        """The same sensor with this pattern; it keeps its azimuth offsets where its rings are the same ones."""
+        return replace(lidar, **self.fields(lidar))
+
+    def fields(self, lidar: Lidar) -> dict[str, Any]:
+        """Fields of a sensor that this pattern replaces.
+
+        Sweeps tell azimuth offsets to a step only. Where ``lidar`` has as many rings within a degree, its offsets stay,
+        and so does the order of its rings, unless a ring column gave another.
+        """
+        elevation, height = self.elevations_deg, self.heights_m
+        same = False
+        if lidar.elevations_deg is not None and len(lidar.elevations_deg) == self.rings:
+            known = np.asarray(lidar.elevations_deg)
+            if self.found_by != "ring column":
+                place = np.argsort(np.argsort(known))  # the lowest ring is first here
+                elevation, height = elevation[place], height[place]
+            same = bool(np.nanmax(np.abs(known - elevation)) < _SAME_SENSOR_DEG)
+        elevation = filled(elevation, lidar.elevations_deg if same else None)
+        height = filled(height, lidar.origin_heights_m if same else None)
+        return {
+            "elevations_deg": tuple(np.round(elevation, 3).tolist()),
+            "origin_heights_m": tuple(np.round(height, 4).tolist()),
+            "columns": self.columns,
+            "azimuth_offsets_deg": lidar.azimuth_offsets_deg if same else None,
+        }
 
 
 def fit_pattern(
@@ -147,19 +165,16 @@ def combine_patterns(patterns: Sequence[ScanPattern]) -> PatternFit:
 
 
 def _order(pattern: ScanPattern) -> Integers:
-    """Rings from the lowest to the highest; one without points keeps its place between its neighbours."""
-    filled = pattern.elevations_deg
-    gap = np.isnan(filled)
-    if gap.any():
-        place = np.arange(len(filled))
-        filled = np.interp(place, place[~gap], filled[~gap])
-    order: Integers = np.argsort(filled, kind="stable")
+    """Rings as the column numbers them, or from the lowest to the highest."""
+    if pattern.found_by == "ring column":
+        return np.arange(pattern.rings)
+    order: Integers = np.argsort(filled(pattern.elevations_deg, None), kind="stable")
     return order
 
 
 def _check_same(elevation: Numbers) -> None:
     middle = _nanmedian(elevation)
-    apart = float(np.nanmedian(np.diff(middle))) if len(middle) > 1 else np.inf
+    apart = float(np.nanmedian(np.abs(np.diff(middle)))) if len(middle) > 1 else np.inf
     off = np.nanmedian(np.abs(elevation - middle), axis=1)
     worst = int(off.argmax())
     if off[worst] > _SAME_RING * apart:

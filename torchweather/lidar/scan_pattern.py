@@ -19,7 +19,7 @@ from torchweather.lidar.ring_order import rings_from_order
 if TYPE_CHECKING:
     from torchweather.sensors.lidar import Lidar
 
-__all__ = ["ScanPattern", "estimate_pattern"]
+__all__ = ["ScanPattern", "estimate_pattern", "filled"]
 
 Numbers = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.integer[Any]]
@@ -116,8 +116,8 @@ class ScanPattern:
             (-6.34, 360)
         """
         same = lidar.elevations_deg is not None and len(lidar.elevations_deg) == self.rings
-        elevations = _filled(self.elevations_deg, lidar.elevations_deg if same else None)
-        heights = _filled(self.heights_m, lidar.origin_heights_m if same else None)
+        elevations = filled(self.elevations_deg, lidar.elevations_deg if same else None)
+        heights = filled(self.heights_m, lidar.origin_heights_m if same else None)
         phase = np.where(np.isnan(self.phase_deg), 0.0, self.phase_deg)
         return replace(
             lidar,
@@ -372,7 +372,7 @@ def _checked_ring(ring: Tensor | Integers, rows: int) -> Integers:
     return numbers
 
 
-def _filled(values: Numbers, instead: tuple[float, ...] | None) -> Numbers:
+def filled(values: Numbers, instead: tuple[float, ...] | None) -> Numbers:
     """Values with the gaps (NaN) filled from ``instead``, or in equal steps between the neighbours."""
     gap = np.isnan(values)
     if not gap.any():
