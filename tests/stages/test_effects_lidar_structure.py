@@ -181,6 +181,12 @@ def test_the_number_of_each_size_is_multiplied_by_its_factor() -> None:
         assert float(found[node]) == pytest.approx(wanted, rel=1e-3)  # sums in single precision
 
 
+def test_factors_of_1_keep_the_bits_of_the_tail() -> None:
+    part = BeamParticles(Snow(rate_mm_per_h=1.0), SNOW_SENSOR, q_back=None, published=False)
+    tails = part._tails(1)
+    assert torch.equal(part._of_sizes(tails, torch.ones(1, 4)), tails)
+
+
 def test_expected_numbers_are_linear_in_the_factors() -> None:
     """What a fit by non-negative least squares needs."""
     part, beam = BeamParticles(Snow(rate_mm_per_h=1.0), SNOW_SENSOR, q_back=None, published=False), Beam(SNOW_SENSOR)
@@ -265,7 +271,7 @@ def test_without_overlap_nothing_is_shared() -> None:
 
 def test_a_flake_behind_the_neighbours_object_is_not_shared() -> None:
     transform = LidarSnow(Snow(rate_mm_per_h=3.0), CLOSE)
-    points = torch.cat([torch.where(torch.arange(1800)[:, None] % 2 == 0, 5.0, 30.0) * ring(1800, RING_STEP)], -1)
+    points = torch.cat([torch.where(torch.arange(1800)[:, None] % 3 == 0, 5.0, 30.0) * ring(1800, RING_STEP)], -1)
     cloud = torch.cat([points, torch.full((1800, 1), 0.5)], -1).expand(4, -1, -1)
     state = transform.state_of(cloud, None)
     found = states(transform.chain, state, transform.chain.draw(state, seed=1))["particle_returns"]
@@ -273,3 +279,7 @@ def test_a_flake_behind_the_neighbours_object_is_not_shared() -> None:
     assert not torch.equal(after.range_m, found.range_m)
     assert (after.range_m[..., 1:] <= state.reach_m[..., None] + 1e-6).all()
     assert torch.equal(after.range_m[..., 0], found.range_m[..., 0])
+    # Nor is one lost that only one of the two beams reaches: those beside a near object, in the row before.
+    beyond = (found.range_m[..., 1:] > 5.0) & (torch.arange(1800) % 3 == 1)[:, None]
+    assert int(beyond.sum()) > 100
+    assert torch.equal(after.range_m[..., 1:][beyond], found.range_m[..., 1:][beyond])
