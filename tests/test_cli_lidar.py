@@ -47,6 +47,7 @@ def cloud(columns: int = 4, rows: int = 400) -> Tensor:
 
 
 def expected(points: Tensor, sensor: Lidar, weather: str = STORM, seed: int = 0, **options: Any) -> Any:
+    options = {"lost": "drop", **options}  # of a file that holds returns only
     transform = LidarWeather(parse_weather(weather), sensor, **options)
     return transform.run(points, transform.draw(points, seed=seed))
 
@@ -69,7 +70,8 @@ def test_a_cloud_comes_back_in_its_format_with_what_the_transform_gives(run: Any
     assert again.columns == read_points(tmp_path / name).columns
     assert (tmp_path / name).read_bytes() == before
     assert [path.name for path in out.iterdir()] == [name]
-    kinds = [int((result.kind == kind).sum()) for kind in PointKind]
+    rows = expected(points, sensor, seed=7, lost="zero")
+    kinds = [int((rows.kind == kind).sum()) for kind in PointKind]
     assert [entry["objects"], entry["particles"], entry["lost"]] == kinds
     assert min(kinds) > 0
     assert (entry["input"], entry["output"], entry["seed"]) == (str(tmp_path / name), str(out / name), 7)
@@ -117,7 +119,7 @@ def test_no_weather_gives_the_file_back_bit_for_bit(run: Any, tmp_path: Path, na
 def test_lost_points_become_zero_nan_or_are_left_out(run: Any, tmp_path: Path) -> None:
     points = cloud()
     write_points(tmp_path / "a.pcd", points)
-    kind = expected(points, Lidar.preset("velodyne-hdl-64e")).kind
+    kind = expected(points, Lidar.preset("velodyne-hdl-64e"), lost="zero").kind
     lost = kind == PointKind.LOST
     found = {}
     for lost_as in ("zero", "nan", "drop"):
@@ -158,7 +160,7 @@ def test_dual_returns_get_a_file_of_their_own_row_by_row(run: Any, tmp_path: Pat
     )  # fmt: skip
     assert code == 0
     (entry,) = json.loads(text)["files"]
-    result = expected(points, Lidar.preset("velodyne-hdl-64e", return_mode="dual"), "snow:rate=3")
+    result = expected(points, Lidar.preset("velodyne-hdl-64e", return_mode="dual"), "snow:rate=3", lost="zero")
     second = read_points(entry["second"]).points
     assert Path(entry["second"]).name == "a_second.bin"
     assert torch.equal(second, result.second)
@@ -208,11 +210,13 @@ def test_a_complete_scan_adds_the_beams_between_the_points(run: Any, tmp_path: P
     assert entry["points"] == 1356
     assert entry["empty_beams"] == 452
     again = read_points(tmp_path / "out" / "a.pcd")
-    assert len(again.points) == 1808
+    assert len(again.points) == entry["objects"] + entry["particles"]
+    # They end between the returns at 20 m, where in fog of 30 m nearly every beam returns the fog.
+    assert entry["beam_ends"] == {"obstacle": 452}
+    assert entry["scan"].startswith("completed from the scan pattern with 452 beams, which end: 452 at an obstacle")
     with np.load(entry["labels"]) as truth:
-        assert (truth["source"] == -1).sum() == 452
-        # In fog of 30 m nearly every empty beam returns the fog.
-        assert (truth["kind"][truth["source"] == -1] == PointKind.PARTICLE).mean() > 0.9
+        assert (truth["source"] == -1).sum() > 0.9 * 452
+        assert (truth["kind"][truth["source"] == -1] == PointKind.PARTICLE).all()
 
 
 def test_a_cloud_without_intensity_keeps_its_columns(run: Any, tmp_path: Path) -> None:
@@ -414,3 +418,26 @@ def test_a_cloud_whose_intensities_contradict_the_sensor_stops_the_run(run: Any,
     code, _, err = run(*argv, "--force")
     assert code == 0
     assert (tmp_path / "out/a.bin").is_file()
+
+
+def test_a_file_of_returns_only_gets_no_rows_of_zeros_and_one_with_rows_of_zeros_keeps_them(
+    run: Any, tmp_path: Path
+) -> None:
+    points = cloud()
+    write_points(tmp_path / "returns.bin", points)
+    with_empty = torch.cat([points, torch.zeros(5, 4)])
+    write_points(tmp_path / "rows.bin", with_empty)
+    for name in ("returns.bin", "rows.bin"):
+        assert run("apply", *HDL, "--weather", STORM, tmp_path / name, "-o", tmp_path / "out", "--quiet")[0] == 0
+    returns = read_points(tmp_path / "out" / "returns.bin").points
+    assert len(returns) < 400
+    assert bool((returns[:, :3] != 0).any(-1).all())
+    assert len(read_points(tmp_path / "out" / "rows.bin").points) == 405
+
+
+def test_sky_only_belongs_to_complete_scan(run: Any, tmp_path: Path) -> None:
+    write_points(tmp_path / "a.bin", cloud())
+    argv = ("apply", *HDL, "--weather", STORM, tmp_path / "a.bin", "-o", tmp_path / "out", "--sky-only")
+    code, _, err = run(*argv)
+    assert code == 2
+    assert "give --complete-scan too" in err

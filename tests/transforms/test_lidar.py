@@ -335,9 +335,9 @@ def test_hahner_is_for_fog_and_fainter_by_its_lidar_ratio() -> None:
 @pytest.mark.parametrize(
     ("unit", "values", "evidence"),
     [
-        ("reflectivity", [0.0, 12.0, 200.0], r"largest is 200.*uint8_linear"),
-        ("reflectivity", [0.0, 12.0, 2000.0], r"largest is 2000.*photons"),
-        ("uint8_linear", [0.0, 3.0, 700.0], r"largest is 700, above 255"),
+        ("reflectivity", [0.0, 12.0, 200.0], r"a tenth lies above 200.*uint8_linear"),
+        ("reflectivity", [0.0, 12.0, 2000.0], r"a tenth lies above 2000.*photons"),
+        ("uint8_linear", [0.0, 3.0, 700.0], r"a tenth lies above 700.*photons"),
         ("uint8_calibrated", [0.1, 0.35, 0.99], r"largest is 0\.99.*reflectivity \(0-1\)"),
         ("reflectivity_percent", [0.1, 0.35, 0.99], r"reflectivity \(0-1\)"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from torchweather.commands.cloud_files import CloudFiles
 from torchweather.commands.clouds import (
     CloudFrame,
     clouds_in,
+    complete_scan_of,
     gathered_clouds,
     lidar_fields,
     refuse_wrong_unit,
@@ -68,7 +69,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
 
 def builder(
     args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str
-) -> tuple[Lidar, Callable[[Lidar], LidarWeather]]:
+) -> tuple[Lidar, partial[LidarWeather]]:
     """The sensor, and what makes the transform for it, from the recipe and the arguments, the arguments first."""
     if args.sensor is None and recipe is not None:
         sensor = dict(recipe.sensor)
@@ -77,8 +78,8 @@ def builder(
     options = {} if recipe is None else dict(recipe.options)
     if args.lost is not None:
         options["lost"] = args.lost
-    if args.complete_scan:
-        options["complete_scan"] = True
+    if args.complete_scan or args.sky_only:
+        options["complete_scan"] = complete_scan_of(args)
     kind = LidarWeather
     if recipe is not None:
         chosen = transform_class(recipe, weather)
@@ -93,7 +94,7 @@ class _Work:
     def __init__(
         self,
         sensor: Lidar,
-        build: Callable[[Lidar], LidarWeather],
+        build: partial[LidarWeather],
         args: argparse.Namespace,
         files: CloudFiles,
         numbers: Mapping[str, float],
@@ -101,7 +102,7 @@ class _Work:
         self.build, self.args, self.files, self.numbers = build, args, files, numbers
         self.transform = build(sensor)
         self.samples = 0
-        self.by_ring_column: dict[int, LidarWeather] = {}
+        self.by_file_kind: dict[tuple[int | None, bool], LidarWeather] = {}
         self.said: set[str] = set()
 
     def process(self, frame: CloudFrame) -> dict[str, Any]:
@@ -111,8 +112,8 @@ class _Work:
         self.samples += 1
         without_intensity = self.args.intensity == "none"
         clear = with_ones(frame.cloud) if without_intensity else frame.cloud
-        transform = self._transform(clear.columns)
-        hit = has_return(clear.points, transform.sensor)
+        hit = has_return(clear.points, self.transform.sensor)
+        transform = self._transform(clear.columns, returns_only=frame.directions is None and bool(hit.all()))
         refuse_other_product(str(frame.name), frame.product, transform.sensor, self.args, "apply")
         refuse_wrong_unit(str(frame.name), clear.points, transform.sensor, self.args, "apply")
         try:
@@ -161,15 +162,21 @@ class _Work:
         )
         return str(page)
 
-    def _transform(self, columns: Sequence[str]) -> LidarWeather:
-        """The transform, told which column of this file holds the ring where beams are to be inferred."""
+    def _transform(self, columns: Sequence[str], *, returns_only: bool) -> LidarWeather:
+        """The transform for a file: it is told which column holds the ring, where beams are to be inferred, and leaves
+        lost points out of a file that holds returns only, unless something else was asked for. The two files of a
+        dual-return sensor belong together row by row: they keep theirs."""
         sensor = self.transform.sensor
-        if not self.transform.complete_scan or sensor.ring_column is not None or RING not in columns[4:]:
+        known = not self.transform.complete_scan or sensor.ring_column is not None or RING not in columns[4:]
+        ring_column = None if known else columns.index(RING)
+        drops = returns_only and "lost" not in self.build.keywords and sensor.return_mode != "dual"
+        if ring_column is None and not drops:
             return self.transform
-        index = columns.index(RING)
-        if index not in self.by_ring_column:
-            self.by_ring_column[index] = self.build(replace(sensor, ring_column=index))
-        return self.by_ring_column[index]
+        kind = ring_column, drops
+        if kind not in self.by_file_kind:
+            own = sensor if ring_column is None else replace(sensor, ring_column=ring_column)
+            self.by_file_kind[kind] = self.build(own, **({"lost": "drop"} if drops else {}))
+        return self.by_file_kind[kind]
 
     def _outgoing(self, cloud: PointCloud, points: Tensor, kind: Any, without_intensity: bool) -> PointCloud:
         """A result in the columns of its input; a file that marks lost beams by NaN gets the new ones so too."""

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from torchweather.sensors import Lidar
 
 __all__ = [
+    "add_complete_scan",
+    "complete_scan_of",
     "LIDAR_ARGUMENTS",
     "CloudFrame",
     "add_lidar_arguments",
@@ -41,7 +43,17 @@ LIDAR_FIELDS = (
     "sensor_origin",
     "sensor_pose",
 )
-LIDAR_ARGUMENTS = (*LIDAR_FIELDS, "intensity", "lost", "complete_scan", "labels", "labels_in", "meta", "force")
+LIDAR_ARGUMENTS = (
+    *LIDAR_FIELDS,
+    "intensity",
+    "lost",
+    "complete_scan",
+    "sky_only",
+    "labels",
+    "labels_in",
+    "meta",
+    "force",
+)
 
 
 # Share of a cloud's points below the sensor's own detection floor from which on its unit is surely another: they all
@@ -77,7 +89,7 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     """What is known of the LiDAR beyond its preset, and what is to be written."""
     group = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(group)
-    group.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")
+    add_complete_scan(group)
     add_force(group)
     group.add_argument(
         "--lost",
@@ -141,6 +153,23 @@ def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
     if args.intensity_unit is None and args.intensity in ("none", "signal"):
         given["intensity_unit"] = "none" if args.intensity == "none" else "photons"
     return {name: value for name, value in given.items() if value is not None}
+
+
+def add_complete_scan(group: argparse._ArgumentGroup) -> None:
+    """The arguments of the beams that a cloud lacks."""
+    group.add_argument(
+        "--complete-scan",
+        action="store_true",
+        help="add the beams that the cloud lacks, up to the ground, the own vehicle, an obstacle, or the sky",
+    )
+    group.add_argument("--sky-only", action="store_true", help="with --complete-scan: only beams that end in the sky")
+
+
+def complete_scan_of(args: argparse.Namespace) -> bool | str:
+    """``complete_scan`` of the transform, from the arguments."""
+    if args.sky_only and not args.complete_scan:
+        raise ValueError("--sky-only says which beams --complete-scan adds; give --complete-scan too.")
+    return "sky" if args.sky_only else bool(args.complete_scan)
 
 
 @dataclass(frozen=True, eq=False)

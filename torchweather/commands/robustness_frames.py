@@ -69,7 +69,7 @@ class RobustnessFrames:
             args.depth = str(args.data / "depth")
         self._refuse_guess(args)
         # What a sweep can say and this command does not.
-        args.region, args.complete_scan, args.meta = None, False, None
+        args.region, args.complete_scan, args.sky_only, args.meta = None, False, False, None
         self.maker = MAKERS[declaration.sensor](args, preset, notes)
         self.options = dict(source.options)
         self._take_fields(args, source, preset)

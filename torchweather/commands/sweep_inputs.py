@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.camera.depth import AUTO, GUESSED, DepthSource, scene_of
-from torchweather.commands.clouds import clouds_in, gathered_clouds, lidar_fields, refuse_wrong_unit, with_ones
+from torchweather.commands.clouds import (
+    clouds_in,
+    complete_scan_of,
+    gathered_clouds,
+    lidar_fields,
+    refuse_wrong_unit,
+    with_ones,
+)
 from torchweather.commands.detections import gathered_detections, radar_fields
 from torchweather.commands.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.commands.ouster_product import refuse_other_product
@@ -138,7 +145,7 @@ class _Lidar(Maker):
     def __init__(self, args: argparse.Namespace, preset: str, notes: list[str]) -> None:
         super().__init__(args, preset, notes)
         self.lidar = lidar_of({"kind": "lidar", "preset": preset, **lidar_fields(args)})
-        self.options = {"complete_scan": True} if args.complete_scan else {}
+        self.options = {"complete_scan": complete_scan_of(args)} if args.complete_scan or args.sky_only else {}
 
     def _gathered(self, inputs: list[Path]) -> list[Path]:
         return gathered_clouds(inputs)

@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchweather.commands.clouds import add_lidar_fields
+from torchweather.commands.clouds import add_complete_scan, add_lidar_fields
 
 if TYPE_CHECKING:
     from torchweather.commands.clouds import CloudFrame
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(group)
-    group.add_argument("--complete-scan", action="store_true", help="add the beams that the cloud lacks")
+    add_complete_scan(group)
     group.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
     parser.set_defaults(lost=None)
 

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.lidar import BeamEnd
 from torchweather.sensors import Lidar
 from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.stages import PointKind
@@ -22,6 +23,13 @@ def has_return(points: Tensor, sensor: Lidar) -> Tensor:
     return (range_m > 0) & (range_m >= sensor.min_range_m)
 
 
+def _named_ends(counts: Tensor | None) -> dict[str, int]:
+    """Beams without return by where they end; those there are."""
+    if counts is None:
+        return {}
+    return {end.name.lower(): int(counts[end]) for end in BeamEnd if end != BeamEnd.RETURN and int(counts[end])}
+
+
 def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
     """What became of the points of one cloud.
 
@@ -31,7 +39,8 @@ def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
 
     Returns:
         ``points`` rows of the input; ``objects``, ``particles`` reported; ``lost`` points of the input whose beam
-        reports nothing now; ``empty_beams`` without return before the weather; ``floored_points`` at the detection
+        reports nothing now; ``empty_beams`` without return before the weather, and ``beam_ends``, how many of them end
+        in the sky, on the ground, ...; ``floored_points`` at the detection
         threshold; ``transmission_mean``, two way, of the beams that met an object (``None`` where none did); of a dual
         sensor ``second_objects`` and ``second_particles``.
 
@@ -58,6 +67,7 @@ def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
         "particles": int((kind == PointKind.PARTICLE).sum()),
         "lost": int(hit.sum() - reports.sum()),
         "empty_beams": int(result.empty_beams),
+        "beam_ends": _named_ends(result.beam_end_counts),
         "floored_points": int(result.floored_points),
         "transmission_mean": float(transmission[from_hit].double().mean()) if bool(from_hit.any()) else None,
     }

@@ -6,7 +6,6 @@ import math
 import weakref
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -229,14 +228,3 @@ def _pairs(points: Tensor, sensor: Lidar) -> Tensor | None:
         rows = first_rows(cloud[:, :3].double().cpu().numpy(), number.cpu().numpy(), 360.0 / columns)
         found.append(torch.from_numpy(rows).to(points.device))
     return torch.stack(found)
-
-
-def end_counts(end: Tensor) -> dict[str, int]:
-    """How many rows end where, by name.
-
-    Example:
-        >>> end_counts(torch.tensor([0, 0, 2, 5], dtype=torch.int8))
-        {'return': 2, 'sky': 0, 'ground': 1, 'own_vehicle': 0, 'obstacle': 0, 'unknown': 1}
-    """
-    counts = np.bincount(end.flatten().cpu().numpy(), minlength=len(BeamEnd))
-    return {kind.name.lower(): int(counts[kind]) for kind in BeamEnd}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.errors import check_one_of
+from torchweather.lidar.beam_ends import BeamEnd
 from torchweather.sensors import Lidar
 from torchweather.sensors.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.stages import (
@@ -65,6 +66,7 @@ class LidarResult:
         second_kind: ``(..., N)`` ``PointKind`` of the second returns.
         beam_end: ``(..., N)`` int8, ``lidar.BeamEnd`` of each beam: RETURN 0, and of those without a return SKY 1,
             GROUND 2, OWN_VEHICLE 3, OBSTACLE 4, or UNKNOWN 5 where the direction is not known. Particles lie before it.
+        beam_end_counts: ``(..., 6)`` how many beams of the cloud, with appended ones, end at each ``BeamEnd``.
         empty_beams: ``(...)`` rows without return in the input (with those that ``complete_scan`` appended).
         floored_points: ``(...)`` returns whose intensity says less than the detection threshold; they were detected,
             so they stand on it.
@@ -79,6 +81,7 @@ class LidarResult:
     second_source: Cloud | None
     second_kind: Cloud | None
     beam_end: Cloud | None
+    beam_end_counts: Tensor | None
     empty_beams: Tensor
     floored_points: Tensor
     scan: str
@@ -287,6 +290,7 @@ class LidarWeather(WeatherTransform):
             second_source=second_source,
             second_kind=second_kind,
             beam_end=None if beams.end is None else self._outgoing(beams.end, kind, points, beams),
+            beam_end_counts=None if beams.end is None else _counts_of(beams).reshape(*lead, len(BeamEnd)),
             empty_beams=(before.clear_range_m == 0).sum(-1).reshape(lead),
             floored_points=self._floored(before).reshape(lead),
             scan=beams.scan,
@@ -506,6 +510,15 @@ class LidarWeather(WeatherTransform):
             return values.reshape(*batch, *values.shape[1:])
         kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
+
+
+def _counts_of(beams: Beams) -> Tensor:
+    """How many beams of each cloud end where, ``(B, 6)``; rows of padding are none."""
+    assert beams.end is not None
+    real = torch.ones_like(beams.end, dtype=torch.bool)
+    if beams.appended and beams.empty_direction is not None:
+        real[:, -beams.appended :] = (beams.empty_direction[:, -beams.appended :] != 0).any(-1)
+    return torch.stack([((beams.end == int(end)) & real).sum(-1) for end in BeamEnd], -1)
 
 
 def _range_m(points: Tensor, min_range_m: float) -> Tensor:
