@@ -3,8 +3,8 @@
     python examples/first_lidar_rain.py
     python examples/first_lidar_rain.py --sensor velodyne-hdl-64e --rate 25 --columns 2083
 
-Scans the embedded scene, lets it rain 50 mm/h, counts what became of the points, and draws both clouds from above:
-drops near the sensor, and lost points where surfaces are dark or far.
+Scans the embedded scene, lets it rain 50 mm/h, counts what became of the points, and draws both clouds from above and
+from the side: drops near the sensor and over the road, and lost points where surfaces are dark or far.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import torch
 
 import torchweather as tw
 from torchweather.io import atomic_write
+from torchweather.lidar import fit_ground
 from torchweather.scenes import lidar_view, test_track
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -45,16 +46,24 @@ print(f"lost: {int(lost.sum())}; extinction {float(rain.extinction_per_m):.2e} 1
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt  # noqa: E402  # after the backend is chosen
 
-figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained", sharex=True, sharey=True)
-for axis, points, shown, title in (
-    (axes[0], view.points, clear, "clear air"),
-    (axes[1], result.points, result.kind == tw.PointKind.OBJECT, f"rain of {arguments.rate:g} mm/h"),
+ground = fit_ground(view.points[clear, :3].numpy())  # height of the road under the sensor
+figure, axes = plt.subplots(2, 2, figsize=(11, 7.5), layout="constrained", sharex=True, height_ratios=(5, 2))
+for column, points, shown, title in (
+    (0, view.points, clear, "clear air"),
+    (1, result.points, result.kind == tw.PointKind.OBJECT, f"rain of {arguments.rate:g} mm/h"),
 ):
-    axis.scatter(points[shown, 0], points[shown, 1], s=0.3, c="0.4", label="objects")
-    axis.set(xlabel="x, forward, in m", ylabel="y, left, in m", title=title, xlim=(-10, 60), ylim=(-25, 25))
-axes[1].scatter(view.points[lost, 0], view.points[lost, 1], s=0.5, c="C1", label="lost")
-axes[1].scatter(result.points[drops, 0], result.points[drops, 1], s=3, c="C3", label="drops")
-axes[1].legend(markerscale=5, loc="upper right")
+    for row, (name, limits) in enumerate((("y, left, in m", (-25, 25)), ("z, up, in m", (-4, 8)))):
+        axis = axes[row, column]
+        axis.scatter(points[shown, 0], points[shown, 1 + row], s=0.3, c="0.4", label="objects")
+        axis.set(ylabel=name, xlim=(-10, 60), ylim=limits)
+        if column == 1:
+            axis.scatter(view.points[lost, 0], view.points[lost, 1 + row], s=0.5, c="C1", label="lost")
+            axis.scatter(result.points[drops, 0], result.points[drops, 1 + row], s=3, c="C3", label="drops")
+    if ground is not None:  # nothing can be below it
+        axes[1, column].axhspan(-4, ground.height_m, color="#f1e8dc", zorder=0)
+    axes[0, column].set_title(title)
+    axes[1, column].set_xlabel("x, forward, in m")
+axes[0, 1].legend(markerscale=5, loc="upper right")
 with atomic_write(arguments.out) as unfinished:
     figure.savefig(unfinished, dpi=110)
 plt.close(figure)

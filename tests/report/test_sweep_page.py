@@ -86,7 +86,10 @@ def test_all_scores_follow_and_the_page_says_so(of_camera: Written) -> None:
 
 
 def test_the_page_is_whole(of_camera: Written, of_lidar: Written) -> None:
-    for written, pictures in ((of_camera, 2 * (3 + 2)), (of_lidar, 4 + 6)):
+    for written, pictures in (
+        (of_camera, 2 * (3 + 2)),
+        (of_lidar, 4 + 2 + 6),
+    ):  # clouds from above, two flat pictures, charts
         page = page_of(written)
         assert page.mistakes == []
         assert page.open == []

@@ -10,6 +10,7 @@ import torch
 
 from torchweather.io import PointCloud, write_points
 from torchweather.report.lidar_figures import COLOURS, birds_eye_uri, range_images_uri
+from torchweather.report.lidar_flat_figures import UNDER_COLOUR, side_views_uri
 from torchweather.report.lidar_views import LidarScene, WeatherCloud
 from torchweather.report.tables import number_text
 from torchweather.stages import PointKind
@@ -90,10 +91,11 @@ def lidar_part(
                 "facts": list(_facts(record)),
             }
         )
+    named = [(label, cloud) for label, cloud, _ in pictured]
     grid = seen.view.grid
     ranges = None
     if grid is not None:
-        ranges = range_images_uri([(label, cloud) for label, cloud, _ in pictured], seen.view.directions, grid)
+        ranges = range_images_uri(named, seen.view.directions, grid)
     beams = len(clear.kind)
     summary = {"sensor": sensor, "lidar": seen.lidar.to_dict(), "beams": beams, "weathers": records}
     page = {
@@ -103,6 +105,8 @@ def lidar_part(
         "clear_points": f"{int(seen.view.hit.sum()):,}".replace(",", "\u202f"),
         "colours": COLOURS,
         "figures": figures,
+        "sides": side_views_uri(named, clear),
+        "under_colour": UNDER_COLOUR,
         "ranges": ranges,
         "rain": _rain(records),
         "columns": [{"heading": heading, "unit": unit} for _, heading, unit in COLUMNS],

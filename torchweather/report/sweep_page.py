@@ -20,15 +20,13 @@ from torchweather import __version__
 from torchweather.camera.depth import EXACT, least_sure
 from torchweather.errors import check_one_of
 from torchweather.io import atomic_folder, atomic_write, write_table
-from torchweather.report.cloud_counts import has_return
 from torchweather.report.figures import SHADES
 from torchweather.report.frames import Frame
 from torchweather.report.lidar_figures import COLOURS, birds_eye_uri
-from torchweather.report.lidar_views import WeatherCloud
 from torchweather.report.page import html_page
 from torchweather.report.pictures import jpeg_uri, shrunk
+from torchweather.report.sweep_clouds import flat_pictures, weather_clouds
 from torchweather.report.sweep_figures import AXES, MISS, NAMES, points_above_uri, score_uri
-from torchweather.stages import PointKind
 from torchweather.sweep import (
     CameraSubject,
     Level,
@@ -188,6 +186,7 @@ def _part(record: dict[str, Any], series: Series, trends: SeriesTrends, subject:
         "axis": AXES[level.knob],
         "colour": shades[len(shades) // 2],
         "pictures": _pictures(series, subject),
+        "flats": flat_pictures(series, subject),
         "legend": _legend(subject),
         "upright": not isinstance(subject, CameraSubject),
         "charts": [
@@ -281,18 +280,8 @@ def _cloud_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[st
         clear = _there(subject.clear)
         clouds = [clear, *(_there(subject.render(level.weather, seed)) for level in levels)]
         return [points_above_uri(cloud, clear) for cloud in clouds]
-    hit = has_return(subject.points, subject.lidar)
-    kind = torch.where(hit, int(PointKind.OBJECT), int(PointKind.LOST)).to(torch.int8)
-    without = WeatherCloud(subject.points, kind, torch.zeros_like(hit), {}, {})
-    found = [without]
-    for level in levels:
-        result = subject.run(level.weather, seed)
-        assert isinstance(result.points, Tensor)
-        assert isinstance(result.kind, Tensor)
-        # A scan that was completed has rows after those of the input.
-        lost = hit & (result.kind[: len(hit)] == PointKind.LOST)
-        found.append(WeatherCloud(result.points, result.kind, lost, {}, {}))
-    return [birds_eye_uri(cloud, without) for cloud in found]
+    found = weather_clouds(subject, levels, seed)
+    return [birds_eye_uri(cloud, found[0]) for cloud in found]
 
 
 def _there(points: Tensor) -> Tensor:
