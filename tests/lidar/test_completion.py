@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.lidar import BeamEnd, fit_ground
+from torchweather.lidar import BeamEnd, completion, fit_ground
 from torchweather.lidar.beam_heights import beam_heights_m
 from torchweather.lidar.completion import complete_scan
 from torchweather.lidar.echo_pairs import first_rows
@@ -210,3 +210,23 @@ def test_heights_without_rings_are_those_of_the_nearest_cone() -> None:
     right = found == torch.tensor(HEIGHTS_M)[ring[returns]]
     assert float(right[far].float().mean()) > 0.999
     assert beam_heights_m(cloud, replace(SENSOR, origin_heights_m=None)) is None
+
+
+def test_a_file_with_a_row_for_every_beam_says_how_many_returned_nothing() -> None:
+    row_ring = torch.tensor([0, 1, 2]).repeat(10)
+    there = torch.ones(30, dtype=torch.bool)
+    there[[0, 3, 6, 1, 4]] = False  # three on ring 0, two on ring 1, none on ring 2
+    found = torch.tensor([0] * 5 + [1] * 2 + [2])
+    kept = completion._as_many_as_rows(row_ring, there, found)
+    assert torch.bincount(found[kept], minlength=3).tolist() == [3, 2, 0]
+    assert kept[[0, 2, 4]].all(), "spread over the ring"
+    unequal = torch.cat([row_ring, torch.tensor([0])])
+    assert completion._as_many_as_rows(unequal, torch.cat([there, there[:1]]), found).all()
+
+
+def test_rows_of_a_ring_without_returns_carry_its_number() -> None:
+    cloud, returns, ring = sweep()
+    without = returns & (ring != 9)
+    found = complete_scan(cloud[without], with_column())
+    assert int((found.ring == 9).sum()) == COLUMNS
+    assert torch.equal(found.rows[:, 4], found.ring.float())

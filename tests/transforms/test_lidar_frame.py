@@ -99,7 +99,7 @@ def test_no_particle_gathers_about_the_clouds_origin(lidar: Lidar) -> None:
     assert (flakes[:, :2].mean(0) - torch.tensor(ORIGIN_M[:2])).abs().max() < error_m
     # Beams start up to 0.21 m above the origin (two blocks of lasers) and are level beyond.
     above_m = flakes[:, 2] - ORIGIN_M[2]
-    assert -1e-4 <= float(above_m.min())
+    assert float(above_m.min()) >= -1e-4
     assert float(above_m.max()) < 0.21
 
 

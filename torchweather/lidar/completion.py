@@ -79,6 +79,9 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         lowered[:, 2] -= row_height_m
         lowered = torch.where(there[:, None], lowered, 0.0)
     direction, found_ring, _ = empty_beams(lowered, sensor, ring)
+    if column is not None:
+        kept = _as_many_as_rows(cloud[:, column].long(), there, found_ring)
+        direction, found_ring = direction[kept], found_ring[kept]
     first_row = _checked_beams(cloud, ring, there, len(direction), sensor)
     heights = None
     if sensor.origin_heights_m is not None and row_height_m is not None:
@@ -115,6 +118,26 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         first_row,
         _words(end, found.words, sky_alone=sky_alone),
     )
+
+
+def _as_many_as_rows(row_ring: Tensor, there: Tensor, found_ring: Tensor) -> Tensor:
+    """Which beams stay ``(M,)``, so that no ring has more than the file has rows without a return.
+
+    A file with a row for every beam (nuScenes) has as many rows on every ring, and so says how many returned nothing.
+    Where its points are compensated for motion, gaps are too wide by a percent.
+    """
+    kept = torch.ones(len(found_ring), dtype=torch.bool, device=found_ring.device)
+    rows = torch.bincount(row_ring.clamp(min=0))
+    if not len(rows) or bool((rows != rows[0]).any()) or bool(there.all()):
+        return kept
+    wanted = torch.bincount(row_ring[~there].clamp(min=0), minlength=len(rows))
+    for ring, count in enumerate(torch.bincount(found_ring, minlength=len(rows)).tolist()):
+        most = int(wanted[ring]) if ring < len(wanted) else count
+        if count > most:
+            own = (found_ring == ring).nonzero()[:, 0]
+            kept[own] = False
+            kept[own[torch.linspace(0, count - 1, most).round().long()]] = True
+    return kept
 
 
 def _checked_beams(cloud: Tensor, ring: Tensor, there: Tensor, appended: int, sensor: Lidar) -> Tensor | None:

@@ -20,8 +20,10 @@ Numbers = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.integer[Any]]
 
 # A ring whose points lie farther than this from its cone, in the median, is not the sensor's. Neighbouring rings of
-# an HDL-64E are 0.3 degrees apart; motion compensation moves points by less than 0.1 degree.
+# an HDL-64E are 0.3 degrees apart; motion compensation moves points by less than 0.1 degree. Where rings are far apart,
+# a quarter of the way to the next is still no reason to distrust the sensor's table.
 _OFF_RING_DEG = 0.1
+_OFF_SPACING = 0.25
 # Of this many rings: one ring alone may show little but the own vehicle.
 _OFF_SHARE = 0.05
 # So many points are enough for the medians: about 300 a ring.
@@ -81,7 +83,8 @@ def sweep_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
         words = "rings from the order of the rows"
     found = torch.from_numpy(ring)
     off_deg = _off_cones(xyz, ring, sensor)
-    if (off_deg > _OFF_RING_DEG).sum() > _OFF_SHARE * len(elevations):
+    allowed_deg = np.maximum(_OFF_RING_DEG, _OFF_SPACING * _spacing_deg(np.asarray(elevations)))
+    if (off_deg > allowed_deg).sum() > _OFF_SHARE * len(elevations):
         pattern = estimate_pattern(xyz, ring, len(elevations))
         own = pattern.applied_to(sensor)
         sensor = replace(
@@ -105,6 +108,17 @@ def _numbered_as_sensor(ordered: Integers, xyz: Numbers, elevations: Numbers) ->
     number[np.argsort(mean, kind="stable")] = np.argsort(elevations, kind="stable")
     numbered: Integers = number[ordered]
     return numbered
+
+
+def _spacing_deg(elevations: Numbers) -> Numbers:
+    """Elevation from each ring to the nearest other one, degrees; 0 for a single ring."""
+    if len(elevations) < 2:
+        return np.zeros(len(elevations))
+    order = np.argsort(elevations)
+    steps = np.diff(elevations[order])
+    nearest = np.empty(len(elevations))
+    nearest[order] = np.minimum(np.r_[np.inf, steps], np.r_[steps, np.inf])
+    return nearest
 
 
 def _off_cones(xyz: Numbers, ring: Integers, sensor: Lidar) -> Numbers:
