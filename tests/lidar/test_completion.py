@@ -149,7 +149,7 @@ def test_a_draw_and_its_call_find_the_beams_once_and_changed_points_anew(monkeyp
 
     cloud, returns, _ = sweep()
     given, calls = cloud[returns].clone(), []
-    find = beams.completed
+    find = beams.completed  # type: ignore[attr-defined]
 
     def counted(*args: object, **kwargs: object) -> object:
         calls.append(1)

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from tests.recordings import recording
 from torchweather.io import read_kitti_points
-from torchweather.lidar import BeamEnd, estimate_pattern, fit_ground
+from torchweather.lidar import BeamEnd, ScanPattern, estimate_pattern, fit_ground
 from torchweather.lidar.echo_pairs import first_rows
 from torchweather.sensors import Lidar, recover_ring
 from torchweather.stages import PointKind
@@ -31,6 +32,10 @@ def test_a_kitti_sweep_is_completed_to_one_turn_and_no_flake_lies_under_the_road
     sensor = Lidar.preset("velodyne-hdl-64e", intensity_unit="reflectivity")
     snow = LidarSnow(Snow(rate_mm_per_h=1.0), sensor, complete_scan=True)
     result = snow.run(cloud, snow.draw(cloud, seed=1))
+    assert isinstance(result.kind, Tensor)
+    assert isinstance(result.points, Tensor)
+    assert isinstance(result.source, Tensor)
+    assert isinstance(result.beam_end, Tensor)
     pattern = estimate_pattern(cloud[:, :3])
     # The motor's speed differs from sweep to sweep: 2151 to 2168 columns.
     missing = pattern.rings * pattern.columns - len(cloud)
@@ -50,23 +55,25 @@ def test_a_kitti_sweep_is_completed_to_one_turn_and_no_flake_lies_under_the_road
     source = result.source[flake]
     nearest = _nearest_cone(places, pattern)
     from_rows = (source >= 0).numpy()
-    assert (nearest == row_ring[source].numpy())[from_rows].mean() > 0.999
+    same: np.ndarray = nearest[from_rows] == row_ring[source].numpy()[from_rows]
+    assert same.mean() > 0.999
     elevation_off = _off_nearest_cone(places, pattern)
     assert np.quantile(elevation_off, 0.999) < 0.05, "degrees; rings are 0.3 to 0.7 apart"
 
 
-def _cone_distances(places: np.ndarray, pattern) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _cone_distances(places: np.ndarray, pattern: ScanPattern) -> np.ndarray:
     flat = np.hypot(places[:, 0], places[:, 1])
     elevation = np.degrees(np.arctan2(places[:, 2, None] - pattern.heights_m, flat[:, None]))
-    return np.abs(elevation - pattern.elevations_deg)
+    off: np.ndarray = np.abs(elevation - pattern.elevations_deg)
+    return off
 
 
-def _nearest_cone(places: np.ndarray, pattern) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _nearest_cone(places: np.ndarray, pattern: ScanPattern) -> np.ndarray:
     nearest: np.ndarray = _cone_distances(places, pattern).argmin(-1)
     return nearest
 
 
-def _off_nearest_cone(places: np.ndarray, pattern) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _off_nearest_cone(places: np.ndarray, pattern: ScanPattern) -> np.ndarray:
     off: np.ndarray = _cone_distances(places, pattern).min(-1)
     return off
 
@@ -83,5 +90,7 @@ def test_pairs_of_a_dual_return_file_share_their_fate() -> None:
     assert len(identical) > 10_000
     snow = LidarSnow(Snow(rate_mm_per_h=1.0), sensor)
     result = snow.run(cloud, snow.draw(cloud, seed=2))
+    assert isinstance(result.kind, Tensor)
+    assert isinstance(result.points, Tensor)
     assert torch.equal(result.kind[identical], result.kind[first[identical]])
     assert torch.equal(result.points[identical], result.points[first[identical]])

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.sensors import Lidar
+from torchweather.sensors.laser_blocks import height_blocks
 
 __all__ = ["beam_heights_m"]
 
@@ -47,13 +48,15 @@ def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) ->
     flat = points[..., :2].norm(dim=-1)
     best = torch.full_like(flat, torch.inf)
     found = torch.zeros_like(flat)
-    for value in values:
-        elevations = [e for e, h in zip(sensor.elevations_deg or (), heights, strict=True) if h == value]
-        rising = torch.tensor(sorted(elevations), dtype=points.dtype, device=points.device)
-        middles = 0.5 * (rising[1:] + rising[:-1])
-        elevation = torch.rad2deg(torch.atan2(points[..., 2] - value, flat))
-        nearest = rising[(elevation[..., None] > middles).sum(-1)] if len(middles) else rising[0]
-        distance = (elevation - nearest).abs()
-        found = torch.where(distance < best, value, found)
+    elevations = sensor.elevations_deg or ()
+    for members in height_blocks(heights):
+        middle = sum(heights[ring] for ring in members) / len(members)
+        order = sorted(members, key=lambda ring: elevations[ring])
+        rising = points.new_tensor([elevations[ring] for ring in order])
+        own = points.new_tensor([heights[ring] for ring in order])
+        elevation = torch.rad2deg(torch.atan2(points[..., 2] - middle, flat))
+        place = (elevation[..., None] > 0.5 * (rising[1:] + rising[:-1])).sum(-1)
+        distance = (elevation - rising[place]).abs()
+        found = torch.where(distance < best, own[place], found)
         best = torch.minimum(distance, best)
     return torch.where(there, found, 0.0)

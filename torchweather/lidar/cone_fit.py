@@ -27,6 +27,8 @@ _LEAST_SPREAD_RAD = 1e-6
 _SECTORS = 12
 # A height less sure than this is taken from the other rings, metres.
 _UNSURE_HEIGHT_M = 0.05
+# The lasers of a sensor sit within this of each other.
+_MOST_APART_M = 0.5
 _FEWEST_POINTS = 8
 
 
@@ -92,6 +94,10 @@ def fit_cones(xyz: Numbers, ring: Integers, rings: int) -> ConeFit:
         weight = 1.0 / np.maximum(1.0, np.square(off / (_OUTLIER_SPREADS * spread[ring])))
     tangent_error, height_error = _jackknife(sums, count)
     unsure = (count > 0) & ~(height_error < _UNSURE_HEIGHT_M)
+    if (count > 0).any() and not unsure[count > 0].all():
+        # All points of a ring on a flat road lie on a cone of 0 degrees as well, which starts down there.
+        usual = np.median(height[(count > 0) & ~unsure])
+        unsure |= (count > 0) & (np.abs(height - usual) > _MOST_APART_M)
     if unsure.any():
         sure = (count > 0) & ~unsure
         height[unsure] = np.median(height[sure]) if sure.any() else 0.0

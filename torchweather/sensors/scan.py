@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchweather.errors import TorchweatherWarning, check_at_least, check_positive
+from torchweather.sensors.laser_blocks import height_blocks
 from torchweather.sensors.lidar import Lidar
 
 __all__ = ["empty_beams", "estimate_elevations", "recover_ring", "scan_directions"]
@@ -104,15 +105,22 @@ def recover_ring(points: Tensor, lidar: Lidar, *, origin_heights_m: Sequence[flo
     flat = points[..., :2].norm(dim=-1)
     best = torch.full_like(flat, math.inf)
     ring = torch.full(flat.shape, -1, dtype=torch.int64, device=points.device)
-    for height in sorted(set(heights.tolist())):  # one or two blocks of lasers
-        members = (heights == height).nonzero()[:, 0]
+    for rings in height_blocks(heights.tolist()):  # one or two blocks of lasers
+        members = torch.tensor(rings, device=points.device)
         rising, order = elevations[members].sort()
-        elevation = torch.rad2deg(torch.atan2(points[..., 2] - height, flat))
-        middles = (0.5 * (rising[1:] + rising[:-1])).to(elevation.dtype)
-        place = torch.bucketize(elevation.contiguous(), middles)
-        distance = (elevation - rising.to(elevation.dtype)[place]).abs()
-        ring = torch.where(distance < best, members[order][place], ring)
-        best = torch.minimum(distance, best)
+        members, own = members[order], heights[members[order]].to(flat.dtype)
+        middles = (0.5 * (rising[1:] + rising[:-1])).to(flat.dtype)
+        rough = torch.rad2deg(torch.atan2(points[..., 2] - float(own.mean()), flat))
+        place = torch.bucketize(rough.contiguous(), middles)
+        # Heights of a block differ by centimetres: the neighbours are tried as well, with their own. In one block of
+        # one height there is nothing to try.
+        steps = (0,) if float(own.max() - own.min()) == 0 else (-1, 0, 1)
+        for step in steps:
+            one = (place + step).clamp(0, len(rising) - 1)
+            elevation = rough if len(steps) == 1 else torch.rad2deg(torch.atan2(points[..., 2] - own[one], flat))
+            distance = (elevation - rising.to(flat.dtype)[one]).abs()
+            ring = torch.where(distance < best, members[one], ring)
+            best = torch.minimum(distance, best)
     return torch.where(_has_return(points), ring, torch.full_like(ring, -1))
 
 
