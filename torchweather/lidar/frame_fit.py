@@ -24,6 +24,7 @@ Integers = npt.NDArray[np.integer[Any]]
 _ROUNDS = 6
 _OUTLIER_SPREADS = 3.0
 _TURN_DEG = 360.0
+_FEWEST_ROWS = 20
 # The turn begins where azimuth wraps, in one of the two ways.
 _STARTS_DEG = (0.0, 180.0)
 # What is worth a word: smaller values move a point by less than a beam.
@@ -113,6 +114,10 @@ def fit_frame(xyz: Numbers, ring: Integers, rings: int) -> FrameOffset:
         >>> (np.round(offset.tilt_deg, 1) + 0.0).tolist(), (np.round(offset.origin_m, 1) + 0.0).tolist()
         ([1.1, 0.0], [1.0, 0.0])
     """
+    # A ring of a few points lies on a cone whatever the frame.
+    many = np.bincount(ring, minlength=rings)[ring] >= _FEWEST_ROWS
+    if many.any():
+        xyz, ring = xyz[many], ring[many]
     first = fit_cones(xyz, ring, rings)
     before = _middle(first)
     found = [_fitted(xyz.astype(np.float64), ring, rings, first, start) for start in _STARTS_DEG]
