@@ -24,7 +24,7 @@ from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.report.cloud_view import MOST_POINTS, write_cloud_view
 from torchweather.report.view_points import counts_by_range, thinned, view_points
 from torchweather.report.view_words import share_text, weather_words
-from torchweather.sensors import Lidar
+from torchweather.sensors import Lidar, scan_directions
 from torchweather.transforms import LidarResult, LidarWeather
 from torchweather.weather import Weather, parse_weather
 
@@ -43,6 +43,15 @@ def points(rows: int = 3000) -> Tensor:
     cloud = torch.cat([way / way.norm(dim=-1, keepdim=True) * ranges, torch.rand(rows, 1, generator=random)], -1)
     cloud[::17] = 0.0
     return cloud
+
+
+def sweep(sensor: Lidar) -> Tensor:
+    """A turn of the sensor, ring after ring, at 5 to 60 m; a fourth of its beams return nothing."""
+    random = torch.Generator().manual_seed(4)
+    way = scan_directions(sensor)
+    ranges = 5 + 55 * torch.rand(len(way), 1, generator=random) ** 2
+    cloud = torch.cat([way * ranges, torch.rand(len(way), 1, generator=random)], -1)
+    return cloud[torch.rand(len(way), generator=random) > 0.25]
 
 
 def weathered(cloud: Tensor, sensor: Lidar, weather: Weather = SNOW, **options: Any) -> LidarResult:
@@ -96,8 +105,10 @@ def test_the_page_needs_nothing_else_and_says_what_it_shows(tmp_path: Path) -> N
 @pytest.mark.parametrize("options", [{}, {"lost": "nan"}, {"lost": "drop"}, {"complete_scan": True}], ids=str)
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 def test_counts_are_those_of_the_cloud(tmp_path: Path, options: dict[str, Any], mode: str) -> None:
-    sensor = lidar(return_mode=mode, columns=256) if options.get("complete_scan") else lidar(return_mode=mode)
-    cloud = points()
+    sensor, cloud = lidar(return_mode=mode), points()
+    if options.get("complete_scan"):
+        sensor = replace(sensor, columns=64, origin_heights_m=None)
+        cloud = sweep(sensor)
     result = weathered(cloud, sensor, **options)
     summary, page = written(tmp_path / "a.html", cloud, sensor, result)
     hit = has_return(cloud, sensor)
