@@ -98,7 +98,7 @@ def test_a_scan_is_what_the_transform_makes_of_its_points(weather: Weather) -> N
     beams = torch.from_numpy(DIRECTION).reshape(-1, 3)
     range_m, intensity = (torch.from_numpy(clear[key]).reshape(-1) for key in ("range_m", "intensity"))
     points = torch.cat([range_m[:, None] * beams, intensity[:, None]], -1)
-    transform = LidarWeather(weather, LIDAR)
+    transform = LidarWeather(weather, LIDAR, beam_ends="max_range")
     wanted = transform(points, transform.draw(points, seed=5), directions=beams)
     found = simulated_lidar(clear, DIRECTION, weather, LIDAR, 5)
     there = (wanted[:, :3] != 0).any(-1)

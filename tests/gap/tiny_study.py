@@ -75,7 +75,7 @@ def through(
     scene: Scene, frame: dict[str, NDArray[np.float32]], weather: Weather, effects: Sequence[Effect], seed: int
 ) -> dict[str, NDArray[np.float32]]:
     """A clear frame in weather, with effects, by the chain."""
-    transform = LidarWeather(weather, SENSOR)
+    transform = LidarWeather(weather, SENSOR, beam_ends="max_range")
     chain = with_effects(transform.chain, effects)
     shape = frame["range_m"].shape
     direction = torch.from_numpy(scene.direction).reshape(-1, 3)

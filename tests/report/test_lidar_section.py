@@ -247,6 +247,7 @@ def test_the_page_shows_the_scene_of_the_camera_to_the_lidar(page: tuple[Path, d
         (key, value)
         for record in lidar["weathers"]
         for key, value in {**record["numbers"], **record["times_s"]}.items()
+        if not isinstance(value, dict)
     ]
     assert len(shown) > 50
     assert {(key, float(value)) for key, value in shown} <= {(key, value) for key, value in wanted}

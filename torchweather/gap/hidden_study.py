@@ -276,7 +276,7 @@ def _weathered(
     """Frames of a condition: clear ones, through the chain with the effects."""
     assert view.grid is not None
     range_m, intensity = _clear(view, lidar, frames, f"condition-{place}", seed)
-    transform = LidarWeather(weather, lidar, effects=effects)
+    transform = LidarWeather(weather, lidar, effects=effects, beam_ends="max_range")
     points = torch.cat([view.directions * range_m[..., None], intensity[..., None]], -1)
     state = replace(transform.state_of(points, view.directions), cos_incidence=view.cos_incidence[None])
     seeds = torch.from_numpy(_stream(seed, f"weather.{place}").integers(2**62, size=frames))

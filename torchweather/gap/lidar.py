@@ -117,7 +117,9 @@ class LidarFrames:
         """The ready-made chain of a condition's weather."""
         if condition.id not in self.transforms:
             assert condition.weather is not None
-            self.transforms[condition.id] = LidarWeather(condition.weather, self.sensor, **self.options)
+            # Beams without return go to the maximum range, as in the studies that the search was measured on.
+            options = {"beam_ends": "max_range", **self.options}
+            self.transforms[condition.id] = LidarWeather(condition.weather, self.sensor, **options)
         return self.transforms[condition.id]
 
     def open(self, condition: Condition) -> dict[str, float]:

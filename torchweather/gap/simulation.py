@@ -108,7 +108,7 @@ def _stream_seed(seed: int, condition: str, number: int) -> int:
 
 @lru_cache(maxsize=TRANSFORMS_KEPT)
 def _lidar_transform(weather: Weather, lidar: Lidar) -> LidarWeather:
-    return LidarWeather(weather, replace(lidar, directions=None))
+    return LidarWeather(weather, replace(lidar, directions=None), beam_ends="max_range")
 
 
 def simulated_lidar(clear: Frame, direction: Array, weather: Weather, lidar: Lidar, seed: int) -> dict[str, Array]:

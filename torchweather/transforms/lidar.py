@@ -270,7 +270,9 @@ class LidarWeather(WeatherTransform):
         source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
         transmission = torch.ones_like(state.reach_m)
         if state.extinction_per_m is not None:
-            way_m = state.reach_m if state.path_density is None else state.reach_m * state.path_density
+            # To the object even where particles end before it, at the ground above a return from below it.
+            way_m = torch.where(before.clear_range_m > 0, before.clear_range_m, state.reach_m)
+            way_m = way_m if state.path_density is None else way_m * state.path_density
             transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * way_m)
         second = second_source = second_kind = None
         if state.second is not None:
