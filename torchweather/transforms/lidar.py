@@ -270,8 +270,9 @@ class LidarWeather(WeatherTransform):
         source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
         transmission = torch.ones_like(state.reach_m)
         if state.extinction_per_m is not None:
-            # To the object even where particles end before it, at the ground above a return from below it.
-            way_m = torch.where(before.clear_range_m > 0, before.clear_range_m, state.reach_m)
+            # To the object where particles end before it: at the ground above a return from below it.
+            under = (before.clear_range_m > 0) & (before.reach_m < before.clear_range_m)
+            way_m = torch.where(under, before.clear_range_m, state.reach_m)
             way_m = way_m if state.path_density is None else way_m * state.path_density
             transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * way_m)
         second = second_source = second_kind = None
