@@ -160,9 +160,14 @@ def test_a_draw_and_its_call_find_the_beams_once_and_changed_points_anew(monkeyp
     noise = snow.draw(given, seed=1)
     first = snow(given, noise)
     assert len(calls) == 1
-    given[0, 0] += 1e-3
+    given.numpy()[0, 0] += 1e-3  # as a simulator that fills its buffer anew
     snow(given, noise)
     assert len(calls) == 2
+    snow.sensor = replace(snow.sensor, max_range_m=40.0)
+    snow(given, noise)
+    assert len(calls) == 3
+    with pytest.raises(ValueError, match="complete_scan is for clouds without directions"):
+        snow(given, noise, directions=given[:, :3])
     again = LidarSnow(Snow(rate_mm_per_h=1.0), with_column(), complete_scan=True)
     assert torch.equal(again(cloud[returns], noise), first)
 

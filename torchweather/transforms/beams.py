@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from dataclasses import dataclass, replace
 
 import torch
@@ -54,8 +53,8 @@ class BeamFinder:
     """`beams_of` for one transform, with the last cloud's beams kept: a draw and the call after it find them once."""
 
     def __init__(self) -> None:
-        self._cloud: weakref.ref[Tensor] | None = None
-        self._version = -1
+        self._cloud: Tensor | None = None
+        self._asked: tuple[Lidar, bool | str, bool] | None = None
         self._beams: Beams | None = None
 
     def __call__(
@@ -69,13 +68,18 @@ class BeamFinder:
         owner: object,
     ) -> Beams:
         """As `beams_of`, of a cloud ``(..., N, C)`` in its own frame."""
-        known = self._cloud is not None and self._cloud() is points and self._version == points._version
-        if complete_scan and known and self._beams is not None:
-            return self._beams
+        keeps = bool(complete_scan) and directions is None and not points.requires_grad
+        if keeps and self._beams is not None and self._asked == (sensor, complete_scan, at_scene):
+            # By value: a buffer that somebody writes anew is another cloud.
+            kept = self._cloud
+            alike = kept is not None and (kept.dtype, kept.device) == (points.dtype, points.device)
+            if alike and kept is not None and torch.equal(kept, points):
+                return self._beams
         local = points_in_sensor_frame(points, sensor)
         beams = beams_of(local, sensor, directions, complete_scan=complete_scan, at_scene=at_scene, owner=owner)
-        if complete_scan and not points.requires_grad:
-            self._beams, self._cloud, self._version = beams, weakref.ref(points), points._version
+        if keeps:
+            self._beams, self._cloud = beams, points.detach().clone()
+            self._asked = sensor, complete_scan, at_scene
         return beams
 
     def __deepcopy__(self, memo: dict[int, object]) -> BeamFinder:

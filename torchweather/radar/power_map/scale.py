@@ -69,7 +69,7 @@ class PowerScale:
         Args:
             step_db: of one level, above 0. Radars of Navtech store half dB (from memory of the maker's protocol,
                 unverified; the beam's flanks in RADIATE give 0.35 to 0.57 dB).
-            bottom_db: of byte 0, which also stands for all that is weaker.
+            bottom_db: power of byte 0, dB. Weaker power has byte 0 as well.
         """
         check_positive("step_db", step_db, unit="dB", owner=cls)
         check_finite("bottom_db", bottom_db, unit="dB", owner=cls)
