@@ -9,10 +9,10 @@ from torch import Tensor
 
 from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
 from torchweather.lidar.beam_heights import beam_heights_m
-from torchweather.lidar.echo_pairs import first_rows, holds_pairs
+from torchweather.lidar.echo_pairs import first_rows, holds_pairs, shares_beams
 from torchweather.lidar.scan_counts import check_scan_counts
 from torchweather.lidar.scan_pattern import estimate_pattern
-from torchweather.lidar.sweep_rings import sweep_rings
+from torchweather.lidar.sweep_check import checked_rings
 from torchweather.sensors import Lidar, empty_beams
 
 __all__ = ["CompletedScan", "complete_scan"]
@@ -70,9 +70,10 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         ValueError: returns and appended beams are more than rings times columns.
     """
     column = sensor.ring_column
-    found = sweep_rings(cloud, sensor)
+    found = checked_rings(cloud, sensor)
     ring, sensor = found.ring, found.sensor
-    there = (cloud[:, :3] != 0).any(-1) & (cloud[:, :3].square().sum(-1) >= sensor.min_range_m**2)
+    squared_m2 = cloud[:, :3].square().sum(-1)
+    there = (squared_m2 > 0) & (squared_m2 >= sensor.min_range_m**2)
     row_height_m = beam_heights_m(cloud, sensor, ring)
     lowered = cloud[:, :3].clone()
     if row_height_m is not None:
@@ -116,7 +117,7 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         row_height_m,
         row_end,
         first_row,
-        _words(end, found.words, sky_alone=sky_alone),
+        _words(end, found.words + _echo_words(first_row, there), sky_alone=sky_alone),
     )
 
 
@@ -145,15 +146,24 @@ def _checked_beams(cloud: Tensor, ring: Tensor, there: Tensor, appended: int, se
     rings, columns = len(sensor.elevations_deg or ()), sensor.columns or 1
     returns = int(there.sum())
     first = None
-    if holds_pairs(returns, rings, columns):
-        xyz = torch.where(there[:, None], cloud[:, :3], 0.0).double().cpu().numpy()
-        rows = first_rows(xyz, ring.cpu().numpy(), TURN_DEG / columns)
+    number, step_deg = ring.cpu().numpy(), TURN_DEG / columns
+    xyz = torch.where(there[:, None], cloud[:, :3], 0.0).cpu().numpy()
+    if holds_pairs(returns, rings, columns) or shares_beams(xyz, number, step_deg):
+        rows = first_rows(xyz.astype("float64"), number, step_deg)
         first = torch.from_numpy(rows).to(cloud.device)
         returns = int((first[there] == there.nonzero()[:, 0]).sum())
     if returns + appended > (1.0 + TOO_MANY) * rings * columns:
-        numbers = torch.where(there, ring, -1).cpu()
-        check_scan_counts(estimate_pattern(cloud[:, :3].cpu(), numbers), appended, rings=rings, columns=columns)
+        pattern = estimate_pattern(cloud[:, :3].cpu(), torch.where(there, ring, -1).cpu())
+        if pattern.beams + appended > (1.0 + TOO_MANY) * rings * columns:  # echoes of a beam counted once
+            check_scan_counts(pattern, appended, rings=rings, columns=columns)
     return first
+
+
+def _echo_words(first_row: Tensor | None, there: Tensor) -> str:
+    if first_row is None:
+        return ""
+    further = int((first_row[there] != there.nonzero()[:, 0]).sum())
+    return f"; {further} rows are further echoes of a beam and meet the same particles"
 
 
 def _words(end: Tensor, rings: str, *, sky_alone: bool) -> str:

@@ -116,7 +116,7 @@ def _lowest_of_cells(x: Numbers, y: Numbers, z: Numbers) -> Numbers:
         return np.zeros((0, 3))
     size = round(2 * _FARTHEST_M / _CELL_M) + 2
     cell = ((x + _FARTHEST_M) // _CELL_M).astype(np.intp) * size + ((y + _FARTHEST_M) // _CELL_M).astype(np.intp)
-    order = np.lexsort((z, cell))
+    order = np.argsort(cell + (z - z.min()) / (z.max() - z.min() + 1.0))  # by cell, then by height
     cell = cell[order]
     first = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
     count = np.diff(np.r_[first, len(cell)])

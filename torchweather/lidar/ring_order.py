@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.lidar.cone_fit import cone_residual_deg, fit_cones
+from torchweather.lidar.cone_fit import ConeFit, cone_residual_deg, fit_cones
 
 __all__ = ["rings_from_order"]
 
@@ -74,18 +74,19 @@ def rings_from_order(xyz: Numbers) -> Integers | None:
     step[step < -_JITTER_DEG] += _TURN_DEG
     way = forward * azimuth[0] % _TURN_DEG + np.r_[0.0, np.cumsum(step)]
     sample = slice(None, None, max(1, len(xyz) // _SAMPLE_ROWS))
-    best = np.inf
+    best, cones = np.inf, None
     ring: Integers = np.zeros(len(xyz), dtype=np.int64)
     for seam in (*_SEAMS_DEG[:2], way[0] - _REACH_DEG / 2.0, *_SEAMS_DEG[2:]):
         turns = (way - seam + _ROUNDING_DEG) / _TURN_DEG
         whole = np.floor(turns).astype(np.int64)
         number = _without_scraps(whole, (turns - whole) * _TURN_DEG)
-        wrong = _wrong_share(xyz[sample], number[sample])
+        fit = fit_cones(xyz[sample], number[sample], int(number.max()) + 1)
+        wrong = _wrong_share(xyz[sample], number[sample], fit)
         if wrong < _CLEARLY * best:
-            best, ring = wrong, number
+            best, cones, ring = wrong, fit, number
         if best < _FEW_WRONG:
             break
-    return _moved_ends(xyz, way, ring) if _EXACT < best < _UNCLEAR else ring
+    return _moved_ends(xyz, way, ring, cones) if cones is not None and _EXACT < best < _UNCLEAR else ring
 
 
 def _without_scraps(number: Integers, turned: Numbers) -> Integers:
@@ -99,10 +100,8 @@ def _without_scraps(number: Integers, turned: Numbers) -> Integers:
     return kept
 
 
-def _moved_ends(xyz: Numbers, way: Numbers, ring: Integers) -> Integers:
+def _moved_ends(xyz: Numbers, way: Numbers, ring: Integers, fit: ConeFit) -> Integers:
     """Move the end of each ring to the row where the next cone begins: an Ouster's rings start at many azimuths."""
-    rings = int(ring.max()) + 1
-    fit = fit_cones(xyz, ring, rings)
     moved = ring.copy()
     way = np.maximum.accumulate(way)
     for last in np.flatnonzero(np.diff(ring)):
@@ -121,7 +120,6 @@ def _moved_ends(xyz: Numbers, way: Numbers, ring: Integers) -> Integers:
     return moved
 
 
-def _wrong_share(xyz: Numbers, ring: Integers) -> float:
+def _wrong_share(xyz: Numbers, ring: Integers, fit: ConeFit) -> float:
     """Share of rows that lie off the cone of their ring; rows nearer than the limit count in part."""
-    fit = fit_cones(xyz, ring, int(ring.max()) + 1)
     return float(np.minimum(np.abs(cone_residual_deg(xyz, ring, fit)) / _WRONG_DEG, 1.0).mean())

@@ -17,6 +17,7 @@ Index = npt.NDArray[np.intp]
 TURN_DEG = 360.0
 # Beams without ring numbers: those within this elevation share a row.
 _ROW_DEG = 0.3
+_MOST_RINGS = 100_000
 _STEP_M = 1e-4
 _NOTHING = np.iinfo(np.int64).max
 
@@ -84,9 +85,9 @@ class SweepRaster:
         self.raised = (nearest != _NOTHING) & (nearest % 2 == 1)
 
     def _column(self, x: Numbers, y: Numbers) -> Index:
-        azimuth = np.degrees(np.arctan2(y, x)) % TURN_DEG
-        column: Index = (azimuth / self.step_deg).astype(np.intp) % self.columns
-        return column
+        azimuth = np.degrees(np.arctan2(y, x))
+        column = (np.where(azimuth < 0, azimuth + TURN_DEG, azimuth) / self.step_deg).astype(np.intp)
+        return np.where(column < self.columns, column, column - self.columns)
 
     def neighbours(self, azimuth_deg: float, elevation_deg: float) -> tuple[Neighbour, Neighbour, Neighbour, Neighbour]:
         """The nearest returns to the left, right, above and below of every beam.
@@ -172,10 +173,18 @@ def _rows_of_rings(
     beam_elevation: Numbers,
 ) -> tuple[Index, Index, Numbers]:
     """Rows of the rings by rising elevation: of the returns, of the beams, and the elevation of each row."""
-    numbers, place = np.unique(np.concatenate([ring, direction_ring]), return_inverse=True)
-    mean = np.bincount(place, np.concatenate([elevation, beam_elevation])) / np.bincount(place)
+    lowest = min(ring.min(), direction_ring.min())
+    of_return, of_beam = ring - lowest, direction_ring - lowest
+    numbers = int(max(of_return.max(), of_beam.max())) + 1
+    if numbers > _MOST_RINGS:
+        raise ValueError(f"beam_ends: ring numbers must lie within {_MOST_RINGS} of each other; got {numbers}.")
+    count, total = (
+        np.bincount(of_return, weight, numbers) + np.bincount(of_beam, beam_weight, numbers)
+        for weight, beam_weight in ((None, None), (elevation, beam_elevation))
+    )
+    there = np.flatnonzero(count)
+    mean = total[there] / count[there]
     order = np.argsort(mean, kind="stable")
-    rank = np.empty(len(numbers), np.intp)
-    rank[order] = np.arange(len(numbers))
-    rows = rank[place]
-    return rows[: len(ring)], rows[len(ring) :], mean[order]
+    rank = np.zeros(numbers, np.intp)
+    rank[there[order]] = np.arange(len(there))
+    return rank[of_return], rank[of_beam], mean[order]

@@ -66,9 +66,8 @@ def sweep_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
     if elevations is None or sensor.columns is None:
         return SweepRings(recover_ring(cloud, sensor), sensor, "")  # raises, and says what the sensor lacks
     xyz = cloud[:, :3].detach().cpu().double().numpy()
-    seen = (xyz != 0).any(1)
-    if sensor.min_range_m > 0:
-        seen &= np.square(xyz).sum(1) >= sensor.min_range_m**2
+    squared_m2 = np.einsum("nk,nk->n", xyz, xyz)
+    seen = (squared_m2 > 0) & (squared_m2 >= sensor.min_range_m**2)
     ring = np.full(len(xyz), -1, np.int64)
     if sensor.ring_column is not None:
         column = cloud[:, sensor.ring_column].detach().cpu().numpy().astype(np.int64)
@@ -76,10 +75,11 @@ def sweep_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
         ring[inside] = column[inside]
         words = "rings from the ring column"
     else:
-        ordered = rings_from_order(xyz[seen])
+        returns = xyz if seen.all() else xyz[seen]
+        ordered = rings_from_order(returns)
         if ordered is None or int(ordered.max(initial=-1)) + 1 != len(elevations):
             return SweepRings(recover_ring(cloud, sensor), sensor, "rings from the elevations")
-        ring[seen] = _numbered_as_sensor(ordered, xyz[seen], np.asarray(elevations))
+        ring[seen] = _numbered_as_sensor(ordered, returns, np.asarray(elevations))
         words = "rings from the order of the rows"
     found = torch.from_numpy(ring)
     off_deg = _off_cones(xyz, ring, sensor)
@@ -100,10 +100,13 @@ def sweep_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
 
 def _numbered_as_sensor(ordered: Integers, xyz: Numbers, elevations: Numbers) -> Integers:
     """Rings in the order of the file, numbered as the sensor's: by the rank of their elevations."""
-    flat = np.hypot(xyz[:, 0], xyz[:, 1])
-    elevation = np.arctan2(xyz[:, 2], flat)
+    part = slice(None, None, max(1, len(xyz) // _MOST_POINTS))
+    if not np.bincount(ordered[part], minlength=len(elevations)).all():  # a ring of few points
+        part = slice(None)
+    of_ring, x, y, z = ordered[part], *xyz[part].T
+    flat = np.hypot(x, y)
     far = np.where(flat > _FROM_M, 1.0, 1e-3)
-    mean = np.bincount(ordered, elevation * far) / np.bincount(ordered, far)
+    mean = np.bincount(of_ring, np.arctan2(z, flat) * far) / np.bincount(of_ring, far)
     number = np.empty(len(elevations), np.int64)
     number[np.argsort(mean, kind="stable")] = np.argsort(elevations, kind="stable")
     numbered: Integers = number[ordered]
@@ -137,5 +140,5 @@ def _off_cones(xyz: Numbers, ring: Integers, sensor: Lidar) -> Numbers:
         of_far = members[far[members]]
         chosen = of_far if len(of_far) >= _FEWEST else members
         if len(chosen) >= _FEWEST:
-            found[number] = abs(np.median(off[chosen]))
+            found[number] = abs(np.partition(off[chosen], len(chosen) // 2)[len(chosen) // 2])
     return found
