@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["first_rows", "holds_pairs"]
+__all__ = ["first_rows", "holds_pairs", "shares_beams"]
 
 Numbers = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.integer[Any]]
@@ -17,6 +17,9 @@ TURN_DEG = 360.0
 _SAME_BEAM = 0.25
 # More returns than beams by this share: the file holds more than one a beam.
 _TOO_MANY = 1.02
+# Share of neighbours on a ring at one azimuth: KITTI at most 0.003, nuScenes 0.005, Seeing Through Fog 0.32.
+_MANY_SHARED = 0.05
+_RINGS_TO_JUDGE, _FEWEST_GAPS = 8, 100
 
 
 def holds_pairs(returns: int, rings: int, columns: int) -> bool:
@@ -27,6 +30,32 @@ def holds_pairs(returns: int, rings: int, columns: int) -> bool:
         (True, False)
     """
     return returns > _TOO_MANY * rings * columns
+
+
+def shares_beams(xyz: Numbers, ring: Integers, step_deg: float) -> bool:
+    """Tell whether many rows are further echoes of a beam, by the azimuths on the fullest rings.
+
+    Args:
+        xyz: ``(N, 3)`` metres in the sensor's frame; rows at the origin are no returns.
+        ring: ``(N,)`` of each row, below 0 for none.
+        step_deg: azimuth between neighbouring beams of a ring.
+
+    Example:
+        >>> azimuth = np.radians(np.arange(0.0, 360.0))
+        >>> once = 9.0 * np.stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth], -1)
+        >>> shares_beams(once, np.zeros(360, int), 1.0)
+        False
+        >>> shares_beams(np.concatenate([once, 0.5 * once[::5]]), np.zeros(432, int), 1.0)
+        True
+    """
+    seen = (xyz != 0).any(1) & (ring >= 0)
+    count = np.bincount(ring[seen], minlength=1)
+    gaps = []
+    for number in np.argsort(-count, kind="stable")[:_RINGS_TO_JUDGE]:
+        own = xyz[seen & (ring == number)]
+        gaps.append(np.diff(np.sort(np.degrees(np.arctan2(own[:, 1], own[:, 0])))))
+    every = np.concatenate(gaps)
+    return len(every) >= _FEWEST_GAPS and bool((every < _SAME_BEAM * step_deg).mean() > _MANY_SHARED)
 
 
 def first_rows(xyz: Numbers, ring: Integers, step_deg: float) -> Integers:

@@ -77,7 +77,7 @@ def _cause(pattern: ScanPattern, many: bool, rings: int, columns: int) -> str:
     if returns > _SECOND_ECHOES * pattern.beams and many:
         return (
             f"The file holds two echoes a beam ({returns} returns of {pattern.beams} beams): set "
-            "Lidar(return_mode='dual')."
+            "Lidar(return_mode='dual'). Or it holds several sweeps: pass one."
         )
     if pattern.rings != rings:
         return (
@@ -89,6 +89,8 @@ def _cause(pattern: ScanPattern, many: bool, rings: int, columns: int) -> str:
             f"The columns are wrong: neighbours stand {pattern.step_deg:.3f} degrees apart, which is {pattern.columns} "
             f"columns ({low:.0f} to {high:.0f})."
         )
+    if pattern.frame is not None and pattern.frame.sentences():
+        return " ".join(pattern.frame.sentences())
     if pattern.coverage_deg < _TURN_DEG:
         return f"The sweep covers {pattern.coverage_deg:.0f} degrees of azimuth: a blocked sector, or a part of a turn."
     return (

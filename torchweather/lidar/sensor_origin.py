@@ -39,6 +39,8 @@ _MOST_SPREAD_DEG = 0.15
 # No sensor's beams start farther from its origin (HDL-64E: 0.21 m).
 _BESIDE_M, _ABOVE_M = 0.3, 0.5
 _SURE = 4.0  # errors
+# Seen from beside, the points must come nearer to their cones by this factor (a crop of 90 degrees shows no place).
+_LEAST_GAIN = 1.3
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ class SensorOrigin:
         x, y, z = self.origin_m
         beside_m, error_m = float(np.hypot(x, y)), float(np.hypot(*self.error_m[:2]))
         # Compensation for motion moves the tip by up to its way, whatever moment it refers to.
-        beside = beside_m > max(_BESIDE_M + float(np.hypot(*self.motion_m)), _SURE * error_m)
+        gains = self.spread_deg * _LEAST_GAIN < self.spread_at_zero_deg
+        beside = gains and beside_m > max(_BESIDE_M + float(np.hypot(*self.motion_m)), _SURE * error_m)
         above = abs(z) > max(_ABOVE_M, _SURE * self.error_m[2])
         return self.spread_deg < _MOST_SPREAD_DEG and (beside or above)
 
