@@ -147,9 +147,9 @@ def _checked_beams(cloud: Tensor, ring: Tensor, there: Tensor, appended: int, se
     returns = int(there.sum())
     first = None
     number, step_deg = ring.cpu().numpy(), TURN_DEG / columns
-    xyz = torch.where(there[:, None], cloud[:, :3], 0.0).cpu().numpy()
-    if holds_pairs(returns, rings, columns) or shares_beams(xyz, number, step_deg):
-        rows = first_rows(xyz.astype("float64"), number, step_deg)
+    if holds_pairs(returns, rings, columns) or shares_beams(cloud[:, :3].cpu().numpy(), number, step_deg):
+        xyz = torch.where(there[:, None], cloud[:, :3], 0.0).double().cpu().numpy()
+        rows = first_rows(xyz, number, step_deg)
         first = torch.from_numpy(rows).to(cloud.device)
         returns = int((first[there] == there.nonzero()[:, 0]).sum())
     if returns + appended > (1.0 + TOO_MANY) * rings * columns:

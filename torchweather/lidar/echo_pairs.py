@@ -36,8 +36,8 @@ def shares_beams(xyz: Numbers, ring: Integers, step_deg: float) -> bool:
     """Tell whether many rows are further echoes of a beam, by the azimuths on the fullest rings.
 
     Args:
-        xyz: ``(N, 3)`` metres in the sensor's frame; rows at the origin are no returns.
-        ring: ``(N,)`` of each row, below 0 for none.
+        xyz: ``(N, 3)`` metres in the sensor's frame.
+        ring: ``(N,)`` of each row, below 0 for a row without return.
         step_deg: azimuth between neighbouring beams of a ring.
 
     Example:
@@ -48,13 +48,12 @@ def shares_beams(xyz: Numbers, ring: Integers, step_deg: float) -> bool:
         >>> shares_beams(np.concatenate([once, 0.5 * once[::5]]), np.zeros(432, int), 1.0)
         True
     """
-    seen = (xyz != 0).any(1) & (ring >= 0)
-    count = np.bincount(ring[seen], minlength=1)
+    count = np.bincount(ring + 1)[1:]
     gaps = []
     for number in np.argsort(-count, kind="stable")[:_RINGS_TO_JUDGE]:
-        own = xyz[seen & (ring == number)]
+        own = xyz[ring == number]
         gaps.append(np.diff(np.sort(np.degrees(np.arctan2(own[:, 1], own[:, 0])))))
-    every = np.concatenate(gaps)
+    every = np.concatenate(gaps) if gaps else np.zeros(0)
     return len(every) >= _FEWEST_GAPS and bool((every < _SAME_BEAM * step_deg).mean() > _MANY_SHARED)
 
 

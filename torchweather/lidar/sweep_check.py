@@ -202,9 +202,9 @@ def _check_ring_column(cloud: Tensor, sensor: Lidar) -> None:
 
 def _refuse_copies(xyz: Numbers) -> None:
     """Raise where many rows repeat others elsewhere in the file; one value in 16 is looked at."""
-    bits = np.ascontiguousarray(xyz.astype(np.float32, copy=False)).view(np.uint32)
-    key = (bits[:, 0] ^ (bits[:, 1] * _HASH) ^ (bits[:, 2] >> np.uint32(3))) * _HASH
-    place = np.flatnonzero((key >> _KEPT_BITS == 0) & (xyz != 0).any(1))
+    bits = np.ascontiguousarray(xyz[:, 0], dtype=np.float32).view(np.uint32)
+    place = np.flatnonzero(bits * _HASH >> _KEPT_BITS == 0)
+    place = place[(xyz[place] != 0).any(1)]
     if len(place) < _FEWEST_ROWS // 16:
         return
     order = np.lexsort((place, *xyz[place].T))
@@ -214,8 +214,8 @@ def _refuse_copies(xyz: Numbers) -> None:
     if share > _MOST_COPIES:
         raise ValueError(
             f"complete_scan: expected every return once; {100 * share:.0f} % of the rows repeat others elsewhere in "
-            "the file: a sweep written twice. Drop the copies (numpy.unique(points, axis=0, return_index=True), then sort "
-            "the indices: that keeps the order of the rows)."
+            "the file: a sweep written twice. Drop the copies and keep the order: numpy.unique(points, axis=0, "
+            "return_index=True) gives the rows, sort them."
         )
 
 
