@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchweather.commands.clouds import gathered_clouds
 from torchweather.errors import TorchweatherError
 from torchweather.io.ouster import read_ouster
 
@@ -104,16 +105,50 @@ def test_without_the_sdk_the_error_names_the_extra(recording: Path, monkeypatch:
         read_ouster(recording)
 
 
-def test_a_package_that_the_sdk_needs_is_named_when_it_is_missing(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (
+            ModuleNotFoundError("No module named 'rosbags.highlevel'", name="rosbags.highlevel"),
+            r"'rosbags', which ouster-sdk needs .*pip install rosbags,",
+        ),
+        (
+            ModuleNotFoundError("No module named 'ruamel.yaml'", name="ruamel.yaml"),
+            r"'ruamel.yaml', which ouster-sdk needs .*pip install ruamel\.yaml,",
+        ),
+        (ModuleNotFoundError("No module named 'PIL'", name="PIL"), r"'pillow', which .*pip install pillow,"),
+        (ModuleNotFoundError("No module named 'ouster'", name="ouster"), r"newer\. .*'torchweather\[ouster\]'"),
+        (
+            ModuleNotFoundError("No module named 'ouster.sdk'", name="ouster.sdk"),
+            r"'ouster' has no ouster\.sdk.* --upgrade 'torchweather\[ouster\]'",
+        ),
+        (
+            ImportError("libGL.so.1: cannot open shared object file", name="ouster.sdk._bindings"),
+            r"is installed but cannot be loaded \(libGL.*--force-reinstall ouster-sdk",
+        ),
+        # What numpy's absence looks like in ouster-sdk 1.0.1.
+        (ImportError("Encountered an error while initializing the extension."), r"cannot be loaded \(Encountered"),
+    ],
+)
+def test_the_package_that_is_missing_is_named_in_one_line(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, error: ImportError, sentence: str
 ) -> None:
     def broken(name: str) -> object:
-        raise ModuleNotFoundError("No module named 'rosbags'", name="rosbags")
+        raise error
 
     monkeypatch.setattr("torchweather.io.ouster.importlib.import_module", broken)
-    with pytest.raises(ImportError, match=r"'rosbags', which ouster-sdk needs .*pip install rosbags") as raised:
+    with pytest.raises(ImportError, match=sentence) as raised:
         read_ouster(recording)
     assert "\n" not in str(raised.value)
+
+
+def test_an_osf_is_refused_with_the_way_to_a_pcap(tmp_path: Path) -> None:
+    path = tmp_path / "a.osf"
+    path.touch()
+    with pytest.raises(TorchweatherError, match=r"a\.osf: expected .*\.pcap .*source FILE\.osf save FILE\.pcap"):
+        read_ouster(path)
+    with pytest.raises(ValueError, match=r"a\.osf: expected .*ouster-cli source"):
+        gathered_clouds([path])
 
 
 def test_the_product_is_named_as_the_metadata_name_it(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -199,6 +199,7 @@ class CloudFrame:
 def gathered_clouds(inputs: list[Path]) -> list[Path]:
     """The files: as they are, of a folder all point clouds and recordings in it by name."""
     from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
+    from torchweather.io.ouster import OSF, OSF_HINT
 
     known = (*POINT_SUFFIXES, PCAP)
     found: list[Path] = []
@@ -211,6 +212,8 @@ def gathered_clouds(inputs: list[Path]) -> list[Path]:
             found += inside
         elif not path.exists():
             raise ValueError(f"{path}: no such file.")
+        elif path.suffix.lower() == OSF:
+            raise ValueError(f"{path}: {OSF_HINT}")
         elif not path.name.lower().endswith(known):
             image = " For images give --sensor camera:PRESET." if path.suffix.lower() in IMAGE_SUFFIXES else ""
             raise ValueError(f"{path}: wanted a point cloud ({', '.join(known)}).{image}")

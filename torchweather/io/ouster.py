@@ -17,11 +17,19 @@ from torch import Tensor
 from torchweather.errors import TorchweatherError, check_one_of
 from torchweather.io.point_cloud import PointCloud
 
-__all__ = ["OUSTER_INTENSITIES", "OusterFrame", "read_ouster"]
+__all__ = ["OSF", "OSF_HINT", "OUSTER_INTENSITIES", "OusterFrame", "read_ouster"]
+
+OSF = ".osf"
+OSF_HINT = (
+    "expected an Ouster recording as .pcap with its .json; got .osf. Convert it with ouster-cli of ouster-sdk: "
+    "ouster-cli source FILE.osf save FILE.pcap, and pass --meta FILE_0.json."
+)
 
 OUSTER_INTENSITIES = ("reflectivity", "signal", "near_ir")
 _COLUMNS = ("x", "y", "z", "intensity", "ring")
 _PROBE_MM = 1000
+# Packages whose name differs from the module's.
+_PACKAGES = {"PIL": "pillow", "pkg_resources": "setuptools", "ruamel": "ruamel.yaml", "yaml": "pyyaml"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +83,15 @@ def read_ouster(
     """
     check_one_of("intensity", intensity, OUSTER_INTENSITIES, owner="read_ouster")
     source = Path(path)
+    if source.suffix.lower() == OSF:
+        raise TorchweatherError(f"{source}: {OSF_HINT}")
     description = source.with_suffix(".json") if meta is None else Path(meta)
     for file in (source, description):
         if not file.is_file():
-            raise TorchweatherError(f"{file}: no such file. read_ouster wants a pcap and the sensor's json (meta=...).")
+            raise TorchweatherError(
+                f"{file}: no such file. read_ouster wants a pcap and the sensor's json (meta=..., on the command line "
+                "--meta)."
+            )
     try:
         sdk = importlib.import_module("ouster.sdk")  # untyped, and there only with the extra
     except ImportError as error:
@@ -88,13 +101,23 @@ def read_ouster(
 
 def _what_to_install(error: ImportError) -> str:
     """Name the package that is missing: the SDK, or one that the SDK needs."""
-    missing = (error.name or "").partition(".")[0]
-    if missing in ("", "ouster"):
-        return "read_ouster needs ouster-sdk 1.0 or newer. Install it with: pip install 'torchweather[ouster]'"
-    return (
-        f"read_ouster needs {missing!r}, which ouster-sdk needs ({error}). Install it with: pip install "
-        f"{missing}, or anew with pip install 'torchweather[ouster]'"
-    )
+    name = error.name or ""
+    top = name.partition(".")[0]
+    anew = "pip install --force-reinstall ouster-sdk"
+    if isinstance(error, ModuleNotFoundError) and top not in ("", "ouster"):
+        package = _PACKAGES.get(top, top)
+        return (
+            f"read_ouster needs {package!r}, which ouster-sdk needs ({error}). Install it with: pip install {package}, "
+            f"or anew with {anew}"
+        )
+    if name in ("ouster", "ouster.sdk"):
+        older = "" if name == "ouster" else "; the package installed as 'ouster' has no ouster.sdk"
+        return (
+            f"read_ouster needs ouster-sdk 1.0 or newer{older}. Install it with: pip install --upgrade "
+            "'torchweather[ouster]'"
+        )
+    # An extension cannot be loaded: numpy or a library of the system is missing.
+    return f"read_ouster: ouster-sdk is installed but cannot be loaded ({error}). Install it anew with: {anew}"
 
 
 def _frames(sdk: Any, source: Path, description: Path, field: str, incomplete: bool) -> Iterator[OusterFrame]:
