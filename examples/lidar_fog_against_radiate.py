@@ -11,8 +11,9 @@ recording's empty beams; ``mor_m`` is where both are equal. It is the only numbe
 Assumed: the beams without a return are those that the scan pattern has and the file lacks; the fog is the same
 everywhere; the sensor is the preset (its range at 10 % and near-range response are generic). Echoes of hedges and wires
 count as fog, so the visibility found is a lower bound. The intensities are printed and drawn against range, but not
-fitted: surfaces differ more from one range to the next than fog makes them. Writes ``radiate.json`` and
-``radiate.png``.
+fitted: surfaces differ more from one range to the next than fog makes them. Writes ``radiate.json``,
+``radiate.png``, and views of the first frame and of the same frame with more fog: ``radiate_side.png`` from the side,
+``radiate_angles.png`` by azimuth and elevation.
 """
 
 from __future__ import annotations
@@ -30,10 +31,12 @@ from typing import Any
 
 import matplotlib
 import torch
+from parts.side_views import write_side_views
 from torch import Tensor
 
 import torchweather as tw
 from torchweather.io import atomic_write, read_points
+from torchweather.lidar import beam_ends
 from torchweather.sensors.scan import recover_ring, scan_directions
 
 PRESET = "velodyne-hdl-32e"
@@ -106,13 +109,15 @@ def histogram(scans: Sequence[Scan]) -> Tensor:
 
 
 def in_fog(scan: Scan, sensor: tw.Lidar, mor_m: float, seed: int) -> Scan:
-    """Fog put into the empty beams; what the frame has was measured in the fog already and stays."""
+    """Fog in the empty beams, up to where they end; what the frame has was measured in the fog already and stays."""
     lidar = tw.LidarFog(tw.Fog(mor_m=mor_m), sensor)
     empty = scan.range_m == 0
     directions = scan.directions[empty]
     cloud = torch.zeros(len(directions), 4)
+    returns = scan.points[~empty][:, :3].numpy()
+    reach_m = torch.from_numpy(beam_ends(returns, directions.numpy(), sensor.max_range_m).distance_m).float()
     with torch.no_grad():
-        foggy = lidar(cloud, lidar.draw(cloud, seed=seed), directions=directions)
+        foggy = lidar(cloud, lidar.draw(cloud, seed=seed), directions=directions, reach_m=reach_m)
     assert isinstance(foggy, Tensor)
     points = scan.points.clone()
     points[empty] = foggy
@@ -238,6 +243,10 @@ def main() -> None:
     with atomic_write(arguments.out / "radiate.json") as unfinished:
         unfinished.write_text(json.dumps(report, indent=1), encoding="utf-8")
     draw(recorded, fitted, added, report, arguments.out / "radiate.png")
+    before, after = (scan.points.reshape(-1, 4) for scan in (scans[0], fog[0]))
+    nothing = torch.zeros(len(before), dtype=torch.bool)
+    rows = {"recorded": (before, nothing), "and fog, simulated": (after, (after != before).any(-1))}
+    write_side_views(before, rows, arguments.out / "radiate_side.png", arguments.out / "radiate_angles.png")
 
     print(f"{len(scans)} frames, {empty} beams above the horizon without return")
     print(f"scattered echoes, {FOG_FROM_M:g} to {FOG_TO_M:g} m: {wanted:.0f}")
@@ -253,7 +262,7 @@ def main() -> None:
         cells = slice(int(2 * low), min(int(2 * high), len(recorded)))
         here, alone = float(recorded[cells].sum()), float((fitted - recorded)[cells].sum())
         print(f"{low:4g}-{high:<4g} {number:8d} {mean:12.1f} {here:22.0f} {alone:10.0f}")
-    print(f"written: {arguments.out}/radiate.json, radiate.png")
+    print(f"written: {arguments.out}/radiate.json, radiate.png, radiate_side.png, radiate_angles.png")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,8 @@
 
 A frame is taken apart into beams, its snow points are removed, and snow is simulated into what is left, with the same
 directions: what the beam saw behind the flake where the recording has it, else nothing. Both are then described by the
-same numbers. Nothing is fitted. Writes ``wads.md``, ``wads.json`` and ``wads.png``.
+same numbers. Nothing is fitted. Writes ``wads.md``, ``wads.json`` and ``wads.png``, and two views of the first frame
+and of the same frame in simulated snow: ``wads_side.png`` from the side, ``wads_angles.png`` by azimuth and elevation.
 
 The recording sensor stores two echoes of every beam: the last, and the strongest or, where that is the last, the second
 strongest (Hesai, Pandar64 user manual, section 3.1.2.2). ``return_mode="dual"`` gives the last and the strongest alone,
@@ -31,7 +32,9 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 import torch
+from parts.side_views import write_side_views
 from torch import Tensor
 
 import torchweather as tw
@@ -343,6 +346,24 @@ def draw(found: dict[str, Any], runs: Mapping[tuple[str, str, float], Any], path
     plt.close(figure)
 
 
+def write_views(points: Tensor, snow: Tensor, folder: Path, seed: int) -> None:
+    """A recorded frame ``(N, 4)`` from the side, and snow of 1 mm/h in the same frame without its flakes."""
+    clear = points[~snow]
+    rows = np.unique(clear.numpy(), axis=0, return_index=True)[1]  # a beam with a single echo has it twice
+    clear = clear[np.sort(rows)]
+    sensor = tw.Lidar.preset(SCANNER, return_mode="strongest")
+    simulation = tw.LidarSnow(tw.Snow(rate_mm_per_h=1.0), sensor, complete_scan=True)
+    with torch.no_grad():
+        result = simulation.run(clear, simulation.draw(clear, seed=seed))
+    assert isinstance(result.points, Tensor)
+    assert isinstance(result.kind, Tensor)
+    clouds = {
+        "recorded": (points, snow),
+        "simulated, 1 mm/h": (result.points, result.kind == tw.PointKind.PARTICLE),
+    }
+    write_side_views(clear, clouds, folder / "wads_side.png", folder / "wads_angles.png")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder with velodyne/*.bin and labels/*.label")
@@ -365,6 +386,8 @@ def main() -> None:
         points = read_points(path, format="kitti").points
         labels = read_labels(arguments.data / "labels" / f"{path.stem}.label", len(points))
         frames.append(beams_of_recording(points, labels.classes == FALLING_SNOW))
+        if path == clouds[0]:
+            first = points, labels.classes == FALLING_SNOW
     recorded = joined([beams for beams, _, _ in frames])
     found = statistics(recorded)
     each = {path.stem: statistics(beams) for path, (beams, _, _) in zip(clouds, frames, strict=True)}
@@ -409,8 +432,9 @@ def main() -> None:
     with atomic_write(arguments.out / "wads.json") as unfinished:
         unfinished.write_text(json.dumps(_rounded(report), indent=1), encoding="utf-8")
     draw(found, runs, arguments.out / "wads.png")
+    write_views(*first, arguments.out, arguments.seed)
     print(text)
-    print(f"written: {arguments.out}/wads.md, wads.json, wads.png")
+    print(f"written: {arguments.out}/wads.md, wads.json, wads.png, wads_side.png, wads_angles.png")
 
 
 def _rounded(value: Any) -> Any:

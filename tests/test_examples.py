@@ -65,8 +65,8 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones
 # where TORCHWEATHER_REAL_DATA has them.
 MEASURED: dict[str, list[str]] = {
-    "lidar_snow_against_wads.py": ["wads.md", "wads.json", "wads.png"],
-    "lidar_fog_against_radiate.py": ["radiate.json", "radiate.png"],
+    "lidar_snow_against_wads.py": ["wads.md", "wads.json", "wads.png", "wads_side.png", "wads_angles.png"],
+    "lidar_fog_against_radiate.py": ["radiate.json", "radiate.png", "radiate_side.png", "radiate_angles.png"],
 }
 # Tested in a file of their own.
 ELSEWHERE = {
