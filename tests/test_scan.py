@@ -508,3 +508,17 @@ def test_a_kitti_crop_stays_a_crop() -> None:
     assert aside.min() - 0.2 < azimuths(directions).min()
     assert azimuths(directions).max() < aside.max() + 0.2
     assert 0 < len(directions) < 0.5 * len(cloud)
+
+
+def test_the_table_of_a_pandar64_has_the_shape_of_a_units_correction_file() -> None:
+    # Elevations of rings 1 to 64 in a unit's correction file (nebula driver, calibration/hesai/64.csv).
+    unit = (
+        "14.9 11.05 8.077 5.075 3.058 2.046 1.878 1.706 1.54 1.369 1.202 1.031 .864 .693 .526 .355 .187 .018 -.151 "
+        "-.319 -.49 -.657 -.827 -.995 -1.166 -1.333 -1.504 -1.67 -1.842 -2.01 -2.18 -2.347 -2.518 -2.682 -2.855 -3.022 "
+        "-3.192 -3.357 -3.53 -3.694 -3.866 -4.032 -4.203 -4.367 -4.54 -4.702 -4.874 -5.039 -5.211 -5.373 -5.547 -5.708 "
+        "-5.88 -6.043 -7.045 -8.041 -9.042 -10.027 -11.014 -11.988 -12.956 -13.912 -18.871 -24.879"
+    )
+    # That unit stands 0.018 degree higher than the table, the unit of WADS 0.040 lower; the rings keep their distances.
+    for elevations, higher in (([float(text) for text in unit.split()], 0.018), (None, -0.040)):
+        own = elevations or Lidar.preset("pandar64-wads").elevations_deg
+        assert own == pytest.approx([ring + higher for ring in Lidar.preset("pandar64").elevations_deg or ()], abs=6e-4)
