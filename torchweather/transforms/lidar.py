@@ -481,16 +481,11 @@ class LidarWeather(WeatherTransform):
         for start in range(0, beams, size):
             part = slice(start, start + size)
             found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
-        names = ("points", "second", "kind", "reach_m")
-        points, second, kind, reach_m = ([getattr(part, name) for part in found] for name in names)
-        return replace(
-            state,
-            points=torch.cat(points, 1),
-            second=None if second[0] is None else torch.cat(second, 1),
-            kind=torch.cat(kind, 1),
-            reach_m=torch.cat(reach_m, 1),
-            extinction_per_m=found[0].extinction_per_m,
-        )
+        joined = {}
+        for name in ("points", "second", "kind", "reach_m", "path_density"):
+            values = [getattr(part, name) for part in found]
+            joined[name] = None if values[0] is None else torch.cat(values, 1)
+        return replace(state, extinction_per_m=found[0].extinction_per_m, **joined)
 
     def _floored(self, state: LidarState) -> Tensor:
         stage = self._stage(ToEnergy)
