@@ -481,7 +481,7 @@ class LidarWeather(WeatherTransform):
         for start in range(0, beams, size):
             part = slice(start, start + size)
             found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
-        joined = {}
+        joined: dict[str, Any] = {}
         for name in ("points", "second", "kind", "reach_m", "path_density"):
             values = [getattr(part, name) for part in found]
             joined[name] = None if values[0] is None else torch.cat(values, 1)
