@@ -72,9 +72,13 @@ def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.N
     """Raise where more than nine tenths of a cloud's points lie below the sensor's own floor, unless forced."""
     from torchweather.errors import TorchweatherError
     from torchweather.transforms.clouds import below_floor
+    from torchweather.transforms.frame_check import frame_note
 
     floored, returns = below_floor(points, sensor)
     if not getattr(args, "force", False) and floored > NEARLY_ALL * returns:
+        apart = frame_note(points, sensor)  # farther from the cloud's origin than from the sensor
+        if apart:
+            raise TorchweatherError(f"{owner}: {name}: {apart}")
         seen = points[..., 3][points[..., :3].square().sum(-1) > 0]
         raise TorchweatherError(
             f"{owner}: {name}: {floored} of {returns} points are, by their intensity, fainter than the sensor can "

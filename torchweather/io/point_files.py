@@ -53,8 +53,10 @@ def read_float32_file(path: str | os.PathLike[str], format: str) -> StoredPoints
         )
     table = table.reshape(-1, columns)
     if not bool(np.isfinite(table).all()):
+        bad = int((~np.isfinite(table)).any(1).sum())
         raise TorchweatherError(
-            f"{source}: wanted finite numbers ({rows.meaning}); got NaN or inf. Other columns, perhaps?"
+            f"{source}: wanted finite numbers ({rows.meaning}); got NaN or infinity in {bad} of {len(table)} rows. "
+            "Give a beam without return the coordinates 0, 0, 0, or drop the row; in most rows: other columns."
         )
     fields = tuple(PointField(name, "<f4") for name in rows.columns)
     return StoredPoints(PointLayout(format, fields), tuple(table[:, k] for k in range(columns)))

@@ -70,7 +70,7 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         ValueError: returns and appended beams are more than rings times columns.
     """
     column = sensor.ring_column
-    found = checked_rings(cloud, sensor)
+    found, cloud = checked_rings(cloud, sensor)
     ring, sensor = found.ring, found.sensor
     squared_m2 = cloud[:, :3].square().sum(-1)
     there = (squared_m2 > 0) & (squared_m2 >= sensor.min_range_m**2)
