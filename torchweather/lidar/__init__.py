@@ -5,6 +5,7 @@ from __future__ import annotations
 from torchweather.lidar.beam_ends import BeamEnd, BeamEnds, beam_ends
 from torchweather.lidar.ground import GroundPlane, fit_ground
 from torchweather.lidar.near_response import NearResponseFit, fit_near_response
+from torchweather.lidar.own_vehicle import OwnVehicleMask, own_vehicle_mask
 from torchweather.lidar.pattern_fit import PatternFit, fit_pattern
 from torchweather.lidar.scan_counts import check_scan_counts, scan_count_problem
 from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern
@@ -14,6 +15,7 @@ __all__ = [
     "BeamEnds",
     "GroundPlane",
     "NearResponseFit",
+    "OwnVehicleMask",
     "PatternFit",
     "ScanPattern",
     "beam_ends",
@@ -22,5 +24,6 @@ __all__ = [
     "fit_ground",
     "fit_near_response",
     "fit_pattern",
+    "own_vehicle_mask",
     "scan_count_problem",
 ]

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
 from torchweather.lidar.beam_heights import beam_heights_m
 from torchweather.lidar.echo_pairs import first_rows, holds_pairs, shares_beams
+from torchweather.lidar.own_vehicle import OwnVehicleMask
 from torchweather.lidar.scan_counts import check_scan_counts
 from torchweather.lidar.scan_pattern import estimate_pattern
 from torchweather.lidar.sweep_check import checked_rings
@@ -40,6 +41,7 @@ class CompletedScan:
         first_row: ``(N,)`` int64 first row of each row's beam, where the file holds several echoes a beam; else
             ``None``.
         words: how many beams end where.
+        row_own: ``(N,)`` bool, rows whose return lies on the own vehicle; ``None`` without a mask of it.
     """
 
     direction: Tensor
@@ -53,15 +55,19 @@ class CompletedScan:
     row_end: Tensor
     first_row: Tensor | None
     words: str
+    row_own: Tensor | None = None
 
 
-def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> CompletedScan:
+def complete_scan(
+    cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False, own_vehicle: OwnVehicleMask | None = None
+) -> CompletedScan:
     """Find the beams of a sweep that returned nothing.
 
     Args:
         cloud: ``(N, C)`` x, y, z in metres in the sensor's frame, further columns.
         sensor: with its scan pattern.
         sky_alone: keep only beams that end in the sky.
+        own_vehicle: mask of it; ``None``: as `beam_ends` finds it in this sweep.
 
     Returns:
         What the sweep lacks.
@@ -97,6 +103,9 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         direction_ring=found_ring.cpu().numpy(),
         origin_height_m=0.0 if heights is None else heights.cpu().numpy(),
         step_deg=TURN_DEG / columns,
+        own_vehicle=None
+        if own_vehicle is None
+        else own_vehicle.hides(direction.cpu().numpy(), found_ring.cpu().numpy()),
     )
     end, end_m = torch.from_numpy(ends.end).to(cloud.device), torch.from_numpy(ends.distance_m).to(cloud)
     kept = end == int(BeamEnd.SKY) if sky_alone else torch.ones_like(end, dtype=torch.bool)
@@ -106,6 +115,10 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
     row_way_m[there] = torch.from_numpy(ways_above_ground(returns, ends.ground, of_row)).to(cloud)
     rows = _rows(cloud, there, ring, direction, found_ring, column)
     row_end = torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8)
+    words, row_own = found.words + _echo_words(first_row, there), None
+    if own_vehicle is not None:
+        held = own_vehicle.holds(cloud[:, :3].cpu().numpy(), torch.where(there, ring, -1).cpu().numpy())
+        words, row_own = f"{words}; {own_vehicle.words}", torch.from_numpy(held).to(cloud.device)
     return CompletedScan(
         direction,
         found_ring,
@@ -117,7 +130,8 @@ def complete_scan(cloud: Tensor, sensor: Lidar, *, sky_alone: bool = False) -> C
         row_height_m,
         row_end,
         first_row,
-        _words(end, found.words + _echo_words(first_row, there), sky_alone=sky_alone),
+        _words(end, words, sky_alone=sky_alone),
+        row_own,
     )
 
 
