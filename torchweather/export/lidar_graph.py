@@ -40,6 +40,11 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
             f"to_onnx: {type(transform).__name__}(complete_scan=True) appends as many beams as a cloud lacks, which no "
             "graph can say beforehand. Give the graph an organised cloud and its directions (directions=True)."
         )
+    if transform.own_vehicle is not None:
+        raise ValueError(
+            f"to_onnx: {type(transform).__name__}(own_vehicle=...) names rows of each cloud, which the graph does not "
+            "do. Build it without, and put the own vehicle's rows back behind the graph."
+        )
     if directions is None:
         directions = transform.sensor.directions is not None
     graph = _LidarGraph(transform)

@@ -40,9 +40,9 @@ def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
     Returns:
         ``points`` rows of the input; ``objects``, ``particles`` reported; ``lost`` points of the input whose beam
         reports nothing now; ``empty_beams`` without return before the weather, and ``beam_ends``, how many of them end
-        in the sky, on the ground, ...; ``floored_points`` at the detection
-        threshold; ``transmission_mean``, two way, of the beams that met an object (``None`` where none did); of a dual
-        sensor ``second_objects`` and ``second_particles``.
+        in the sky, on the ground, ...; ``floored_points`` at the detection threshold; ``transmission_mean``, two way,
+        of the beams that met an object (``None`` where none did); ``own_vehicle_points`` among the objects, where the
+        own vehicle is known; of a dual sensor ``second_objects`` and ``second_particles``.
 
     Example:
         >>> from torchweather.transforms import LidarFog
@@ -71,6 +71,8 @@ def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
         "floored_points": int(result.floored_points),
         "transmission_mean": float(transmission[from_hit].double().mean()) if bool(from_hit.any()) else None,
     }
+    if result.own_vehicle_points is not None:
+        found["own_vehicle_points"] = int(result.own_vehicle_points)
     if isinstance(result.second_kind, Tensor):
         found["second_objects"] = int((result.second_kind == PointKind.OBJECT).sum())
         found["second_particles"] = int((result.second_kind == PointKind.PARTICLE).sum())

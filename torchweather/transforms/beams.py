@@ -13,6 +13,8 @@ from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
 from torchweather.lidar.beam_heights import beam_heights_m
 from torchweather.lidar.completion import complete_scan as completed
 from torchweather.lidar.echo_pairs import first_rows, holds_pairs
+from torchweather.lidar.own_vehicle import OwnVehicle, OwnVehicleMask, rows_in_box
+from torchweather.lidar.sweep_rings import sweep_rings
 from torchweather.sensors import Lidar, recover_ring
 from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.sensors.lidar import unit_directions
@@ -37,6 +39,7 @@ class Beams:
         first_row: ``(B, N)`` int64 first row of each row's beam where a file holds several echoes a beam, or ``None``.
         scan: how beams without return were treated, in words.
         appended: rows at the end that are not in the input.
+        on_own: ``(B, N)`` bool, returns that lie on the own vehicle; ``None`` where it is not known.
     """
 
     points: Tensor
@@ -47,6 +50,7 @@ class Beams:
     first_row: Tensor | None
     scan: str
     appended: int
+    on_own: Tensor | None = None
 
 
 class BeamFinder:
@@ -54,7 +58,7 @@ class BeamFinder:
 
     def __init__(self) -> None:
         self._cloud: Tensor | None = None
-        self._asked: tuple[Lidar, bool | str, bool] | None = None
+        self._asked: tuple[Lidar, bool | str, bool, OwnVehicle | None] | None = None
         self._beams: Beams | None = None
 
     def __call__(
@@ -65,21 +69,30 @@ class BeamFinder:
         *,
         complete_scan: bool | str,
         at_scene: bool,
+        own_vehicle: OwnVehicle | None,
         owner: object,
     ) -> Beams:
         """As `beams_of`, of a cloud ``(..., N, C)`` in its own frame."""
         keeps = bool(complete_scan) and directions is None and not points.requires_grad
-        if keeps and self._beams is not None and self._asked == (sensor, complete_scan, at_scene):
+        if keeps and self._beams is not None and self._asked == (sensor, complete_scan, at_scene, own_vehicle):
             # By value: a buffer that somebody writes anew is another cloud.
             kept = self._cloud
             alike = kept is not None and (kept.dtype, kept.device) == (points.dtype, points.device)
             if alike and kept is not None and torch.equal(kept, points):
                 return self._beams
         local = points_in_sensor_frame(points, sensor)
-        beams = beams_of(local, sensor, directions, complete_scan=complete_scan, at_scene=at_scene, owner=owner)
+        beams = beams_of(
+            local,
+            sensor,
+            directions,
+            complete_scan=complete_scan,
+            at_scene=at_scene,
+            own_vehicle=own_vehicle,
+            owner=owner,
+        )
         if keeps:
             self._beams, self._cloud = beams, points.detach().clone()
-            self._asked = sensor, complete_scan, at_scene
+            self._asked = sensor, complete_scan, at_scene, own_vehicle
         return beams
 
     def __deepcopy__(self, memo: dict[int, object]) -> BeamFinder:
@@ -96,6 +109,7 @@ def beams_of(
     *,
     complete_scan: bool | str,
     at_scene: bool = True,
+    own_vehicle: OwnVehicle | None = None,
     owner: object,
 ) -> Beams:
     """Flatten the batch, and find the direction and the end of beams without return.
@@ -106,6 +120,7 @@ def beams_of(
         directions: ``(N, 3)`` or ``(..., N, 3)`` of every row, or ``None``.
         complete_scan: append the beams that the scan pattern lacks; ``"sky"`` only those that end in the sky.
         at_scene: find where beams without return end; else they go to the maximum range.
+        own_vehicle: mask or box of it; names the returns that lie on it.
         owner: for messages.
     """
     count, columns = points.shape[-2:]
@@ -113,6 +128,27 @@ def beams_of(
     flat = points.reshape(batch, count, columns)
     if flat.dtype not in (torch.float32, torch.float64):
         flat = flat.float()
+    beams = _beams_of(points, flat, sensor, directions, complete_scan, at_scene, own_vehicle, owner)
+    if own_vehicle is None or beams.on_own is not None:
+        return beams
+    if isinstance(own_vehicle, OwnVehicleMask):
+        on_own = torch.stack([_on_mask(cloud.detach(), sensor, own_vehicle) for cloud in flat])
+    else:
+        squared_m2 = flat[..., :3].square().sum(-1)
+        on_own = (squared_m2 > 0) & (squared_m2 >= sensor.min_range_m**2) & rows_in_box(flat[..., :3], own_vehicle)
+    return replace(beams, on_own=torch.nn.functional.pad(on_own, (0, beams.appended)))
+
+
+def _beams_of(
+    points: Tensor,
+    flat: Tensor,
+    sensor: Lidar,
+    directions: Tensor | None,
+    complete_scan: bool | str,
+    at_scene: bool,
+    own_vehicle: OwnVehicle | None,
+    owner: object,
+) -> Beams:
     if directions is not None:
         if complete_scan:
             raise ValueError(
@@ -124,7 +160,8 @@ def beams_of(
         beams = Beams(_lowered(flat, height_m), along, None, None, height_m, None, words, 0)
         return beams if is_exporting() or not at_scene else _with_ends(beams, sensor)
     if complete_scan:
-        beams = _completed(flat, sensor, sky_alone=complete_scan == "sky")
+        mask = own_vehicle if isinstance(own_vehicle, OwnVehicleMask) else None
+        beams = _completed(flat, sensor, mask, sky_alone=complete_scan == "sky")
         if at_scene or beams.end_m is None:
             return beams
         there = (beams.empty_direction != 0).any(-1) if beams.empty_direction is not None else beams.end_m > 0
@@ -186,10 +223,15 @@ def _with_ends(beams: Beams, sensor: Lidar) -> Beams:
     return replace(beams, end_m=end_m.to(points), end=end.to(points.device))
 
 
-def _completed(flat: Tensor, sensor: Lidar, *, sky_alone: bool) -> Beams:
+def _on_mask(cloud: Tensor, sensor: Lidar, mask: OwnVehicleMask) -> Tensor:
+    held = mask.holds(cloud[:, :3].cpu().numpy(), sweep_rings(cloud, sensor).ring.cpu().numpy())
+    return torch.from_numpy(held).to(cloud.device)
+
+
+def _completed(flat: Tensor, sensor: Lidar, mask: OwnVehicleMask | None, *, sky_alone: bool) -> Beams:
     """Append the beams that the scan pattern has and the cloud lacks; samples that lack fewer get rows of zeros."""
     batch, count, columns = flat.shape
-    sweeps = [completed(cloud.detach(), sensor, sky_alone=sky_alone) for cloud in flat]
+    sweeps = [completed(cloud.detach(), sensor, sky_alone=sky_alone, own_vehicle=mask) for cloud in flat]
     most = max((len(sweep.direction) for sweep in sweeps), default=0)
     rows = flat.new_zeros(batch, most, columns)
     direction = flat.new_zeros(batch, count + most, 3)
@@ -217,7 +259,11 @@ def _completed(flat: Tensor, sensor: Lidar, *, sky_alone: bool) -> Beams:
                 first_row[sample, :count] = sweep.first_row
     words = "; ".join(dict.fromkeys(sweep.words for sweep in sweeps))
     points = torch.cat([_lowered(flat, None if height_m is None else height_m[:, :count]), rows], 1)
-    return Beams(points, direction, end_m, end, height_m, first_row, words, most)
+    on_own = None
+    if mask is not None:
+        own_rows_of = [sweep.row_own for sweep in sweeps if sweep.row_own is not None]
+        on_own = torch.nn.functional.pad(torch.stack(own_rows_of), (0, most)) if own_rows_of else None
+    return Beams(points, direction, end_m, end, height_m, first_row, words, most, on_own)
 
 
 def _pairs(points: Tensor, sensor: Lidar) -> Tensor | None:

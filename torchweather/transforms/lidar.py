@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchweather.errors import check_one_of
 from torchweather.lidar.beam_ends import BeamEnd
+from torchweather.lidar.own_vehicle import OwnVehicleMask, checked_own_vehicle
 from torchweather.sensors import Lidar
 from torchweather.sensors.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.stages import (
@@ -71,6 +72,8 @@ class LidarResult:
         floored_points: ``(...)`` returns whose intensity says less than the detection threshold; they were detected,
             so they stand on it.
         scan: how beams without return were treated, in words.
+        own_vehicle_points: ``(...)`` returns on the own vehicle, which no weather reaches; ``None`` where it is not
+            known (`LidarWeather`, ``own_vehicle``).
     """
 
     points: Cloud
@@ -85,6 +88,7 @@ class LidarResult:
     empty_beams: Tensor
     floored_points: Tensor
     scan: str
+    own_vehicle_points: Tensor | None = None
 
 
 class LidarWeather(WeatherTransform):
@@ -109,6 +113,14 @@ class LidarWeather(WeatherTransform):
         beam_ends: where a beam without return ends whose direction is known. ``scene``: where the sweep says, on the
             ground, the own vehicle, an obstacle, or in the sky (``torchweather.lidar.beam_ends``); ``max_range``: at
             the sensor's maximum range, through whatever is there.
+        own_vehicle: the vehicle that carries the sensor. Returns on it are objects and come back bit for bit, with no
+            particle before them. Three forms. An `OwnVehicleMask` of a drive (``lidar.own_vehicle_mask``) or its
+            ``.npz`` file: a return is the vehicle's in a cell of its body within 0.15 m of the body's range, so a
+            person in front of it or beside it is not; ``complete_scan`` ends the beams that it blocks on it. A box of
+            the body: x from, x to, y from, y to, z from, z to, metres in the sensor's frame; every return inside is the
+            vehicle's, so measure the body and add nothing. ``None``: one sweep does not show which returns are the
+            vehicle's, so they are weathered as objects. Rows nearer than the sensor's ``min_range_m`` hold no return
+            in any case (nuScenes: 1 m).
         variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
             ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
         effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
@@ -142,6 +154,7 @@ class LidarWeather(WeatherTransform):
         lost: str = "zero",
         complete_scan: bool | str = False,
         beam_ends: str = "scene",
+        own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None,
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
     ) -> None:
@@ -158,6 +171,7 @@ class LidarWeather(WeatherTransform):
             )
         check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
         self.beam_ends, self._find_beams = beam_ends, BeamFinder()
+        self.own_vehicle = checked_own_vehicle(own_vehicle, type(self).__name__)
         if variant == "hahner":
             fog_backscatter, fog_extinction = "hahner", "koschmieder"
         self.weather, self.sensor = weather, sensor
@@ -249,7 +263,7 @@ class LidarWeather(WeatherTransform):
             a batch) with ``lost="drop"``.
         """
         beams, state = self._begin(points, directions, reach_m)
-        state = self._through(state, noise, beams.first_row)
+        state = _own_vehicle_restored(self._through(state, noise, beams.first_row), beams)
         assert state.points is not None
         return self._outgoing(state.points, state.kind[..., 0], points, beams)
 
@@ -263,7 +277,7 @@ class LidarWeather(WeatherTransform):
     ) -> LidarResult:
         """The cloud, and what happened to each of its points; arguments as ``forward``."""
         beams, before = self._begin(points, directions, reach_m)
-        state = self._through(before, noise, beams.first_row)
+        state = _own_vehicle_restored(self._through(before, noise, beams.first_row), beams)
         assert state.points is not None
         batch, count = state.kind.shape[:2]
         rows = torch.arange(count, device=points.device)
@@ -275,6 +289,8 @@ class LidarWeather(WeatherTransform):
             way_m = torch.where(under, before.clear_range_m, state.reach_m)
             way_m = way_m if state.path_density is None else way_m * state.path_density
             transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * way_m)
+        if beams.on_own is not None:
+            transmission = torch.where(beams.on_own, 1.0, transmission)
         second = second_source = second_kind = None
         if state.second is not None:
             kind = state.kind[..., 1]
@@ -297,6 +313,7 @@ class LidarWeather(WeatherTransform):
             empty_beams=(before.clear_range_m == 0).sum(-1).reshape(lead),
             floored_points=self._floored(before).reshape(lead),
             scan=beams.scan,
+            own_vehicle_points=None if beams.on_own is None else beams.on_own.sum(-1).reshape(lead),
         )
 
     def draw(
@@ -321,6 +338,7 @@ class LidarWeather(WeatherTransform):
                 None,
                 complete_scan=self.complete_scan,
                 at_scene=self.beam_ends == "scene",
+                own_vehicle=self.own_vehicle,
                 owner=self,
             )
             count = beams.points.shape[-2]
@@ -375,9 +393,13 @@ class LidarWeather(WeatherTransform):
                 f"{type(self).__name__}: expected knows the plain chain, without {', '.join(effects)}. Average draws "
                 "of run() instead."
             )
-        _, state = self._begin(points, directions)
+        beams, state = self._begin(points, directions)
         stages = [self._stage(kind) for kind in (ToEnergy, Extinction, ParticleReturns, Detection)]
         signal, reported = expected_detection(state, *stages)
+        if beams.on_own is not None:
+            clear = stages[0].signal_of_intensity(state.points_in[..., 3], state.clear_range_m, state.zero_intensity)
+            signal = torch.where(beams.on_own, clear.clamp_min(stages[0].beam.threshold), signal)
+            reported = torch.where(beams.on_own, 1.0, reported)
         lead = points.shape[:-2]
         return signal.reshape(*lead, signal.shape[-1]), reported.reshape(*lead, signal.shape[-1])
 
@@ -403,7 +425,13 @@ class LidarWeather(WeatherTransform):
         # In the sensor's frame, from where each beam starts, until _outgoing.
         at_scene = self.beam_ends == "scene" and way_m is None
         beams = self._find_beams(
-            points, self.sensor, along, complete_scan=self.complete_scan, at_scene=at_scene, owner=self
+            points,
+            self.sensor,
+            along,
+            complete_scan=self.complete_scan,
+            at_scene=at_scene,
+            own_vehicle=self.own_vehicle,
+            owner=self,
         )
         flat = beams.points
         range_m = _range_m(flat, self.sensor.min_range_m)
@@ -508,6 +536,22 @@ class LidarWeather(WeatherTransform):
             return values.reshape(*batch, *values.shape[1:])
         kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
+
+
+def _own_vehicle_restored(state: LidarState, beams: Beams) -> LidarState:
+    """The state after the chain, with returns on the own vehicle as they came: no second echo, no particle."""
+    if beams.on_own is None or state.points is None:
+        return state
+    own = beams.on_own
+    points = torch.where(own[..., None], state.points_in, state.points)
+    kind = state.kind.clone()
+    kind[..., 0] = torch.where(own, int(PointKind.OBJECT), kind[..., 0])
+    second = state.second
+    if second is not None:
+        first = torch.arange(second.shape[-1], device=second.device) < 4
+        second = torch.where(own[..., None], torch.where(first, 0.0, state.points_in), second)
+        kind[..., 1] = torch.where(own, int(PointKind.LOST), kind[..., 1])
+    return replace(state, points=points, kind=kind, second=second)
 
 
 def _counts_of(beams: Beams) -> Tensor:

@@ -10,6 +10,7 @@ import numpy as np
 from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
+from torchweather.lidar.own_vehicle import OwnVehicleMask
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import Effect
 from torchweather.transforms.camera import BayerWeather
@@ -101,6 +102,11 @@ def _plain(name: str, value: Any) -> Any:
         return {key: _plain(name, one) for key, one in value.items()}
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
+    if isinstance(value, OwnVehicleMask):
+        raise ValueError(
+            "save_recipe: own_vehicle must be a box or a file; got an OwnVehicleMask. Write it with mask.save(path), "
+            "then give own_vehicle=path."
+        )
     raise ValueError(f"save_recipe: {name} must be plain values; got {type(value).__name__}. A recipe cannot hold it.")
 
 
