@@ -129,7 +129,7 @@ def test_kitti_boxes_are_counted_in_the_manifest_and_their_files_stay(tmp_path: 
     assert car["points_before"] == 51
     assert 0 < car["points_left"] <= 51
     assert 0 < car["transmission"] < 1
-    assert unseen == {"name": "Car", "points_before": 0, "points_left": 0, "transmission": None}
+    assert unseen == {"name": "Car", "points_before": 0, "points_left": 0, "transmission": None, "particles": 0}
     assert (target / "training/label_2/000000.txt").read_text(encoding="utf-8") == BOXES
 
 

@@ -84,9 +84,10 @@ def azimuth_deg(xyz: Tensor) -> Tensor:
     return torch.rad2deg(torch.atan2(xyz[:, 1], xyz[:, 0]))
 
 
-def compensated(cloud: Tensor, metres_a_turn: float) -> Tensor:
+def compensated(cloud: Tensor, metres_a_turn: float, moment: float = 0.5) -> Tensor:
+    """The cloud as it is seen from where the sensor was at a moment of the turn."""
     out = cloud.clone()
-    out[:, 0] += (azimuth_deg(cloud) % 360.0 / 360.0 - 0.5) * metres_a_turn
+    out[:, 0] += (azimuth_deg(cloud) % 360.0 / 360.0 - moment) * metres_a_turn
     return out
 
 
@@ -261,6 +262,11 @@ COMPLETED: dict[str, tuple[Change, str, float]] = {
         lambda s: (compensated(s.cloud, 0.5), s.sensor),
         r"compensated for motion of \(\+0\.50, [+-]0\.0\d\) m a turn, taken out to find the beams\)$",
         0.01,
+    ),
+    "compensated for 10 m/s, to the end": (
+        lambda s: (compensated(s.cloud, 1.0, moment=1.0), s.sensor),
+        r"compensated for motion of \(\+(0\.99|1\.0\d), [+-]0\.\d\d\) m a turn, taken out to find the beams\)$",
+        0.03,
     ),
     "compensated for 15 m/s": (
         lambda s: (compensated(s.cloud, 1.5), s.sensor),

@@ -55,9 +55,10 @@ class Row:
         seed: of the frame, 63 bits.
         version: of torchweather.
         weather: what was drawn, plain values; ``None`` is clear air, or a copy.
-        boxes: for each box of the frame, what the weather left of it.
+        boxes: for each box of the frame, what the weather left of it and how many particles lie in it.
         error: of a failed frame.
-        notes: warnings about it, such as an intensity that does not fit the sensor.
+        notes: how sure its depth is, what the rows of its sweep are, and warnings about it, such as an intensity that
+            does not fit the sensor.
         seconds: that it took.
     """
 

@@ -48,9 +48,10 @@ from torchweather.random import sample_seed
 from torchweather.sensors import Camera, Radar
 from torchweather.stages import PointKind
 
-__all__ = ["ATTEMPTS", "FULL", "Job", "Worker", "file_sha256"]
+__all__ = ["ATTEMPTS", "COUNTED", "FULL", "Job", "Worker", "file_sha256"]
 
 ATTEMPTS = ".torchweather-attempts"  # folder of marks below the target, where an engine cannot count tries otherwise
+COUNTED = "sweep of"  # a note that counts, and warns of nothing
 FULL = "full"  # status of a frame that found no room; it is not recorded
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
@@ -146,6 +147,11 @@ class Worker:
             f"{file.key}: depth {results[file.key].depth_confidence}"
             for file in frame.files
             if file.kind == "camera" and file.key in results
+        )
+        sure += tuple(
+            f"{file.key}: {COUNTED} {_counts(results[file.key])}"
+            for file in frame.files
+            if file.kind == "lidar" and file.key in results
         )
         boxes = None
         if frame.lidar_key in results:
@@ -303,6 +309,13 @@ class _Clear:
         return depth_source(chosen, worker.job.depth_encoding, path)
 
 
+def _counts(result: Any) -> str:
+    """What the rows of a sweep are, and how the beams without return were found."""
+    kinds = torch.bincount(result.kind.long(), minlength=len(PointKind)).tolist()
+    named = f"{kinds[PointKind.OBJECT]} objects, {kinds[PointKind.PARTICLE]} particles, {kinds[PointKind.LOST]} lost"
+    return f"{len(result.kind)} rows: {named}; {result.scan}"
+
+
 def outgoing(cloud: PointCloud, points: Tensor, kind: Tensor) -> PointCloud:
     """A result in the columns of its input; a file that marks lost beams by NaN gets the new ones so too."""
     found = cloud.with_points(points)
@@ -351,4 +364,5 @@ def _visibility(
             "points_before": int(found.points_before[k]),
             "points_left": int(found.points_left[k]),
             "transmission": share if share == share else None,
+            "particles": int(found.particles[k]),
         }

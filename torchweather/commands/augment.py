@@ -127,7 +127,8 @@ def _text(summary: Summary, *, dry_run: bool) -> str:
     return "\n".join(lines)
 
 
-# Notes of the manifest that need no warning: depth that is not guessed.
+# Notes of the manifest that need no warning: rows of a sweep, depth that is not guessed.
+COUNTS = ": sweep of "
 SURE = tuple(f": depth {one}" for one in ("exact", "measured", "completed"))
 
 
@@ -160,7 +161,7 @@ class _Shown:
         if row.error is not None:
             self._line(f"broken: {row.frame}: {row.error}")
         for text in row.notes:
-            if text.endswith(SURE):
+            if text.endswith(SURE) or COUNTS in text:
                 continue
             # Of a thousand frames with the same trouble, which differ in the numbers, one is shown.
             kind = re.sub(r"[\d.]+", "", text)

@@ -25,11 +25,13 @@ class BoxVisibility:
         points_left: ``(M,)`` int64, returns of objects inside each box with weather: neither particles nor lost beams.
         transmission: ``(M,)`` mean two-way transmission of the beams that met the box without weather; NaN where no
             beam did.
+        particles: ``(M,)`` int64, drops, flakes and fog that the sensor reports inside each box.
     """
 
     points_before: Tensor
     points_left: Tensor
     transmission: Tensor
+    particles: Tensor
 
 
 def box_visibility(
@@ -85,9 +87,10 @@ def box_visibility(
     beam = torch.arange(rows, device=device) if source is None else source.to(device=device, dtype=torch.long)
     known = beam >= 0
     is_object = (kind.to(device) == int(PointKind.OBJECT)) & known
+    is_particle = kind.to(device) == int(PointKind.PARTICLE)
     share = transmission.to(device).to(torch.promote_types(transmission.dtype, torch.float32))
     before = torch.zeros(len(boxes), dtype=torch.long, device=device)
-    left = torch.zeros_like(before)
+    left, particles = torch.zeros_like(before), torch.zeros_like(before)
     mean = torch.full((len(boxes),), torch.nan, dtype=share.dtype, device=device)
     step = max(1, _PAIRS // max(rows, results, 1))
     for begin in range(0, len(boxes), step):
@@ -95,10 +98,11 @@ def box_visibility(
         part = boxes.select(some)
         met = points_in_boxes(points_before, part)  # (N, m)
         before[begin : begin + step] = met.sum(dim=0)
-        seen = points_in_boxes(result_points, part) & is_object[:, None]  # (K, m)
-        left[begin : begin + step] = seen.sum(dim=0)
+        seen = points_in_boxes(result_points, part)  # (K, m)
+        left[begin : begin + step] = (seen & is_object[:, None]).sum(dim=0)
+        particles[begin : begin + step] = (seen & is_particle[:, None]).sum(dim=0)
         if rows and results:
             beams = met[beam.clamp_min(0)] & known[:, None]  # (K, m)
             total = torch.where(beams, share[:, None], torch.zeros_like(share[:, None])).sum(dim=0)
             mean[begin : begin + step] = total / beams.sum(dim=0)  # 0 / 0 is NaN: no beam
-    return BoxVisibility(before, left, mean)
+    return BoxVisibility(before, left, mean, particles)
