@@ -116,6 +116,63 @@ def test_nobody_imports_upwards() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def imported_files(path: Path, modules: dict[str, Path]) -> set[Path]:
+    """Files of the package that a file imports, in functions and for type checkers as well."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {name if name in modules else node.module for name in whole}
+    return {modules[name] for name in names if name in modules} - {path}
+
+
+def circles(graph: dict[Path, set[Path]]) -> list[list[str]]:
+    """Groups of files that import each other, whatever the way round: strongly connected ones, by Kosaraju."""
+    order: list[Path] = []
+    seen: set[Path] = set()
+
+    def visit(start: Path, edges: dict[Path, set[Path]], found: list[Path]) -> None:
+        stack = [(start, iter(sorted(edges[start])))]
+        seen.add(start)
+        while stack:
+            path, others = stack[-1]
+            other = next((one for one in others if one not in seen), None)
+            if other is None:
+                found.append(path)
+                stack.pop()
+            else:
+                seen.add(other)
+                stack.append((other, iter(sorted(edges[other]))))
+
+    for path in graph:
+        if path not in seen:
+            visit(path, graph, order)
+    back = {path: {other for other in graph if path in graph[other]} for path in graph}
+    seen.clear()
+    groups = []
+    for path in reversed(order):
+        if path not in seen:
+            group: list[Path] = []
+            visit(path, back, group)
+            groups.append(group)
+    return [sorted(str(path) for path in group) for group in groups if len(group) > 1]
+
+
+def test_no_files_import_in_a_circle() -> None:
+    modules = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in files()}
+    modules = {name.removesuffix(".__init__"): path for name, path in modules.items()}
+    found = circles({path: imported_files(path, modules) for path in files()})
+    assert not found, "\n".join(", ".join(group) for group in found)
+
+
+def test_a_circle_of_files_is_seen() -> None:
+    a, b, c, d = (Path(name) for name in "abcd")
+    assert circles({a: {b}, b: {c}, c: {a}, d: {a}}) == [["a", "b", "c"]]
+    assert circles({a: {b}, b: {c}, c: set(), d: {a}}) == []
+
+
 def test_physics_needs_torch_and_numpy_only() -> None:
     wrong = [
         f"{place}: {name}"

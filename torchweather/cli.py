@@ -31,6 +31,7 @@ from torchweather.commands import (
     validate,
     view,
 )
+from torchweather.commands.mistakes import is_mistake, one_line
 
 __all__ = ["main"]
 
@@ -105,25 +106,6 @@ def build_parser() -> argparse.ArgumentParser:
         command.add_arguments(added)
         added.set_defaults(run=command.run)
     return parser
-
-
-def is_mistake(error: Exception) -> bool:
-    """Whether an error is the user's to mend and not the program's: a value, a type, a file, a missing extra."""
-    from torchweather.errors import TorchweatherError
-
-    return isinstance(error, (ValueError, TypeError, OSError, ImportError, TorchweatherError))
-
-
-def one_line(error: Exception) -> str:
-    """The message of an error without line breaks; a missing file by its name.
-
-    Example:
-        >>> one_line(ValueError("wanted a,  got\\n b"))
-        'wanted a, got b'
-    """
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()).removeprefix("torchweather: ") or type(error).__name__
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from torchweather.io import read_image, write_image
 from torchweather.io.depth_sources import GROUND
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.transforms.recipes import Recipe, camera_of
+from torchweather.transforms.recipe import Recipe, camera_of
 from torchweather.weather import Weather
 
 __all__ = ["line", "process"]

@@ -22,7 +22,7 @@ from torchweather.io import atomic_write, read_radar, write_radar
 from torchweather.sensors import DEFAULT_PRESETS
 from torchweather.stages import PointKind
 from torchweather.transforms import RadarAttenuation, RadarResult
-from torchweather.transforms.recipes import Recipe, radar_of
+from torchweather.transforms.recipe import Recipe, radar_of
 from torchweather.weather import Weather
 
 __all__ = ["line", "process", "transform_of"]

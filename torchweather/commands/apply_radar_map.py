@@ -24,7 +24,7 @@ from torchweather.io import MAP_SUFFIXES, atomic_write, read_power_map, write_po
 from torchweather.radar.power_map import RadarPowerMap, map_cfar, map_detections, with_noise_scale
 from torchweather.sensors import DEFAULT_PRESETS, Radar
 from torchweather.transforms.radar_map import RadarMapResult, RadarMapWeather
-from torchweather.transforms.recipes import Recipe, radar_of
+from torchweather.transforms.recipe import Recipe, radar_of
 from torchweather.weather import Weather
 
 __all__ = ["has_maps", "line", "process"]

@@ -26,7 +26,7 @@ from torchweather.scenes import SCENES, RadarView, radar_view
 from torchweather.sensors import DEFAULT_PRESETS, Radar
 from torchweather.stages import PointKind
 from torchweather.threads import one_thread_an_operation
-from torchweather.transforms.recipes import Recipe
+from torchweather.transforms.recipe import Recipe
 from torchweather.weather import Fog, Rain, Snow, Weather
 
 __all__ = ["line", "process"]

@@ -22,7 +22,7 @@ from torchweather.commands.sequence_work import SequencePlan, SequenceWork
 from torchweather.errors import check_positive
 from torchweather.io.speeds import read_speeds
 from torchweather.io.video import CRF, VIDEO_SUFFIXES, WRITTEN_SUFFIXES
-from torchweather.transforms.recipes import Recipe, camera_of
+from torchweather.transforms.recipe import Recipe, camera_of
 from torchweather.weather import Weather
 
 __all__ = ["is_video", "line", "process"]

@@ -148,7 +148,7 @@ def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
         raise ValueError("--sensor-origin and --sensor-pose both say where the sensor stands; give one of them.")
     if pose is not None:
         from torchweather.io import read_sensor_pose
-        from torchweather.sensors.cloud_frame import split_pose
+        from torchweather.sensors.pose import split_pose
 
         given["origin_m"], given["rotation"] = split_pose(read_sensor_pose(pose))
     elif origin is not None:

@@ -103,7 +103,7 @@ def _photo(path: Path, args: argparse.Namespace) -> Photo:
     from torchweather.commands.frames import camera_fields, depth_source, fitted_camera
     from torchweather.io import read_image
     from torchweather.report.photo_demo import Photo
-    from torchweather.transforms.recipes import camera_of
+    from torchweather.transforms.recipe import camera_of
 
     rgb, _ = read_image(path)
     preset = args.sensor.partition(":")[2]
@@ -130,7 +130,7 @@ def _options(frames: list[Path], args: argparse.Namespace) -> dict[str, Any]:
     from torchweather.commands.frames import camera_fields, depth_source, fitted_camera
     from torchweather.io import read_image
     from torchweather.io.depth_sources import GROUND
-    from torchweather.transforms.recipes import camera_of
+    from torchweather.transforms.recipe import camera_of
 
     preset = args.sensor.partition(":")[2]
     options: dict[str, Any] = {"notes": []}

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from torchweather.commands.mistakes import is_mistake, one_line
 from torchweather.commands.regions import REGION_HELP
 
 NAME = "metrics"
@@ -157,8 +158,6 @@ def _row(scores: Scores, reference: Path, distorted: Path) -> Row:
 def _rows(pairs: Sequence[tuple[Path, Path]], scores: Scores, *, quiet: bool) -> list[Row]:
     """A row for each pair; one that cannot be scored says why, here and on standard error."""
     from tqdm import tqdm
-
-    from torchweather.cli import is_mistake, one_line
 
     rows = []
     for pair in tqdm(pairs, unit="pair", file=sys.stderr, disable=quiet or not sys.stderr.isatty()):

@@ -13,7 +13,7 @@ from torchweather.commands.robustness_frames import RobustnessFrames, truth_file
 
 if TYPE_CHECKING:
     from torchweather.robustness import Declaration
-    from torchweather.transforms.recipes import Recipe
+    from torchweather.transforms.recipe import Recipe
     from torchweather.transforms.suites import Suite
 
 NAME = "robustness"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchweather.robustness import Declaration, LabelledFrame
-    from torchweather.transforms.recipes import Recipe
+    from torchweather.transforms.recipe import Recipe
     from torchweather.transforms.suites import Suite
 
 __all__ = ["RobustnessFrames", "truth_file"]
@@ -92,7 +92,7 @@ class RobustnessFrames:
         """What the suite or recipe says of its sensor beside the preset; the command line's own stands above it."""
         from torchweather.commands.clouds import lidar_fields
         from torchweather.commands.frames import camera_fields
-        from torchweather.transforms.recipes import camera_of, lidar_of
+        from torchweather.transforms.recipe import camera_of, lidar_of
 
         if self.declaration.sensor == "camera":
             fields = {**source.sensor, **camera_fields(args)}

@@ -29,7 +29,7 @@ from torchweather.scenes import SCENES, Scene, lidar_view, radar_view
 from torchweather.scenes.raw_frame import INDOORS, raw_frame
 from torchweather.sensors import Camera
 from torchweather.sweep import CameraSubject, LidarSubject, RadarSceneSubject, RadarSubject, Subject
-from torchweather.transforms.recipes import camera_of, lidar_of, radar_of
+from torchweather.transforms.recipe import camera_of, lidar_of, radar_of
 
 __all__ = ["MAKERS", "Maker"]
 

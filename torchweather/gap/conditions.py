@@ -1,16 +1,18 @@
-"""Scenes and conditions: what a study is made of."""
+"""Scenes and conditions, and the study that they make up."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
 
 from torchweather.gap.frames import Frame, Frames
+from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.weather import Weather
 
-__all__ = ["Condition", "StudyScene"]
+__all__ = ["Condition", "StudyContent", "StudyScene"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,3 +58,24 @@ class Condition:
     ego_speed_m_per_s: float | None
     exposure_s: float | None
     airlight: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StudyContent:
+    """All that a study holds; `Study` reads, checks and writes it.
+
+    Args:
+        kind: ``lidar``, ``camera``, ``radar`` or ``link``.
+        sensor: that took the frames; ``None`` for links.
+        beams: LiDAR: ``direction (H, W, 3)``; else empty.
+        scenes: by name; empty for links.
+        conditions: each with a split, ``fit`` or ``holdout``.
+        links: links: ``length_km, frequency_ghz, polarisation, split``, ``(L,)`` each; else empty.
+    """
+
+    kind: str
+    sensor: Lidar | Camera | Radar | None
+    beams: Frame
+    scenes: Mapping[str, StudyScene]
+    conditions: tuple[Condition, ...]
+    links: Frame

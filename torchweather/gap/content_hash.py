@@ -5,14 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from torchweather.gap.conditions import StudyContent
 from torchweather.gap.frames import Frame
-
-if TYPE_CHECKING:
-    from torchweather.gap.study import Study
 
 __all__ = ["content_sha256", "frame_sha256", "plain"]
 
@@ -33,7 +31,7 @@ def frame_sha256(frame: Frame) -> str:
     return found.hexdigest()
 
 
-def content_sha256(study: Study) -> str:
+def content_sha256(study: StudyContent) -> str:
     """SHA-256 of a study: every array and every value, in the order of its scenes and conditions; no name of a file."""
     found = hashlib.sha256()
     for line in _lines(study):
@@ -50,7 +48,7 @@ def plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
-def _lines(study: Study) -> Iterable[Any]:
+def _lines(study: StudyContent) -> Iterable[Any]:
     yield [study.kind, None if study.sensor is None else plain(study.sensor.to_dict())]
     yield [frame_sha256(study.beams), frame_sha256(study.links)]
     for scene in study.scenes.values():

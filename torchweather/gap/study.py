@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from torchweather.errors import TorchweatherError, nearest_name
-from torchweather.gap.conditions import Condition, StudyScene
+from torchweather.gap.conditions import Condition, StudyContent, StudyScene
 from torchweather.gap.content_hash import content_sha256
 from torchweather.gap.frames import Frame, Frames, FrameSource
 from torchweather.gap.splits import FIT, HOLDOUT
@@ -22,7 +22,7 @@ __all__ = ["Condition", "Frame", "Frames", "Study", "StudyScene"]
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(StudyContent):
     """Frames of one sensor in clear air and in weather, with the record of the weather.
 
     Build it with `Study.read` or `Study.from_arrays`.
@@ -41,13 +41,6 @@ class Study:
     References:
         The format: ``docs/study-folder.md``.
     """
-
-    kind: str
-    sensor: Lidar | Camera | Radar | None
-    beams: Frame
-    scenes: Mapping[str, StudyScene]
-    conditions: tuple[Condition, ...]
-    links: Frame
 
     @classmethod
     def from_arrays(

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from torchweather.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.gap.conditions import Condition, StudyContent
 from torchweather.gap.content_hash import plain
 from torchweather.gap.frames import Frame, Frames, NpzFile
 from torchweather.gap.study_parts import CLEAR, KINDS, SENSORS, WEATHERS, refuse_unknown
 from torchweather.io import atomic_folder
 from torchweather.io.arrays import write_archive
 from torchweather.sensors import Camera, Lidar, Radar
-
-if TYPE_CHECKING:
-    from torchweather.gap.conditions import Condition
-    from torchweather.gap.study import Study
 
 __all__ = ["FORMAT", "STUDY_FILE", "StudyValues", "read_values", "write_folder"]
 
@@ -248,7 +245,7 @@ def _check_nodes(root: yaml.Node, path: Path) -> None:
 # ---- writing ---------------------------------------------------------------------------------------------------------
 
 
-def write_folder(study: Study, folder: Path) -> None:
+def write_folder(study: StudyContent, folder: Path) -> None:
     """Write ``study.yaml`` and one ``.npz`` file per frame; nothing is left where it fails."""
     if folder.is_dir() and any(folder.iterdir()):
         raise TorchweatherError(f"{folder}: wanted a new or an empty folder; it holds files. Choose another one.")

@@ -20,7 +20,7 @@ from torchweather.robustness.operating import operating_point
 from torchweather.robustness.performance import COUNTERS, NAMES, BoxCounter, Counter
 from torchweather.robustness.result import ConditionResult, RobustnessResult
 from torchweather.sweep.run import COLUMNS
-from torchweather.transforms.recipes import Recipe
+from torchweather.transforms.recipe import Recipe
 from torchweather.transforms.suites import Condition, Suite
 
 __all__ = ["conditions_of", "run_robustness"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from torchweather.errors import check_one_of
 from torchweather.sensors.base import Sensor
 from torchweather.sensors.camera import BAYER_PATTERNS, Camera
-from torchweather.sensors.camera_fit import CameraFit, fit_camera, same_aspect, without_distortion
+from torchweather.sensors.camera_fit import CameraFit, fit_camera, without_distortion
+from torchweather.sensors.frame_sizes import same_aspect
 from torchweather.sensors.lidar import INTENSITY_UNITS, RETURN_MODES, Lidar
 from torchweather.sensors.radar import Radar
 from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.sensors.base import Sensor
-from torchweather.sensors.camera_fit import fit_camera
+from torchweather.sensors.frame_sizes import size_change
 
 __all__ = ["BAYER_PATTERNS", "Camera"]
 
@@ -199,7 +199,56 @@ class Camera(Sensor):
             >>> Camera.preset("lucid-triton").fitted_to(1242, 375).fy  # fx as well
             729.67...
         """
-        return fit_camera(self, width, height).camera
+        for name, value in (("width", width), ("height", height)):
+            check_at_least(name, value, 1, unit="px", owner="fit_camera")
+        change = size_change(self.width, self.height, width, height)
+        if change == "same":
+            return self
+        if change == "scaled":
+            return self.resized(width, height)
+        if change == "turned":
+            return self._turned(width, height)
+        cx, cy = self.principal_point_px
+        across, down = width / self.width, height / self.height
+        focal = self.fx * across
+        fitted = replace(
+            self,
+            width=width,
+            height=height,
+            fx=focal,
+            fy=focal,
+            cx=(cx + 0.5) * across - 0.5,
+            cy=(cy + 0.5) * down - 0.5,
+            lens_blur_px=self.lens_blur_px * across,
+        )
+        # 1 %: a frame of nearly the same corner is inside what the calibration saw.
+        inside = fitted._corner() <= 1.01 * self._corner()
+        return fitted if inside or not self.distorted else fitted.without_distortion()
+
+    def _turned(self, width: int, height: int) -> Camera:
+        """The camera turned by a quarter: nobody knows to which side, so the principal point goes to the centre."""
+        focal, long_side = (self.fx, self.width) if self.width > self.height else (self.fy, self.height)
+        scale = max(width, height) / long_side
+        turned = replace(
+            self,
+            width=width,
+            height=height,
+            fx=focal * scale,
+            fy=focal * scale,
+            cx=None,
+            cy=None,
+            lens_blur_px=self.lens_blur_px * scale,
+        )
+        return turned.without_distortion()
+
+    def _corner(self) -> float:
+        """Largest distance of a corner of the image from the axis, in normalised coordinates."""
+        cx, cy = self.principal_point_px
+        return math.hypot(max(cx, self.width - 1 - cx) / self.fx, max(cy, self.height - 1 - cy) / self.fy)
+
+    def without_distortion(self) -> Camera:
+        """The same camera with an ideal lens."""
+        return replace(self, k1=0.0, k2=0.0, p1=0.0, p2=0.0, k3=0.0)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view on another pixel grid, stretched where the aspect ratio differs (`fitted_to` does not)."""

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.sensors.base import Sensor
-from torchweather.sensors.cloud_frame import checked_origin, checked_rotation, split_pose
+from torchweather.sensors.pose import checked_origin, checked_rotation, split_pose
 
 __all__ = ["INTENSITY_UNITS", "RETURN_MODES", "Lidar"]
 

@@ -172,6 +172,10 @@ class BayerWeather(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
+    def own_sensor(self) -> Camera:
+        """The camera."""
+        return self.camera
+
     def forward(
         self,
         bayer: Tensor,

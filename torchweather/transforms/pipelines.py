@@ -23,6 +23,8 @@ from torchweather.distributions import Choice
 from torchweather.errors import TorchweatherError
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.compose import Compose
+from torchweather.transforms.recipe import FORMAT as RECIPE_FORMAT
+from torchweather.transforms.recipe import Recipe, built_recipe, checked_recipe, overrides_of, refuse_overrides
 from torchweather.transforms.recipe_files import (
     PIPELINE,
     check_format,
@@ -34,8 +36,6 @@ from torchweather.transforms.recipe_files import (
     write_yaml,
 )
 from torchweather.transforms.recipe_options import options_of, sensor_values
-from torchweather.transforms.recipes import FORMAT as RECIPE_FORMAT
-from torchweather.transforms.recipes import Recipe, built_recipe, checked_recipe, overrides_of, refuse_overrides
 from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Pipeline", "list_pipelines", "load_pipeline", "read_pipeline", "save_pipeline"]

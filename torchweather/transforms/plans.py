@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from torch import Tensor, nn
+from torch import nn
 
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms.as_bayer import AsBayer
@@ -14,6 +14,7 @@ from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, Bayer
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarSnow, LidarWeather
 from torchweather.transforms.radar import RadarAttenuation
 from torchweather.transforms.radar_map import RadarMapWeather
+from torchweather.transforms.weather_transform import WeatherTransform, class_for
 from torchweather.weather import Weather
 
 __all__ = ["TRANSFORMS", "Plan", "TransformClass", "class_for", "plan_of", "sensor_of"]
@@ -27,16 +28,11 @@ TRANSFORMS: dict[str, TransformClass] = {
 """By name."""
 
 
-def class_for(kind: TransformClass, weather: Weather) -> TransformClass:
-    """The class; for a weather that it does not take, the one that takes any."""
-    if all(part.kind in kind.takes for part in weather.parts):
-        return kind
-    return TRANSFORMS[kind.takes_all]
-
-
-def sensor_of(transform: BayerWeather | LidarWeather | RadarAttenuation | RadarMapWeather) -> Camera | Lidar | Radar:
+def sensor_of(transform: WeatherTransform) -> Camera | Lidar | Radar:
     """The sensor that a transform was built for."""
-    return transform.camera if isinstance(transform, BayerWeather) else transform.sensor
+    sensor = transform.own_sensor()
+    assert isinstance(sensor, (Camera, Lidar, Radar))
+    return sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ class Plan:
 
     def build(self, weather: Weather) -> Any:
         """The transform for a weather."""
-        built = class_for(self.kind, weather)(weather, self.sensor, **self.options)  # type: ignore[arg-type]
+        built = class_for(self.kind, weather)(weather, self.sensor, **self.options)
         if not self.rgb:
             return built
         assert isinstance(built, BayerWeather)
@@ -88,31 +84,7 @@ def plan_of(transform: nn.Module) -> Plan:
             f"of a camera); got {type(transform).__name__}."
         )
     plan = Plan(type(inner), sensor_of(inner), dict(inner.given))
-    changed = _changed(inner, plan.build(inner.weather))
-    if changed:
-        raise ValueError(f"{type(inner).__name__}: {changed}; it cannot be built anew. Give changes as effects=[...].")
+    inner.refuse_changes()
     if isinstance(transform, AsBayer):
         return replace(plan, rgb=True, through_mosaic=transform.through_mosaic, method=transform.method)
     return plan
-
-
-def _changed(transform: Any, again: Any) -> str:
-    """In words, what of a transform's chain is not what its constructor makes; empty where it is the same."""
-    if list(again.chain.stages) != list(transform.chain.stages):
-        return (
-            f"the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
-            f"{', '.join(again.chain.stages)}"
-        )
-    if again.chain.to_dict() != transform.chain.to_dict():
-        return "a stage of the chain was changed after the transform was built"
-    was, now = transform.state_dict(), again.state_dict()
-    other = [name for name, value in now.items() if not _same(value, was[name])]
-    if other:
-        return f"{other[0].removeprefix('chain._stages.')} was changed after the transform was built"
-    return ""
-
-
-def _same(value: Tensor, was: Tensor) -> bool:
-    """Whether a buffer is what the constructor made it, wherever the transform was moved since."""
-    was = was.to(value)
-    return value.shape == was.shape and bool(((value == was) | (value.isnan() & was.isnan())).all())

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.sensors import SENSOR_CLASSES
+from torchweather.transforms.recipe import sensor_of_values
 from torchweather.transforms.recipe_files import SUITE, check_format, files_of, find, name_of, read_yaml, refuse_unknown
 from torchweather.transforms.recipe_options import OPTIONS
-from torchweather.transforms.recipes import SENSOR_OF
 from torchweather.weather import WEATHERS, Weather, weather_from_dict
 
 __all__ = ["FORMAT", "SEVERITIES", "Condition", "Suite", "list_suites", "read_suite"]
@@ -135,16 +136,17 @@ def _checked(values: Any, path: Path) -> Suite:
             raise TorchweatherError(f"{path}: {key} must be keys with values; got {value!r}.")
     sensor = dict(values["sensor"])
     kind = sensor.get("kind")
-    if kind not in SENSOR_OF:
+    if kind not in SENSOR_CLASSES:
         raise TorchweatherError(
-            f"{path}: sensor.kind must be one of {', '.join(SENSOR_OF)}; got {kind!r}.{nearest_name(kind, SENSOR_OF)}"
+            f"{path}: sensor.kind must be one of {', '.join(SENSOR_CLASSES)}; got {kind!r}."
+            f"{nearest_name(kind, SENSOR_CLASSES)}"
         )
     refuse_unknown(options, OPTIONS[str(kind)], path, "option")
     weathers = {str(name): _weather(name, fields, path) for name, fields in values["weathers"].items()}
     suite = Suite(name_of(path), str(values["title"]), sensor, weathers, dict(options), path)
     try:
         if len(sensor) > 1:
-            SENSOR_OF[str(kind)](sensor)
+            sensor_of_values(sensor, str(kind))
         conditions = suite.conditions()
     except (TypeError, ValueError, KeyError) as error:
         raise TorchweatherError(f"{path}: {error}") from error

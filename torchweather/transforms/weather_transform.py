@@ -17,7 +17,7 @@ from torchweather.stages import Chain
 from torchweather.stages.stage import State
 from torchweather.weather import Weather
 
-__all__ = ["Sizes", "WeatherTransform", "options_of"]
+__all__ = ["Sizes", "WeatherTransform", "class_for", "options_of"]
 
 
 def options_of(transform: type[nn.Module]) -> dict[str, Any]:
@@ -67,9 +67,29 @@ class WeatherTransform(nn.Module):
             >>> rain.with_weather(tw.Fog(mor_m=50)).lost
             'nan'
         """
-        from torchweather.transforms.plans import plan_of  # which knows all transforms
+        self.refuse_changes()
+        return self._built_for(weather)
 
-        built: WeatherTransform = plan_of(self).build(weather)
+    def own_sensor(self) -> Sensor:
+        """The sensor that the transform was built for."""
+        sensor = self.sensor
+        assert isinstance(sensor, Sensor)
+        return sensor
+
+    def refuse_changes(self) -> None:
+        """Raise where the chain was changed after the transform was built: it could not be built anew.
+
+        Raises:
+            ValueError: a stage, a parameter or a buffer is not what the constructor makes.
+        """
+        changed = _changed(self, self._built_for(self.weather))
+        if changed:
+            name = type(self).__name__
+            raise ValueError(f"{name}: {changed}; it cannot be built anew. Give changes as effects=[...].")
+
+    def _built_for(self, weather: Weather) -> WeatherTransform:
+        kind: Any = class_for(type(self), weather)
+        built: WeatherTransform = kind(weather, self.own_sensor(), **self.given)
         return built
 
     def _check_weather(self, weather: Weather) -> None:
@@ -109,3 +129,34 @@ class WeatherTransform(nn.Module):
             for variate in stage.variates()
         }
         return flat_noise(noise, shapes, state.batch, owner=self)
+
+
+def class_for(kind: type[WeatherTransform], weather: Weather) -> type[WeatherTransform]:
+    """The class; for a weather that it does not take, the nearest of its base classes that does."""
+    for base in kind.__mro__:
+        takes = getattr(base, "takes", ())
+        if all(part.kind in takes for part in weather.parts):
+            return base
+    raise TypeError(f"{kind.__name__}: no class takes {type(weather).__name__}.")
+
+
+def _changed(transform: Any, again: Any) -> str:
+    """In words, what of a transform's chain is not what its constructor makes; empty where it is the same."""
+    if list(again.chain.stages) != list(transform.chain.stages):
+        return (
+            f"the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
+            f"{', '.join(again.chain.stages)}"
+        )
+    if again.chain.to_dict() != transform.chain.to_dict():
+        return "a stage of the chain was changed after the transform was built"
+    was, now = transform.state_dict(), again.state_dict()
+    other = [name for name, value in now.items() if not _same(value, was[name])]
+    if other:
+        return f"{other[0].removeprefix('chain._stages.')} was changed after the transform was built"
+    return ""
+
+
+def _same(value: Tensor, was: Tensor) -> bool:
+    """Whether a buffer is what the constructor made it, wherever the transform was moved since."""
+    was = was.to(value)
+    return value.shape == was.shape and bool(((value == was) | (value.isnan() & was.isnan())).all())
