@@ -352,6 +352,38 @@ def test_echoes_of_a_beam_share_their_fate_though_rows_are_fewer_than_beams(give
     assert int((copies == PointKind.PARTICLE).sum()) > 10
 
 
+def as_floats(pattern: str, columns: int) -> Tensor:
+    return torch.from_numpy(np.fromfile(recording(pattern), np.float32).reshape(-1, columns).copy())
+
+
+RECORDED = {
+    "velodyne-hdl-64e": lambda: read_kitti_points(recording("kitti_13/velodyne/000008.bin")),
+    "velodyne-hdl-32e": lambda: as_floats("kitti_nuscenes_demo/nuscenes/*.pcd.bin", 5),
+    "pandar64-wads": lambda: as_floats("wads_snow/velodyne/042223.bin", 4),
+}
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("preset", ["velodyne-vlp-16", "velodyne-hdl-32e", "velodyne-hdl-64e", "ouster-os1-128"])
+@pytest.mark.parametrize("own", RECORDED)
+def test_a_recorded_sweep_of_another_sensor_is_refused_with_its_preset(own: str, preset: str) -> None:
+    cloud = RECORDED[own]()
+    sensor = Lidar.preset(preset, ring_column=4 if cloud.shape[1] > 4 else None)
+    if own == preset:
+        pytest.skip("its own preset")
+    # Ring numbers of the HDL-32E are too many for a VLP-16: that is seen before the elevations are looked at.
+    sentence = rf"The rings are those of {own}: take that preset|expected ring numbers 0 to 15 .*torchweather list"
+    with pytest.raises(ValueError, match=sentence):
+        complete_scan(cloud, sensor)
+
+
+def test_a_made_sweep_of_an_ouster_as_a_pandar_names_the_ouster() -> None:
+    own = Lidar.preset("ouster-os1-128")
+    points, _ = sweep(np.asarray(own.elevations_deg), np.asarray(own.origin_heights_m), 1024)
+    with pytest.raises(ValueError, match=r"has 64 rings .* shows 128 rings .*those of ouster-os1-128: take that"):
+        complete_scan(torch.from_numpy(points), Lidar.preset("pandar64-wads"))
+
+
 @pytest.mark.parametrize("name", ["map's frame", "rows of NaN", "every second column", "tilted by 5 degrees"])
 def test_the_command_line_refuses_in_one_line_and_writes_nothing(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -373,3 +405,55 @@ def test_the_command_line_refuses_in_one_line_and_writes_nothing(
     assert_words(error, rf"a\.bin: .*{sentence}")
     assert not [path for path in out.rglob("*") if path.is_file()]
     assert main(["apply", str(tmp_path / "clear.bin"), *arguments, "--complete-scan", "--out", str(out)]) == 0
+
+
+# What fit-sensor must say of a sweep: as an error (exit code 2), or as a note.
+FITTED: dict[str, tuple[Change, int, str]] = {
+    "map's frame": (
+        REFUSED["map's frame"][0],
+        2,
+        r"expected a sweep in its sensor's frame; the sensor stands at \(300\.00, 120\.00, .*Subtract that place",
+    ),
+    "above the ground of a map": (
+        REFUSED["above the ground of a map"][0],
+        2,
+        r"its beams start 5\.\d\d m above the cloud's origin\. Subtract that from z",
+    ),
+    "tilted by 5 degrees": (
+        REFUSED["tilted by 5 degrees"][0],
+        2,
+        r"the cloud is tilted by (4\.9|5\.0) degrees against its sensor\. Turn it level",
+    ),
+    "written twice": (REFUSED["written twice"][0], 2, r"returns repeat other rows of the file.*Drop the copies"),
+    "half a turn": (
+        lambda s: (s.cloud[s.cloud[:, 0] > 0], s.sensor),
+        0,
+        r"No ring has a point at azimuths of 90 to 270 degrees: a blocked sector, or a part of a turn",
+    ),
+    "second echoes": (lambda s: (second_echoes(s, 5), s.sensor), 0, r"the file has two echoes a beam"),
+}
+
+
+@pytest.mark.parametrize("name", FITTED)
+def test_fit_sensor_says_what_does_not_fit(
+    given: Sweep, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, code, sentence = FITTED[name]
+    change(given)[0].numpy().tofile(tmp_path / "a.bin")
+    out = tmp_path / "my.yaml"
+    arguments = ["fit-sensor", str(tmp_path / "a.bin"), "--sensor", "lidar:velodyne-hdl-64e", "--out", str(out)]
+    assert main(arguments) == code
+    assert out.exists() == (code == 0)
+    assert_words(capsys.readouterr().err, sentence)
+
+
+def test_fit_sensor_names_the_preset_of_the_rings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = Lidar.preset("velodyne-vlp-16")
+    sweep(np.asarray(own.elevations_deg), np.zeros(16), 1800)[0].tofile(tmp_path / "a.bin")
+    fit = ["fit-sensor", str(tmp_path / "a.bin"), "--out", str(tmp_path / "my.yaml"), "--sensor"]
+    assert main([*fit, "lidar:velodyne-hdl-32e"]) == 0
+    assert_words(
+        capsys.readouterr().err, r"rings are those of velodyne-vlp-16; .*Give --sensor lidar:velodyne-vlp-16\."
+    )
+    assert main([*fit, "lidar:velodyne-vlp-16"]) == 0
+    assert "rings are those of" not in capsys.readouterr().err

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
+    from torch import Tensor
 
     from torchweather.commands.clouds import CloudFrame
     from torchweather.lidar import NearResponseFit, PatternFit, ScanPattern
@@ -24,6 +25,9 @@ figure of the same name (.png). What is not measured stays as the preset has it.
 YAML_SUFFIXES = (".yaml", ".yml")
 # Responses are fitted to diffuse targets; REFLECTIVITY counts percent up to 100.
 PERCENT = 100.0
+# A tilt of 1 degree moves the lowest rings of KITTI by 0.1 degree, one of 5 degrees by 1. No head has its lasers higher
+# over its own origin than 0.25 m.
+MOST_TILT_DEG, MOST_HEIGHT_M = 0.5, 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
             f"The files have no signal beside the reflectivity: the near-range response is {found.preset}'s, not "
             "measured."
         )
+    notes += _other_preset(pattern, found)
     fields = {**pattern.fields(found.lidar), **_near_fields(near, found.lidar)}
     if found.ring_column is not None:
         fields["ring_column"] = found.ring_column
@@ -71,6 +76,22 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_lines("\n".join([*_lines(pattern, near), f"wrote {args.out} and {figure}"]))
     return 0
+
+
+def _other_preset(pattern: PatternFit, found: _Gathered) -> list[str]:
+    """A note where the rings are those of another preset than the one that gives what is not measured."""
+    import numpy as np
+
+    from torchweather.lidar.sweep_cause import preset_of_rings, sensor_problem
+
+    known = pattern.elevations_deg[np.isfinite(pattern.elevations_deg)]
+    if not found.lidar.elevations_deg or not sensor_problem(pattern, found.lidar):
+        return []
+    own = preset_of_rings(known)
+    if own is None:
+        return []
+    rest = f"wavelength, beam and link budget are {found.preset}'s"
+    return [f"The rings are those of {own}; {rest}. Give --sensor lidar:{own}."]
 
 
 @dataclass
@@ -115,13 +136,46 @@ def _gathered(args: argparse.Namespace) -> _Gathered:
                 ring = points[:, found.ring_column].long()
             nearest = found.lidar.min_range_m if args.min_range_m is None else args.min_range_m
             try:
-                found.patterns.append(estimate_pattern(points, ring, args.rings, min_range_m=nearest))
+                pattern = estimate_pattern(points, ring, args.rings, min_range_m=nearest)
             except ValueError as error:
-                raise TorchweatherError(f"{frame.name}: {error}") from error
+                raise TorchweatherError(f"{frame.name}: {_elsewhere(points, ring) or error}") from error
+            _refuse_other_frame(frame.name, pattern)
+            found.patterns.append(pattern)
             found.names.append(frame.path.name)
             found.signal += _signal(frame, args)
     assert found is not None  # gathered_clouds gives a file, and every file a cloud
     return found
+
+
+def _elsewhere(points: Tensor, ring: Tensor | None) -> str:
+    """Sentence about a cloud whose sensor stands beside its origin; empty where it does not, or no rings are found."""
+    from torchweather.lidar.sensor_origin import estimate_origin
+
+    origin = estimate_origin(points[:, :3].double().numpy(), None if ring is None else ring.numpy())
+    if origin is None or not origin.is_apart:
+        return ""
+    place = ", ".join(f"{metres:.2f}" for metres in origin.origin_m)
+    return (
+        f"fit-sensor: expected a sweep in its sensor's frame; the sensor stands at ({place}) m in this cloud's. "
+        "Subtract that place from the points."
+    )
+
+
+def _refuse_other_frame(name: str, pattern: ScanPattern) -> None:
+    """Raise where elevations would be those of a tilted cloud, or heights those over another origin."""
+    import numpy as np
+
+    from torchweather.errors import TorchweatherError
+
+    tilt_deg = 0.0 if pattern.frame is None else float(np.hypot(*pattern.frame.tilt_deg))
+    height_m = float(np.nanmedian(pattern.heights_m))
+    came = ""
+    if tilt_deg > MOST_TILT_DEG:
+        came = f"the cloud is tilted by {tilt_deg:.1f} degrees against its sensor. Turn it level"
+    elif abs(height_m) > MOST_HEIGHT_M:
+        came = f"its beams start {height_m:.2f} m above the cloud's origin. Subtract that from z"
+    if came:
+        raise TorchweatherError(f"{name}: fit-sensor: expected a sweep in its sensor's frame; {came}.")
 
 
 def _sensor(args: argparse.Namespace, frame: CloudFrame) -> tuple[str, Lidar]:

@@ -11,12 +11,13 @@ import torch
 from torch import Tensor
 
 from torchweather.lidar.frame_fit import FrameOffset
+from torchweather.lidar.pattern_fit import PatternFit
 from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern, filled
 from torchweather.lidar.sensor_origin import estimate_origin
 from torchweather.lidar.sweep_rings import SweepRings
 from torchweather.sensors import Lidar
 
-__all__ = ["SAME_SENSOR_DEG", "HIGH_M", "frame_problem", "refitted_rings", "sensor_problem"]
+__all__ = ["SAME_SENSOR_DEG", "HIGH_M", "frame_problem", "preset_of_rings", "refitted_rings", "sensor_problem"]
 
 Numbers = npt.NDArray[np.floating[Any]]
 
@@ -60,7 +61,7 @@ def frame_problem(frame: FrameOffset | None, height_m: float = 0.0) -> str:
     return ""
 
 
-def sensor_problem(pattern: ScanPattern, sensor: Lidar) -> str:
+def sensor_problem(pattern: ScanPattern | PatternFit, sensor: Lidar) -> str:
     """Sentence about a sweep of another sensor, with the preset that fits; empty where it may be the sensor's.
 
     Args:
@@ -83,13 +84,27 @@ def sensor_problem(pattern: ScanPattern, sensor: Lidar) -> str:
     )
 
 
-def _remedy(shown: Numbers) -> str:
+def preset_of_rings(elevations_deg: Numbers) -> str | None:
+    """The preset whose rings these are, within half a degree in the median.
+
+    Example:
+        >>> preset_of_rings(np.arange(-15.0, 16.0, 2.0))
+        'velodyne-vlp-16'
+    """
+    shown = np.sort(elevations_deg)
     for name in Lidar.presets():
         known = Lidar.preset(name).elevations_deg
         if known is None or len(known) != len(shown):
             continue
         if float(np.median(np.abs(np.sort(known) - shown))) < SAME_SENSOR_DEG:
-            return f"The rings are those of {name}: take that preset."
+            return name
+    return None
+
+
+def _remedy(shown: Numbers) -> str:
+    preset = preset_of_rings(shown)
+    if preset is not None:
+        return f"The rings are those of {preset}: take that preset."
     return "Take the preset of the sensor (torchweather list), or measure it: torchweather fit-sensor."
 
 
