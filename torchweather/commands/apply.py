@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from torchweather.commands.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.commands.detections import RADAR_ARGUMENTS, add_radar_arguments
 from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
+from torchweather.commands.own_vehicle import add_own_vehicle
 
 if TYPE_CHECKING:
     from torchweather.transforms.recipes import Recipe
@@ -34,7 +35,7 @@ SEQUENCE_ARGUMENTS = ("sequence", "frame_rate_hz")
 # By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
 ARGUMENTS = {
     "camera": (*CAMERA_ARGUMENTS, *SEQUENCE_ARGUMENTS),
-    "lidar": LIDAR_ARGUMENTS,
+    "lidar": (*LIDAR_ARGUMENTS, "own_vehicle"),
     "radar": (*RADAR_ARGUMENTS, "ego_speed_m_per_s", "lost", "labels"),
 }
 
@@ -85,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_camera_arguments(parser)
     add_through_mosaic(parser)
     add_lidar_arguments(parser)
+    add_own_vehicle(parser)
     add_radar_arguments(parser)
 
 

@@ -27,6 +27,7 @@ from torchweather.commands.clouds import (
 )
 from torchweather.commands.ouster_product import refuse_other_product
 from torchweather.commands.output import note
+from torchweather.commands.own_vehicle import own_vehicle_of, words_of
 from torchweather.errors import TorchweatherError
 from torchweather.explain import explain
 from torchweather.io import PointCloud
@@ -52,8 +53,15 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     if recipe is None and not preset:
         note(f"no preset: the sensor is lidar:{DEFAULT_PRESETS['lidar']}.", quiet=args.quiet)
     files = gathered_clouds(args.inputs)
+    complete = bool(build.keywords.get("complete_scan"))
+    mask = None
+    if args.own_vehicle is not None or "own_vehicle" not in build.keywords:
+        mask = own_vehicle_of(args, files, sensor, complete_scan=complete)
+        build = partial(build, own_vehicle=mask)
     out = CloudFiles(files, args.out, labels=args.labels, labels_in=args.labels_in)
     numbers = {"mor_m": explain(weather, sensor)["mor_m"]}
+    if mask is not None:
+        numbers["own_vehicle"] = words_of(mask)
     work = _Work(sensor, build, args, out, numbers)
     quiet = args.quiet or not sys.stderr.isatty()
     done = []
@@ -97,7 +105,7 @@ class _Work:
         build: partial[LidarWeather],
         args: argparse.Namespace,
         files: CloudFiles,
-        numbers: Mapping[str, float],
+        numbers: Mapping[str, Any],
     ) -> None:
         self.build, self.args, self.files, self.numbers = build, args, files, numbers
         self.transform = build(sensor)
