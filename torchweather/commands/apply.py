@@ -12,7 +12,7 @@ from torchweather.commands.frames import CAMERA_ARGUMENTS, add_camera_arguments,
 from torchweather.commands.own_vehicle import add_own_vehicle
 
 if TYPE_CHECKING:
-    from torchweather.transforms.recipes import Recipe
+    from torchweather.transforms.recipe import Recipe
     from torchweather.weather import Weather
 
 NAME = "apply"

@@ -35,7 +35,7 @@ from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.sensors import DEFAULT_PRESETS, Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarResult, LidarWeather
-from torchweather.transforms.recipes import Recipe, lidar_of, transform_class
+from torchweather.transforms.recipe import Recipe, lidar_of, transform_class
 from torchweather.weather import Weather
 
 __all__ = ["line", "process"]
