@@ -27,7 +27,7 @@ Integers = npt.NDArray[np.integer[Any]]
 
 _TURN_DEG = 360.0
 # So many rows decide, and a cloud of fewer than the least is no sweep.
-_ROWS = 20_000
+_ROWS = 10_000
 _FEWEST_ROWS = 500
 # Nearer points lie off their cones where the vehicle moves: 0.05 m are 0.4 degree at 8 m.
 _FROM_M = 8.0
@@ -47,7 +47,8 @@ _SAME_BEAM = 0.25
 # Copies of rows this far away in the file are no echoes of one firing (WADS: 128 rows); a share is looked at.
 _ECHO_ROWS = 1000
 _HASH = np.uint32(0x9E3779B1)
-_KEPT_BITS = np.uint32(28)  # one row in 16
+_KEPT = 64  # one row in so many
+_KEPT_BITS = np.uint32(26)
 _MOST_COPIES = 0.3
 # A sector without any point that is wider is outside the view; nothing is appended there.
 _WIDE_GAP_DEG = 10
@@ -142,11 +143,11 @@ def _check_ring_column(cloud: Tensor, sensor: Lidar) -> None:
 
 
 def _refuse_copies(xyz: Numbers) -> None:
-    """Raise where many rows repeat others elsewhere in the file; one value in 16 is looked at."""
+    """Raise where many rows repeat others elsewhere in the file; one value in 64 is looked at."""
     bits = np.ascontiguousarray(xyz[:, 0], dtype=np.float32).view(np.uint32)
     place = np.flatnonzero(bits * _HASH >> _KEPT_BITS == 0)
     place = place[(xyz[place] != 0).any(1)]
-    if len(place) < _FEWEST_ROWS // 16:
+    if len(place) < _FEWEST_ROWS // _KEPT:
         return
     order = np.lexsort((place, *xyz[place].T))
     place = place[order]
