@@ -20,7 +20,7 @@ _FEWEST_ROWS = 500
 # Tilt, degrees, place beside the origin and motion a turn, metres, by regression of the distances from the cones: KITTI
 # 0.000 degree, 0.00 and 0.00 m; nuScenes 0.02 degree, 0.04 and 0.39 m; Seeing Through Fog 0.00, 0.02 and 0.04.
 _TILT_DEG, _BESIDE_M, _MOVES_M = 0.15, 0.3, 0.1
-_ROWS, _ROUNDS, _FROM_M = 6_000, 3, 4.0
+_ROWS, _ROUNDS, _FROM_M = 4_000, 3, 4.0
 # The points must come nearer to their cones by this factor, and lie off them by more than a sensor's own noise.
 _LEAST_GAIN, _LEAST_RAD = 1.3, np.radians(0.01)
 # The turn begins where the azimuth wraps, in one of the two ways.
