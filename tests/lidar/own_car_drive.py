@@ -46,12 +46,13 @@ def mirror() -> Mask:
     return found
 
 
-def sweep(place: float, *, person: bool = False, seed: int | None = None) -> tuple[Tensor, Mask]:
+def sweep(place: float, *, person: bool = False, car: bool = True, seed: int | None = None) -> tuple[Tensor, Mask]:
     """A sweep at a place of the drive, ring after ring: ``(N, 4)`` float32, and which beams returned ``(R * C,)``.
 
     Args:
         place: along the drive; sweeps at one place show the same walls.
         person: stands 2 m in front of the car.
+        car: whether the sensor stands on it.
         seed: of the noise.
     """
     rng = np.random.default_rng(int(1000 * place) if seed is None else seed)
@@ -64,8 +65,8 @@ def sweep(place: float, *, person: bool = False, seed: int | None = None) -> tup
     if person:
         seen = (azimuth_deg > PERSON[0]) & (azimuth_deg < PERSON[1])
         way = np.where(seen, np.minimum(way, PERSON_M / np.cos(elevation)), way)
-    way = np.where(mirror(), MIRROR_M, way) + 0.01 * rng.standard_normal(len(ring))
+    way = np.where(mirror() & car, MIRROR_M, way) + 0.01 * rng.standard_normal(len(ring))
     beam = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1)
-    returned = ~hidden() & (rng.random(len(ring)) > 0.03)
+    returned = ~(hidden() & car) & (rng.random(len(ring)) > 0.03)
     points = np.column_stack([beam * way[:, None], np.full(len(ring), 0.3)])[returned]
     return torch.from_numpy(points.astype(np.float32)), returned

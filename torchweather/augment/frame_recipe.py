@@ -6,11 +6,12 @@ import hashlib
 import tempfile
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from torchweather.errors import TorchweatherError
+from torchweather.lidar import OwnVehicleMask
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import Compose
 from torchweather.transforms.plans import Plan, plan_of
@@ -30,12 +31,16 @@ class SensorUse:
         camera: of the image; ``None`` for other kinds.
         rgb: whether it is a colour image.
         depth: whether a depth map comes with it.
+        drive: that a cloud belongs to, where there is a mask of it.
+        own_vehicle: that mask.
     """
 
     kind: str
     camera: Camera | None = None
     rgb: bool = False
     depth: bool = False
+    drive: str = ""
+    own_vehicle: OwnVehicleMask | None = field(default=None, repr=False, compare=False)
 
 
 class FrameRecipe:
@@ -96,6 +101,8 @@ class FrameRecipe:
             plan = self.plan(use.kind)
             if use.camera is not None:
                 plan = replace(plan, sensor=use.camera, rgb=use.rgb, through_mosaic=plan.through_mosaic and use.rgb)
+            if use.own_vehicle is not None:
+                plan = replace(plan, options={**plan.options, "own_vehicle": use.own_vehicle})
             transforms[key] = plan.build(some)
         return Compose(
             transforms,

@@ -8,7 +8,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -20,6 +20,7 @@ from torchweather.augment.local import LocalEngine
 from torchweather.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row
 from torchweather.augment.manifest import NAME as MANIFEST
 from torchweather.augment.nuscenes import write_points_left
+from torchweather.augment.own_vehicle import drive_masks, masks_from_text, masks_to_text
 from torchweather.augment.paths import check_folders, inside
 from torchweather.augment.work import ATTEMPTS, FULL, Job, file_sha256, no_room
 from torchweather.errors import check_at_least, check_one_of
@@ -33,7 +34,7 @@ ENGINES = ("local", "ray")
 UNFINISHED = re.compile(r"^\..*\.[0-9a-f]{32}(\.[^.]*)?$")
 # What must be the same for a run to go on where another ended, and its option on the command line.
 SAME = {"recipe_sha256": "--recipe", "seed": "--seed", "layout": "--layout", "depth": "--depth"}
-SAME |= {"depth_encoding": "--depth-encoding", "formats": "--format"}
+SAME |= {"depth_encoding": "--depth-encoding", "formats": "--format", "own_vehicle": "--own-vehicle"}
 
 
 class Engine(Protocol):
@@ -100,6 +101,7 @@ def augment(
     depth: str | None = None,
     depth_encoding: str | None = None,
     formats: Mapping[str, str] | None = None,
+    own_vehicle: str | None = None,
     engine: str = "local",
     restart: bool = False,
     dry_run: bool = False,
@@ -119,6 +121,9 @@ def augment(
         depth: of cameras: a file, a folder, metres, ``ground``, or ``lidar``; ``None``: what the layout has.
         depth_encoding: of integer depth maps.
         formats: of a plain folder, kind of sensor to the ending of the results.
+        own_vehicle: ``drive``: a mask of the vehicle over at most 50 sweeps of each drive (a folder, or a log of
+            nuScenes); a file of such a mask; ``none``. ``None`` is ``drive`` where the recipe completes sweeps and a
+            drive has 5 or more that differ. The manifest keeps the masks, so that a run goes on with the same.
         engine: ``local`` or ``ray``.
         restart: forget what an earlier run did, and delete its files.
         dry_run: only count.
@@ -150,6 +155,7 @@ def augment(
         "layout": data.layout,
         "depth": depth or "",
         "depth_encoding": depth_encoding or "",
+        "own_vehicle": own_vehicle or "",
         "formats": json.dumps(dict(formats or {}), sort_keys=True),
         "version": torchweather.__version__,
     }
@@ -168,6 +174,12 @@ def augment(
         summary = _summary(data, target, to_do, started)
         if dry_run:
             return summary
+        if "lidar" in built.keys and to_do:
+            masks = masks_from_text(before.get("own_vehicle_masks", ""))
+            if not before:
+                masks = drive_masks(own_vehicle, data.frames, source, built.plan("lidar"))
+            settings["own_vehicle_masks"] = masks_to_text(masks)
+            job = replace(job, own_vehicle=masks)
         manifest.write_settings(settings)
         _clean(target)  # what a killed run left; its marks of tries must not count
         try:
@@ -244,7 +256,7 @@ def _check_same(before: Mapping[str, str], now: Mapping[str, str], target: Path)
     if before.get("format") != FORMAT:
         raise ValueError(f"augment: {target / MANIFEST} is of format {before.get('format')!r}; this is {FORMAT!r}.")
     for key, option in SAME.items():
-        if before.get(key) != now[key]:
+        if before.get(key, "") != now[key]:
             name = "recipe" if key == "recipe_sha256" else key
             raise ValueError(
                 f"augment: {target} was begun with {option} {before.get(name)!r}; got {now[name]!r}"

@@ -8,7 +8,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from torchweather.augment.frame_recipe import FrameRecipe, SensorUse, text_sha25
 from torchweather.augment.frames import COPY, Frame, SensorFile
 from torchweather.augment.layouts import FROM_LIDAR
 from torchweather.augment.manifest import DONE, FAILED, Row
+from torchweather.augment.own_vehicle import drive_of
 from torchweather.augment.paths import inside
 from torchweather.camera.depth import AUTO, CompletedDepth, DepthSource, SceneDepth
 from torchweather.errors import TorchweatherError, TorchweatherWarning
@@ -44,6 +45,7 @@ from torchweather.io import (
     write_radar,
 )
 from torchweather.io.depth_sources import GROUND, depth_source
+from torchweather.lidar import OwnVehicleMask
 from torchweather.random import sample_seed
 from torchweather.sensors import Camera, Radar
 from torchweather.stages import PointKind
@@ -68,6 +70,7 @@ class Job:
         depth: where a camera's depth comes from: a file, a folder, metres, ``ground`` or ``lidar``; ``None`` is the
             LiDAR where the layout has one, else what the recipe says, else ``ground``.
         depth_encoding: of integer depth maps.
+        own_vehicle: drive to the mask of its vehicle (`drive_of`).
     """
 
     source: str
@@ -76,6 +79,7 @@ class Job:
     seed: int
     depth: str | None = None
     depth_encoding: str | None = None
+    own_vehicle: Mapping[str, OwnVehicleMask] = field(default_factory=dict, repr=False)
 
 
 class Worker:
@@ -247,7 +251,8 @@ class _Clear:
             self.use = replace(self.use, depth=self.depth is not None)
         elif file.kind == "lidar":
             self.cloud = read_points(path)
-            self.use = SensorUse("lidar")
+            mask = worker.job.own_vehicle.get(drive_of(file.path))
+            self.use = SensorUse("lidar", drive="" if mask is None else drive_of(file.path), own_vehicle=mask)
         else:
             sensor = worker.recipe.plan("radar").sensor
             assert isinstance(sensor, Radar)

@@ -50,6 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ENDING",
         help="of the results of a plain folder, such as .png or .pcd; default that of the input; may be repeated",
     )
+    parser.add_argument(
+        "--own-vehicle",
+        metavar="drive|FILE|none",
+        help="the car that carries the LiDAR: drive, from at most 50 sweeps of each folder or nuScenes log (default "
+        "where the recipe completes sweeps and 5 or more differ); FILE, a mask (.npz); none: in each sweep by itself",
+    )
     parser.add_argument("--engine", choices=ENGINES, default="local", help="ray: on a Ray cluster (extra scale)")
     parser.add_argument("--restart", action="store_true", help="delete what an earlier run wrote to DST, begin again")
     parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
@@ -73,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
             depth=args.depth,
             depth_encoding=args.depth_encoding,
             formats=_formats(args.format),
+            own_vehicle=args.own_vehicle,
             engine=args.engine,
             restart=args.restart,
             dry_run=args.dry_run,

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from torchweather.commands.clouds import with_ones
 from torchweather.commands.output import note
+from torchweather.lidar.drive_sweeps import MOST_SWEEPS, evenly_chosen
 
 if TYPE_CHECKING:
     from torchweather.io import PointCloud
     from torchweather.lidar import OwnVehicleMask
     from torchweather.sensors import Lidar
 
-__all__ = ["DRIVE", "MOST_SWEEPS", "NONE", "add_own_vehicle", "evenly_chosen", "own_vehicle_of", "words_of"]
+__all__ = ["DRIVE", "NONE", "add_own_vehicle", "own_vehicle_of", "words_of"]
 
 DRIVE, NONE = "drive", "none"
-# So many sweeps, evenly over the drive, are enough: 0.1 s and 1 MB each.
-MOST_SWEEPS = 50
 RING = "ring"
 
 
@@ -34,19 +33,6 @@ def add_own_vehicle(group: argparse._ArgumentGroup | argparse.ArgumentParser) ->
         f"{MOST_SWEEPS}, evenly chosen; default with --complete-scan and 5 or more sweeps that differ); FILE, a mask "
         "(.npz); none: in each sweep by itself. Returns on it come back as they are",
     )
-
-
-def evenly_chosen(files: Sequence[Path], most: int = MOST_SWEEPS) -> list[Path]:
-    """At most so many of the files, evenly by name; the same in whatever order they come.
-
-    Example:
-        >>> [path.name for path in evenly_chosen([Path("c"), Path("a"), Path("b"), Path("a")], 2)]
-        ['a', 'c']
-    """
-    rising = sorted(set(files))
-    if len(rising) <= most:
-        return rising
-    return [rising[round(k * (len(rising) - 1) / (most - 1))] for k in range(most)]
 
 
 def own_vehicle_of(

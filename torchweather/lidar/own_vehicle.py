@@ -6,9 +6,10 @@ The vehicle is rigid and moves with the sensor. It is what stays the same while 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -154,20 +155,14 @@ class OwnVehicleMask:
     def _column(self, xyz: Numbers) -> npt.NDArray[np.intp]:
         return _columns(xyz, self.blocked.shape[1])
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path | BinaryIO) -> None:
         """Write it to a ``.npz`` file."""
-        with Path(path).open("wb") as file:
-            np.savez_compressed(
-                file,
-                blocked=self.blocked,
-                nearest_m=self.nearest_m,
-                farthest_m=self.farthest_m,
-                sweeps=self.sweeps,
-                views=self.views,
-            )
+        values = {"blocked": self.blocked, "nearest_m": self.nearest_m, "farthest_m": self.farthest_m}
+        with Path(path).open("wb") if isinstance(path, (str, Path)) else nullcontext(path) as file:
+            np.savez_compressed(file, allow_pickle=False, **values, sweeps=self.sweeps, views=self.views)
 
     @classmethod
-    def load(cls, path: str | Path) -> OwnVehicleMask:
+    def load(cls, path: str | Path | BinaryIO) -> OwnVehicleMask:
         """Read what `save` wrote.
 
         Raises:
