@@ -125,8 +125,8 @@ class Weather:
     def _ends_are_good(self) -> bool:
         """Whether anything is random; all that can be drawn has then been checked."""
         knob = getattr(self, self.knob_name)
-        if isinstance(knob, tuple):
-            if len(knob) != 2:
+        if isinstance(knob, (tuple, list)):
+            if len(knob) != 2 or isinstance(knob, list):
                 raise ValueError(
                     f"{type(self).__name__}: {self.knob_name} must be a number, a tensor, a pair (low, high) or a "
                     f"distribution such as LogUniform(1, 50); got {knob!r}."
@@ -162,6 +162,8 @@ class Weather:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Build the weather from plain values; unknown keys are refused with the nearest name."""
         known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        if "visibility_m" in values and "mor_m" in known:
+            values = {"mor_m" if key == "visibility_m" else key: value for key, value in values.items()}
         taken = {}
         for key, value in values.items():
             if key == "kind":
@@ -338,7 +340,7 @@ class Snow(_Precipitation):
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Fog(Weather):
     """Fog of a visibility.
 
@@ -351,10 +353,11 @@ class Fog(Weather):
         patch_log_std: spread of the logarithm of the droplets' number over the ground, 0 (uniform) to 2; the
             visibility is that of the mean number.
         patch_length_m: over which the density of banks changes, 5 to 10,000 m (``stages/patchy_air.py``).
+        visibility_m: another name of ``mor_m``.
 
     Example:
-        >>> Fog(mor_m=50).contrast
-        0.05
+        >>> Fog(visibility_m=50) == Fog(mor_m=50)
+        True
     """
 
     kind: ClassVar[str] = "fog"
@@ -366,6 +369,39 @@ class Fog(Weather):
     temperature_c: float = 10.0
     patch_log_std: Given = 0.0
     patch_length_m: Given = 30.0
+
+    def __init__(
+        self,
+        mor_m: Given = math.inf,
+        size_distribution: str = "default",
+        contrast: float = 0.05,
+        temperature_c: float = 10.0,
+        patch_log_std: Given = 0.0,
+        patch_length_m: Given = 30.0,
+        *,
+        visibility_m: Given | None = None,
+    ) -> None:
+        if visibility_m is not None and not (isinstance(mor_m, float) and math.isinf(mor_m)):
+            raise ValueError(
+                f"Fog: mor_m and visibility_m are one number, the visibility in metres; got mor_m={mor_m!r} and "
+                f"visibility_m={visibility_m!r}. Pass one of them."
+            )
+        values = {
+            "mor_m": mor_m if visibility_m is None else visibility_m,
+            "size_distribution": size_distribution,
+            "contrast": contrast,
+            "temperature_c": temperature_c,
+            "patch_log_std": patch_log_std,
+            "patch_length_m": patch_length_m,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    @property
+    def visibility_m(self) -> Given:
+        """The visibility, metres: ``mor_m``."""
+        return self.mor_m
 
     def __post_init__(self) -> None:
         if self._ends_are_good():
@@ -437,7 +473,7 @@ def check_drawn(weather: Weather, *, owner: object) -> None:
         for name, one in part.random.items():
             raise ValueError(
                 f"{owner_name(owner)}: {name} must be a number here; got {one!r}. Draw one weather, "
-                "weather.drawn(seed), or let Compose draw one for each sample."
+                "weather.drawn(seed); or call the transform without noise, or Compose, which draw one for each sample."
             )
 
 
@@ -479,8 +515,14 @@ class Mixture(Weather):
 
     kind: ClassVar[str] = "mixture"
 
-    def __init__(self, *weathers: Weather) -> None:
-        flat = [part for weather in weathers for part in weather.parts]
+    def __init__(self, *weathers: Weather | Sequence[Weather]) -> None:
+        given = [one for some in weathers for one in (some if isinstance(some, (list, tuple)) else (some,))]
+        for one in given:
+            if not isinstance(one, Weather):
+                raise TypeError(
+                    f"Mixture: expected weathers, such as Mixture(Rain(10), Fog(mor_m=200)); got {one!r} among them."
+                )
+        flat = [part for weather in given for part in weather.parts]
         if not flat:
             raise ValueError("Mixture: wanted at least one weather; got none.")
         kinds = [part.kind for part in flat]
@@ -530,7 +572,14 @@ class Mixture(Weather):
 
 WEATHERS: dict[str, type[Rain] | type[Fog] | type[Snow]] = {"rain": Rain, "fog": Fog, "snow": Snow}
 # Short names that the command line takes.
-ALIASES = {"rate": "rate_mm_per_h", "mor": "mor_m", "patches": "patch_log_std", "patch_length": "patch_length_m"}
+ALIASES = {
+    "rate": "rate_mm_per_h",
+    "mor": "mor_m",
+    "visibility": "mor_m",
+    "visibility_m": "mor_m",
+    "patches": "patch_log_std",
+    "patch_length": "patch_length_m",
+}
 
 
 def weather_from_dict(values: Mapping[str, Any]) -> Weather:

@@ -98,7 +98,7 @@ def test_without_any_depth_the_message_says_where_to_give_it() -> None:
     [
         (lambda: BayerRain(Fog(50.0), CAMERA), TypeError, "BayerRain: takes rain; got fog. BayerWeather takes all"),
         (lambda: BayerFog(Mixture(Fog(50.0), Rain(2.0)), CAMERA), TypeError, "BayerFog: takes fog; got rain"),
-        (lambda: BayerSnow(25.0, CAMERA), TypeError, "BayerSnow: weather must be Rain, Fog, Snow or a Mixture; got float"),  # type: ignore[arg-type]  # noqa: E501
+        (lambda: BayerSnow(25.0, CAMERA), TypeError, "BayerSnow: weather must be Rain, Fog, Snow or a Mixture, such as Rain(rate_mm_per_h=10); got 25.0"),  # type: ignore[arg-type]  # noqa: E501
         (lambda: BayerRain(Rain(5.0), "lucid-triton"), TypeError, "camera must be a Camera, such as Camera.preset('lucid-triton')"),  # type: ignore[arg-type]  # noqa: E501
         (lambda: BayerFog(Fog(50.0), CAMERA, extinction="mee"), ValueError, "extinction must be one of mie, koschmieder; got 'mee'"),  # noqa: E501
         (lambda: BayerFog(Fog(50.0), CAMERA, variant="d34"), ValueError, "variant must be one of d3_4; got 'd34'"),

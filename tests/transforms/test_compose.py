@@ -388,6 +388,8 @@ def test_a_chain_that_was_changed_by_hand_is_refused() -> None:
     refused("cannot be built anew", lambda: tw.Compose({"points": lidar}))
 
 
-def test_a_transform_alone_refuses_a_weather_that_has_yet_to_be_drawn() -> None:
+def test_noise_alone_does_not_say_which_weather_was_drawn() -> None:
     lidar = tw.LidarRain(tw.Rain(rate_mm_per_h=(1, 50)), LIDAR)
-    refused(r"rate_mm_per_h must be a number here; got Uniform.*Compose", lambda: lidar(sample()["points"]))
+    points = sample()["points"]
+    noise = lidar.draw(points, seed=1)
+    refused(r"rate_mm_per_h must be a number here; got Uniform.*without noise", lambda: lidar(points, noise))

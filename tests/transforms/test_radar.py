@@ -353,7 +353,7 @@ def test_further_columns_may_hold_anything() -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"weather": 25.0}, TypeError, "weather must be Rain, Fog, Snow or a Mixture; got float"),
+        ({"weather": 25.0}, TypeError, r"weather must be Rain, Fog, Snow or a Mixture, .*; got 25.0"),
         (
             {"sensor": Lidar(wavelength_nm=905.0)},
             TypeError,

@@ -103,6 +103,12 @@ def to_onnx(
         ['bayer', 'depth', 'fx', 'fy', 'cx', 'cy', 'mor_m']
     """
     target = Path(path)
+    share = getattr(getattr(transform, "transform", transform), "p", 1.0)
+    if share != 1.0:
+        raise ValueError(
+            f"to_onnx: a graph draws nothing and always has weather; got a transform with p={share:g}. Export one with "
+            "p=1 and feed a rate of 0, or a visibility of infinity, to the samples that stay clear."
+        )
     if not target.parent.is_dir():
         _check(transform, height, width)
         raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")

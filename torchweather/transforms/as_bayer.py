@@ -107,7 +107,13 @@ class AsBayer(nn.Module):
     # ---- calls -------------------------------------------------------------------------------------------------
 
     def forward(
-        self, rgb: Tensor, depth: Tensor | SceneDepth | None = None, noise: Mapping[str, Tensor] | None = None
+        self,
+        rgb: Tensor,
+        depth: Tensor | SceneDepth | None = None,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> Tensor:
         """The image in this weather.
 
@@ -116,10 +122,16 @@ class AsBayer(nn.Module):
             depth: ``(..., 1, H, W)`` metres along the optical axis, infinity is sky; or a ``SceneDepth``; ``None``
                 takes the transform's source.
             noise: what ``draw`` gave; ``None`` draws.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
 
         Returns:
             ``(..., 3, H, W)`` in the dtype of ``rgb``. The inputs are not changed.
         """
+        if self.transform.must_draw(noise, seed, generator):
+            inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
+            chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
+            return chosen.forward(rgb, depth, chosen.draw(rgb, seed=seeds))
         if self.through_mosaic:
             before, inner, scene = self._raw(rgb, depth)
             return image_of_mosaic(before, inner(before, scene, noise), rgb, inner.camera, self.method)
@@ -138,9 +150,19 @@ class AsBayer(nn.Module):
         return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
 
     def run(
-        self, rgb: Tensor, depth: Tensor | SceneDepth | None = None, noise: Mapping[str, Tensor] | None = None
+        self,
+        rgb: Tensor,
+        depth: Tensor | SceneDepth | None = None,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> RgbResult:
         """The image, and with it transmission, airlight, particle mask and how sure the depth is."""
+        if self.transform.must_draw(noise, seed, generator):
+            inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
+            chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
+            return chosen.run(rgb, depth, chosen.draw(rgb, seed=seeds))
         batch, (height, width) = rgb.shape[:-3], rgb.shape[-2:]
         if self.through_mosaic:
             before, inner, scene = self._raw(rgb, depth)

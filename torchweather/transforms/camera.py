@@ -84,6 +84,7 @@ class BayerWeather(WeatherTransform):
         rate_capacity_mm_per_h: highest rate that one draw serves.
         variant: ``d3_4`` computes what the deliverable published (``PHYSICS.md`` 8) where that differs.
         effects: of ``stages.EFFECTS`` for cameras, or their dictionaries; each goes to its place in the chain.
+        p: probability that a sample gets the weather; the others come back as they are.
 
     Note:
         Single scattering; day and sky light only. Fog of a visibility below 20 m also blurs a real image.
@@ -117,11 +118,13 @@ class BayerWeather(WeatherTransform):
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
+        p: float = 1.0,
     ) -> None:
         arguments = locals()
         super().__init__()
         self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
         self._check_weather(weather)
+        self._check_p(p)
         self._check_sensor(camera, Camera, "lucid-triton")
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
@@ -184,6 +187,8 @@ class BayerWeather(WeatherTransform):
         *,
         normal: Tensor | None = None,
         out: Tensor | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> Tensor:
         """The frame in this weather.
 
@@ -195,10 +200,15 @@ class BayerWeather(WeatherTransform):
             normal: ``(..., 3, H, W)`` unit normals of the surfaces in the vehicle's frame (x forward, y left, z up), 0
                 where there is none; for ``camera.wet_surface``.
             out: a float32 tensor of the frame's shape to write to, for fog alone; it gets linear light.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
 
         Returns:
             ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
         """
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
+            return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal, out=out)
         state = self._state(bayer, depth, normal)
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
         if out is not None:
@@ -213,8 +223,13 @@ class BayerWeather(WeatherTransform):
         noise: Mapping[str, Tensor] | None = None,
         *,
         normal: Tensor | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> CameraResult:
         """The frame, and with it transmission, airlight and particle mask; arguments as ``forward``."""
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
+            return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal)
         scene = self.scene_of(bayer, depth)
         state = self._state(bayer, scene, normal, keep_truth=True)
         after = self.weathered(state, noise)

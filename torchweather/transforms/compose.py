@@ -112,7 +112,7 @@ class Compose(nn.Module):
     def __init__(
         self,
         transforms: Mapping[str, nn.Module],
-        *,
+        *more: object,
         weather: Weather | Choice | Sequence[Weather | None] | None = None,
         p: float = 1.0,
         depth: str = "depth",
@@ -123,6 +123,8 @@ class Compose(nn.Module):
         mosaic_clear: bool = False,
     ) -> None:
         super().__init__()
+        if more or not isinstance(transforms, Mapping):
+            raise TypeError(_no_mapping(transforms, more))
         check_between("p", p, 0.0, 1.0, owner=self)
         if (seed is not None) and sample_key is None:
             raise ValueError(
@@ -404,6 +406,18 @@ class Compose(nn.Module):
                     )
 
 
+def _no_mapping(given: Any, more: Sequence[object]) -> str:
+    """The sentence for transforms that stand in a row, as those of other libraries do."""
+    several = [*(given if isinstance(given, (list, tuple)) else [given]), *more]
+    names = ", ".join(type(one).__name__ for one in several) or "none"
+    return (
+        "Compose: expected a dictionary from the keys of your samples to transforms, one weather on all of them, such "
+        f"as Compose({{'image': ..., 'points': ...}}, weather=Rain(25)); got {names}. Several weathers at once are one "
+        "transform with Mixture(Rain(10), Fog(mor_m=200)); one of several, drawn for each sample, is "
+        "Compose({...}, weather=[Rain(10), Fog(mor_m=200)])."
+    )
+
+
 def _plan(key: str, transform: Any) -> Plan:
     if isinstance(transform, (list, tuple)):
         raise ValueError(
@@ -416,9 +430,15 @@ def _plan(key: str, transform: Any) -> Plan:
             "weather=Mixture(...)."
         )
     try:
-        return plan_of(transform)
+        plan = plan_of(transform)
     except TypeError as error:
         raise TypeError(f"Compose: {key!r}: {error}") from error
+    if plan.options.get("p", 1.0) != 1.0:
+        raise ValueError(
+            f"Compose: {key!r} has p={plan.options['p']:g} of its own, and all sensors of a sample see one weather. "
+            "Give p to Compose."
+        )
+    return plan
 
 
 def _arguments(plan: Plan) -> list[str]:

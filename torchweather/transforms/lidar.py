@@ -124,6 +124,7 @@ class LidarWeather(WeatherTransform):
         variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
             ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
         effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
+        p: probability that a sample gets the weather; the others come back as they are.
 
     Note:
         Single scattering. The beam is uniform inside its cone. Rows without return are simulated only where their
@@ -157,11 +158,13 @@ class LidarWeather(WeatherTransform):
         own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None,
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
+        p: float = 1.0,
     ) -> None:
         arguments = locals()
         super().__init__()
         self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
         self._check_weather(weather)
+        self._check_p(p)
         self._check_sensor(sensor, Lidar, "ouster-os1-128")
         self._check_variant(weather, variant)
         check_one_of("lost", lost, LOST_AS, owner=self)
@@ -248,6 +251,8 @@ class LidarWeather(WeatherTransform):
         *,
         directions: Tensor | None = None,
         reach_m: Tensor | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> Cloud:
         """The cloud in the weather.
 
@@ -257,11 +262,16 @@ class LidarWeather(WeatherTransform):
             directions: ``(N, 3)`` or ``(..., N, 3)`` direction of every row, for beams without return.
             reach_m: ``(..., N)`` way of every beam without return to its end, metres; ``None``: as ``beam_ends`` says.
                 Rows with a return do not look at it.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
 
         Returns:
             The input's shape, columns and dtype; rows more with ``complete_scan``; a shorter cloud (a list of them for
             a batch) with ``lost="drop"``.
         """
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, state = self._begin(points, directions, reach_m)
         state = _own_vehicle_restored(self._through(state, noise, beams.first_row), beams)
         assert state.points is not None
@@ -274,8 +284,13 @@ class LidarWeather(WeatherTransform):
         *,
         directions: Tensor | None = None,
         reach_m: Tensor | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> LidarResult:
         """The cloud, and what happened to each of its points; arguments as ``forward``."""
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, before = self._begin(points, directions, reach_m)
         state = _own_vehicle_restored(self._through(before, noise, beams.first_row), beams)
         assert state.points is not None

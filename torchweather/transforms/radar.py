@@ -89,6 +89,7 @@ class RadarAttenuation(WeatherTransform):
         lost: lost detections become ``zero`` (x, y, z of 0; the rest stays), ``nan``, or are left out (``drop``).
         variant: ``d3_4``: all three models as the deliverable published them.
         effects: of ``stages.EFFECTS`` for radar, or their dictionaries; each goes to its place in the chain.
+        p: probability that a sample gets the weather; the others come back as they are.
 
     Note:
         Rows at the origin are no detections and stay as they are. The radar cross section column stays: it is the
@@ -123,11 +124,13 @@ class RadarAttenuation(WeatherTransform):
         lost: str = "zero",
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
+        p: float = 1.0,
     ) -> None:
         arguments = locals()
         super().__init__()
         self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
         self._check_weather(weather)
+        self._check_p(p)
         self._check_sensor(sensor, Radar, "imaging-77ghz")
         check_one_of("lost", lost, LOST_AS, owner=self)
         if variant is not None:
@@ -178,13 +181,23 @@ class RadarAttenuation(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
-    def forward(self, points: Tensor, noise: Mapping[str, Tensor] | None = None, **known: Tensor) -> List:
+    def forward(
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+        **known: Tensor,
+    ) -> List:
         """The detections in the weather.
 
         Args:
             points: ``(..., N, 6 or more)``: x, y, z (m), radial speed (m/s), power (dB), radar cross section (dBsm),
                 further columns.
             noise: what ``draw`` gave; ``None`` draws anew.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
             known: what some effects need: ``target_class`` ``(N,)`` or ``(..., N)``, ``frame_number`` ``()`` or
                 ``(...)``, ``past_rain_mm_per_h`` and ``past_rain_min`` ``(T,)`` or ``(..., T)``.
 
@@ -192,12 +205,26 @@ class RadarAttenuation(WeatherTransform):
             The input's shape, columns and dtype; rows more with ``clutter`` and with effects that list more; a shorter
             list (of lists for a batch) with ``lost="drop"``.
         """
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         state = self._through(self.state_of(points, **known), noise)
         assert state.points is not None
         return self._outgoing(self._marked(state.points, state, points), state, points)
 
-    def run(self, points: Tensor, noise: Mapping[str, Tensor] | None = None, **known: Tensor) -> RadarResult:
+    def run(
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+        **known: Tensor,
+    ) -> RadarResult:
         """The detections, and what happened to each of them; arguments as ``forward``."""
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         before = self.state_of(points, **known)
         state = self._through(before, noise)
         assert state.points is not None

@@ -69,6 +69,7 @@ class RadarMapWeather(WeatherTransform):
         clutter_share: factor on their reflectivity.
         ego_speed_m_per_s: of the vehicle, forward; for the clutter's Doppler.
         effects: ``radar.wet_radome``, ``radar.path_loss_scale``, ``radar.noise_floor``, or their dictionaries.
+        p: probability that a sample gets the weather; the others come back as they are.
 
     Note:
         Without weather the input's own bits come out. A cell that was cut off at the top of its scale loses from there.
@@ -111,6 +112,7 @@ class RadarMapWeather(WeatherTransform):
         clutter_share: float = 1.0,
         ego_speed_m_per_s: float = 0.0,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
+        p: float = 1.0,
     ) -> None:
         super().__init__()
         self.given = {
@@ -129,8 +131,10 @@ class RadarMapWeather(WeatherTransform):
             "clutter_share": clutter_share,
             "ego_speed_m_per_s": ego_speed_m_per_s,
             "effects": effects,
+            "p": p,
         }
         self._check_weather(weather)
+        self._check_p(p)
         self._check_sensor(sensor, Radar, "imaging-77ghz")
         for name, value, wanted in (("axes", axes, MapAxes), ("scale", scale, PowerScale)):
             if not isinstance(value, wanted):
@@ -170,22 +174,44 @@ class RadarMapWeather(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
-    def forward(self, values: Tensor, noise: Mapping[str, Tensor] | None = None) -> Tensor:
+    def forward(
+        self,
+        values: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
         """The map in the weather.
 
         Args:
             values: ``(..., *S)``, S as the sizes of the axes, in numbers of the scale.
             noise: what ``draw`` gave; ``None`` draws anew.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
 
         Returns:
             The same shape and dtype.
         """
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
+            return chosen.forward(values, chosen.draw(values, seed=seeds))
         state = self._through(values, noise)
         assert state.map_out is not None
         return state.map_out.reshape(values.shape)
 
-    def run(self, values: Tensor, noise: Mapping[str, Tensor] | None = None) -> RadarMapResult:
+    def run(
+        self,
+        values: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+    ) -> RadarMapResult:
         """The map, and what happened to it; arguments as ``forward``."""
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
+            return chosen.run(values, chosen.draw(values, seed=seeds))
         state = self._through(values, noise)
         assert state.map_out is not None
         assert state.map_in is not None

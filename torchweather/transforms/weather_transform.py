@@ -6,15 +6,17 @@ import inspect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 
-from torchweather.random import flat_noise
+from torchweather.errors import check_between
+from torchweather.random import flat_noise, sample_seeds
 from torchweather.sensors import Sensor
 from torchweather.stages import Chain
 from torchweather.stages.stage import State
+from torchweather.transforms.at_call import weather_at_call
 from torchweather.weather import Weather
 
 __all__ = ["Sizes", "WeatherTransform", "class_for", "options_of"]
@@ -51,6 +53,9 @@ class WeatherTransform(nn.Module):
     chain: Chain
     given: dict[str, Any]
     """Keyword arguments of the constructor, with which it can be built for another weather."""
+    p: float = 1.0
+    """Probability that a sample gets the weather."""
+    _unchanged: bool = False
 
     def with_weather(self, weather: Weather) -> WeatherTransform:
         """The same transform for another weather; tables that both need are shared.
@@ -69,6 +74,52 @@ class WeatherTransform(nn.Module):
         """
         self.refuse_changes()
         return self._built_for(weather)
+
+    @property
+    def is_random(self) -> bool:
+        """True where a call draws a weather for each sample: a rate is a range, or ``p`` is below 1."""
+        return self.p < 1.0 or bool(self.weather.random)
+
+    def at_call(
+        self, batch: Sequence[int], seed: int | Tensor | None, generator: torch.Generator | None
+    ) -> tuple[Self, Tensor]:
+        """The transform with the weather of one call, and the integer of each sample.
+
+        Args:
+            batch: shape of the batch.
+            seed: the integers: a tensor of the batch shape, or one integer s for s, s + 1, ...
+            generator: gives one integer a sample; ``None`` is torch's global generator.
+        """
+        flat = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
+        seeds = sample_seeds(tuple(batch), generator, flat)
+        chosen = self
+        if self.is_random:
+            if not self._unchanged:
+                self.refuse_changes()
+                self._unchanged = True
+            weather = weather_at_call(self.weather, self.p, batch, seeds, self)
+            kind: Any = type(self)
+            chosen = kind(weather, self.own_sensor(), **{**self.given, "p": 1.0})
+            some = next(self.buffers(), None)
+            chosen = chosen if some is None else chosen.to(some.device)
+        return chosen, torch.tensor(seeds, dtype=torch.int64).reshape(tuple(batch))
+
+    def must_draw(
+        self, noise: Mapping[str, Tensor] | None, seed: int | Tensor | None, generator: torch.Generator | None
+    ) -> bool:
+        """Whether a call must draw by `at_call` first."""
+        if noise is None:
+            return seed is not None or generator is not None or self.is_random
+        if seed is not None or generator is not None:
+            raise ValueError(
+                f"{type(self).__name__}: noise is drawn already; seed and generator are for a call that draws it. "
+                "Pass noise, or one of the others."
+            )
+        return False
+
+    def _check_p(self, p: float) -> None:
+        check_between("p", p, 0.0, 1.0, owner=self)
+        self.p = float(p)
 
     def own_sensor(self) -> Sensor:
         """The sensor that the transform was built for."""
@@ -95,7 +146,10 @@ class WeatherTransform(nn.Module):
     def _check_weather(self, weather: Weather) -> None:
         name = type(self).__name__
         if not isinstance(weather, Weather):
-            raise TypeError(f"{name}: weather must be Rain, Fog, Snow or a Mixture; got {type(weather).__name__}.")
+            raise TypeError(
+                f"{name}: weather must be Rain, Fog, Snow or a Mixture, such as Rain(rate_mm_per_h=10); "
+                f"got {weather!r}."
+            )
         wrong = [part.kind for part in weather.parts if part.kind not in self.takes]
         if wrong:
             raise TypeError(
