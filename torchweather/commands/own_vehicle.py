@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from torchweather.commands.clouds import with_ones
 from torchweather.commands.output import note
-from torchweather.lidar.drive_sweeps import MOST_SWEEPS, evenly_chosen
 
 if TYPE_CHECKING:
     from torchweather.io import PointCloud
@@ -29,9 +28,9 @@ def add_own_vehicle(group: argparse._ArgumentGroup | argparse.ArgumentParser) ->
     group.add_argument(
         "--own-vehicle",
         metavar="drive|FILE|none",
-        help="the car that carries the sensor: drive, from the sweeps given, all of one car (at most "
-        f"{MOST_SWEEPS}, evenly chosen; default with --complete-scan and 5 or more sweeps that differ); FILE, a mask "
-        "(.npz); none: in each sweep by itself. Returns on it come back as they are",
+        help="the car that carries the sensor: drive, from the sweeps given, all of one car (at most 50, evenly "
+        "chosen; default with --complete-scan and 5 or more that differ); FILE, a mask (.npz); none: in each sweep by "
+        "itself. Returns on it come back as they are",
     )
 
 
@@ -50,6 +49,7 @@ def own_vehicle_of(
         ValueError: too few sweeps for the drive that was asked for, or a file without a mask.
     """
     from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
+    from torchweather.lidar.drive_sweeps import evenly_chosen
     from torchweather.lidar.own_vehicle import FEWEST_VIEWS
 
     chosen = args.own_vehicle
