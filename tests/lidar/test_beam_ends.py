@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_opening
 from street_sweep import CAR, COLUMNS, MAX_RANGE_M, SENSOR_M, street
 
 from torchweather.lidar.beam_ends import BeamEnd, beam_ends
 from torchweather.lidar.ground import fit_ground
-from torchweather.lidar.sweep_raster import SweepRaster
+from torchweather.lidar.sweep_raster import SweepRaster, _long_runs
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.03, -0.03])
@@ -129,3 +130,9 @@ def test_regions_are_wide_connected_and_whole_across_the_seam() -> None:
     none = raster.regions(width_deg=3.0, below=all_of_them, reaching=~all_of_them, except_=~all_of_them)
     assert not none.any()
     assert not raster.regions(width_deg=20.0, below=all_of_them, reaching=all_of_them, except_=~all_of_them).any()
+
+
+@pytest.mark.parametrize("width", [1, 2, 5])
+def test_long_runs_are_a_morphological_opening(width: int) -> None:
+    mask = np.random.default_rng(4).random((6, 90)) < 0.7
+    assert np.array_equal(_long_runs(mask, width), binary_opening(mask, np.ones((1, width), bool)))

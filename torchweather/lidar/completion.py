@@ -94,12 +94,13 @@ def complete_scan(
     if sensor.origin_heights_m is not None and row_height_m is not None:
         heights = cloud.new_tensor(sensor.origin_heights_m)[found_ring]
     columns = sensor.columns or 1
-    returns = cloud[there, :3].cpu().numpy()
+    every = bool(there.all())
+    returns = (cloud[:, :3] if every else cloud[there, :3]).cpu().numpy()
     ends = beam_ends(
         returns,
         direction.cpu().numpy(),
         sensor.max_range_m,
-        ring=ring[there].cpu().numpy(),
+        ring=(ring if every else ring[there]).cpu().numpy(),
         direction_ring=found_ring.cpu().numpy(),
         origin_height_m=0.0 if heights is None else heights.cpu().numpy(),
         step_deg=TURN_DEG / columns,

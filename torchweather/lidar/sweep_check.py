@@ -235,7 +235,7 @@ def _covered_deg(xyz: Numbers) -> int:
     """Azimuth of the sweep, degrees, less sectors without any point."""
     there = (xyz[:, :2] != 0).any(1)
     size = round(_TURN_DEG)
-    azimuth = np.degrees(np.arctan2(xyz[there, 1], xyz[there, 0])) % _TURN_DEG
+    azimuth = np.degrees(np.arctan2(xyz[there, 1], xyz[there, 0])) + _TURN_DEG
     place = np.flatnonzero(np.bincount(azimuth.astype(np.intp) % size, minlength=size))
     if not len(place):
         return 0

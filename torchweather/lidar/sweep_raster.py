@@ -142,7 +142,7 @@ class SweepRaster:
         Returns:
             ``(M,)``.
         """
-        from scipy.ndimage import binary_opening, label
+        from scipy.ndimage import label
 
         empty = np.zeros(self.range_m.shape, bool)
         empty[self.row[below], self.column[below]] = True
@@ -152,7 +152,7 @@ class SweepRaster:
         width = max(2, round(width_deg / self.step_deg))
         # Around the turn once and a half, so that a region at the seam is whole.
         half = self.columns // 2
-        seed = binary_opening(np.concatenate([seed, seed[:, :half]], 1), np.ones((1, width), bool))
+        seed = _long_runs(np.concatenate([seed, seed[:, :half]], 1), width)
         seed[:, :half] |= seed[:, self.columns :]
         wanted = np.zeros(empty.shape, bool)
         wanted[self.row[reaching & below], self.column[reaching & below]] = True
@@ -164,6 +164,20 @@ class SweepRaster:
         region[:, :half] |= region[:, self.columns :]
         found: Mask = region[:, : self.columns][self.row, self.column]
         return found
+
+
+def _long_runs(mask: Mask, width: int) -> Mask:
+    """Cells ``(rows, columns)`` in runs along the row of at least ``width`` columns."""
+    edge = np.zeros((len(mask), 1), bool)
+    padded = np.concatenate([edge, mask, edge], 1)
+    # Starts and ends of all runs, row after row: a run lies in one row, as every row ends with an empty cell.
+    change = np.flatnonzero(padded.ravel()[1:] != padded.ravel()[:-1]) + 1
+    start, end = change[::2], change[1::2]
+    long = end - start >= width
+    step = np.zeros(padded.size + 1, np.int8)
+    step[start[long]], step[end[long]] = 1, -1
+    runs: Mask = np.cumsum(step[:-1], dtype=np.int8).reshape(padded.shape)[:, 1:-1] > 0
+    return runs
 
 
 def _rows_of_rings(
