@@ -10,4 +10,4 @@ from torchweather.report.page import html_page
 
 def test_a_missing_value_is_an_error() -> None:
     with pytest.raises(jinja2.UndefinedError):
-        html_page("demo.html")
+        html_page("study_findings.html")
