@@ -1,0 +1,35 @@
+"""An error of the package itself is shown with its traceback; a user's mistake is one line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from torchweather.cli import main
+from torchweather.commands import listing
+from torchweather.errors import TorchweatherError
+
+
+def failing(error: Exception) -> Any:
+    def run(args: object) -> int:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), AssertionError("a bug"), AttributeError("a bug")])
+def test_a_bug_is_no_mistake_of_the_user(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listing, "run", failing(error))
+    with pytest.raises(type(error), match="a bug"):
+        main(["list"])
+
+
+def test_a_mistake_is_one_line_and_a_traceback_on_demand(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(listing, "run", failing(TorchweatherError("x.npy: no cloud")))
+    assert main(["list"]) == 2
+    assert capsys.readouterr().err == "torchweather: error: x.npy: no cloud\n"
+    with pytest.raises(TorchweatherError):
+        main(["list", "--debug"])
