@@ -1,0 +1,51 @@
+"""Breaks of the augmentation of data sets."""
+
+from __future__ import annotations
+
+from tests.mutants.mutant import Mutant
+
+PATHS = "torchweather.augment.paths"
+MANIFEST = "torchweather.augment.manifest"
+
+MUTANTS = (
+    Mutant(
+        "path_outside_the_folder_read",
+        "a manifest leads to no file outside its folder",
+        PATHS,
+        'if not relative or pure.is_absolute() or ".." in pure.parts or "\\\\" in relative:',
+        "if not relative:",
+        ("tests/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
+    ),
+    Mutant(
+        "links_out_of_the_folder_followed",
+        "a link out of the data set is refused",
+        PATHS,
+        'inside(root, relative, f"{path}: a link")',
+        "pass",
+        ("tests/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
+    ),
+    Mutant(
+        "truncated_output_counts_as_done",
+        "a run resumes only over outputs of the recorded size",
+        MANIFEST,
+        "if not path.is_file() or path.stat().st_size != size:",
+        "if not path.is_file():",
+        ("tests/augment/test_augment.py::test_what_is_done_is_not_done_again",),
+    ),
+    Mutant(
+        "two_runs_in_one_folder",
+        "a folder is locked by its run",
+        MANIFEST,
+        "fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)",
+        "fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)",
+        ("tests/augment/test_augment.py::test_a_manifest_that_is_none_and_a_folder_in_use_are_refused",),
+    ),
+    Mutant(
+        "two_outputs_of_one_name",
+        "two files of a data set are never written to one",
+        "torchweather.augment.layouts",
+        "if twice:",
+        "if False:",
+        ("tests/augment/test_layouts.py::test_two_files_are_never_written_to_one",),
+    ),
+)

@@ -1,0 +1,183 @@
+"""Breaks of what all sensors share: random streams, chains, recipes, data sets."""
+
+from __future__ import annotations
+
+from tests.mutants.mutant import Mutant
+
+RANDOM = "torchweather.random"
+DISTRIBUTIONS = "torchweather.distributions"
+CHAIN = "torchweather.stages.chain"
+RGB_PLANES = "torchweather.transforms.rgb_planes"
+WEATHER_DATASET = "torchweather.transforms.weather_dataset"
+WEATHER = "torchweather.weather"
+
+MUTANTS = (
+    Mutant(
+        "all_samples_share_one_stream",
+        "each sample of a batch has its own random stream",
+        RANDOM,
+        "return [int(seed) + row for row in range(number)]",
+        "return [int(seed) for row in range(number)]",
+        ("tests/test_random.py::test_seeds_come_as_integers_in_row_major_order",),
+    ),
+    Mutant(
+        "stage_name_not_in_the_stream",
+        "each stage and variate has its own random stream",
+        RANDOM,
+        "digest = hashlib.blake2b(stream.encode(), digest_size=8).digest()",
+        'digest = hashlib.blake2b(b"", digest_size=8).digest()',
+        ("tests/test_random.py::test_another_seed_stage_or_variate_gives_unrelated_numbers",),
+    ),
+    Mutant(
+        "epoch_not_in_the_seed",
+        "another epoch draws other weather",
+        RANDOM,
+        "{int(seed)}/{int(epoch)}/",
+        "{int(seed)}/{0}/",
+        (("tests/transforms/test_weather_dataset.py::test_the_weather_is_another_one_for_each_sample_and_epoch"),),
+    ),
+    Mutant(
+        "log_uniform_is_uniform",
+        "a log-uniform law has its median at the geometric mean",
+        DISTRIBUTIONS,
+        "return float(self.low * (self.high / self.low) ** u)",
+        "return float(self.low + u * (self.high - self.low))",
+        ("tests/test_distributions.py::test_shares_of_the_probability_become_values",),
+    ),
+    Mutant(
+        "weights_of_a_choice_ignored",
+        "a choice follows its weights",
+        DISTRIBUTIONS,
+        "weights = self.weights or (1.0,)",
+        "weights = (1.0,)",
+        ("tests/test_distributions.py::test_shares_of_the_probability_become_values",),
+    ),
+    Mutant(
+        "chain_file_of_pickles",
+        "arrays of a chain file never hold pickles",
+        CHAIN,
+        "allow_pickle=False",
+        "allow_pickle=True",
+        ("tests/stages/test_chain.py::test_pickled_arrays_are_refused",),
+    ),
+    Mutant(
+        "chain_insert_after_is_before",
+        "a stage inserted after another comes after it",
+        CHAIN,
+        (
+            "            if known == before:\n                ordered[new_name] = stage\n            "
+            "ordered[known] = present\n            if known == after:"
+        ),
+        (
+            "            if known == after:\n                ordered[new_name] = stage\n            "
+            "ordered[known] = present\n            if known == before:"
+        ),
+        ("tests/stages/test_chain.py::test_stages_are_put_in_where_asked",),
+    ),
+    Mutant(
+        "recipe_runs_code",
+        "a recipe is data: its YAML makes no objects",
+        "torchweather.transforms.recipe_files",
+        'return yaml.safe_load(path.read_text(encoding="utf-8"))',
+        'return yaml.unsafe_load(path.read_text(encoding="utf-8"))',
+        ("tests/transforms/test_recipes.py::test_a_missing_key_and_a_file_that_is_no_yaml_are_named",),
+    ),
+    Mutant(
+        "sensor_file_runs_code",
+        "a sensor file is data: its YAML makes no objects",
+        "torchweather.sensors.base",
+        'content = yaml.safe_load(path.read_text(encoding="utf-8"))',
+        'content = yaml.unsafe_load(path.read_text(encoding="utf-8"))',
+        ("tests/test_sensors.py::test_wrong_sensor_files_name_file_and_field",),
+    ),
+    Mutant(
+        "untouched_pixels_re_encoded",
+        "pixels without weather keep their value bit by bit",
+        RGB_PLANES,
+        "return torch.where(after == before, rgb, seen.to(rgb.dtype))",
+        "return seen.to(rgb.dtype)",
+        ("tests/transforms/test_rgb_planes.py::test_no_weather_lies_in_front_of_the_own_vehicle",),
+    ),
+    Mutant(
+        "random_weather_ignores_the_picture",
+        "pictures of one seed get different weather",
+        "torchweather.transforms.random_weather",
+        "zlib.crc32(pixels.tobytes())",
+        "0",
+        (
+            (
+                "tests/transforms/test_random_weather.py::test_a_seed_of_the_transform_makes_the_weather_a_"
+                "function_of_the_picture"
+            ),
+        ),
+    ),
+    Mutant(
+        "dataset_epoch_ignored",
+        "another epoch gives a sample other weather",
+        WEATHER_DATASET,
+        "sample_seed(self.seed, int(index), int(self._epoch))",
+        "sample_seed(self.seed, int(index), 0)",
+        (("tests/transforms/test_weather_dataset.py::test_the_weather_is_another_one_for_each_sample_and_epoch"),),
+    ),
+    Mutant(
+        "dataset_index_ignored",
+        "each sample of a data set has its own seed",
+        WEATHER_DATASET,
+        "sample_seed(self.seed, int(index), int(self._epoch))",
+        "sample_seed(self.seed, 0, int(self._epoch))",
+        ("tests/transforms/test_weather_dataset.py::test_labels_follow_with_what_happened_to_the_points",),
+    ),
+    Mutant(
+        "completed_beams_kept_for_another_cloud",
+        "beams found for one cloud do not serve another",
+        "torchweather.transforms.beams",
+        "if alike and kept is not None and torch.equal(kept, points):",
+        "if alike and kept is not None:",
+        (
+            (
+                "tests/lidar/test_scan_completion.py::test_a_draw_and_its_call_find_the_beams_once_and_"
+                "changed_points_anew"
+            ),
+        ),
+    ),
+    Mutant(
+        "untouched_picture_re_encoded",
+        "a picture without weather comes back bit by bit",
+        "torchweather.transforms.through_mosaic",
+        "unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before",
+        "unlike = torch.ones_like(after, dtype=torch.bool)",
+        (("tests/transforms/test_rgb_values.py::test_a_picture_whose_mosaic_did_not_change_comes_back_bit_for_bit"),),
+    ),
+    Mutant(
+        "planes_not_linearised",
+        "sRGB is decoded before light is added",
+        RGB_PLANES,
+        "return srgb_decode(levels)[rgb.int()]",
+        "return levels[rgb.int()]",
+        ("tests/transforms/test_rgb_values.py::test_planes_are_linear_in_light",),
+    ),
+    Mutant(
+        "white_beyond_one_accepted",
+        "a float picture lies in 0 to 1",
+        RGB_PLANES,
+        "if not (low >= 0.0 and high <= 1.0):",
+        "if False:",
+        ("tests/transforms/test_rgb_values.py::test_float_pictures_outside_0_to_1_are_refused",),
+    ),
+    Mutant(
+        "mixture_draw_of_one_stream",
+        "each part of a weather is drawn from its own stream",
+        WEATHER,
+        'f"weather.{self.kind}.{name}"',
+        'f"weather.{name}"',
+        ("tests/test_weather_draws.py::test_parts_of_a_mixture_are_drawn_apart",),
+    ),
+    Mutant(
+        "densest_fog_is_the_clearest",
+        "the densest fog has the shortest visibility",
+        WEATHER,
+        '"mor_m": min',
+        '"mor_m": max',
+        ("tests/test_weather_draws.py::test_the_densest_weather_of_a_law",),
+    ),
+)

@@ -1,0 +1,116 @@
+"""Breaks of the gap search: likelihood, correction, held-out data."""
+
+from __future__ import annotations
+
+from tests.mutants.mutant import Mutant
+
+REST = "torchweather.gap.rest"
+WHOLE_FRAMES = "torchweather.gap.whole_frames"
+FORMULA = "torchweather.gap.formula"
+
+MUTANTS = (
+    Mutant(
+        "multiple_comparisons_not_corrected",
+        "the least of many p-values is multiplied by their number",
+        REST,
+        "return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0",
+        "return float(min(1.0, each.min())) if some.any() else 1.0",
+        ("tests/gap/test_rest.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
+    ),
+    Mutant(
+        "residuals_shared_by_conditions_not_scaled",
+        "a pattern common to n conditions is their sum over the root of n",
+        REST,
+        "/ np.sqrt(np.maximum(number, 1))",
+        "/ np.maximum(number, 1)",
+        ("tests/gap/test_rest.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
+    ),
+    Mutant(
+        "t_interval_taken_as_normal",
+        "few degrees of freedom widen the noise of whole frames",
+        WHOLE_FRAMES,
+        "return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)",
+        "return 1.0",
+        (("tests/gap/test_whole_frames.py::test_a_scatter_known_from_few_frames_is_widened_as_student_has_it"),),
+    ),
+    Mutant(
+        "sampling_noise_counted_as_frame_noise",
+        "noise of whole frames is what exceeds the sampling noise",
+        WHOLE_FRAMES,
+        "excess = float((even**2).sum()) - (number - 1) * variance",
+        "excess = float((even**2).sum())",
+        ("tests/gap/test_whole_frames.py::test_the_noise_of_elements_is_nothing_that_whole_frames_do",),
+    ),
+    Mutant(
+        "effects_found_not_taken_out",
+        "a further effect explains what the found ones do not",
+        "torchweather.gap.further",
+        "found: Floats = (further @ done) ** 2 / norm",
+        "found: Floats = 0.0 * (further @ done) ** 2 / norm",
+        ("tests/gap/test_further.py::test_what_nuisances_explain_counts_for_neither",),
+    ),
+    Mutant(
+        "visibility_taken_as_severity",
+        "shorter visibility is more severe",
+        "torchweather.gap.splits",
+        'return 1.0 / knob if weather.knob_name == "mor_m" else knob',
+        "return knob",
+        (("tests/gap/test_study.py::test_each_kind_of_weather_keeps_a_condition_to_fit_to_and_clear_air_is_fitted"),),
+    ),
+    Mutant(
+        "p_value_of_clear_air_can_be_zero",
+        "a permutation p-value counts the observed split",
+        "torchweather.gap.clear_air",
+        "p_value = (1 + int(",
+        "p_value = (0 + int(",
+        ("tests/gap/test_clear_air.py::test_frames_that_are_copies_do_not_differ",),
+    ),
+    Mutant(
+        "formula_without_penalty",
+        "a criterion charges each free parameter ln n",
+        FORMULA,
+        "chi2 + free * math.log(n) + 2.0 * math.log(form.choices)",
+        "chi2",
+        ("tests/gap/test_formula.py::test_noise_is_a_constant",),
+    ),
+    Mutant(
+        "formula_at_bin_centres",
+        "a formula is averaged over each bin",
+        FORMULA,
+        "share = (np.arange(POINTS) + 0.5) / POINTS",
+        "share = 0.0 * (np.arange(POINTS) + 0.5) / POINTS",
+        ("tests/gap/test_formula.py::test_bins_that_are_not_known_count_for_nothing",),
+    ),
+    Mutant(
+        "held_out_links_fitted",
+        "held-out links are not fitted to",
+        "torchweather.gap.link",
+        "splits = {FIT: ~held, HOLDOUT: held}",
+        "splits = {FIT: held, HOLDOUT: ~held}",
+        ("tests/gap/test_link.py::test_a_film_that_grows_with_the_root_of_the_rain_is_found",),
+    ),
+    Mutant(
+        "byte_order_in_the_hash",
+        "the hash of a frame does not depend on the machine's byte order",
+        "torchweather.gap.content_hash",
+        'little = array.astype(array.dtype.newbyteorder("<"), copy=False)',
+        "little = array",
+        ("tests/gap/test_content_hash.py::test_byte_order_and_layout_in_memory_do_not_change_the_hash",),
+    ),
+    Mutant(
+        "likelihood_without_variance_term",
+        "a likelihood charges wider scatter by its logarithm",
+        "torchweather.gap.search",
+        "total += 2.0 * float(np.log(wider[used]).sum())",
+        "total += 0.0 * float(np.log(wider[used]).sum())",
+        ("tests/gap/test_search_variance.py::test_twice_the_scatter_costs_two_ln_two_an_entry_that_counts",),
+    ),
+    Mutant(
+        "insensitive_statistics_by_mean_change",
+        "a statistic is insensitive where its root mean square change is small",
+        "torchweather.gap.untouched",
+        "float(np.sqrt((values**2).mean())) < TOUCHED",
+        "float(np.abs(values.mean())) < TOUCHED",
+        ("tests/gap/test_untouched.py::test_a_statistic_is_touched_as_a_whole_in_all_conditions",),
+    ),
+)

@@ -1,0 +1,230 @@
+"""Breaks of the LiDAR: way out and back, echoes, labels, intensity, frames, fits."""
+
+from __future__ import annotations
+
+from tests.mutants.mutant import Mutant
+
+LIDAR = "torchweather.stages.lidar"
+BEAM = "torchweather.stages.beam"
+INTENSITY = "torchweather.stages.intensity"
+CLOUD_FRAME = "torchweather.sensors.cloud_frame"
+NEAR_RESPONSE = "torchweather.lidar.near_response"
+SENSOR_ORIGIN = "torchweather.lidar.sensor_origin"
+
+MUTANTS = (
+    Mutant(
+        "two_way_attenuation_taken_one_way",
+        "light passes the weather out and back",
+        LIDAR,
+        "clear = torch.exp(-2.0 * extinction[:, None] * state.uniform_m)",
+        "clear = torch.exp(-1.0 * extinction[:, None] * state.uniform_m)",
+        ("tests/stages/test_lidar_stages.py::test_an_object_at_half_the_attenuation_length_keeps_one_e_th",),
+    ),
+    Mutant(
+        "signal_falls_with_range_once",
+        "the signal of a surface falls with the square of the range",
+        LIDAR,
+        "* self.beam.near_response(range_m) / (math.pi * range_m.square())",
+        "* self.beam.near_response(range_m) / (math.pi * range_m)",
+        (
+            (
+                "tests/stages/test_lidar_stages.py::test_the_near_range_response_dims_a_reflectivity_and_is_"
+                "in_a_photon_count_already"
+            ),
+        ),
+    ),
+    Mutant(
+        "calibration_ignores_near_response",
+        "a near return's margin is divided by the near-range ramp",
+        LIDAR,
+        "ramp = self.beam.near_ramp(range_m)\n",
+        "ramp = torch.ones_like(range_m)\n",
+        (
+            (
+                "tests/stages/test_near_returns.py::test_the_margin_has_the_sensors_mean_in_full_response_"
+                "and_ends_at_a_grey_target_near"
+            ),
+        ),
+    ),
+    Mutant(
+        "divergence_in_radians_taken_as_milliradians",
+        "beam divergence is given in mrad",
+        BEAM,
+        '("divergence_rad", sensor.divergence_mrad * 1e-3)',
+        '("divergence_rad", sensor.divergence_mrad)',
+        ("tests/stages/test_lidar_oracles.py::test_cone_has_the_oracle_s_volume",),
+    ),
+    Mutant(
+        "near_ramp_not_clipped",
+        "the near-range response is 1 beyond its ramp",
+        BEAM,
+        "return self._ramp(range_m).clamp(0.0, 1.0)",
+        "return self._ramp(range_m).clamp_min(0.0)",
+        (("tests/stages/test_lidar_stages.py::test_what_was_detected_stands_on_the_threshold_times_its_margin"),),
+    ),
+    Mutant(
+        "dual_return_repeats_the_strongest",
+        "the second return of dual mode is another echo than the first",
+        LIDAR,
+        "again = end.range_m == strongest.range_m",
+        "again = torch.zeros_like(end.range_m, dtype=torch.bool)",
+        ("tests/stages/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
+    ),
+    Mutant(
+        "last_return_is_the_first",
+        "the return mode chooses between nearest and farthest echo",
+        LIDAR,
+        'power = -1.0 if self.return_mode == "first" else 1.0',
+        "power = -1.0",
+        ("tests/stages/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
+    ),
+    Mutant(
+        "echoes_of_one_pulse_not_merged",
+        "echoes closer than the pulse merge into the stronger one",
+        LIDAR,
+        "absorbed = absorbed | (stronger",
+        "absorbed = absorbed & (stronger",
+        ("tests/stages/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
+    ),
+    Mutant(
+        "particle_label_not_written",
+        "points of weather carry the label PARTICLE",
+        LIDAR,
+        "torch.full_like(more, PARTICLE, dtype=torch.int8)",
+        "torch.full_like(more, OBJECT, dtype=torch.int8)",
+        ("tests/contract/test_lidar_contract.py::test_one_point_and_beams_that_are_all_empty",),
+    ),
+    Mutant(
+        "zero_weather_dims_intensity",
+        "without weather every intensity stays as it came, bit by bit",
+        INTENSITY,
+        "return torch.where(gain == 1.0, intensity, dimmed)",
+        "return dimmed",
+        ("tests/stages/test_intensity.py::test_gain_one_is_the_identity",),
+    ),
+    Mutant(
+        "calibrated_bytes_above_100_linear",
+        "Velodyne's scale is logarithmic above 100",
+        INTENSITY,
+        "_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0",
+        "_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 255.0",
+        (
+            (
+                "tests/stages/test_intensity.py::test_calibrated_bytes_are_linear_to_white_and_logarithmic_"
+                "to_a_retroreflector"
+            ),
+        ),
+    ),
+    Mutant(
+        "lambert_surface_without_pi",
+        "a Lambertian surface returns its reflectivity over pi",
+        INTENSITY,
+        "intensity_of_reflectivity(math.pi * signal * range_m.square()",
+        "intensity_of_reflectivity(signal * range_m.square()",
+        ("tests/stages/test_intensity.py::test_a_signal_goes_to_an_intensity_and_back",),
+    ),
+    Mutant(
+        "range_noise_added_to_objects",
+        "range noise belongs to new points; objects keep their measured place",
+        LIDAR,
+        "range_m = torch.where(particle, self._measured(range_m, noise), range_m)",
+        "range_m = self._measured(range_m, noise)",
+        ("tests/stages/test_lidar_stages.py::test_range_noise_and_resolution_are_a_particles_only",),
+    ),
+    Mutant(
+        "fog_backscatter_of_a_random_walk_reversed",
+        "the strongest echo lies before the object's range",
+        "torchweather.stages.strongest",
+        "wanted = place * _lerp(cells, base + column, reach - column)",
+        "wanted = _lerp(cells, base + column, reach - column)",
+        ("tests/stages/test_strongest_returns.py::test_tabulated_solutions_are_those_of_the_bisection",),
+    ),
+    Mutant(
+        "cloud_pose_not_rotated_back",
+        "weather points return to the cloud's frame by the rotation of the sensor",
+        CLOUD_FRAME,
+        "wide = wide @ wide.new_tensor(lidar.rotation).T",
+        "wide = wide + 0.0",
+        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+    ),
+    Mutant(
+        "cloud_pose_rotated_the_wrong_way",
+        "the sensor frame is reached by the inverse rotation",
+        CLOUD_FRAME,
+        "local = local @ wide.new_tensor(lidar.rotation)",
+        "local = local @ wide.new_tensor(lidar.rotation).T",
+        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+    ),
+    Mutant(
+        "unit_hint_reads_the_brightest_point",
+        "a hint about the intensity unit looks at the bulk, not at one retroreflector",
+        "torchweather.transforms.clouds",
+        "BULK = 0.9",
+        "BULK = 1.0",
+        ("tests/transforms/test_lidar_units.py::test_a_few_points_above_eight_bits_do_not_make_photons",),
+    ),
+    Mutant(
+        "near_response_fit_without_range_square",
+        "the fit of the near response takes out the square of the range",
+        NEAR_RESPONSE,
+        "np.log(s[good] * r[good] ** 2 / rho[good])",
+        "np.log(s[good] * r[good] / rho[good])",
+        (("tests/lidar/test_sensor_fit.py::test_the_response_of_a_made_recording_is_found_within_its_intervals"),),
+    ),
+    Mutant(
+        "near_response_fit_at_white",
+        "photons at the threshold are those of a 10 % target",
+        NEAR_RESPONSE,
+        "return 0.1 * self.photon_constant",
+        "return self.photon_constant",
+        ("tests/lidar/test_sensor_fit.py::test_a_response_becomes_that_of_the_sensor",),
+    ),
+    Mutant(
+        "sensor_origin_forgets_height",
+        "the sensor's height is part of its origin",
+        SENSOR_ORIGIN,
+        "return np.array([x, y, float(np.nanmedian(heights))])",
+        "return np.array([x, y, 0.0])",
+        ("tests/lidar/test_sensor_origin.py::test_the_place_is_found_from_rings_by_order_or_column",),
+    ),
+    Mutant(
+        "sensor_frame_not_shifted",
+        "a cloud's origin is not its sensor",
+        CLOUD_FRAME,
+        "local = wide - wide.new_tensor(lidar.origin_m)",
+        "local = wide + 0.0",
+        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+    ),
+    Mutant(
+        "empty_beam_moved",
+        "a row of zeros stays a beam without return in the cloud's frame",
+        CLOUD_FRAME,
+        "moved = torch.where(nothing, torch.zeros_like(here), moved)",
+        "moved = moved + 0.0",
+        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+    ),
+    Mutant(
+        "ground_slope_reversed",
+        "height above a sloping ground",
+        "torchweather.lidar.ground",
+        "- self.slope_x * xyz[..., 0] -",
+        "+ self.slope_x * xyz[..., 0] -",
+        (("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one"),),
+    ),
+    Mutant(
+        "sensor_origin_accepts_every_offset",
+        "a sensor is apart only where the offset exceeds its error",
+        SENSOR_ORIGIN,
+        "_SURE * error_m)",
+        "0.0)",
+        ("tests/lidar/test_sensor_origin_evidence.py::test_weak_evidence_moves_no_sensor",),
+    ),
+    Mutant(
+        "sensor_origin_spread_not_compared",
+        "an offset counts only where the cones fit better from there",
+        SENSOR_ORIGIN,
+        "gains = self.spread_deg * _LEAST_GAIN < self.spread_at_zero_deg",
+        "gains = True",
+        ("tests/lidar/test_sensor_origin_evidence.py::test_weak_evidence_moves_no_sensor",),
+    ),
+)

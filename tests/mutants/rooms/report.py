@@ -1,0 +1,34 @@
+"""Breaks of the pages."""
+
+from __future__ import annotations
+
+from tests.mutants.mutant import Mutant
+
+PAGE = "torchweather.report.page"
+
+MUTANTS = (
+    Mutant(
+        "ground_below_is_above",
+        "particles under the ground are counted below the plane",
+        "torchweather.report.view_flat",
+        "WITHIN_M, UNDER_M = 40.0, 0.3",
+        "WITHIN_M, UNDER_M = 40.0, -1.0",
+        (("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one"),),
+    ),
+    Mutant(
+        "html_not_escaped",
+        "names from a study are escaped in a page",
+        PAGE,
+        "autoescape=True",
+        "autoescape=False",
+        ("tests/report/test_cloud_view.py::test_names_and_notes_are_text_and_not_markup",),
+    ),
+    Mutant(
+        "missing_value_left_blank",
+        "a value that a page lacks is an error",
+        PAGE,
+        "undefined=jinja2.StrictUndefined",
+        "undefined=jinja2.Undefined",
+        ("tests/report/test_page.py::test_a_missing_value_is_an_error",),
+    ),
+)
