@@ -5,6 +5,7 @@ Names are those that users import, so that a case stays as it is when a file cha
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -190,12 +191,17 @@ def _recipes() -> dict[str, Case]:
 
     return {
         "recipes/transforms": lambda: {recipe.name: built(recipe.name) for recipe in list_recipes()},
-        "recipes/multi_sensor": lambda: {one.name: repr(one) for one in list_pipelines()},
-        "recipes/suites": lambda: {one.name: repr(one) for one in list_suites()},
+        "recipes/multi_sensor": lambda: {one.name: _without_path(one) for one in list_pipelines()},
+        "recipes/suites": lambda: {one.name: _without_path(one) for one in list_suites()},
         "presets": lambda: [
             {name: repr(kind.preset(name)) for name in kind.presets()} for kind in (tw.Camera, tw.Lidar, tw.Radar)
         ],
     }
+
+
+def _without_path(one: Any) -> str:
+    """A recipe in words, without the place of its file and of those in it."""
+    return re.sub(r"PosixPath\('[^']*'\)", "path", repr(one))
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
