@@ -90,7 +90,7 @@ MUTANTS = (
         ("tests/io/test_npz_points.py::test_an_array_that_promises_a_hundred_gigabytes_is_refused_at_once",),
     ),
     Mutant(
-        "disparity_in_whole_pixels",
+        "kitti_depth_in_255ths",
         "KITTI's depth is in 1/256 m",
         "torchweather.io.depth",
         '    "kitti": 1.0 / 256.0,',

@@ -132,8 +132,8 @@ MUTANTS = (
         ("tests/stages/test_lidar_stages.py::test_range_noise_and_resolution_are_a_particles_only",),
     ),
     Mutant(
-        "fog_backscatter_of_a_random_walk_reversed",
-        "the strongest echo lies before the object's range",
+        "strongest_echo_always_at_the_object",
+        "the place of the strongest echo is drawn between sensor and object",
         "torchweather.stages.strongest",
         "wanted = place * _lerp(cells, base + column, reach - column)",
         "wanted = _lerp(cells, base + column, reach - column)",

@@ -92,7 +92,7 @@ MUTANTS = (
         ("tests/physics/test_mie.py::test_wiscombe_1979_printed_cases",),
     ),
     Mutant(
-        "gain_of_one_antenna_way_missing",
+        "radar_equation_with_4_pi_squared",
         "the radar equation has (4 pi) cubed",
         "torchweather.physics.radar_equation",
         "- 30.0 * math.log10(4.0 * math.pi)",

@@ -8,7 +8,7 @@ PAGE = "torchweather.report.page"
 
 MUTANTS = (
     Mutant(
-        "ground_below_is_above",
+        "points_on_the_ground_counted_as_below",
         "particles under the ground are counted below the plane",
         "torchweather.report.view_flat",
         "WITHIN_M, UNDER_M = 40.0, 0.3",
