@@ -97,7 +97,7 @@ MUTANTS = (
         "torchweather.physics.radar_equation",
         "- 30.0 * math.log10(4.0 * math.pi)",
         "- 20.0 * math.log10(4.0 * math.pi)",
-        ("tests/test_radar_claims.py::test_rain_takes_points",),
+        ("tests/radar/test_fmcw_oracles.py::test_the_radar_equation",),
     ),
     Mutant(
         "snow_denser_than_ice",
