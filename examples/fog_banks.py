@@ -18,9 +18,9 @@ import matplotlib
 import torch
 
 import torchweather as tw
+from torchweather.core.random import draw_variates
 from torchweather.image import develop
 from torchweather.io import atomic_write
-from torchweather.random import draw_variates
 from torchweather.scenes import lidar_view, test_track
 from torchweather.stages.patchy_air import PatchyAir
 

@@ -38,7 +38,7 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.io import atomic_write
 from torchweather.radar import FmcwRadar, Scatterers
 from torchweather.scenes import radar_view, test_track

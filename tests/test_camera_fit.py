@@ -10,8 +10,8 @@ import pytest
 import torch
 from PIL import Image
 
-from torchweather.commands.frames import add_camera_arguments, add_depth_arguments, fitted_camera, gathered
-from torchweather.errors import TorchweatherError
+from torchweather.cli.frames import add_camera_arguments, add_depth_arguments, fitted_camera, gathered
+from torchweather.core.errors import TorchweatherError
 from torchweather.sensors import Camera, fit_camera
 
 PLAIN = Camera(width=640, height=480, fx=500.0, fy=500.0, cx=310.0, cy=250.0)

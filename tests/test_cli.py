@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 import torchweather
-from torchweather.cli import main
+from torchweather.cli.main import main
 from torchweather.explain import explain
 from torchweather.image import ConstantDepth, quantise
 from torchweather.io import read_image, write_image
@@ -73,7 +73,7 @@ heavy = [name for name in ("torch", "numpy", "yaml", "matplotlib", "onnxruntime"
 sys.exit(", ".join(heavy) or 0)
 """
 HELP = """
-from torchweather.cli import main
+from torchweather.cli.main import main
 try:
     main({argv})
 except SystemExit as end:

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from torchweather.cli import main
-from torchweather.commands import listing
-from torchweather.errors import TorchweatherError
+from torchweather.cli import listing
+from torchweather.cli.main import main
+from torchweather.core.errors import TorchweatherError
 
 
 def failing(error: Exception) -> Any:

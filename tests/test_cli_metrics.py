@@ -14,8 +14,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.cli import main
-from torchweather.commands.output import spelled
+from torchweather.cli.main import main
+from torchweather.cli.output import spelled
 from torchweather.image import mosaic, normalise, quantise
 from torchweather.io import read_image, read_points, write_image, write_points
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, Region, bayer_scores, cloud_scores, image_scores

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchweather.cli import main
-from torchweather.commands.preview import severities
+from torchweather.cli.main import main
+from torchweather.cli.preview import severities
 from torchweather.io import read_image, write_image, write_points
 from torchweather.weather import Fog, Mixture, Rain, Snow
 

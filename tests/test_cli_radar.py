@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.cli import main
+from torchweather.cli.main import main
 from torchweather.io import (
     RADAR_COLUMNS,
     PointCloud,

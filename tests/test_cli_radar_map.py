@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.cli import main
+from torchweather.cli.main import main
 from torchweather.io import read_power_map, write_image
 from torchweather.radar.power_map import with_noise_scale
 from torchweather.sensors import Radar

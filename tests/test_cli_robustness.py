@@ -26,13 +26,13 @@ from tests.robustness.robustness_command import (
     own_suite,
     with_declaration,
 )
-from torchweather.cli import main
+from torchweather.cli.main import main
+from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
+from torchweather.evaluation.sweep import CameraSubject
 from torchweather.io import PointLabels, read_table, write_image, write_labels
-from torchweather.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
+from torchweather.recipes.recipes import recipes_folder
+from torchweather.recipes.suites import Suite, read_suite
 from torchweather.sensors import Camera
-from torchweather.sweep import CameraSubject
-from torchweather.transforms.recipes import recipes_folder
-from torchweather.transforms.suites import Suite, read_suite
 from torchweather.weather import Weather
 
 

@@ -13,13 +13,13 @@ import torch
 from tests.report.parsed_page import Page
 from tests.robustness.robustness_command import BOX, arguments, camera_data, camera_model, own_suite, with_declaration
 from torchweather.camera.depth import SceneDepth
-from torchweather.cli import main
-from torchweather.errors import TorchweatherError
+from torchweather.cli.main import main
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
+from torchweather.evaluation.sweep import CameraSubject
 from torchweather.io import read_table, write_image
-from torchweather.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
+from torchweather.recipes.suites import read_suite
 from torchweather.sensors import Camera
-from torchweather.sweep import CameraSubject
-from torchweather.transforms.suites import read_suite
 
 
 def without_depth(folder: Path) -> list[str]:

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth import SceneDepth
-from torchweather.cli import main
-from torchweather.commands import sequence_frames
-from torchweather.commands.sequence_frames import MANIFEST
+from torchweather.cli import sequence_frames
+from torchweather.cli.main import main
+from torchweather.cli.sequence_frames import MANIFEST
 from torchweather.io import read_image, write_image
 from torchweather.sensors import Camera
 from torchweather.stages import ParticleVeil
@@ -183,7 +183,7 @@ def test_scenes_are_made_steady(run: Any, tmp_path: Path, monkeypatch: pytest.Mo
         return SceneDepth(torch.full((1, HEIGHT, WIDTH), 30.0), "guessed", horizon_row=10.0 + jitter)
 
     monkeypatch.setattr(AsBayer, "forward", spying)
-    monkeypatch.setattr("torchweather.commands.sequence_work.scene_of", jittering)
+    monkeypatch.setattr("torchweather.cli.sequence_work.scene_of", jittering)
     frames = tmp_path / "frames"
     frames.mkdir()
     for number in range(9):

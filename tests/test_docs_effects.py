@@ -12,8 +12,8 @@ from types import ModuleType
 import pytest
 from PIL import Image
 
+from torchweather.recipes.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect, Parameter
-from torchweather.transforms.recipes import load_recipe
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-lidar.md"

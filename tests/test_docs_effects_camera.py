@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from tests.test_docs_effects import HEAD, MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, sections_of
+from torchweather.recipes.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect, Parameter
-from torchweather.transforms.recipes import load_recipe
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-camera.md"

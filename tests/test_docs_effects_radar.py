@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from tests.test_docs_effects import MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, picture, sections_of, table
+from torchweather.recipes.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect
-from torchweather.transforms.recipes import load_recipe
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-radar.md"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import (
+from torchweather.core.errors import (
     TorchweatherError,
     TorchweatherWarning,
     check_at_least,

@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.export import draw_feed, fuse, to_onnx
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather

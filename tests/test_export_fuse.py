@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather import __version__
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.export import MosaicToImage, fuse
 from torchweather.image import develop
 from torchweather.sensors import Camera

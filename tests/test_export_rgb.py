@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from torchweather.camera.depth import EXACT, SceneDepth
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.export import ImageToDetector, MosaicToImage, draw_feed, fuse, to_onnx
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerSnow, BayerWeather, LidarFog

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from torchweather.commands.ouster_product import refuse_other_product
-from torchweather.errors import TorchweatherError
+from torchweather.cli.ouster_product import refuse_other_product
+from torchweather.core.errors import TorchweatherError
 from torchweather.sensors import Lidar
 
 ARGS = argparse.Namespace(force=False)

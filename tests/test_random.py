@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from torchweather.random import ABSENT, Variate, draw_variates, keyed_stream, sample_seeds, sizes_of
+from torchweather.core.random import ABSENT, Variate, draw_variates, keyed_stream, sample_seeds, sizes_of
 
 SIZES = sizes_of(24, 32)
 NORMAL = Variate("noise", "normal", ("H", "W"))

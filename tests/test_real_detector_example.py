@@ -15,12 +15,12 @@ import torch
 import yaml
 
 from tests.running_examples import load_example
+from torchweather.evaluation.robustness import OnnxDetector, read_boxes_truth, read_declaration
+from torchweather.evaluation.robustness.performance import BoxCounter
+from torchweather.evaluation.robustness.placement import placed
 from torchweather.export import ImageToDetector
 from torchweather.image import normalise
 from torchweather.io import read_image
-from torchweather.robustness import OnnxDetector, read_boxes_truth, read_declaration
-from torchweather.robustness.performance import BoxCounter
-from torchweather.robustness.placement import placed
 
 EXAMPLE = "real_detector.py"
 FLOAT = {"type": "DT_FLOAT"}

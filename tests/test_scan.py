@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from tests.recordings import recording
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import Lidar
 from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 import yaml
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.sensors import BAYER_PATTERNS, Camera, Lidar, Radar, Sensor, sensor_preset
 
 PLAIN: dict[str, Any] = {"width": 32, "height": 24, "fx": 100.0, "fy": 90.0}

@@ -5,8 +5,8 @@ import threading
 import pytest
 import torch
 
+from torchweather.core.threads import one_thread_an_operation, side_by_side
 from torchweather.sensors import Camera
-from torchweather.threads import one_thread_an_operation, side_by_side
 from torchweather.transforms import BayerWeather
 from torchweather.weather import Fog, Mixture, Rain, Snow
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 import yaml
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.physics import Binned, extinction_per_m, rehearse_fog
 from torchweather.weather import Fog, Mixture, Rain, Snow, Weather, parse_weather, weather_from_dict
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from torchweather import Fog, Mixture, Rain, Snow
-from torchweather.distributions import LogUniform, Uniform
+from torchweather.core.distributions import LogUniform, Uniform
 
 
 def test_parts_of_a_mixture_are_drawn_apart() -> None:

@@ -6,7 +6,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from torchweather.distributions import Choice, LogUniform, Uniform
+    from torchweather.compose import Compose, RandomFog, RandomRain, RandomSnow, RandomWeather, WeatherDataset
+    from torchweather.core.distributions import Choice, LogUniform, Uniform
     from torchweather.sensors import Camera, Lidar, Radar
     from torchweather.stages import PointKind
     from torchweather.transforms import (
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
         BayerSnow,
         BayerWeather,
         CameraResult,
-        Compose,
         LidarFog,
         LidarRain,
         LidarResult,
@@ -26,11 +26,6 @@ if TYPE_CHECKING:
         RadarMapResult,
         RadarMapWeather,
         RadarResult,
-        RandomFog,
-        RandomRain,
-        RandomSnow,
-        RandomWeather,
-        WeatherDataset,
     )
     from torchweather.weather import Fog, Mixture, Rain, Snow
 
@@ -74,7 +69,8 @@ __all__ = [
 
 # Where each public name lives. It is imported at its first use, so that `torchweather --help` does not load torch.
 _HOMES = {
-    "torchweather.distributions": ("Choice", "LogUniform", "Uniform"),
+    "torchweather.compose": ("Compose", "RandomFog", "RandomRain", "RandomSnow", "RandomWeather", "WeatherDataset"),
+    "torchweather.core.distributions": ("Choice", "LogUniform", "Uniform"),
     "torchweather.sensors": ("Camera", "Lidar", "Radar"),
     "torchweather.stages": ("PointKind",),
     "torchweather.transforms": (
@@ -84,7 +80,6 @@ _HOMES = {
         "BayerSnow",
         "BayerWeather",
         "CameraResult",
-        "Compose",
         "LidarFog",
         "LidarRain",
         "LidarResult",
@@ -94,19 +89,14 @@ _HOMES = {
         "RadarMapResult",
         "RadarMapWeather",
         "RadarResult",
-        "RandomFog",
-        "RandomRain",
-        "RandomSnow",
-        "RandomWeather",
-        "WeatherDataset",
     ),
     "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.
 _PARTS = frozenset(
     {
-        *("camera", "export", "gap", "image", "io", "metrics", "physics", "radar", "robustness", "scenes", "stages"),
-        *("sweep", "transforms"),
+        *("camera", "compose", "evaluation", "export", "gap", "image", "io", "lidar", "metrics", "physics", "radar"),
+        *("recipes", "robustness", "scenes", "stages", "sweep", "transforms"),
     }
 )
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

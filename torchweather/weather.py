@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
-from torchweather.distributions import Distribution, Uniform, distribution_from
-from torchweather.errors import (
+from torchweather.core.distributions import Distribution, Uniform, distribution_from
+from torchweather.core.errors import (
     TorchweatherWarning,
     check_between,
     check_one_of,
@@ -25,6 +25,7 @@ from torchweather.errors import (
     nearest_name,
     owner_name,
 )
+from torchweather.core.random import keyed_stream
 from torchweather.physics import (
     FOG,
     RAIN,
@@ -38,7 +39,6 @@ from torchweather.physics import (
     rehearse_fog,
 )
 from torchweather.physics.precipitation_rate import fall_speed_law
-from torchweather.random import keyed_stream
 
 __all__ = [
     "Fog",

@@ -13,9 +13,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.study import Study
-from torchweather.threads import one_thread_an_operation
 
 from .bench_sensor import OtherMetrics
 from .table_text import short_name

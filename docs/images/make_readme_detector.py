@@ -16,8 +16,8 @@ from make_readme_pictures import GAP, PHOTOGRAPH, PICTURE_WIDTH, as_picture, lab
 from PIL import Image, ImageDraw
 
 import torchweather as tw
+from torchweather.evaluation.robustness import OnnxDetector, read_declaration
 from torchweather.image import normalise
-from torchweather.robustness import OnnxDetector, read_declaration
 
 HERE = Path(__file__).parent
 SHOWN = 0.4  # least score of a box that is drawn

@@ -14,16 +14,16 @@ import torch
 from torch import Tensor
 
 import torchweather
-import torchweather.augment.work as work
+import torchweather.datasets.augment.work as work
 from tests.augment.data_sets import BOTH, BOXES, FOG, MANIFEST, cloud, folder, image, kitti, nuscenes, recipe, tree
-from torchweather.augment import Manifest, Row, Summary, augment
-from torchweather.augment.frames import Frame
 from torchweather.camera.depth import CompletedDepth
-from torchweather.cli import main
-from torchweather.errors import TorchweatherError
+from torchweather.cli.main import main
+from torchweather.core.errors import TorchweatherError
+from torchweather.core.random import sample_seed
+from torchweather.datasets.augment import Manifest, Row, Summary, augment
+from torchweather.datasets.augment.frames import Frame
 from torchweather.io import read_image, read_labels, read_points, write_points
-from torchweather.random import sample_seed
-from torchweather.transforms.recipes import load_recipe
+from torchweather.recipes.recipes import load_recipe
 
 
 def run(source: Path, target: Path, text: str = BOTH, **more: Any) -> Summary:
@@ -67,7 +67,7 @@ def test_a_folder_keeps_its_tree_and_each_frame_has_one_weather(tmp_path: Path) 
     assert row.seed == sample_seed(5, "001", 0)
     points = load_recipe(recipe(tmp_path)).plans["points"].build(torchweather.weather.weather_from_dict(row.weather))
     clear = read_points(source / "day/clouds/001.bin").points
-    seed = torchweather.random.derived_seed(row.seed, "points")
+    seed = torchweather.core.random.derived_seed(row.seed, "points")
     expected = points(clear, points.draw(clear, seed=seed))
     assert torch.equal(read_points(target / "day/clouds/001.bin").points, expected)
     assert not torch.equal(read_image(target / "day/images/001.png")[0], image(1))
@@ -104,7 +104,7 @@ def by_hand(folder: Path, row: Row, key: str, text: str) -> Tensor:
     lidar_axes = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     depth = CompletedDepth(cloud(0), torch.tensor(lidar_axes)).scene(camera, 24, 40, image=image(0))
     transform = plan.build(torchweather.weather.weather_from_dict(row.weather))
-    noise = transform.draw(image(0), seed=torchweather.random.derived_seed(row.seed, key))
+    noise = transform.draw(image(0), seed=torchweather.core.random.derived_seed(row.seed, key))
     found: Tensor = transform(image(0), depth, noise)
     return found
 

@@ -15,8 +15,8 @@ import pytest
 import torch
 
 from tests.recordings import recording
-from torchweather.augment import augment
-from torchweather.augment.manifest import NAME, Manifest, Row
+from torchweather.datasets.augment import augment
+from torchweather.datasets.augment.manifest import NAME, Manifest, Row
 from torchweather.io import (
     PointLabels,
     points_in_boxes,
@@ -151,7 +151,7 @@ def check_frame(source: Path, target: Path, name: str, row: Row) -> dict[str, in
 
 
 @pytest.mark.parametrize("kind", WEATHERS)
-@pytest.mark.filterwarnings("ignore::torchweather.errors.TorchweatherWarning")
+@pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
 def test_labels_of_recorded_frames_agree_with_what_the_weather_did(tmp_path: Path, kind: str) -> None:
     source, target = kitti_set(tmp_path / "clear", FRAMES), tmp_path / kind
     recipe = tmp_path / "recipe.yaml"

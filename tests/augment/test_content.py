@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from tests.augment.data_sets import BOTH, FOG, MANIFEST, folder, kitti, nuscenes, recipe, tree
-from torchweather.augment import Manifest, augment
+from torchweather.datasets.augment import Manifest, augment
 from torchweather.io import read_image, read_points
 
 SNOW = FOG.replace("LidarFog", "LidarSnow").replace("{kind: fog, mor_m: 40.0}", "{kind: snow, rate_mm_per_h: 3.0}")

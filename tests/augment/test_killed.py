@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-import torchweather.augment.work as work
+import torchweather.datasets.augment.work as work
 from tests.augment.data_sets import FOG, folder, recipe, tree
-from torchweather.augment import Manifest, Progress, Row, augment
-from torchweather.augment.frames import Frame
+from torchweather.datasets.augment import Manifest, Progress, Row, augment
+from torchweather.datasets.augment.frames import Frame
 
 ROOT = Path(__file__).parents[2]
 BAD = "day/clouds/001.bin"
@@ -24,8 +24,8 @@ BAD = "day/clouds/001.bin"
 KILLER = """
 import os, random, signal, sqlite3, sys, time
 from pathlib import Path
-import torchweather.augment.work as work
-from torchweather.augment import Manifest, augment
+import torchweather.datasets.augment.work as work
+from torchweather.datasets.augment import Manifest, augment
 
 source, target, recipe = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 pick = random.Random(4)
@@ -120,7 +120,7 @@ def test_two_workers_one_of_them_killed_give_the_bytes_of_one(tmp_path: Path) ->
 
 def test_a_frame_that_kills_its_worker_twice_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop that looks after the workers, with stand-ins for the processes."""
-    from torchweather.augment import local
+    from torchweather.datasets.augment import local
 
     class StandIn:
         """Dies of one frame."""

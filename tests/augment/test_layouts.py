@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from torchweather.augment.layouts import find_frames
+from torchweather.datasets.augment.layouts import find_frames
 
 
 def test_two_files_are_never_written_to_one(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.augment.data_sets import folder, recipe, tree
-from torchweather.augment import augment
+from torchweather.datasets.augment import augment
 
 ROOT = Path(__file__).parents[2]
 
@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 RUN = """
 import os, signal, sys
 from pathlib import Path
-from torchweather.augment import augment
+from torchweather.datasets.augment import augment
 
 killed = []
 

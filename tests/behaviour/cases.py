@@ -22,10 +22,10 @@ from torchweather import io, metrics, scenes
 from torchweather.export import draw_feed, to_onnx
 from torchweather.gap import Study, find_gap
 from torchweather.radar.power_map import MapAxes, PowerScale
+from torchweather.recipes.pipelines import list_pipelines
+from torchweather.recipes.recipes import list_recipes, load_recipe
+from torchweather.recipes.suites import list_suites
 from torchweather.stages import EFFECTS
-from torchweather.transforms.pipelines import list_pipelines
-from torchweather.transforms.recipes import list_recipes, load_recipe
-from torchweather.transforms.suites import list_suites
 
 Case = Callable[[], Any]
 SEED = 7

@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import BAYER_PATTERNS, Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
 from torchweather.weather import Fog, Mixture, Rain, Snow, Weather

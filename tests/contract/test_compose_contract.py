@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchweather as tw
-from torchweather.random import derived_seed
+from torchweather.core.random import derived_seed
 
 CAMERA = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
 LIDAR = tw.Lidar.preset("velodyne-hdl-64e")

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from tests.recordings import recording
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.gap.adapters import study_from_folders, study_from_kitti
 from torchweather.gap.scan_grid import scan_frame
 from torchweather.gap.study import Study

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tests.gap.tiny_camera_study import CAMERA, CLEAR, ELECTRONS, HEIGHT, SPLITS, WEATHERS, WIDTH, values_of, view
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.baseline import FrameModel
 from torchweather.gap.camera import CameraFrames

@@ -15,7 +15,7 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.baseline import Baseline, Target, Whitening
 from torchweather.gap.clear_air import ClearAir
 from torchweather.gap.empirical_fit import Departures

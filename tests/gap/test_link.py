@@ -16,7 +16,7 @@ import pytest
 from tests.gap.tiny_link_study import LINKS, STEP_MIN
 from tests.gap.tiny_link_study import link_record as record
 from tests.gap.tiny_link_study import tiny_link_study as study
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.link import LinkFrames

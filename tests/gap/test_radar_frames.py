@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from tests.gap.tiny_radar_study import CLASSES, EFFECTS, SENSOR, WEATHERS, tiny_radar_study
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.effect_forms import is_another
 from torchweather.gap.frames import Frames, FrameSource

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.gap.studies import KINDS, SENSORS, arguments, lidar_frame, links, series, study
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.study import Study
 from torchweather.sensors import Camera
 from torchweather.weather import Fog, Rain

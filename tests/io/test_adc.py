@@ -12,7 +12,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.io import AdcCube, read_adc, write_adc
 
 SHAPE = (4, 3, 8)  # chirps, channels, samples
@@ -191,7 +191,7 @@ def test_wrong_arguments_and_archives_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a.npy", "a.npz"])
 @given(data=st.data())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@pytest.mark.filterwarnings("ignore::torchweather.errors.TorchweatherWarning")
+@pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
 def test_a_broken_file_is_refused_or_read_but_never_crashes(tmp_path: Path, name: str, data: st.DataObject) -> None:
     path = tmp_path / name
     write_adc(path, torch.from_numpy(words(3, (2, 2, 4))).to(torch.complex64))
@@ -259,7 +259,7 @@ def test_a_recording_with_the_fault_is_repaired(
 
 
 @pytest.mark.real_data
-@pytest.mark.filterwarnings("ignore::torchweather.errors.TorchweatherWarning")
+@pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
 def test_noise_of_a_recording_is_complex_gaussian_after_the_repair(real_data: Callable[[str], Path]) -> None:
     """The change from chirp to chirp in range bins that nothing moves in: I and Q alike, apart, and Gaussian.
 

@@ -11,7 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.box_visibility import box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.io.kitti import read_kitti_calibration, read_kitti_rectified_from_lidar

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.image import project_points
 from torchweather.io import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
 from torchweather.io.camera_files import read_camera, read_camera_fields

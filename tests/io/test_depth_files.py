@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_depth, write_image
 from torchweather.io.depth import read_disparity
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from scipy.io import netcdf_file
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import (
     DropSpectrum,
     parsivel_area_mm2,

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.exif import ExifFocal, focal_from_exif, read_exif_focal
 
 FILM, LENS, PLANE, UNIT, PIXEL_X, PIXEL_Y = 0xA405, 0x920A, 0xA20E, 0xA210, 0xA002, 0xA003

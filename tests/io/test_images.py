@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.image import develop
 from torchweather.io import atomic_write, read_image, write_image
 

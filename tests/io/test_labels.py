@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.labels import FALLING_SNOW, LYING_SNOW, PointLabels, merge_kind, read_labels, write_labels
 from torchweather.io.points import read_points
 

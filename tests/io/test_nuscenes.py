@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.image import project_points
 from torchweather.io import read_image, read_nuscenes_calibration, read_nuscenes_points
 

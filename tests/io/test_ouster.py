@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.commands.clouds import gathered_clouds
-from torchweather.errors import TorchweatherError
+from torchweather.cli.clouds import gathered_clouds
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.ouster import read_ouster
 
 HEIGHT, WIDTH = 3, 4

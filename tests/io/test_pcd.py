@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.lzf import lzf_compress
 from torchweather.io.points import read_points, write_points
 

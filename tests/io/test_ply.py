@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.points import read_points, write_points
 
 VERTEX = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\nproperty uchar intensity\n"

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_SUFFIXES, read_points, write_points
 from torchweather.io.stored_points import PointField, PointLayout

@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import MapLayout, MapRecord, map_layout, read_power_map, write_image, write_power_map
 from torchweather.radar.power_map import MapAxes, PowerScale, RadarPowerMap
 

@@ -16,7 +16,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import NUSCENES_RADAR_STATES, RADAR_COLUMNS, RadarPoints, read_radar, write_radar
 from torchweather.sensors import Radar
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 import yaml
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_sensor_pose
 
 # A quarter turn to the left, 1.43 m ahead and 2.18 m up.

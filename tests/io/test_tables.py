@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import TABLE_SUFFIXES, read_table, write_table
 
 TABLE: dict[str, list[Any]] = {

@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.video import VideoReader, write_video
 
 av: Any = pytest.importorskip("av", reason="PyAV is not installed: no videos here (pip install 'torchweather[video]')")

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchweather import Radar, RadarAttenuation, Rain
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_radar, write_radar
 from torchweather.physics import received_power_dbm
 

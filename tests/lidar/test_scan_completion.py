@@ -108,7 +108,7 @@ def test_cones_that_are_not_the_sensors_are_taken_from_the_sweep() -> None:
     assert (elevation - of_ring)[both].abs().max() < 0.02
 
 
-@pytest.mark.filterwarnings("ignore::torchweather.errors.TorchweatherWarning")
+@pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
 def test_more_beams_than_a_turn_has_are_refused_with_the_evidence() -> None:
     cloud, returns, _ = sweep()
     with pytest.raises(ValueError, match=r"rings x 360 columns are .* % off"):

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tests.recordings import recording
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.io import read_points
 from torchweather.lidar.sensor_origin import SensorOrigin, estimate_origin
 from torchweather.sensors import Lidar

@@ -17,7 +17,7 @@ from scan_sweep import COLUMNS, ELEVATIONS_DEG, HEIGHTS_M, sweep
 from torch import Tensor
 
 from tests.recordings import recording
-from torchweather.cli import main
+from torchweather.cli.main import main
 from torchweather.io import read_kitti_points
 from torchweather.lidar import estimate_pattern
 from torchweather.lidar.completion import complete_scan

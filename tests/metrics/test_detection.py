@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.metrics.box_overlap import bev_iou
 from torchweather.metrics.detection import average_precision
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.oracles import load
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.physics import (
     ice_permittivity_microwave,
     ice_refractive_index,

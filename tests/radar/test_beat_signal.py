@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from tests.reference import every_sample
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.radar import Scatterers, beat_signal
 from torchweather.radar.beat_signal import SECOND_ORDER
 from torchweather.sensors import Radar

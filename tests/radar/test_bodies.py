@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.radar.bodies import corner_reflector_rcs_m2, corner_scatterers, facet_scatterers, gathered
 from torchweather.radar.car import CAR_DETAILS, car_details, car_facets, car_scatterers
 from torchweather.radar.facet_rcs import subdivide, triangle_field_m

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from tests.oracles import load
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.radar.facet_rcs import far_field_edge_m, isosceles_triangle_rcs_m2, subdivide, triangle_field_m
 
 WAVELENGTH_M = 299_792_458.0 / 77e9

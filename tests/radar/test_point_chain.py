@@ -12,7 +12,7 @@ from torch import Tensor
 
 import torchweather.radar.detection as detection
 from tests.reference import every_sample
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.radar import WINDOWS, FmcwRadar, Scatterers, cfar_for
 from torchweather.sensors import Radar
 from torchweather.stages import weather_attenuation_db_per_km

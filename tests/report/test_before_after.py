@@ -19,7 +19,7 @@ from torch import Tensor
 
 from tests.recordings import recording
 from torchweather.camera.depth import ConstantDepth, DepthMap
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.image import quantise
 from torchweather.io import read_image
 from torchweather.report import photo_demo

@@ -18,7 +18,7 @@ from parsed_page import Page
 from torch import Tensor
 
 from tests.recordings import recording
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_kitti_points
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.report.cloud_view import MOST_POINTS, write_cloud_view

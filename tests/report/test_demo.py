@@ -10,7 +10,7 @@ import torch
 
 from tests.report.parsed_page import Page
 from torchweather import report
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_image, write_image
 from torchweather.report import demo as demo_module
 from torchweather.report.demo import SECTIONS, write_demo

@@ -11,11 +11,11 @@ import pytest
 import torch
 from PIL import Image
 
+from torchweather.evaluation.robustness import BoxTruth, LabelledFrame
+from torchweather.evaluation.robustness.frames import Look
+from torchweather.evaluation.sweep import CameraSubject
 from torchweather.report.robustness_figures import FOUND, IGNORED, TRUE, look_uri
-from torchweather.robustness import BoxTruth, LabelledFrame
-from torchweather.robustness.frames import Look
 from torchweather.sensors import Camera
-from torchweather.sweep import CameraSubject
 
 SIZE = (160, 320)
 

@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from tests.report.parsed_page import Page
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.sweep import CameraSubject, LidarSubject, parse_levels
 from torchweather.io import read_table
 from torchweather.report.sweep_page import write_sweep
 from torchweather.scenes import lidar_view, test_track
 from torchweather.scenes.raw_frame import raw_frame
 from torchweather.sensors import Camera, Lidar
-from torchweather.sweep import CameraSubject, LidarSubject, parse_levels
 
 Written = tuple[Path, dict[str, Any]]
 

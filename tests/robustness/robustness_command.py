@@ -13,7 +13,7 @@ import yaml
 
 from tests.robustness.onnx_detectors import declared, fixed_boxes
 from torchweather.io import write_image
-from torchweather.transforms.suites import FORMAT
+from torchweather.recipes.suites import FORMAT
 
 SIZE = (48, 64)
 BOX = [8.0, 8.0, 40.0, 32.0]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from torchweather.errors import TorchweatherError
-from torchweather.robustness import Declaration, read_declaration
-from torchweather.robustness.decoders import decode_boxes
-from torchweather.robustness.placement import Placement
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.robustness import Declaration, read_declaration
+from torchweather.evaluation.robustness.decoders import decode_boxes
+from torchweather.evaluation.robustness.placement import Placement
 
 # A frame of 100 x 200 px in an input of 64 x 64 px: half a scale of 0.32, a border above and below.
 LETTERBOX = Placement((100, 200), (64, 64), top=16, left=0, height=32, width=64)

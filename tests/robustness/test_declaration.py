@@ -12,10 +12,10 @@ import torch
 import yaml
 
 from tests.robustness.onnx_detectors import bright_pixels, declared, fixed_boxes, near_points
-from torchweather.errors import TorchweatherError
-from torchweather.robustness import OnnxDetector, read_declaration
-from torchweather.robustness.decoders import decode_boxes, decode_segmentation
-from torchweather.robustness.placement import Placement
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.robustness import OnnxDetector, read_declaration
+from torchweather.evaluation.robustness.decoders import decode_boxes, decode_segmentation
+from torchweather.evaluation.robustness.placement import Placement
 
 
 def well() -> dict[str, Any]:

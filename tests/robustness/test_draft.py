@@ -11,9 +11,9 @@ import yaml
 
 from tests.robustness.onnx_detectors import near_points
 from tests.robustness.test_graph_check import model
-from torchweather.errors import TorchweatherError
-from torchweather.robustness import OnnxDetector, read_declaration
-from torchweather.robustness.draft import draft_declaration
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.robustness import OnnxDetector, read_declaration
+from torchweather.evaluation.robustness.draft import draft_declaration
 
 
 def filled_in(path: Path, **values: object) -> None:

@@ -12,11 +12,11 @@ import yaml
 from onnx import TensorProto, helper
 
 from tests.robustness.onnx_detectors import saved, value
-from torchweather.errors import TorchweatherError
-from torchweather.robustness import OnnxDetector, read_declaration
-from torchweather.robustness.graph import Graph, open_session
-from torchweather.robustness.graph_check import check_graph
-from torchweather.robustness.likely import likely_decoder
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.robustness import OnnxDetector, read_declaration
+from torchweather.evaluation.robustness.graph import Graph, open_session
+from torchweather.evaluation.robustness.graph_check import check_graph
+from torchweather.evaluation.robustness.likely import likely_decoder
 
 Shape = list[int | str]
 PACKED = Path(__file__).parent / "packed_detector"

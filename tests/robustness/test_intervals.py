@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from torchweather.evaluation.robustness import BoxTruth, LabelTruth, Performance
+from torchweather.evaluation.robustness.intervals import Interval, Resampling
+from torchweather.evaluation.robustness.operating import operating_point
+from torchweather.evaluation.robustness.performance import BoxCounter, LabelCounter
+from torchweather.evaluation.robustness.remarks import remarks
+from torchweather.evaluation.robustness.result import ConditionResult, RobustnessResult
 from torchweather.metrics import average_precision
 from torchweather.metrics.detection import matched_boxes
-from torchweather.robustness import BoxTruth, LabelTruth, Performance
-from torchweather.robustness.intervals import Interval, Resampling
-from torchweather.robustness.operating import operating_point
-from torchweather.robustness.performance import BoxCounter, LabelCounter
-from torchweather.robustness.remarks import remarks
-from torchweather.robustness.result import ConditionResult, RobustnessResult
-from torchweather.transforms.suites import Condition
+from torchweather.recipes.suites import Condition
 from torchweather.weather import Rain
 
 CLASSES = {0: "car", 1: "person"}

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.robustness import BoxTruth, LabelTruth, read_boxes_truth, read_label_truth
+from torchweather.evaluation.robustness.performance import BoxCounter, LabelCounter
 from torchweather.io import PointLabels, write_image, write_labels
-from torchweather.robustness import BoxTruth, LabelTruth, read_boxes_truth, read_label_truth
-from torchweather.robustness.performance import BoxCounter, LabelCounter
 
 CLASSES = {0: "road", 1: "car"}
 

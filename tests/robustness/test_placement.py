@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.robustness.placement import placed
+from torchweather.evaluation.robustness.placement import placed
 
 DECLARED: dict[str, Any] = {"size": [64, 96], "fit": "letterbox", "fill": 51, "multiple": 1}
 SIZES = [(30, 100), (100, 30), (64, 96), (375, 1242), (7, 9)]

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from torchweather.robustness import rates
+from torchweather.evaluation.robustness import rates
 
 
 def test_a_detector_that_the_weather_does_not_touch_keeps_all_and_has_the_error_of_clear_air() -> None:

@@ -15,9 +15,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
+from torchweather.core.random import Variate
 from torchweather.image.depth import FlatGround
-from torchweather.random import Variate
 from torchweather.sensors import Camera
 from torchweather.stages import (
     STAGES,

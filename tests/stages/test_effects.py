@@ -28,6 +28,7 @@ from tests.stages.effect_scene import (
 )
 from torchweather.export import draw_feed, to_onnx
 from torchweather.export.lidar_graph import traceable_lidar
+from torchweather.recipes.recipes import load_recipe, save_recipe
 from torchweather.stages import (
     EFFECTS,
     Chain,
@@ -39,7 +40,6 @@ from torchweather.stages import (
     with_effects,
 )
 from torchweather.transforms import LidarRain, LidarWeather
-from torchweather.transforms.recipes import load_recipe, save_recipe
 from torchweather.weather import Rain
 
 # The names and identities of the catalogue; None where a parameter says only where or how.

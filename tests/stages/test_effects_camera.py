@@ -32,12 +32,12 @@ from tests.stages.camera_effect_scene import (
     rain_in_fog,
 )
 from torchweather.export import draw_feed, to_onnx
+from torchweather.recipes.recipes import load_recipe, save_recipe
 from torchweather.stages import EFFECTS, CameraState, Chain, ParticleVeil, effect_from_dict, with_effects
 from torchweather.stages.effects import CAMERA_PLACES
 from torchweather.stages.effects_camera_optics import CameraAdherentDrops
 from torchweather.stages.streaks import Marks, add_listed
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.transforms.recipes import load_recipe, save_recipe
 from torchweather.weather import Fog, Mixture, Rain, Snow
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from tests.stages.effect_scene import (
     scan_sensor,
     states,
 )
-from torchweather.random import draw_variates
+from torchweather.core.random import draw_variates
 from torchweather.sensors import Lidar
 from torchweather.stages import EFFECTS, LidarState, PointKind, with_effects
 from torchweather.transforms import LidarFog, LidarRain, LidarWeather

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tests.stages.radar_effect_scene import SENSOR, TARGETS, begin, detections, known, rain, states
-from torchweather.random import draw_variates
+from torchweather.core.random import draw_variates
 from torchweather.sensors import Radar
 from torchweather.stages import EFFECTS, PointKind, RadarState, VolumeClutter, WetRadome, with_effects
 from torchweather.transforms import RadarAttenuation

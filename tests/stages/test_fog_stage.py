@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.image.bayer import cfa_colour_index
 from torchweather.physics import extinction_per_m, table13
 from torchweather.sensors import BAYER_PATTERNS, Camera

@@ -38,6 +38,6 @@ def airlight_under(red: float, green: float, blue: float) -> list[float]:
         ((0.03, 0.03, 0.04), 0.030722),  # night: its own light
     ],
 )
-@pytest.mark.filterwarnings("ignore::torchweather.errors.TorchweatherWarning")
+@pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
 def test_grey_of_a_sky(sky: tuple[float, float, float], grey: float) -> None:
     assert airlight_under(*sky) == pytest.approx([grey] * 3, rel=2e-3)

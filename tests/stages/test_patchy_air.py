@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.random import draw_variates
 from torchweather.radar import FmcwRadar
-from torchweather.random import draw_variates
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import EFFECTS, ExtinctionAndAirlight, ParticleReturns, PointKind, VolumeClutter
 from torchweather.stages.beam_particles import BeamParticles

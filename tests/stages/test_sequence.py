@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.random import ABSENT
+from torchweather.core.random import ABSENT
 from torchweather.sensors import Camera
 from torchweather.stages import ParticleVeil
 from torchweather.stages.population import COLUMN_DEPTH, COLUMN_LEVEL, COLUMN_U, COLUMN_V, Population

@@ -12,12 +12,12 @@ from functools import cache
 
 import pytest
 
+from torchweather.evaluation.sweep import CameraSubject, LidarSubject, judged, parse_levels, samples, series_of
+from torchweather.evaluation.sweep.series import Series
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES
 from torchweather.scenes import lidar_view, test_track
 from torchweather.scenes.raw_frame import raw_frame
 from torchweather.sensors import Camera, Lidar
-from torchweather.sweep import CameraSubject, LidarSubject, judged, parse_levels, samples, series_of
-from torchweather.sweep.series import Series
 
 pytestmark = pytest.mark.slow
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from torchweather.sweep import parse_levels
+from torchweather.evaluation.sweep import parse_levels
 from torchweather.weather import Fog, Mixture, Rain, Snow
 
 

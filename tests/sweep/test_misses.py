@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from torchweather.sweep.misses import _kind_of_step
+from torchweather.evaluation.sweep.misses import _kind_of_step
 
 
 @pytest.mark.parametrize(("step", "kind"), [(0.5, "within"), (1.0, "beyond"), (-1.0, "beyond")])

@@ -10,13 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
-from torchweather.metrics import Region, bayer_scores, cloud_scores, image_scores
-from torchweather.radar import FmcwRadar
-from torchweather.scenes import radar_view, test_track
-from torchweather.scenes.raw_frame import raw_frame
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.sweep import (
+from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.sweep import (
     COLUMNS,
     CameraSubject,
     LidarSubject,
@@ -26,6 +21,11 @@ from torchweather.sweep import (
     samples,
     sweep,
 )
+from torchweather.metrics import Region, bayer_scores, cloud_scores, image_scores
+from torchweather.radar import FmcwRadar
+from torchweather.scenes import radar_view, test_track
+from torchweather.scenes.raw_frame import raw_frame
+from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerWeather, LidarWeather, RadarAttenuation
 from torchweather.weather import Weather, parse_weather
 

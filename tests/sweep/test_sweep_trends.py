@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.sweep import Series, judged, parse_levels
-from torchweather.sweep.misses import explain_miss
-from torchweather.sweep.trends import page_p
+from torchweather.evaluation.sweep import Series, judged, parse_levels
+from torchweather.evaluation.sweep.misses import explain_miss
+from torchweather.evaluation.sweep.trends import page_p
 
 DIRECTIONS = {"psnr": "up", "gmsd": "down", "mde": "down", "hd": "down", "hd95": "down", "sdm": "down"}
 

@@ -6,8 +6,8 @@ import math
 
 import torch
 
+from torchweather.evaluation.sweep import CameraSubject
 from torchweather.sensors import Camera
-from torchweather.sweep import CameraSubject
 from torchweather.transforms import AsBayer, BayerWeather
 from torchweather.weather import Fog
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.image.depth import FlatGround
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
-from torchweather.random import derived_seed, sample_seed
-from torchweather.transforms.compose import Draw
+from torchweather.compose.compose import Draw
+from torchweather.core.random import derived_seed, sample_seed
 
 CAMERA = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
 LIDAR = tw.Lidar.preset("velodyne-hdl-64e")

@@ -17,7 +17,7 @@ import torch
 from scipy.stats import kstest
 from torch import Tensor, nn
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarFog, LidarRain, LidarSnow, LidarWeather

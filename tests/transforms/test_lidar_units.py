@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import Lidar
 from torchweather.transforms.clouds import check_points
 

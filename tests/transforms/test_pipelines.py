@@ -10,9 +10,9 @@ import torch
 import yaml
 
 import torchweather as tw
-from torchweather.errors import TorchweatherError
-from torchweather.transforms.pipelines import list_pipelines, load_pipeline, read_pipeline, save_pipeline
-from torchweather.transforms.recipes import list_recipes, load_recipe, read_recipe, save_recipe
+from torchweather.core.errors import TorchweatherError
+from torchweather.recipes.pipelines import list_pipelines, load_pipeline, read_pipeline, save_pipeline
+from torchweather.recipes.recipes import list_recipes, load_recipe, read_recipe, save_recipe
 
 SAMPLE = {
     "points": torch.tensor([[20.0, 0.0, 0.0, 50.0], [5.0, 5.0, 1.0, 20.0]]),

@@ -14,8 +14,8 @@ from scipy.stats import kstest
 from torch import Tensor
 
 from tests.oracles import load
-from torchweather.cli import main
-from torchweather.errors import TorchweatherWarning
+from torchweather.cli.main import main
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.physics import received_power_dbm
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import PointKind

@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 import torchweather as tw
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import fit_camera
 
 H, W = 24, 32

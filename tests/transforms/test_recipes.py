@@ -8,8 +8,16 @@ import pytest
 import torch
 import yaml
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.image import DepthMap, FlatGround
+from torchweather.recipes.recipes import (
+    FORMAT,
+    list_recipes,
+    load_recipe,
+    read_recipe,
+    recipes_folder,
+    save_recipe,
+)
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import (
     AsBayer,
@@ -21,14 +29,6 @@ from torchweather.transforms import (
     LidarSnow,
     LidarWeather,
     RadarAttenuation,
-)
-from torchweather.transforms.recipes import (
-    FORMAT,
-    list_recipes,
-    load_recipe,
-    read_recipe,
-    recipes_folder,
-    save_recipe,
 )
 from torchweather.weather import Fog, Mixture, Rain, Snow
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth import SceneDepth
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.image import mosaic, srgb_encode
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState

@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.random import draw_variates, sizes_of
 from torchweather.export.traceable import Traceable
 from torchweather.image.bayer import cfa_colour_index
-from torchweather.random import draw_variates, sizes_of
 from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
 from torchweather.stages.camera_rays import rays_of
 from torchweather.transforms.as_bayer import AsBayer

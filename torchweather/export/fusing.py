@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.export.camera_graph import IMAGE_OUTPUTS
 from torchweather.export.graph import OPSET, traced_model
 from torchweather.export.joining import check_connection, inputs_of, join_models, signature_text

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 __all__ = ["check_connection", "inputs_of", "join_models", "raised_to", "signature_text"]
 

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.random import Variate, draw_variates
 from torchweather.export.traceable import Traceable, knob_inputs
-from torchweather.random import Variate, draw_variates
 from torchweather.stages import Extinction, ParticleReturns
 from torchweather.transforms.lidar import LidarWeather
 from torchweather.weather import Mixture

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.random import draw_variates
 from torchweather.export.traceable import Traceable, knob_inputs
 from torchweather.radar import RangeDopplerMap
-from torchweather.random import draw_variates
 from torchweather.stages import PathAttenuation, VolumeClutter, WetRadome
 from torchweather.transforms.radar import RadarAttenuation
 from torchweather.weather import Mixture

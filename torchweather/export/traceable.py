@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import nn
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.weather import Weather
 
 __all__ = ["Traceable", "knob_inputs"]

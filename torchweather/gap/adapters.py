@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.frames import Frame
 from torchweather.gap.recorded_frames import CloudFile, ImageFile, beam_directions, even_camera, shared_depth
 from torchweather.gap.study import Study

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.random import keyed_stream
 from torchweather.gap.camera_change import refuse_changed
 from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
 from torchweather.gap.camera_particles import LEAST_STEP, MOST_STEP, Rendered
@@ -30,7 +31,6 @@ from torchweather.gap.effect_forms import counted_form
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
 from torchweather.image.bayer import cfa_colour_index
-from torchweather.random import keyed_stream
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Stage
 from torchweather.stages.airlight import towards_horizon

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.study import StudyScene
 from torchweather.image.bayer import cfa_colour_index
 from torchweather.sensors import Camera

@@ -11,7 +11,7 @@ from pathlib import PurePath
 import numpy as np
 import torch
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.gap.conditions import Condition
 from torchweather.gap.content_hash import frame_sha256
 from torchweather.gap.frames import Frame, Frames

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.baseline import FrameModel
 from torchweather.gap.camera import CameraFrames
 from torchweather.gap.diagnosis import diagnose
@@ -16,7 +17,6 @@ from torchweather.gap.radar import RadarFrames
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import find_gap_with
 from torchweather.stages.effects import Effect
-from torchweather.threads import one_thread_an_operation
 
 __all__ = ["find_gap"]
 

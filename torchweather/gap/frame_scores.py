@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.gap.study import Frame, Study
 from torchweather.metrics.bayer import bayer_scores
 from torchweather.metrics.cloud_scores import CLOUD_SCORES, cloud_scores

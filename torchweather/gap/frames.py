@@ -11,7 +11,7 @@ from typing import Any, overload
 
 from numpy.typing import NDArray
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import read_archive
 
 __all__ = ["Check", "Frame", "FrameSource", "Frames", "NpzFile", "load"]

@@ -22,9 +22,9 @@ from torchweather.gap.statistics import Group
 from torchweather.gap.unknown import unknown
 from torchweather.gap.workflow import GapResult
 from torchweather.io import atomic_write
+from torchweather.recipes.options import RecipeTransform
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.empirical import Empirical
-from torchweather.transforms.recipe_options import RecipeTransform
 from torchweather.weather import Fog
 
 __all__ = ["Curve", "GapReport", "ResidualMap", "Response", "gap_report", "read_model", "write_model"]

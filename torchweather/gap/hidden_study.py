@@ -11,18 +11,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.random import keyed_stream
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.embedded_study import RINGS
 from torchweather.gap.frames import Frame
 from torchweather.gap.splits import FIT, HOLDOUT
 from torchweather.gap.study import Study
-from torchweather.random import keyed_stream
 from torchweather.scenes import SCENES, LidarView, lidar_view
 from torchweather.sensors import Lidar
 from torchweather.stages import ToEnergy
 from torchweather.stages.effects import Effect
 from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.threads import one_thread_an_operation
 from torchweather.transforms import LidarWeather
 from torchweather.weather import Fog, Rain, Snow, Weather
 

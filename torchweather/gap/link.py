@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
 from torchweather.gap.frames import Frames
 from torchweather.gap.link_effects import LINK_EFFECTS, attenuation_db

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.frames import Frame
 from torchweather.gap.simulation import DRIZZLE_MM_PER_H, dry_samples, rain_attenuation_db
 from torchweather.physics import rain_attenuation_p838_db_per_km

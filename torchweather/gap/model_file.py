@@ -9,12 +9,12 @@ from typing import Any, TypeVar, overload
 
 import yaml
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import atomic_write
+from torchweather.recipes.options import RecipeTransform, with_more_effects
 from torchweather.stages.effects import Effect, effect_from_dict
 from torchweather.stages.empirical import Empirical
 from torchweather.transforms import LidarWeather
-from torchweather.transforms.recipe_options import RecipeTransform, with_more_effects
 
 __all__ = ["Additions", "read_model", "write_model"]
 

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
 from torchweather.gap.radar_forms import InterferenceForm, multipath_form, volume_clutter_form, wet_rcs_form
 from torchweather.gap.radar_nuisance import ReceiverNoise

@@ -12,7 +12,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_radar_path import of_state
 from torchweather.stages.states import RadarState

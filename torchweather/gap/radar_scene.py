@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.ndimage import median_filter
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.frames import Frame
 from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, fading, shares_by_class
 from torchweather.gap.study import StudyScene

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.gap.frames import Frame
 from torchweather.gap.scan_grid import DirectionMean, organised_frame, scan_frame
 from torchweather.gap.study_checks import numbers

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.gap.frames import Frame
 from torchweather.io import PointCloud
 from torchweather.sensors import Lidar, recover_ring

@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.threads import side_by_side
 from torchweather.gap.baseline import (
     PORTIONED_FRAMES,
     PORTIONS,
@@ -35,7 +36,6 @@ from torchweather.gap.nuisance import Nuisance, together
 from torchweather.gap.statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
 from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.stages.effects import Effect
-from torchweather.threads import side_by_side
 
 __all__ = ["Fit", "Search", "Setting"]
 

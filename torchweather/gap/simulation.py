@@ -17,9 +17,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.random import keyed_stream
 from torchweather.gap.study import Condition, Frame, Study
 from torchweather.physics import rain_attenuation_p838_db_per_km
-from torchweather.random import keyed_stream
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import PointKind
 from torchweather.transforms import BayerWeather, LidarWeather, RadarAttenuation

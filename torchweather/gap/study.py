@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.conditions import Condition, StudyContent, StudyScene
 from torchweather.gap.content_hash import content_sha256
 from torchweather.gap.frames import Frame, Frames, FrameSource
@@ -114,7 +114,7 @@ class Study(StudyContent):
         Example:
             >>> Study.read("no/such/folder")
             Traceback (most recent call last):
-            torchweather.errors.TorchweatherError: no/such/folder/study.yaml: no such file. ...
+            torchweather.core.errors.TorchweatherError: no/such/folder/study.yaml: no such file. ...
         """
         values = read_values(Path(folder))
         _check_sensor(values.kind, values.sensor, values.owner)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.frames import Frame
 
 __all__ = ["ARRAYS", "ArrayRule", "FrameRule"]
@@ -182,7 +182,7 @@ class FrameRule:
         (2, 4)
         >>> rule({"bayer": np.full((2, 4), 512.0)}, "c00-000.npz")
         Traceback (most recent call last):
-        torchweather.errors.TorchweatherError: c00-000.npz: bayer must be 0 (black) to 1 (saturation) ...
+        torchweather.core.errors.TorchweatherError: c00-000.npz: bayer must be 0 (black) to 1 (saturation) ...
     """
 
     kind: str

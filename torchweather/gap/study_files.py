@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from torchweather.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.gap.conditions import Condition, StudyContent
 from torchweather.gap.content_hash import plain
 from torchweather.gap.frames import Frame, Frames, NpzFile

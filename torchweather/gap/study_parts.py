@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.conditions import Condition, StudyScene
 from torchweather.gap.frames import Frame, Frames, FrameSource, load
 from torchweather.gap.splits import SPLITS, resolve_splits

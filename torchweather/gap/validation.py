@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from torchweather import __version__
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.comparison import FAMILY_LEVEL, Comparison, Sample, judged
 from torchweather.gap.diagnosis import Finding, diagnose
 from torchweather.gap.frame_scores import FrameScores, frame_scores
@@ -20,7 +21,6 @@ from torchweather.gap.quantities import Quantity, Values, compared_quantities, v
 from torchweather.gap.severity import TrendComparison, class_trends, compared_trends, weather_label
 from torchweather.gap.simulation import simulate, start_frame
 from torchweather.gap.study import Condition, Study, StudyScene
-from torchweather.threads import one_thread_an_operation
 
 __all__ = ["ConditionResult", "Validation", "reference_frame", "validate"]
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.gap.baseline import FrameModel, targets
 from torchweather.gap.candidate_fits import (
     SETTLED_BESIDE,

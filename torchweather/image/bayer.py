@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 
 __all__ = [
     "PATTERNS",

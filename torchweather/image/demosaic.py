@@ -13,9 +13,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
+from torchweather.core.threads import side_by_side
 from torchweather.image.bayer import PATTERNS, RCCB_TO_RGB, cfa_colour_index, check_even
-from torchweather.threads import side_by_side
 
 __all__ = ["METHODS", "demosaic"]
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_one_of
+from torchweather.core.errors import check_between, check_one_of
 from torchweather.image.bayer import cfa_index, colour_means
 from torchweather.image.demosaic import demosaic
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning, check_one_of
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning, check_one_of
 from torchweather.io.arrays import read_archive, read_array, write_archive
 from torchweather.io.atomic import atomic_write
 

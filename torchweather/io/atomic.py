@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 __all__ = ["atomic_folder", "atomic_write"]
 

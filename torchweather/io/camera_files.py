@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.io.kitti import read_kitti_entries
 from torchweather.io.yaml_calibration import camera_fields_from_yaml
 from torchweather.sensors import Camera, same_aspect

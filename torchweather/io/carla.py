@@ -20,7 +20,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_finite
+from torchweather.core.errors import check_between, check_finite
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
 from torchweather.physics.radar_equation import received_power_dbm
 from torchweather.sensors import Camera, Radar

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.io.carla import (
     CAR_RCS_DBSM,
     depth_from_carla,

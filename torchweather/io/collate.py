@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of, nearest_name
+from torchweather.core.errors import check_one_of, nearest_name
 from torchweather.io.batches import collate_indexed, collate_list, collate_padded
 from torchweather.io.point_cloud import PointCloud
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.sparse import depth_from_disparity
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.depth_plausible import check_plausible
 from torchweather.io.images import read_image

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth import CompletedDepth, SceneDepth
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.calibration import CameraLidarCalibration
 from torchweather.io.kitti import read_kitti_calibration
 from torchweather.io.nuscenes import read_nuscenes_calibration

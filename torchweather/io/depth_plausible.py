@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 __all__ = ["check_plausible"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from torchweather.errors import TorchweatherError, check_at_least, check_positive
+from torchweather.core.errors import TorchweatherError, check_at_least, check_positive
 from torchweather.io.drop_spectrum import DropSpectrum
 from torchweather.io.parsivel import read_parsivel_netcdf, read_parsivel_telegrams
 from torchweather.io.video_disdrometer import read_video_netcdf

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 if TYPE_CHECKING:
     from PIL import Image

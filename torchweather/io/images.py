@@ -17,7 +17,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.atomic import atomic_write
 from torchweather.io.exif import BROKEN_PICTURE, ORIENTATION, exif_tags

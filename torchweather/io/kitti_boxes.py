@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.atomic import atomic_write
 from torchweather.io.boxes import Boxes, checked_transform, turned_back, turned_yaw
 

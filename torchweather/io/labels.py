@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_between
+from torchweather.core.errors import TorchweatherError, check_between
 from torchweather.io.atomic import atomic_write
 from torchweather.io.box_update import update_boxes
 from torchweather.stages.states import PointKind

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from torchweather.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.radar.power_map import MAP_DIMENSIONS, MapAxes, PowerScale
 
 __all__ = ["MAP_LAYOUTS", "MapLayout", "map_layout"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.io.arrays import read_archive, write_archive
 from torchweather.io.stored_points import PointField, PointLayout, StoredPoints
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.io.calibration import CameraLidarCalibration
 from torchweather.io.points import read_points
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.io.point_cloud import PointCloud
 
 __all__ = ["OSF", "OSF_HINT", "OUSTER_INTENSITIES", "OusterFrame", "read_ouster"]

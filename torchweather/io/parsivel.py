@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts
 from torchweather.physics import rain_fall_speed_m_per_s
 

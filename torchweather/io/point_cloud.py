@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.io.stored_points import PointLayout, StoredPoints
 
 __all__ = ["INTENSITY_NAMES", "PointCloud", "cloud_from_stored", "exact_dtype", "flat_columns"]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.io.csv_points import read_csv_points, write_csv_points
 from torchweather.io.npz_points import read_npz_points, write_npz_points
 from torchweather.io.pcd import read_pcd, write_pcd

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.images import read_image
 from torchweather.io.map_layout import MapLayout
 from torchweather.radar.power_map import MapAxes, PowerScale

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_archive, read_array, write_archive
 from torchweather.io.atomic import atomic_write
 from torchweather.io.images import write_image

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.io.csv_points import read_csv_points
 from torchweather.io.npz_points import read_npz_points
 from torchweather.io.nuscenes_radar import empty_sweep, is_nuscenes_radar

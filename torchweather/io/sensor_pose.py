@@ -13,7 +13,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import read_array
 from torchweather.sensors.pose import split_pose
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 __all__ = ["PointField", "PointLayout", "StoredPoints"]
 

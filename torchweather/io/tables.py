@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from torchweather.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.io.atomic import atomic_write
 
 __all__ = ["TABLE_SUFFIXES", "read_table", "write_table"]

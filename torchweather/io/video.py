@@ -19,7 +19,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_positive
+from torchweather.core.errors import TorchweatherError, check_positive
 from torchweather.io.atomic import atomic_write
 
 __all__ = ["VIDEO_SUFFIXES", "WRITTEN_SUFFIXES", "VideoFrame", "VideoReader", "VideoWriter", "write_video"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_drops
 
 __all__ = ["read_video_netcdf"]

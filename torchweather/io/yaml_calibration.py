@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 __all__ = ["camera_fields_from_yaml"]
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of, check_positive
+from torchweather.core.errors import check_one_of, check_positive
 from torchweather.image.bayer import PATTERNS, cfa_index, check_even, split_planes
 from torchweather.image.demosaic import demosaic
 from torchweather.image.tone import srgb_encode

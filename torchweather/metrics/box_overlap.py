@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_finite
+from torchweather.core.errors import check_finite
 
 __all__ = ["bev_coverage", "bev_iou", "box_coverage", "box_iou"]
 

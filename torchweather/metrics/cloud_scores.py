@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of, owner_name
+from torchweather.core.errors import check_one_of, owner_name
 from torchweather.metrics.clouds import CloudPair, Clouds, Region, cloud_pairs, in_batch_shape
 from torchweather.metrics.filters import root
 from torchweather.metrics.nearest import nearest_distances

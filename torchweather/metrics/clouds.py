@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.errors import owner_name
+from torchweather.core.errors import owner_name
 
 __all__ = ["CloudPair", "Clouds", "Region", "cloud_pairs", "in_batch_shape", "there"]
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.errors import nearest_name
+from torchweather.core.errors import nearest_name
 
 __all__ = ["CONDITION_COLUMNS", "FEWEST", "Conditions", "join"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.errors import check_between
+from torchweather.core.errors import check_between
 from torchweather.metrics.coefficients import INTERVAL, Coefficient, coefficients, undefined, weighted_spearman
 from torchweather.metrics.condition_table import FEWEST, Conditions, join
 from torchweather.metrics.d34_claim import HIGHLY, ClaimCheck, check_claim

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_between, check_one_of
+from torchweather.core.errors import TorchweatherError, check_between, check_one_of
 from torchweather.metrics.box_overlap import bev_coverage, bev_iou, box_coverage, box_iou
 from torchweather.metrics.detection_curve import INTERPOLATIONS, MatchedBoxes
 from torchweather.metrics.detection_input import ImageBoxes, in_order

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 
 __all__ = ["INTERPOLATIONS", "MatchedBoxes"]
 

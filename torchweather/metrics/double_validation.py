@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_finite, check_one_of
+from torchweather.core.errors import check_finite, check_one_of
 
 __all__ = ["CENTRES", "DoubleValidation", "double_validation"]
 

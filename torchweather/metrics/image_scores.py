@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.metrics.cw_ssim import cw_ssim, cw_ssim_of
 from torchweather.metrics.dss import dss, dss_of
 from torchweather.metrics.fsim import fsim, fsim_of

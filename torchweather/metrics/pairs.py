@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from torchweather.errors import owner_name
+from torchweather.core.errors import owner_name
 from torchweather.metrics.colour import luma
 from torchweather.metrics.data_range import SIDES, check_values, value_of_white
 from torchweather.metrics.filters import automatic_factor, averaged_down, subsampled

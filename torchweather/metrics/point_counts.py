@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least
+from torchweather.core.errors import check_at_least
 from torchweather.metrics.clouds import Region, there
 
 __all__ = ["KINDS", "point_counts"]

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_positive
+from torchweather.core.errors import check_at_least, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import Per, SizeDistribution
 

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_one_of, check_positive
 from torchweather.physics.efficiency_table import extinction_table, scattering_table
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import SizeDistribution

@@ -9,7 +9,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of, check_positive
+from torchweather.core.errors import check_one_of, check_positive
 from torchweather.physics.extinction import extinction_per_m
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distributions import LogNormal, ModifiedGamma, SizeDistribution

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_positive
+from torchweather.core.errors import check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
 __all__ = ["SphereBudget", "axial_q_back", "normal_reflectance", "sphere_budget"]

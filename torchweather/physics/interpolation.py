@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_positive
+from torchweather.core.errors import check_positive
 
 __all__ = ["KnobTable"]
 

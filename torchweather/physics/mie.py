@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_positive
+from torchweather.core.errors import check_between, check_positive
 from torchweather.physics.float64 import Quantity
 
 __all__ = ["MieEfficiencies", "mie_coefficients", "mie_efficiencies"]

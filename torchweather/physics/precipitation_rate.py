@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.fall_speed import (
     flake_fall_speed_m_per_s,
     rain_fall_speed_m_per_s,

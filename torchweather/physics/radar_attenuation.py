@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.radar_scattering import particle_attenuation_db_per_km
 from torchweather.physics.rain_attenuation import rain_attenuation_p838_db_per_km

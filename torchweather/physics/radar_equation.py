@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_finite, check_positive
+from torchweather.core.errors import check_between, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = ["SPEED_OF_LIGHT_M_PER_S", "radar_constant_db", "received_power_dbm", "target_rcs_dbsm", "thermal_noise_dbm"]

@@ -8,7 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between
+from torchweather.core.errors import check_between
 from torchweather.physics.efficiency_table import size_nodes_mm
 from torchweather.physics.extinction import integrated_per_m, support_mm
 from torchweather.physics.mie import MieEfficiencies, mie_efficiencies

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between
+from torchweather.core.errors import check_at_least, check_between
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = ["RainCoefficients", "rain_attenuation_coefficients", "rain_attenuation_p838_db_per_km"]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from torchweather.errors import check_at_least
+from torchweather.core.errors import check_at_least
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distributions import Exponential, SizeDistribution
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_between, check_positive
+from torchweather.core.errors import TorchweatherWarning, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 from torchweather.physics.optical_constants import ICE_OPTICAL, WATER_OPTICAL
 from torchweather.physics.snow_geometry import ICE_DENSITY_G_PER_CM3

@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.incomplete_gamma import incomplete_gamma_between
 from torchweather.physics.size_distribution import Per, SizeDistribution

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.precipitation_rate import close_rate
 from torchweather.physics.rain_distributions import rate_and_presence

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = [

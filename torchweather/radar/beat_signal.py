@@ -24,7 +24,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_at_least, check_positive
+from torchweather.core.errors import TorchweatherWarning, check_at_least, check_positive
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.scatterers import Scatterers
 from torchweather.sensors import Radar

@@ -8,7 +8,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_finite, check_positive
+from torchweather.core.errors import TorchweatherWarning, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.radar.facet_rcs import far_field_edge_m, triangle_field_m
 from torchweather.radar.scatterers import Scatterers

@@ -10,7 +10,7 @@ import torch
 from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
-from torchweather.errors import check_finite, check_positive
+from torchweather.core.errors import check_finite, check_positive
 from torchweather.radar.bodies import corner_scatterers, facet_scatterers, gathered
 from torchweather.radar.scatterers import Scatterers
 

@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 from torch.nn import functional
 
-from torchweather.errors import check_at_least, check_between, check_finite
+from torchweather.core.errors import check_at_least, check_between, check_finite
 
 __all__ = ["HANN_CORRELATION", "CellAveragingCfar", "Cfar", "OrderStatisticCfar", "window_correlation"]
 

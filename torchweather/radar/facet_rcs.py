@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_between, check_finite, check_positive
+from torchweather.core.errors import TorchweatherWarning, check_between, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = ["far_field_edge_m", "isosceles_triangle_rcs_m2", "subdivide", "triangle_field_m"]

@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.random import Variate, draw_variates, flat_noise, sample_seeds
 from torchweather.radar.beat_signal import beat_signal
 from torchweather.radar.cfar import CellAveragingCfar, Cfar, OrderStatisticCfar, window_correlation
 from torchweather.radar.detection import detections
@@ -18,7 +19,6 @@ from torchweather.radar.range_doppler import check_cube, map_noise_dbm, range_do
 from torchweather.radar.scatterers import Scatterers
 from torchweather.radar.volume_echo import VolumeEcho
 from torchweather.radar.windows import WINDOWS, window
-from torchweather.random import Variate, draw_variates, flat_noise, sample_seeds
 from torchweather.sensors import Radar
 from torchweather.stages import PathAttenuation, WetRadome
 from torchweather.weather import Rain, Snow, Weather, check_knobs

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.radar.windows import WINDOWS, window
 from torchweather.sensors import Radar
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_finite, check_positive
+from torchweather.core.errors import check_finite, check_positive
 
 __all__ = ["Scatterers"]
 

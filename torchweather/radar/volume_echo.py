@@ -25,8 +25,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_between
-from torchweather.random import Variate
+from torchweather.core.errors import check_between
+from torchweather.core.random import Variate
 from torchweather.sensors import Radar
 from torchweather.stages import PathAttenuation
 from torchweather.stages.volume_clutter import DB, FallingReflectivity, view_rad

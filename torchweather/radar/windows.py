@@ -7,7 +7,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 
 __all__ = ["WINDOWS", "migration_share", "noise_bandwidth", "tone_place_and_loss", "window"]
 

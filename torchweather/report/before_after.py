@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchweather import __version__
 from torchweather.camera.depth.scene_depth import CONFIDENCES
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.image import normalise, quantise, srgb_decode, srgb_encode
 from torchweather.io import atomic_write
 from torchweather.report.page import html_page

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather import __version__
-from torchweather.errors import check_at_least
+from torchweather.core.errors import check_at_least
 from torchweather.io import atomic_write
 from torchweather.report.page import html_page
 from torchweather.report.view_flat import flat_view, under_ground

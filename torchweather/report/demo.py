@@ -113,7 +113,7 @@ def write_demo(
     Example:
         >>> write_demo(Path("nowhere"), images=[Path("missing.png")], depth=30.0)
         Traceback (most recent call last):
-        torchweather.errors.TorchweatherError: missing.png: no such file.
+        torchweather.core.errors.TorchweatherError: missing.png: no such file.
         >>> Path("nowhere").exists()
         False
     """

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.image import (
     FlatGround,
     as_depth_source,

@@ -10,11 +10,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.report.cloud_counts import cloud_counts
 from torchweather.scenes import LidarView, Scene, lidar_view
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
-from torchweather.threads import one_thread_an_operation
 from torchweather.transforms import LidarWeather
 from torchweather.weather import Weather
 

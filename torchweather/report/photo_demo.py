@@ -19,7 +19,7 @@ from torchweather import __version__
 from torchweather.camera.depth import ScenePrior
 from torchweather.camera.depth.scene_depth import GUESSED, SceneDepth
 from torchweather.camera.depth.source import DepthSource
-from torchweather.errors import TorchweatherWarning
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.image import normalise, quantise
 from torchweather.io import atomic_folder, write_image
 from torchweather.report.before_after import (

@@ -13,12 +13,12 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from torchweather.evaluation.robustness import BoxTruth, ConditionResult
+from torchweather.evaluation.robustness.frames import Look
+from torchweather.evaluation.sweep import Level
 from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, svg_uri
 from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, BEHIND_M, range_rings
 from torchweather.report.pictures import data_uri, jpeg_uri
-from torchweather.robustness import BoxTruth, ConditionResult
-from torchweather.robustness.frames import Look
-from torchweather.sweep import Level
 
 __all__ = ["FOUND", "LEGENDS", "TRUE", "WRONG", "look_uri", "performance_uri"]
 

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from torchweather.evaluation.robustness import Declaration, Rates, RobustnessResult
+from torchweather.evaluation.robustness.baseline import reference_of
+from torchweather.evaluation.robustness.frames import Look
+from torchweather.evaluation.robustness.remarks import interval_text, remarks
+from torchweather.evaluation.sweep import Level
 from torchweather.io import atomic_folder, atomic_write, write_table
 from torchweather.report.correlation_page import write_correlation
 from torchweather.report.page import html_page
 from torchweather.report.robustness_figures import LEGENDS, look_uri, performance_uri
 from torchweather.report.robustness_summary import correlation_of, plain, summary_of, table_of
 from torchweather.report.sweep_figures import NAMES
-from torchweather.robustness import Declaration, Rates, RobustnessResult
-from torchweather.robustness.baseline import reference_of
-from torchweather.robustness.frames import Look
-from torchweather.robustness.remarks import interval_text, remarks
-from torchweather.sweep import Level
 
 __all__ = ["write_robustness"]
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from torchweather import __version__
+from torchweather.evaluation.robustness import Declaration, Rates, RobustnessResult
+from torchweather.evaluation.robustness.baseline import RESULT_FORMAT
+from torchweather.evaluation.robustness.intervals import Interval
+from torchweather.evaluation.robustness.remarks import headline_of_depth
 from torchweather.metrics.condition_table import FEWEST
 from torchweather.metrics.correlation import Correlation, correlate
-from torchweather.robustness import Declaration, Rates, RobustnessResult
-from torchweather.robustness.baseline import RESULT_FORMAT
-from torchweather.robustness.intervals import Interval
-from torchweather.robustness.remarks import headline_of_depth
 
 __all__ = ["correlation_of", "plain", "summary_of", "table_of"]
 

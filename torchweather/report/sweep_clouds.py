@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchweather.evaluation.sweep import Level, LidarSubject, Series, Subject
 from torchweather.report.cloud_counts import has_return
 from torchweather.report.lidar_flat_figures import angle_views_uri, side_views_uri
 from torchweather.report.lidar_views import WeatherCloud
 from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.stages import PointKind
-from torchweather.sweep import Level, LidarSubject, Series, Subject
 
 __all__ = ["flat_pictures", "weather_clouds"]
 

@@ -12,10 +12,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.evaluation.sweep import Series
 from torchweather.report.figures import INK, MUTED, SHADES, STYLE, plain_axes, svg_uri
 from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, COLOURS, range_rings
 from torchweather.report.pictures import data_uri
-from torchweather.sweep import Series
 
 __all__ = ["AXES", "MISS", "NAMES", "points_above_uri", "score_uri"]
 

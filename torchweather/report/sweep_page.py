@@ -18,16 +18,8 @@ from tqdm import tqdm
 
 from torchweather import __version__
 from torchweather.camera.depth import EXACT, least_sure
-from torchweather.errors import check_one_of
-from torchweather.io import atomic_folder, atomic_write, write_table
-from torchweather.report.figures import SHADES
-from torchweather.report.frames import Frame
-from torchweather.report.lidar_figures import COLOURS, birds_eye_uri
-from torchweather.report.page import html_page
-from torchweather.report.pictures import jpeg_uri, shrunk
-from torchweather.report.sweep_clouds import flat_pictures, weather_clouds
-from torchweather.report.sweep_figures import AXES, MISS, NAMES, points_above_uri, score_uri
-from torchweather.sweep import (
+from torchweather.core.errors import check_one_of
+from torchweather.evaluation.sweep import (
     CameraSubject,
     Level,
     LidarSubject,
@@ -38,9 +30,17 @@ from torchweather.sweep import (
     samples,
     series_of,
 )
-from torchweather.sweep.misses import explain_miss
-from torchweather.sweep.run import plan
-from torchweather.sweep.trends import BY_RANKS, Judgement, SeriesTrends
+from torchweather.evaluation.sweep.misses import explain_miss
+from torchweather.evaluation.sweep.run import plan
+from torchweather.evaluation.sweep.trends import BY_RANKS, Judgement, SeriesTrends
+from torchweather.io import atomic_folder, atomic_write, write_table
+from torchweather.report.figures import SHADES
+from torchweather.report.frames import Frame
+from torchweather.report.lidar_figures import COLOURS, birds_eye_uri
+from torchweather.report.page import html_page
+from torchweather.report.pictures import jpeg_uri, shrunk
+from torchweather.report.sweep_clouds import flat_pictures, weather_clouds
+from torchweather.report.sweep_figures import AXES, MISS, NAMES, points_above_uri, score_uri
 
 __all__ = ["TABLES", "write_sweep"]
 
@@ -70,7 +70,7 @@ def write_sweep(
         out_dir: gets the table (``scores.csv`` or ``scores.parquet``), ``summary.json`` and ``index.html``
             (self-contained). What it held before stays, unless it has the same name. Nothing is written when anything
             fails.
-        subjects, levels, seeds, names: as in ``torchweather.sweep.sweep``; subjects of one sensor.
+        subjects, levels, seeds, names: as in ``torchweather.evaluation.sweep.sweep``; subjects of one sensor.
         sensor: its name, for the page.
         table: ``csv`` or ``parquet``.
         notes: what a reader must know of the subjects.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchweather.random import keyed_stream
+from torchweather.core.random import keyed_stream
 from torchweather.scenes.materials import Material, laser_reflectivity
 from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.pose import checked_pose

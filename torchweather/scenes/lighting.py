@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between
+from torchweather.core.errors import check_at_least, check_between
 from torchweather.scenes.position_noise import value_noise
 from torchweather.scenes.primitives import Point
 

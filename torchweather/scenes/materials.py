@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_finite, check_one_of
+from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of
 from torchweather.scenes.position_noise import cell_noise, value_noise
 
 __all__ = [

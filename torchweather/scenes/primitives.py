@@ -14,7 +14,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_positive
+from torchweather.core.errors import check_positive
 from torchweather.scenes.position_noise import value_noise
 
 __all__ = [

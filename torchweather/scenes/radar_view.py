@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_finite
+from torchweather.core.errors import check_between, check_finite
 from torchweather.radar import Scatterers, car_scatterers, corner_scatterers
 from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.pose import checked_pose

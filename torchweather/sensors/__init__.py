@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.sensors.base import Sensor
 from torchweather.sensors.camera import BAYER_PATTERNS, Camera
 from torchweather.sensors.camera_fit import CameraFit, fit_camera, without_distortion

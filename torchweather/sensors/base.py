@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import yaml
 from torch import Tensor
 
-from torchweather.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 
 __all__ = ["Sensor"]
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.sensors.base import Sensor
 from torchweather.sensors.frame_sizes import size_change
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
 from torchweather.sensors.base import Sensor
 from torchweather.sensors.pose import checked_origin, checked_rotation, split_pose
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S, radar_constant_db, thermal_noise_dbm
 from torchweather.sensors.base import Sensor
 

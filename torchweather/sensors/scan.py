@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_at_least, check_positive
+from torchweather.core.errors import TorchweatherWarning, check_at_least, check_positive
 from torchweather.sensors.laser_blocks import height_blocks
 from torchweather.sensors.lidar import Lidar
 

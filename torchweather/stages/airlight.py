@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, owner_name
+from torchweather.core.errors import TorchweatherWarning, owner_name
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.states import CameraState
 

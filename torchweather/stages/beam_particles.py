@@ -12,9 +12,9 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_one_of, check_positive
+from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.random import Variate
 from torchweather.physics import KnobTable, axial_q_back, melted_diameter_mm, rain_q_back, water_refractive_index
-from torchweather.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam, RangeGrid
 from torchweather.stages.patchy_air import BanksAlongBeams, of_beams

@@ -11,7 +11,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from torchweather.threads import side_by_side
+from torchweather.core.threads import side_by_side
 
 __all__ = ["by_rows", "is_exporting"]
 

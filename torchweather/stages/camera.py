@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_one_of
+from torchweather.core.errors import TorchweatherWarning, check_one_of
 from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.sensors import Camera

@@ -17,8 +17,8 @@ import torch
 import yaml
 from torch import Tensor, nn
 
-from torchweather.errors import TorchweatherError, check_one_of, nearest_name
-from torchweather.random import in_parallel, sample_seeds
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.random import in_parallel, sample_seeds
 from torchweather.stages.registry import STAGES
 from torchweather.stages.stage import Stage, State
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_one_of
+from torchweather.core.errors import check_between, check_one_of
 from torchweather.stages.chain import Chain
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage

@@ -16,7 +16,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import FADING_COLOUR, FARTHEST_M, OPAQUE, rays
 from torchweather.stages.effects import Effect, Parameter

@@ -13,7 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.stages.airlight import frame_mean
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.effects import Effect, Parameter

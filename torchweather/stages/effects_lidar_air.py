@@ -13,7 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.intensity import intensity_of_reflectivity
 from torchweather.stages.lidar import DB, exponential

@@ -12,7 +12,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_lidar_air import signal_gain
 from torchweather.stages.intensity import reflectivity_from_intensity

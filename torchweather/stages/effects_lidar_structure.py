@@ -18,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.stages.beam_particles import SIZE_KNOTS_MM
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.effects_lidar_air import along_beam

@@ -13,8 +13,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.random import Variate
 from torchweather.physics import wet_cover_loss_db
-from torchweather.random import Variate
 from torchweather.stages.effects import Effect, Parameter
 from torchweather.stages.states import PointKind, RadarState
 from torchweather.stages.volume_clutter import DB

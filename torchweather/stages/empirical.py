@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_between, check_one_of
-from torchweather.random import Variate
+from torchweather.core.errors import check_between, check_one_of
+from torchweather.core.random import Variate
 from torchweather.stages.effects_lidar_air import along_beam
 from torchweather.stages.effects_lidar_sensor import CROSSTALK_MARGIN_DB
 from torchweather.stages.lidar import DB, exponential

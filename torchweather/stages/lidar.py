@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.random import Variate
 from torchweather.physics import Q_EFF, KnobTable, extinction_from_mor, extinction_per_m
-from torchweather.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.sensors.lidar import CALIBRATION_REFLECTIVITY
 from torchweather.stages.beam import Beam

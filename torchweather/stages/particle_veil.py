@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
-from torchweather.random import Variate
+from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.random import Variate
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.sensors import Camera
 from torchweather.stages.airlight import Airlight, airlight_argument, frame_mean, given_or_estimated, scaled_airlight
 from torchweather.stages.by_rows import by_rows, is_exporting
@@ -22,7 +23,6 @@ from torchweather.stages.registry import register
 from torchweather.stages.sequence import next_frame
 from torchweather.stages.stage import Stage
 from torchweather.stages.states import CameraState
-from torchweather.threads import one_thread_an_operation
 from torchweather.weather import Rain, Snow, weather_from_dict
 
 __all__ = ["REFLECTED_SHARE", "ParticleVeil"]

@@ -26,8 +26,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between
-from torchweather.random import Variate
+from torchweather.core.errors import check_at_least, check_between
+from torchweather.core.random import Variate
 from torchweather.stages.registry import register
 from torchweather.stages.stage import Stage
 from torchweather.weather import PATCH_LENGTH_LOW_M, Weather, check_drawn

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_at_least, check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics import (
     RAIN_ATTENUATION_MODELS,
     SNOW_ATTENUATION_MODELS,

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torchweather.random import ABSENT, Variate
+from torchweather.core.random import ABSENT, Variate
+from torchweather.core.threads import side_by_side
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import is_exporting
 from torchweather.stages.camera import ground_rays, over_ground
@@ -22,7 +23,6 @@ from torchweather.stages.particle_tables import MarkOptics, particle_tables
 from torchweather.stages.patchy_air import Banks
 from torchweather.stages.states import CameraState
 from torchweather.stages.streaks import Marks, add_listed, add_static
-from torchweather.threads import side_by_side
 from torchweather.weather import Rain, Snow
 
 __all__ = ["Population"]

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.random import Variate
+from torchweather.core.random import Variate
 from torchweather.sensors import Radar
 from torchweather.stages.path_attenuation import radar_of
 from torchweather.stages.registry import register

@@ -17,7 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.random import ABSENT, keyed_stream
+from torchweather.core.random import ABSENT, keyed_stream
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.stages.population import (
     COLUMN_DEPTH,
     COLUMN_LEVEL,
@@ -26,7 +27,6 @@ from torchweather.stages.population import (
     COLUMNS,
     Population,
 )
-from torchweather.threads import one_thread_an_operation
 
 __all__ = ["next_frame"]
 

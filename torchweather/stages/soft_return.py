@@ -36,8 +36,8 @@ import torch
 from scipy.special import ndtri_exp
 from torch import Tensor, nn
 
-from torchweather.errors import check_one_of
-from torchweather.random import Variate
+from torchweather.core.errors import check_one_of
+from torchweather.core.random import Variate
 from torchweather.sensors import Lidar
 from torchweather.stages.beam import Beam, RangeGrid
 from torchweather.stages.fog_optics import FogOptics, mor_range_m

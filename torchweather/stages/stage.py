@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import torch
 from torch import Tensor, nn
 
-from torchweather.random import Variate, draw_variates, sample_seeds
+from torchweather.core.random import Variate, draw_variates, sample_seeds
 
 __all__ = ["Stage", "State"]
 

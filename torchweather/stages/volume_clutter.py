@@ -26,9 +26,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_at_least, check_between
+from torchweather.core.errors import check_at_least, check_between
+from torchweather.core.random import Variate
 from torchweather.physics import KnobTable, reflectivity_weighted_fall_speed
-from torchweather.random import Variate
 from torchweather.sensors import Radar
 from torchweather.stages.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
 from torchweather.stages.by_rows import is_exporting

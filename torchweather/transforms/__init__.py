@@ -1,13 +1,11 @@
 """The ready-made transforms: short constructors over chains."""
 
+from torchweather.core.moved import moved
 from torchweather.transforms.as_bayer import AsBayer
 from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
-from torchweather.transforms.compose import Compose, Draw
 from torchweather.transforms.lidar import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
 from torchweather.transforms.radar import RadarAttenuation, RadarResult
 from torchweather.transforms.radar_map import RadarMapResult, RadarMapWeather
-from torchweather.transforms.random_weather import RandomFog, RandomRain, RandomSnow, RandomWeather
-from torchweather.transforms.weather_dataset import WeatherDataset
 
 __all__ = [
     "AsBayer",
@@ -16,8 +14,6 @@ __all__ = [
     "BayerSnow",
     "BayerWeather",
     "CameraResult",
-    "Compose",
-    "Draw",
     "LidarFog",
     "LidarRain",
     "LidarResult",
@@ -27,9 +23,13 @@ __all__ = [
     "RadarMapResult",
     "RadarMapWeather",
     "RadarResult",
-    "RandomFog",
-    "RandomRain",
-    "RandomSnow",
-    "RandomWeather",
-    "WeatherDataset",
 ]
+
+__getattr__ = moved(
+    __name__,
+    {
+        "torchweather.compose": (
+            *("Compose", "Draw", "RandomFog", "RandomRain", "RandomSnow", "RandomWeather", "WeatherDataset"),
+        )
+    },
+)

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.camera.depth import EXACT, DepthMap, SceneDepth, check_depth
-from torchweather.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.random import sizes_of
 from torchweather.image.demosaic import METHODS
-from torchweather.random import sizes_of
 from torchweather.stages import CameraState
 from torchweather.transforms.camera import BayerWeather, CameraResult
 from torchweather.transforms.rgb_planes import check_rgb, check_rgb_values, encoded_planes, linear_planes

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.errors import owner_name
-from torchweather.random import keyed_stream
+from torchweather.core.errors import owner_name
+from torchweather.core.random import keyed_stream
 from torchweather.weather import Mixture, Weather
 
 __all__ = ["CLEAR", "weather_at_call"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchweather.errors import owner_name
+from torchweather.core.errors import owner_name
 from torchweather.lidar.beam_ends import BeamEnd, beam_ends, ways_above_ground
 from torchweather.lidar.beam_heights import beam_heights_m
 from torchweather.lidar.completion import complete_scan as completed

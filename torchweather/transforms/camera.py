@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
-from torchweather.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.random import sample_seeds, sizes_of
 from torchweather.image.bayer import cfa_colour_index
-from torchweather.random import sample_seeds, sizes_of
 from torchweather.sensors import Camera
 from torchweather.stages import (
     CameraState,

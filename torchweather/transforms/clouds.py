@@ -7,7 +7,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, owner_name
+from torchweather.core.errors import TorchweatherWarning, owner_name
 from torchweather.sensors import Lidar
 from torchweather.sensors.cloud_frame import points_in_sensor_frame
 from torchweather.stages.by_rows import is_exporting

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, owner_name
+from torchweather.core.errors import TorchweatherWarning, owner_name
 from torchweather.lidar.sensor_origin import estimate_origin
 from torchweather.sensors import Lidar
 from torchweather.sensors.cloud_frame import points_in_sensor_frame

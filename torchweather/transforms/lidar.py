@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 from torchweather.lidar.beam_ends import BeamEnd
 from torchweather.lidar.own_vehicle import OwnVehicleMask, checked_own_vehicle
 from torchweather.sensors import Lidar

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.errors import TorchweatherWarning, check_one_of
+from torchweather.core.errors import TorchweatherWarning, check_one_of
 from torchweather.sensors import Radar
 from torchweather.stages import (
     Chain,

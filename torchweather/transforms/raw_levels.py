@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.errors import owner_name
+from torchweather.core.errors import owner_name
 from torchweather.image.tone import compand, expand, normalise, quantise
 from torchweather.sensors import Camera
 from torchweather.stages.by_rows import is_exporting

@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor, nn
 
-from torchweather.errors import check_between
-from torchweather.random import flat_noise, sample_seeds
+from torchweather.core.errors import check_between
+from torchweather.core.random import flat_noise, sample_seeds
 from torchweather.sensors import Sensor
 from torchweather.stages import Chain
 from torchweather.stages.stage import State

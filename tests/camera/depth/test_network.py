@@ -19,7 +19,7 @@ from torchweather.camera.depth import CompletedDepth, CompletedDepthMap, FlatGro
 from torchweather.camera.depth.horizon import find_horizon
 from torchweather.camera.depth.network import IMAGENET_MEAN, IMAGENET_STD, DepthNetwork
 from torchweather.camera.depth.network_graph import NetworkGraph
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
 from torchweather.sensors import Camera
 

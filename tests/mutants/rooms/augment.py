@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-PATHS = "torchweather.augment.paths"
-MANIFEST = "torchweather.augment.manifest"
+PATHS = "torchweather.datasets.augment.paths"
+MANIFEST = "torchweather.datasets.augment.manifest"
 
 MUTANTS = (
     Mutant(
@@ -43,7 +43,7 @@ MUTANTS = (
     Mutant(
         "two_outputs_of_one_name",
         "two files of a data set are never written to one",
-        "torchweather.augment.layouts",
+        "torchweather.datasets.augment.layouts",
         "if twice:",
         "if False:",
         ("tests/augment/test_layouts.py::test_two_files_are_never_written_to_one",),

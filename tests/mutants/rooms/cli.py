@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-CLI = "torchweather.cli"
+CLI = "torchweather.cli.main"
 
 MUTANTS = (
     Mutant(
         "nan_in_json",
         "JSON has no NaN",
-        "torchweather.commands.output",
+        "torchweather.cli.output",
         "return value if math.isfinite(value) else None",
         "return value",
         ("tests/test_cli.py::test_demo_hands_over_folder_and_seed",),
@@ -34,7 +34,7 @@ MUTANTS = (
     Mutant(
         "input_overwritten",
         "an input file is never written over",
-        "torchweather.commands.result_files",
+        "torchweather.cli.result_files",
         "if resolved in self.inputs:",
         "if False:",
         ("tests/test_cli_radar.py::test_a_mistake_gives_one_line_exit_code_2_and_no_file",),
@@ -42,7 +42,7 @@ MUTANTS = (
     Mutant(
         "region_axis_given_twice",
         "an axis of a region is given once",
-        "torchweather.commands.regions",
+        "torchweather.cli.regions",
         " or name in limits:",
         ":",
         ("tests/test_cli_metrics.py::test_a_mistake_gives_one_line_and_exit_code_2",),
@@ -50,7 +50,7 @@ MUTANTS = (
     Mutant(
         "pairs_of_different_stems",
         "files are paired by name",
-        "torchweather.commands.pairs_of_files",
+        "torchweather.cli.pairs_of_files",
         "if counts[0][name] == counts[1][name] == 1:",
         "if counts[0][name] == 1:",
         ("tests/test_cli_metrics.py::test_nothing_that_matches_is_a_mistake",),
@@ -66,7 +66,7 @@ MUTANTS = (
     Mutant(
         "every_error_a_mistake",
         "a user's mistake is a value, a type, a file or a missing extra",
-        "torchweather.commands.mistakes",
+        "torchweather.cli.mistakes",
         "return isinstance(error, (ValueError, TypeError, OSError, ImportError, TorchweatherError))",
         "return True",
         ("tests/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-RANDOM = "torchweather.random"
-DISTRIBUTIONS = "torchweather.distributions"
+RANDOM = "torchweather.core.random"
+DISTRIBUTIONS = "torchweather.core.distributions"
 CHAIN = "torchweather.stages.chain"
 RGB_PLANES = "torchweather.transforms.rgb_planes"
-WEATHER_DATASET = "torchweather.transforms.weather_dataset"
+WEATHER_DATASET = "torchweather.compose.weather_dataset"
 WEATHER = "torchweather.weather"
 
 MUTANTS = (
@@ -77,7 +77,7 @@ MUTANTS = (
     Mutant(
         "recipe_runs_code",
         "a recipe is data: its YAML makes no objects",
-        "torchweather.transforms.recipe_files",
+        "torchweather.recipes.files",
         'return yaml.safe_load(path.read_text(encoding="utf-8"))',
         'return yaml.unsafe_load(path.read_text(encoding="utf-8"))',
         ("tests/transforms/test_recipes.py::test_a_missing_key_and_a_file_that_is_no_yaml_are_named",),
@@ -101,7 +101,7 @@ MUTANTS = (
     Mutant(
         "random_weather_ignores_the_picture",
         "pictures of one seed get different weather",
-        "torchweather.transforms.random_weather",
+        "torchweather.compose.random_weather",
         "zlib.crc32(pixels.tobytes())",
         "0",
         (

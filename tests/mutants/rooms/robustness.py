@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-INTERVALS = "torchweather.robustness.intervals"
-BOX_FORMS = "torchweather.robustness.box_forms"
+INTERVALS = "torchweather.evaluation.robustness.intervals"
+BOX_FORMS = "torchweather.evaluation.robustness.box_forms"
 
 MUTANTS = (
     Mutant(
         "resilience_without_severities",
         "a resilience rate is over all severities",
-        "torchweather.robustness.rates",
+        "torchweather.evaluation.robustness.rates",
         "_ratio(float(np.sum(v)), len(v) * clear)",
         "_ratio(float(np.sum(v)), clear)",
         ("tests/robustness/test_rates.py::test_the_rates_are_those_of_the_papers",),
@@ -35,7 +35,7 @@ MUTANTS = (
     Mutant(
         "suppression_across_classes",
         "non-maximum suppression is within a class",
-        "torchweather.robustness.suppression",
+        "torchweather.evaluation.robustness.suppression",
         "places = np.flatnonzero(labels == label)",
         "places = np.arange(len(labels))",
         (
@@ -64,7 +64,7 @@ MUTANTS = (
     Mutant(
         "class_lost_in_weather_left_out",
         "a class that no frame shows in weather counts 0, not nothing",
-        "torchweather.robustness.performance",
+        "torchweather.evaluation.robustness.performance",
         "by_class[name] = 0.0",
         "by_class[name] = 1.0",
         (("tests/robustness/test_performance.py::test_a_class_of_which_the_weather_took_all_has_nothing_left"),),

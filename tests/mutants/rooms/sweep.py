@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-LEVELS = "torchweather.sweep.levels"
-TRENDS = "torchweather.sweep.trends"
+LEVELS = "torchweather.evaluation.sweep.levels"
+TRENDS = "torchweather.evaluation.sweep.trends"
 
 MUTANTS = (
     Mutant(
@@ -51,7 +51,7 @@ MUTANTS = (
     Mutant(
         "scatter_is_a_standard_deviation",
         "the mean of a step scatters by its standard error",
-        "torchweather.sweep.misses",
+        "torchweather.evaluation.sweep.misses",
         "/ np.sqrt(len(step))",
         "",
         ("tests/sweep/test_misses.py::test_a_step_is_compared_with_the_error_of_its_mean",),

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import DepthSource, check_depth
-from torchweather.errors import check_at_least
+from torchweather.core.errors import check_at_least
 from torchweather.sensors import Camera
 
 AUTO = "auto"

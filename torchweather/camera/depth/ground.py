@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import GUESSED
 from torchweather.camera.depth.source import DepthSource
-from torchweather.errors import check_positive
+from torchweather.core.errors import check_positive
 from torchweather.sensors import Camera
 
 __all__ = ["FlatGround"]

@@ -19,7 +19,7 @@ from torchweather.camera.depth.network_graph import NetworkGraph, open_graph
 from torchweather.camera.depth.network_scale import check_metric, fit_to_ground, fit_to_points, points_in_picture
 from torchweather.camera.depth.scene_depth import COMPLETED, GUESSED, SceneDepth
 from torchweather.camera.depth.source import SceneSource
-from torchweather.errors import check_one_of, check_positive
+from torchweather.core.errors import check_one_of, check_positive
 from torchweather.sensors import Camera
 
 __all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "DepthNetwork"]
@@ -72,7 +72,7 @@ class DepthNetwork(SceneSource):
     Example:
         >>> network = DepthNetwork("midas.onnx", output="inverse_depth", scale="ground", multiple_px=32)
         Traceback (most recent call last):
-        torchweather.errors.TorchweatherError: midas.onnx: no such file; expected a depth network as an ONNX graph.
+        torchweather.core.errors.TorchweatherError: midas.onnx: no such file; expected a depth network as an ONNX graph.
     """
 
     confidence: ClassVar[str] = GUESSED

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError
 
 __all__ = ["NetworkGraph", "open_graph"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_one_of
+from torchweather.core.errors import check_one_of
 
 __all__ = ["COMPLETED", "CONFIDENCES", "EXACT", "GUESSED", "MEASURED", "SceneDepth", "least_sure"]
 

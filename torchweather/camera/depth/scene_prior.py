@@ -21,7 +21,7 @@ from torchweather.camera.depth.street_walls import (
     street_depth,
     view_of_street,
 )
-from torchweather.errors import check_one_of, check_positive
+from torchweather.core.errors import check_one_of, check_positive
 from torchweather.sensors import Camera
 
 __all__ = ["ScenePrior"]

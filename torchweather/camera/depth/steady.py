@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import GUESSED, SceneDepth
-from torchweather.errors import check_at_least
+from torchweather.core.errors import check_at_least
 
 __all__ = ["common_near_mask", "is_cut", "reach_of", "steady_scenes"]
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import nearest_name, owner_name
+from torchweather.core.errors import nearest_name, owner_name
 
 __all__ = ["Adapter", "array_from_image", "cloud_tensor", "depth_tensor", "image_tensor", "without_lost"]
 

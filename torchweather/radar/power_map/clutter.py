@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_at_least, check_between
+from torchweather.core.errors import check_at_least, check_between
 from torchweather.radar.power_map.cells import PowerMapState, lines_of_sight, within_half_turn
 from torchweather.radar.power_map.power_map import MapAxes
 from torchweather.sensors import Radar

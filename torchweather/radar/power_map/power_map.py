@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_finite
+from torchweather.core.errors import check_finite
 from torchweather.radar.power_map.scale import PowerScale
 
 __all__ = ["MAP_DIMENSIONS", "MapAxes", "RadarPowerMap"]

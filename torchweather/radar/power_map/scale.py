@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.errors import check_finite, check_one_of, check_positive
+from torchweather.core.errors import check_finite, check_one_of, check_positive
 
 __all__ = ["SCALE_KINDS", "PowerScale"]
 

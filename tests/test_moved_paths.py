@@ -1,0 +1,34 @@
+"""Paths that have moved: they work for one release, with a warning that gives the new one."""
+
+from __future__ import annotations
+
+import importlib
+
+import pytest
+
+MOVED = [
+    ("torchweather.errors", "TorchweatherError", "torchweather.core.errors"),
+    ("torchweather.random", "keyed_stream", "torchweather.core.random"),
+    ("torchweather.distributions", "Choice", "torchweather.core.distributions"),
+    ("torchweather.sweep", "parse_levels", "torchweather.evaluation.sweep"),
+    ("torchweather.robustness", "run_robustness", "torchweather.evaluation.robustness"),
+    ("torchweather.augment", "augment", "torchweather.datasets.augment"),
+    ("torchweather.transforms.recipes", "load_recipe", "torchweather.recipes.recipes"),
+    ("torchweather.transforms.pipelines", "load_pipeline", "torchweather.recipes.pipelines"),
+    ("torchweather.transforms.suites", "read_suite", "torchweather.recipes.suites"),
+    ("torchweather.transforms", "Compose", "torchweather.compose"),
+]
+
+
+@pytest.mark.parametrize(("old", "name", "new"), MOVED)
+def test_an_old_path_works_and_says_the_new_one(old: str, name: str, new: str) -> None:
+    module = importlib.import_module(old)
+    with pytest.warns(DeprecationWarning, match=rf"{old}.{name} has moved to {new}.{name}; the old path goes"):
+        found = getattr(module, name)
+    assert found is getattr(importlib.import_module(new), name)
+
+
+def test_a_name_that_never_was_is_no_name() -> None:
+    for old in ("torchweather.errors", "torchweather.transforms"):
+        with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+            importlib.import_module(old).nothing  # noqa: B018

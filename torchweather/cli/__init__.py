@@ -1,0 +1,1 @@
+"""The ``torchweather`` program and its commands, one file each; torch is imported when a command runs."""

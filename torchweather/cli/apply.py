@@ -1,0 +1,207 @@
+"""``torchweather apply``: weather on files of images, point clouds and radar detections, each in its own format."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchweather.cli.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
+from torchweather.cli.detections import RADAR_ARGUMENTS, add_radar_arguments
+from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
+from torchweather.cli.own_vehicle import add_own_vehicle
+
+if TYPE_CHECKING:
+    from torchweather.recipes.recipe import Recipe
+    from torchweather.weather import Weather
+
+NAME = "apply"
+SUMMARY = "weather on files of images, point clouds and radar detections"
+DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
+pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin, nuScenes
+.pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
+(nuScenes' or one's own), .npz, .csv or View-of-Delft's .bin; power maps of a radar polar .png, .npy or .npz.
+In a video, and in a folder with --sequence, the particles move from frame to frame. Each output keeps the
+name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. Sample
+i takes the random numbers of seed + i. With --sensor radar, scene:test-track and scene:fog-tunnel simulate
+the radar's frame of an embedded scene: NAME.npz in the weather, NAME_clear.npz in clear air, and NAME.png
+with both."""
+
+SCENE = "scene:"  # begins the name of an embedded scene
+# What no image is: without --sensor it asks for a LiDAR or a radar.
+CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
+KINDS = ("camera", "lidar", "radar")
+SEQUENCE_ARGUMENTS = ("sequence", "frame_rate_hz")
+# By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
+ARGUMENTS = {
+    "camera": (*CAMERA_ARGUMENTS, *SEQUENCE_ARGUMENTS),
+    "lidar": (*LIDAR_ARGUMENTS, "own_vehicle"),
+    "radar": (*RADAR_ARGUMENTS, "ego_speed_m_per_s", "lost", "labels"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "inputs", nargs="+", type=Path, metavar="IN", help="images, point clouds, detections, folders, or scene:NAME"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, help="folder for the results; of a sequence also a video, .mp4"
+    )
+    parser.add_argument("--weather", help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +")
+    parser.add_argument("--recipe", help="a ready-made pipeline (see torchweather list), or a file of one's own")
+    parser.add_argument(
+        "--sensor", help="camera, lidar or radar, with :PRESET; default the recipe's, else camera:lucid-triton"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
+    parser.add_argument(
+        "--preview",
+        action="store_true",
+        help="also write NAME.html: of an image a slider over three severities, of a cloud its points to turn; of a "
+        "radar map NAME_preview.png",
+    )
+    parser.add_argument(
+        "--airlight",
+        nargs=3,
+        type=float,
+        metavar=("R", "G", "B"),
+        help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
+    )
+    parser.add_argument(
+        "--ego-speed-m-per-s",
+        type=_speed,
+        metavar="SPEED|FILE",
+        help="speed of the vehicle, m/s; a radar's: for --clutter, scenes. Of a sequence also a file of them: a text, "
+        "a CSV with the column speed_m_per_s, or a folder of raw KITTI data",
+    )
+    group = parser.add_argument_group("sequence", "of a camera: a video, or the frames of one drive")
+    group.add_argument(
+        "--sequence", action="store_true", help="the inputs are successive frames, in which the same particles move"
+    )
+    group.add_argument(
+        "--frame-rate-hz", type=float, help="frames a second; default the video's, or that of KITTI's timestamps.txt"
+    )
+    add_depth_arguments(parser)
+    add_camera_arguments(parser)
+    add_through_mosaic(parser)
+    add_lidar_arguments(parser)
+    add_own_vehicle(parser)
+    add_radar_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Process the files."""
+    from torchweather.cli.output import print_json, print_lines
+    from torchweather.recipes.recipes import read_recipe
+    from torchweather.weather import parse_weather
+
+    recipe = None if args.recipe is None else read_recipe(args.recipe)
+    if args.weather is not None:
+        weather = parse_weather(args.weather)
+    elif recipe is not None:
+        weather = recipe.build_weather()
+    else:
+        raise ValueError("apply: give --weather, such as fog:mor=30, or --recipe (see torchweather list).")
+    kind, preset = _sensor(args, recipe)
+    done, text = _process(args, weather, recipe, kind, preset)
+    if args.json:
+        print_json({"files": done})
+    else:
+        print_lines(text)
+    return 0
+
+
+def _process(
+    args: argparse.Namespace, weather: Weather, recipe: Recipe | None, kind: str, preset: str
+) -> tuple[list[dict[str, object]], str]:
+    """What was done to every frame, as values and as text."""
+    scenes = _scenes(args, kind)
+    sequence = kind == "camera" and _is_sequence(args)
+    if isinstance(args.ego_speed_m_per_s, Path) and not sequence:
+        raise ValueError(
+            f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
+            "--sequence; give one number of m/s."
+        )
+    if sequence and args.preview:
+        raise ValueError("apply: --preview is of single frames; give some of them without --sequence.")
+    if scenes:
+        from torchweather.cli import apply_radar_scene
+
+        done = apply_radar_scene.process(args, weather, recipe, preset, scenes)
+        return done, "\n".join(apply_radar_scene.line(entry) for entry in done)
+    if sequence:
+        from torchweather.cli import apply_sequence
+
+        done = apply_sequence.process(args, weather, recipe, preset)
+        return done, "\n".join(apply_sequence.line(entry) for entry in done)
+    if kind == "lidar":
+        from torchweather.cli import apply_lidar as work
+    elif kind == "radar":
+        from torchweather.cli.apply_radar_map import has_maps
+
+        if has_maps(args):
+            from torchweather.cli import apply_radar_map as work  # type: ignore[no-redef]
+        else:
+            from torchweather.cli import apply_radar as work  # type: ignore[no-redef]
+    else:
+        from torchweather.cli import apply_camera as work  # type: ignore[no-redef]
+    done = work.process(args, weather, recipe, preset)
+    return done, "\n".join(work.line(entry) for entry in done)
+
+
+def _is_sequence(args: argparse.Namespace) -> bool:
+    """Whether the frames belong together; checks what belongs to a sequence."""
+    from torchweather.cli.apply_sequence import is_video
+
+    videos = [path for path in args.inputs if is_video(path)]
+    if not args.sequence and not videos:
+        if args.frame_rate_hz is not None:
+            raise ValueError("apply: --frame-rate-hz is for a video or --sequence.")
+        if is_video(args.out):
+            raise ValueError(f"apply: {args.out} is a video; give --sequence if the inputs are frames of one drive.")
+    return bool(args.sequence or videos)
+
+
+def _speed(text: str) -> float | Path:
+    """A speed in m/s, or the file or folder that holds some."""
+    try:
+        return float(text)
+    except ValueError:
+        return Path(text)
+
+
+def _scenes(args: argparse.Namespace, kind: str) -> list[str]:
+    """Names of the embedded scenes among the inputs, which are all scenes or none."""
+    scenes = [str(path) for path in args.inputs if str(path).startswith(SCENE)]
+    if scenes and kind != "radar":
+        raise ValueError(
+            f"apply: {scenes[0]} is simulated for a radar; give --sensor radar:PRESET. torchweather demo shows the "
+            "embedded scenes as a camera and a LiDAR see them."
+        )
+    if scenes and len(scenes) < len(args.inputs):
+        raise ValueError(f"apply: {scenes[0]} is a scene, other inputs are files; run apply for each.")
+    return [scene.removeprefix(SCENE) for scene in scenes]
+
+
+def _sensor(args: argparse.Namespace, recipe: Recipe | None) -> tuple[str, str]:
+    """Kind and preset of the sensor ('' where none is named); arguments of the other kind are refused."""
+    if args.sensor is None:
+        kind, preset = ("camera", "") if recipe is None else (recipe.sensor_kind, "")
+        clouds = [path for path in args.inputs if path.suffix.lower() in CLOUDS_ONLY]
+        if recipe is None and clouds:
+            raise ValueError(
+                f"apply: {clouds[0]} is a point cloud; give --sensor lidar:PRESET or radar:PRESET (see torchweather "
+                "list)."
+            )
+    else:
+        kind, _, preset = args.sensor.partition(":")
+    if kind not in KINDS:
+        raise ValueError(f"apply: --sensor must be camera, lidar or radar, with :PRESET; got {args.sensor!r}.")
+    if recipe is not None and recipe.sensor_kind != kind:
+        raise ValueError(f"apply: recipe {recipe.name} is for a {recipe.sensor_kind}; got --sensor {args.sensor}.")
+    for other in KINDS:
+        for name in ARGUMENTS[other]:
+            if name not in ARGUMENTS[kind] and getattr(args, name) not in (None, False):
+                raise ValueError(f"apply: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
+    return kind, preset

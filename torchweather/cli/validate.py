@@ -1,0 +1,71 @@
+"""``torchweather validate``: simulated frames of a study beside its measured ones, as a page."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torchweather.gap.study import Study
+
+NAME = "validate"
+SUMMARY = "simulation beside measurement: scores, trends and pictures of a study"
+DESCRIPTION = """Simulates every condition of a study folder (frames measured in weather, and clear frames of the same
+scene), scores measured and simulated frames against clear ones, and writes a page: pictures side by side, scores with
+the floor of clear against clear frames, trends over severity, run time, and what the study lacks. It says what
+disagrees, not why. scene:test-track is a study that the library makes of an embedded scene, without any measurement."""
+
+SCENE = "scene:"  # begins the name of an embedded scene
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("study", metavar="STUDY", help="folder with study.yaml, or scene:NAME")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for index.html and validation.json")
+    parser.add_argument("--sensor", metavar="KIND[:PRESET]", help="of scene:NAME: lidar (default), camera or radar")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulation; default 0")
+    parser.add_argument("--metrics", help="names joined by commas; default all that the frames can have")
+    parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Validate and write the page."""
+    from tqdm import tqdm
+
+    from torchweather.cli.output import note, print_json, print_lines
+    from torchweather.gap.validation import validate
+    from torchweather.report.validation_page import write_validation
+
+    self_check = args.study.startswith(SCENE)
+    names = None if args.metrics is None else [name.strip() for name in args.metrics.split(",") if name.strip()]
+    if names is not None and not names:
+        raise ValueError("validate: --metrics must name a score or more, such as psnr,ssim; got none.")
+    study = _study(args)
+    shown = not args.quiet and sys.stderr.isatty()
+    with tqdm(total=len(study.conditions), desc="conditions", disable=not shown, leave=False) as bar:
+        validation = validate(study, seed=args.seed, names=names, step=bar.update)
+    for finding in validation.findings:
+        if finding.level == "error":
+            note(str(finding), quiet=args.quiet)
+    summary = write_validation(args.out, study, validation, self_check=self_check)
+    if args.json:
+        print_json(summary)
+    else:
+        print_lines(f"{validation.verdict()}\nwrote {args.out / 'index.html'}")
+    return 0
+
+
+def _study(args: argparse.Namespace) -> Study:
+    from torchweather.gap.embedded_study import EMBEDDED_KINDS, embedded_study
+    from torchweather.gap.study import Study
+
+    if not args.study.startswith(SCENE):
+        if args.sensor is not None:
+            raise ValueError("validate: --sensor belongs to scene:NAME; a study folder names its sensor.")
+        return Study.read(args.study)
+    kind, _, preset = (args.sensor or "lidar").partition(":")
+    if kind not in EMBEDDED_KINDS:
+        raise ValueError(f"validate: --sensor must be one of {', '.join(EMBEDDED_KINDS)}; got {kind!r}.")
+    return embedded_study(kind, preset=preset or None, scene=args.study.removeprefix(SCENE), seed=args.seed)

@@ -1,1 +1,0 @@
-"""The commands of the ``torchweather`` program, one file each; torch is imported only when a command runs."""

@@ -1,0 +1,486 @@
+"""Compose: one weather on all sensors of a sample."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torchweather.camera.depth import SceneDepth
+from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
+from torchweather.core.distributions import Choice
+from torchweather.core.errors import check_between, nearest_name
+from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
+from torchweather.sensors import Camera
+from torchweather.transforms.as_bayer import AsBayer
+from torchweather.transforms.plans import Plan, plan_of
+from torchweather.transforms.radar import KNOWN, RadarAttenuation
+from torchweather.weather import Weather, weather_from_dict
+
+__all__ = ["Compose", "Draw"]
+
+# Dimensions of one sample's arguments, beside the data: what has one more is of a batch.
+DIMENSIONS = {
+    "depth": 3,
+    "normal": 3,
+    "directions": 2,
+    "target_class": 1,
+    "frame_number": 0,
+    "past_rain_mm_per_h": 1,
+    "past_rain_min": 1,
+}
+KEPT = 16  # transforms that were built for a weather, kept for when it comes again
+Sample = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What was drawn for a sample: all that is needed to give it the same weather again.
+
+    Args:
+        seed: from which the particles of every sensor follow, 63 bits.
+        weather: plain values, as ``weather_from_dict`` takes them; ``None`` is clear air: the sample stays as it is.
+
+    Example:
+        >>> Draw.from_dict(json.loads(json.dumps(Draw(7, {"kind": "rain", "rate_mm_per_h": 25.0}).to_dict()))).seed
+        7
+    """
+
+    seed: int
+    weather: Mapping[str, Any] | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {"seed": self.seed, "weather": None if self.weather is None else dict(self.weather)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Draw:
+        """The inverse of ``to_dict``."""
+        if set(values) != {"seed", "weather"}:
+            raise ValueError(f"Draw: wanted seed and weather; got {', '.join(map(str, values)) or 'nothing'}.")
+        return cls(int(values["seed"]), values["weather"])
+
+
+class Compose(nn.Module):
+    """One weather on all sensors of a sample: drawn once, with particles of its own before each sensor.
+
+    Args:
+        transforms: key of the sample to the transform of what is there: ``BayerRain`` and its like, ``AsBayer`` around
+            one, ``LidarRain`` and its like, ``RadarAttenuation``, ``RadarMapWeather``.
+        weather: what all of them get, in place of what each was built with: a ``Weather``, whose numbers may be
+            distributions; or a list or ``Choice`` of weathers, ``None`` among them for clear air. ``None``: what the
+            transforms were built with, which must then be the same for all.
+        p: probability that a sample gets weather at all.
+        depth: key of the depth map or ``SceneDepth``, for cameras; where the sample has none, a camera's own depth
+            source is taken.
+        inputs: other arguments of the transforms by name, to keys of the sample, for each key that needs them:
+            ``{"points": {"directions": "beams"}, "front": {"depth": "front_depth"}}``.
+        seed: of all samples; needs ``sample_key``.
+        sample_key: key of the sample's own name (a token, a file name, a number): with it the same sample gets the
+            same weather in the same epoch, whatever the worker. ``WeatherDataset`` does so by the index.
+        history: key under which the draw is put into the sample, as plain values.
+        mosaic_clear: RGB images that stay in clear air go through the mosaic, too, where those in weather do
+            (``AsBayer(..., through_mosaic=True)``): else a net may learn to tell weather by the demosaicing.
+
+    Note:
+        Of a sample all sensors share the weather's numbers, and what effects draw of the air: the gusts of
+        ``lidar.patchy_weather`` are the same for all LiDARs, the banks of ``camera.patchy_fog`` for all cameras.
+
+        A batch is a sample whose data have one more dimension in front, or are lists of clouds: each of its elements
+        gets a weather of its own, exactly as it would alone.
+
+        It returns a new dictionary. Keys that it does not know pass through as they are. Numpy arrays come back as
+        numpy arrays.
+
+    Example:
+        >>> import torchweather as tw
+        >>> lidar = tw.LidarRain(tw.Rain(10), tw.Lidar.preset("velodyne-hdl-64e"))
+        >>> stormy = Compose({"points": lidar}, weather=tw.Rain(rate_mm_per_h=(1, 50)), history="weather")
+        >>> sample = {"points": torch.tensor([[20.0, 0.0, 0.0, 120.0]]), "token": "a"}
+        >>> out = stormy(sample, seed=7)
+        >>> out["token"], out["points"].shape, 1 < out["weather"]["weather"]["rate_mm_per_h"] < 50
+        ('a', torch.Size([1, 4]), True)
+    """
+
+    def __init__(
+        self,
+        transforms: Mapping[str, nn.Module],
+        *more: object,
+        weather: Weather | Choice | Sequence[Weather | None] | None = None,
+        p: float = 1.0,
+        depth: str = "depth",
+        inputs: Mapping[str, Mapping[str, str]] | None = None,
+        seed: int | None = None,
+        sample_key: str | None = None,
+        history: str | None = None,
+        mosaic_clear: bool = False,
+    ) -> None:
+        super().__init__()
+        if more or not isinstance(transforms, Mapping):
+            raise TypeError(_no_mapping(transforms, more))
+        check_between("p", p, 0.0, 1.0, owner=self)
+        if (seed is not None) and sample_key is None:
+            raise ValueError(
+                "Compose: seed needs sample_key, the key of what tells samples apart (a token, a file name, a number). "
+                "Without one, give a seed at each call, or wrap the data set: WeatherDataset(dataset, compose, seed)."
+            )
+        self.plans = {key: _plan(key, transform) for key, transform in transforms.items()}
+        if not self.plans:
+            raise ValueError("Compose: wanted a transform for at least one key; got none.")
+        self.weather = _candidates(weather, transforms)
+        self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
+        self.mosaic_clear = bool(mosaic_clear)
+        self.inputs = {key: dict(names) for key, names in (inputs or {}).items()}
+        self._check_inputs()
+        taken = {
+            *self.plans,
+            self.depth,
+            self.sample_key,
+            *(one for names in self.inputs.values() for one in names.values()),
+        }
+        if history in taken - {None}:
+            raise ValueError(f"Compose: history={history!r} is the key of something else; give it one of its own.")
+        self._epoch = shared(torch.zeros((), dtype=torch.int64))
+        self._built: OrderedDict[tuple[str, str, str], Any] = OrderedDict()
+        for one in self.weather.values:  # so that what does not go together is said here, and tables are made once
+            for plan in self.plans.values():
+                if one is not None:
+                    plan.build(one)
+
+    def extra_repr(self) -> str:
+        """What is done to which key."""
+        inside = ", ".join(f"{key!r}: {plan.kind.__name__}" for key, plan in self.plans.items())
+        return f"{{{inside}}}, weather={list(self.weather.values)!r}, p={self.p:g}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_built": OrderedDict()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)  # type: ignore[no-untyped-call]
+        shared(self._epoch)
+
+    # ---- drawing -------------------------------------------------------------------------------------------------
+
+    @property
+    def epoch(self) -> int:
+        """How often the data were gone through before."""
+        return int(self._epoch)
+
+    def set_epoch(self, epoch: int) -> None:
+        """Another epoch, another weather for each sample; workers that live on see it, too."""
+        self._epoch.fill_(int(epoch))
+
+    def draw(
+        self, sample: Sample, *, seed: int | None = None, generator: torch.Generator | None = None
+    ) -> Draw | list[Draw]:
+        """What ``forward`` does to a sample, without doing it; a list for a batch.
+
+        Args:
+            sample: only its sizes count, and its ``sample_key``.
+            seed: of the sample; of a batch's first one, which the others follow by 1.
+            generator: torch generator that gives one integer a sample; ``None`` is the global one.
+        """
+        number = self._number(self._data(sample))
+        if seed is not None or self.sample_key is None:
+            seeds = sample_seeds(() if number is None else (number,), generator, seed)
+        else:
+            seeds = [sample_seed(self.seed or 0, name, self.epoch) for name in self._names(sample, number)]
+        draws = [self._drawn(one) for one in seeds]
+        return draws[0] if number is None else draws
+
+    def _drawn(self, seed: int) -> Draw:
+        applied = float(keyed_stream(seed, "compose.applied").random()) < self.p
+        chosen = self.weather.at(float(keyed_stream(seed, "compose.weather").random()))
+        if not applied or chosen is None:
+            return Draw(seed, None)
+        return Draw(seed, chosen.drawn(seed).to_dict())
+
+    def _names(self, sample: Sample, number: int | None) -> list[int | str]:
+        """The samples' own names."""
+        assert self.sample_key is not None
+        named = self._value(sample, self.sample_key)
+        if isinstance(named, (Tensor, np.ndarray, np.generic)):
+            named = named.tolist()
+        found = [named] if number is None else list(named) if isinstance(named, (list, tuple)) else [named]
+        if len(found) != (1 if number is None else number) or not all(isinstance(one, (int, str)) for one in found):
+            raise ValueError(f"Compose: {self.sample_key!r} must hold a number or text for each sample; got {named!r}.")
+        return found
+
+    # ---- applying ------------------------------------------------------------------------------------------------
+
+    def forward(
+        self, sample: Sample, *, seed: int | None = None, draw: Draw | Sequence[Draw] | None = None
+    ) -> dict[str, Any]:
+        """The sample in the weather.
+
+        Args:
+            sample: key to data. Mosaics are ``(1, H, W)``, images ``(3, H, W)``, clouds ``(N, 4 or more)``, lists of
+                a radar ``(N, 6 or more)``, tensors or numpy arrays; one more dimension in front is a batch.
+            seed: as ``draw`` takes it; ``None``: by ``sample_key``, or else from torch's global generator.
+            draw: what ``draw`` gave, to do the same again.
+
+        Returns:
+            A new dictionary of the same keys (with ``history`` one more). Clouds whose lengths differ
+            (``lost="drop"``) are lists in a batch.
+
+        Raises:
+            ValueError: the sample lacks a key, or the data of the keys are of batches of different sizes.
+        """
+        return self.run(sample, seed=seed, draw=draw)[0]
+
+    def run(
+        self, sample: Sample, *, seed: int | None = None, draw: Draw | Sequence[Draw] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The sample in the weather, and what happened to the data of each key; arguments as ``forward``.
+
+        Returns:
+            The sample, and key to ``CameraResult``, ``RgbResult``, ``LidarResult`` or ``RadarResult``; in a batch to
+            a list of them. A sample that got no weather has none: an empty dictionary, or ``None`` in the list.
+        """
+        data = self._data(sample)
+        number = self._number(data)
+        if draw is None:
+            draw = self.draw(sample, seed=seed)
+        draws = [draw] if isinstance(draw, Draw) else list(draw)
+        if len(draws) != (1 if number is None else number):
+            raise ValueError(f"Compose: wanted a draw for each of {number or 1} samples; got {len(draws)}.")
+        if self.history is not None and self.history in sample:
+            raise ValueError(
+                f"Compose: the sample holds {self.history!r} already, where history is to go. If it comes from another "
+                "Compose, the sample would get two weathers: give one Compose weather=Mixture(...). Else name another "
+                "key."
+            )
+        out = dict(sample)
+        results: dict[str, Any] = {}
+        for key, plan in self.plans.items():
+            if number is None:
+                found = self._in_weather(key, plan, data[key], self._extras(sample, key, plan, None, 1), draws[0])
+                if found is not None:
+                    results[key] = found
+                    out[key] = like(data_of(found), sample[key])
+                elif self._mosaics(plan):
+                    out[key] = like(self._clear(key, plan, data[key]), sample[key])
+            else:
+                each = [
+                    self._in_weather(key, plan, data[key][k], self._extras(sample, key, plan, k, number), draws[k])
+                    for k in range(number)
+                ]
+                if self._mosaics(plan) or any(found is not None for found in each):
+                    kept = [
+                        self._clear(key, plan, data[key][k]) if found is None else data_of(found)
+                        for k, found in enumerate(each)
+                    ]
+                    out[key] = like_batch(kept, sample[key])
+                results[key] = each
+        if self.history is not None:
+            out[self.history] = draws[0].to_dict() if number is None else [one.to_dict() for one in draws]
+        return out, results
+
+    def clear_through_mosaic(self, key: str) -> bool:
+        """Whether clear images of a key go through the mosaic."""
+        return self._mosaics(self.plans[key])
+
+    def _mosaics(self, plan: Plan) -> bool:
+        """Whether clear data of a key go through the mosaic."""
+        return self.mosaic_clear and plan.through_mosaic
+
+    def _clear(self, key: str, plan: Plan, value: Tensor) -> Tensor:
+        """Data that get no weather."""
+        if not self._mosaics(plan):
+            return value
+        some = next(one for one in self.weather.values if one is not None).densest()
+        found: Tensor = self._transform(key, plan, some.to_dict(), value.device).without_weather(value)
+        return found
+
+    def _in_weather(self, key: str, plan: Plan, value: Tensor, extras: Mapping[str, Any], draw: Draw) -> Any:
+        """What the transform of a key makes of it; ``None`` without weather."""
+        if draw.weather is None:
+            return None
+        transform = self._transform(key, plan, draw.weather, value.device)
+        noise = transform.draw(value, seed=derived_seed(draw.seed, key))
+        inner = transform.transform if plan.rgb else transform
+        for name, stage in inner.chain.stages.items():
+            if stage.of_the_air:
+                shared = draw_variates([draw.seed], "air", list(stage.variates()), {})
+                noise |= {
+                    f"{name}.{full.removeprefix('air.')}": torch.from_numpy(array[0]) for full, array in shared.items()
+                }
+        noise = {name: one.to(value.device) for name, one in noise.items()}
+        if isinstance(plan.sensor, Camera):
+            depth = extras.get("depth")
+            rest = {name: one for name, one in extras.items() if name != "depth"}
+            return transform.run(value, depth, noise, **rest)
+        return transform.run(value, noise, **extras)
+
+    def _transform(self, key: str, plan: Plan, weather: Mapping[str, Any], device: torch.device) -> Any:
+        """The key's transform for a weather, kept for when it comes again."""
+        place = (key, json.dumps(weather, sort_keys=True), str(device))
+        if place not in self._built:
+            self._built[place] = plan.build(weather_from_dict(weather)).to(device)
+            if len(self._built) > KEPT:
+                self._built.popitem(last=False)
+        self._built.move_to_end(place)
+        return self._built[place]
+
+    # ---- what is in a sample -------------------------------------------------------------------------------------
+
+    def _value(self, sample: Sample, key: str) -> Any:
+        if not isinstance(sample, Mapping):
+            raise TypeError(f"Compose: a sample must be a dictionary of named data; got {type(sample).__name__}.")
+        if key not in sample:
+            names = [str(one) for one in sample]
+            raise ValueError(
+                f"Compose: the sample lacks {key!r}; it has {', '.join(names) or 'nothing'}.{nearest_name(key, names)}"
+            )
+        return sample[key]
+
+    def _data(self, sample: Sample) -> dict[str, Any]:
+        """Of each key the data, as a tensor or a list of them."""
+        return {key: as_tensor(self._value(sample, key), key) for key in self.plans}
+
+    def _number(self, data: Mapping[str, Any]) -> int | None:
+        """Samples in a batch; ``None`` where it is a single one."""
+        found: dict[str, int | None] = {}
+        for key, value in data.items():
+            single = self.plans[key].dimensions
+            if isinstance(value, list):
+                found[key] = len(value)
+            elif value.ndim == single:
+                found[key] = None
+            elif value.ndim == single + 1:
+                found[key] = len(value)
+            else:
+                what = "(1, H, W) or (3, H, W)" if isinstance(self.plans[key].sensor, Camera) else f"of {single} sizes"
+                raise ValueError(
+                    f"Compose: {key!r} must have shape {what}, or one dimension more for a batch; got "
+                    f"{tuple(value.shape)}."
+                )
+        if len(set(found.values())) > 1:
+            said = ", ".join(f"{key!r}: {'one sample' if n is None else f'{n} samples'}" for key, n in found.items())
+            raise ValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
+        return next(iter(found.values()))
+
+    def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None, number: int) -> dict[str, Any]:
+        """Further arguments of a key's transform, of one sample of a number of them."""
+        names = dict(self.inputs.get(key, {}))
+        if isinstance(plan.sensor, Camera) and "depth" not in names and self.depth in sample:
+            names["depth"] = self.depth
+        found = {}
+        for argument, where in names.items():
+            given = self._value(sample, where)
+            if argument == "depth" and isinstance(given, SceneDepth):
+                found[argument] = given if element is None else given.of_sample(element)
+                continue
+            value = as_tensor(given, where)
+            if isinstance(value, list) or value.ndim > DIMENSIONS[argument]:
+                if element is None or len(value) != number:
+                    wanted = "one sample" if element is None else f"one sample, or of each of the {number}"
+                    raise ValueError(
+                        f"Compose: {where!r} ({argument} of {key!r}) must be of {wanted} ({DIMENSIONS[argument]} "
+                        f"dimensions each); got {len(value)} of them."
+                    )
+                value = value[element]
+            found[argument] = value
+        return found
+
+    def _check_inputs(self) -> None:
+        for key, names in self.inputs.items():
+            if key not in self.plans:
+                raise ValueError(
+                    f"Compose: inputs names {key!r}, for which there is no transform; there are "
+                    f"{', '.join(self.plans)}.{nearest_name(key, self.plans)}"
+                )
+            known = _arguments(self.plans[key])
+            for argument in names:
+                if argument not in known:
+                    raise ValueError(
+                        f"Compose: inputs of {key!r}: unknown argument {argument!r}; known are "
+                        f"{', '.join(known) or 'none'}.{nearest_name(argument, known)}"
+                    )
+
+
+def _no_mapping(given: Any, more: Sequence[object]) -> str:
+    """The sentence for transforms that stand in a row, as those of other libraries do."""
+    several = [*(given if isinstance(given, (list, tuple)) else [given]), *more]
+    names = ", ".join(type(one).__name__ for one in several) or "none"
+    return (
+        "Compose: expected a dictionary from the keys of your samples to transforms, one weather on all of them, such "
+        f"as Compose({{'image': ..., 'points': ...}}, weather=Rain(25)); got {names}. Several weathers at once are one "
+        "transform with Mixture(Rain(10), Fog(mor_m=200)); one of several, drawn for each sample, is "
+        "Compose({...}, weather=[Rain(10), Fog(mor_m=200)])."
+    )
+
+
+def _plan(key: str, transform: Any) -> Plan:
+    if isinstance(transform, (list, tuple)):
+        raise ValueError(
+            f"Compose: {key!r} has {len(transform)} transforms; of two weathers the extinctions must add before any "
+            "return is formed. Give one BayerWeather, LidarWeather or RadarAttenuation with weather=Mixture(...)."
+        )
+    if isinstance(transform, Compose):
+        raise ValueError(
+            f"Compose: {key!r} is a Compose; it takes whole samples. For several weathers at once give "
+            "weather=Mixture(...)."
+        )
+    try:
+        plan = plan_of(transform)
+    except TypeError as error:
+        raise TypeError(f"Compose: {key!r}: {error}") from error
+    if plan.options.get("p", 1.0) != 1.0:
+        raise ValueError(
+            f"Compose: {key!r} has p={plan.options['p']:g} of its own, and all sensors of a sample see one weather. "
+            "Give p to Compose."
+        )
+    return plan
+
+
+def _arguments(plan: Plan) -> list[str]:
+    """What a transform can be told beside its data."""
+    if issubclass(plan.kind, RadarAttenuation):
+        return list(KNOWN)
+    run = AsBayer.run if plan.rgb else plan.kind.run
+    return [name for name in inspect.signature(run).parameters if name in DIMENSIONS]
+
+
+def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
+    """The weathers to choose from."""
+    if weather is None:
+        own = {key: _weather_of(transform) for key, transform in transforms.items()}
+        first = next(iter(own.values()))
+        if any(one.to_dict() != first.to_dict() for one in own.values()):
+            said = ", ".join(f"{key!r}: {one!r}" for key, one in own.items())
+            raise ValueError(
+                f"Compose: all sensors of a sample see one weather, and the transforms were built with several: {said}."
+                " Say which with weather=."
+            )
+        weather = first
+    choice = weather if isinstance(weather, Choice) else Choice([weather] if isinstance(weather, Weather) else weather)
+    for one in choice.values:
+        if one is not None and not isinstance(one, Weather):
+            raise TypeError(
+                f"Compose: weather must be Rain, Fog, Snow, a Mixture, or a list or Choice of them (None is clear air);"
+                f" got {one!r}."
+            )
+        for part in () if one is None else one.parts:
+            knob = getattr(part, part.knob_name)
+            if isinstance(knob, Tensor) and (knob.requires_grad or knob.numel() != 1):
+                # A draw is plain values: a gradient would end there, and each sample has a weather of its own.
+                raise ValueError(
+                    f"Compose: {part.knob_name} must be a number or a distribution; got a tensor of shape "
+                    f"{tuple(knob.shape)}{' that requires a gradient' if knob.requires_grad else ''}. Call the "
+                    "transform itself with it."
+                )
+    return choice
+
+
+def _weather_of(transform: Any) -> Weather:
+    """The weather that a transform, or the one inside ``AsBayer``, was built with."""
+    found: Weather = getattr(transform, "transform", transform).weather
+    return found

@@ -1,0 +1,133 @@
+"""The library's errors, and the checks that speak with one voice.
+
+Every message says who complains, what was wanted (with units), what came, and what to do.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import numbers
+from collections.abc import Iterable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+__all__ = [
+    "TorchweatherError",
+    "TorchweatherWarning",
+    "check_at_least",
+    "check_between",
+    "check_finite",
+    "check_one_of",
+    "check_positive",
+    "nearest_name",
+]
+
+
+class TorchweatherError(Exception):
+    """A broken file, recipe or study; carries the path and, where one exists, the key.
+
+    Example:
+        >>> raise TorchweatherError("depth.npy: not a depth map")
+        Traceback (most recent call last):
+        torchweather.core.errors.TorchweatherError: depth.npy: not a depth map
+    """
+
+
+class TorchweatherWarning(UserWarning):
+    """A value outside the range in which a formula was measured, or data that contradict their description."""
+
+
+def owner_name(owner: object) -> str:
+    """Name under which ``owner`` (a string, a class or an instance) complains."""
+    if isinstance(owner, str):
+        return owner
+    return owner.__name__ if isinstance(owner, type) else type(owner).__name__
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, Tensor):
+        if not value.numel():
+            return "an empty tensor"
+        if value.numel() == 1:
+            return f"{value.item():g}"
+        return f"a tensor with values {value.min().item():g}..{value.max().item():g}"
+    return repr(value)
+
+
+def _all(value: Any, holds: Any) -> bool:
+    if isinstance(value, Tensor):
+        if torch.compiler.is_compiling():
+            return True
+        return bool(holds(value.detach()).all())
+    # numbers.Real: numpy's scalars are numbers too.
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return False
+    return bool(holds(torch.tensor(float(value), dtype=torch.float64)))
+
+
+def check_finite(name: str, value: Any, *, unit: str = "", owner: object) -> None:
+    """Raise ``ValueError`` unless ``value`` (a number or a tensor) is finite."""
+    if not _all(value, torch.isfinite):
+        raise ValueError(f"{owner_name(owner)}: {name} must be a finite number{_in(unit)}; got {_shown(value)}.")
+
+
+def check_at_least(name: str, value: Any, low: float, *, unit: str = "", owner: object, advice: str = "") -> None:
+    """Raise ``ValueError`` unless ``value`` (a number or a tensor) is at least ``low``; NaN is refused."""
+    if not _all(value, lambda v: v >= low):
+        raise ValueError(
+            f"{owner_name(owner)}: {name} must be {low:g}{_unit(unit)} or more; got {_shown(value)}.{_then(advice)}"
+        )
+
+
+def check_positive(name: str, value: Any, *, unit: str = "", owner: object, advice: str = "") -> None:
+    """Raise ``ValueError`` unless ``value`` (a number or a tensor) is above zero; NaN is refused."""
+    if not _all(value, lambda v: v > 0):
+        raise ValueError(
+            f"{owner_name(owner)}: {name} must be above 0{_unit(unit)}; got {_shown(value)}.{_then(advice)}"
+        )
+
+
+def check_between(
+    name: str, value: Any, low: float, high: float, *, unit: str = "", owner: object, advice: str = ""
+) -> None:
+    """Raise ``ValueError`` unless ``low <= value <= high``; NaN is refused."""
+    if not _all(value, lambda v: (v >= low) & (v <= high)):
+        limits = f"{low:g}..{'inf' if math.isinf(high) else format(high, 'g')}"
+        raise ValueError(
+            f"{owner_name(owner)}: {name} must lie in {limits}{_unit(unit)}; got {_shown(value)}.{_then(advice)}"
+        )
+
+
+def check_one_of(name: str, value: Any, allowed: Iterable[str], *, owner: object) -> None:
+    """Raise ``ValueError`` unless ``value`` is one of the ``allowed`` names; the nearest one is suggested."""
+    names = list(allowed)
+    if value not in names:
+        raise ValueError(
+            f"{owner_name(owner)}: {name} must be one of {', '.join(names)}; got {value!r}.{nearest_name(value, names)}"
+        )
+
+
+def nearest_name(value: object, names: Iterable[str]) -> str:
+    """A sentence `` Did you mean 'x'?``, or an empty string where nothing is near.
+
+    Example:
+        >>> nearest_name("rian", ["rain", "snow"])
+        " Did you mean 'rain'?"
+    """
+    near = difflib.get_close_matches(str(value), list(names), n=1)
+    return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def _unit(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _in(unit: str) -> str:
+    return f" in {unit}" if unit else ""
+
+
+def _then(advice: str) -> str:
+    return f" {advice}" if advice else ""

@@ -1,0 +1,264 @@
+"""Keyed random streams: every variate of every stage of every sample has its own.
+
+A draw belongs to (sample seed, stage, variate). Each triple owns a counter-based Philox stream, so that
+inserting or removing a stage leaves all other draws unchanged, a batch equals its elements drawn with their
+seeds, and the same numbers come out without torch (``export.draw_feed``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+# torch is imported where it is needed: the noise of an exported graph is drawn without it.
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+__all__ = [
+    "ABSENT",
+    "Variate",
+    "derived_seed",
+    "draw_variates",
+    "keyed_stream",
+    "sample_seed",
+    "sample_seeds",
+    "sizes_of",
+]
+
+LAWS = ("uniform", "normal", "exponential", "points")
+
+# Value of a point's last column that marks an unused slot: no uniform reaches it.
+ABSENT = 2.0
+
+# Below this many numbers a thread costs more than it saves.
+THREADED_FROM = 1 << 19
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Variate:
+    """One named array of standard random numbers that a stage needs.
+
+    Args:
+        name: its name in the stage; the noise dictionary holds ``<stage>.<name>``.
+        law: ``uniform`` [0, 1), ``normal``, ``exponential`` (mean 1), or ``points``: a Poisson number of points
+            with ``columns`` uniforms each, in slots; the last column of an unused slot is ``ABSENT``.
+        shape: of one sample; integers or the names of sizes (``"C"``, ``"H"``, ``"W"``).
+        per_px2: ``points`` only: expected points per pixel of the image enlarged by the margins.
+        margin_x_px, margin_y_px: ``points`` only: margin on each side, pixels.
+        columns: ``points`` only.
+    """
+
+    name: str
+    law: str
+    shape: tuple[int | str, ...] = ()
+    per_px2: float = 0.0
+    margin_x_px: float = 0.0
+    margin_y_px: float = 0.0
+    columns: int = 0
+
+    def __post_init__(self) -> None:
+        if self.law not in LAWS:
+            from torchweather.core.errors import check_one_of
+
+            check_one_of("law", self.law, LAWS, owner=self)
+        object.__setattr__(self, "shape", tuple(self.shape))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as an exported graph carries them in its metadata."""
+        return {**asdict(self), "shape": list(self.shape)}
+
+    def mean_points(self, sizes: Mapping[str, int]) -> float:
+        """Expected number of points on an image of these sizes."""
+        return self.per_px2 * (sizes["W"] + 2 * self.margin_x_px) * (sizes["H"] + 2 * self.margin_y_px)
+
+    def sample_shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """Shape of one sample's array; it depends on sizes only, never on what was drawn."""
+        if self.law == "points":
+            mean = self.mean_points(sizes)
+            # 6 standard deviations above the mean: exceeded once in 1e9 draws (then the surplus is cut off).
+            return (math.ceil(mean + 6 * math.sqrt(mean)) + 4, self.columns)
+        return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
+
+
+def keyed_stream(seed: int, stream: str) -> np.random.Generator:
+    """The Philox stream that belongs to a sample's ``seed`` and a name ``<stage>.<variate>``.
+
+    Example:
+        >>> float(keyed_stream(7, "jitter.normal").random()) == float(keyed_stream(7, "jitter.normal").random())
+        True
+    """
+    digest = hashlib.blake2b(stream.encode(), digest_size=8).digest()
+    key = np.array([seed & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key))
+
+
+def sample_seed(seed: int, key: int | str, epoch: int = 0) -> int:
+    """The integer of a sample: the same on every machine, in every process and in any order.
+
+    Args:
+        seed: of the whole run.
+        key: the sample's own: its number, file name or token.
+        epoch: how often the data were gone through before.
+
+    Returns:
+        63 bits.
+
+    Example:
+        >>> sample_seed(7, "000042") == sample_seed(7, "000042"), sample_seed(7, "000042") == sample_seed(7, "000043")
+        (True, False)
+    """
+    return _hashed(f"{int(seed)}/{int(epoch)}/{type(key).__name__}/{key}")
+
+
+def derived_seed(seed: int, name: str) -> int:
+    """The integer of a part of a sample, such as one of its sensors; 63 bits."""
+    return _hashed(f"{int(seed)}.{name}")
+
+
+def _hashed(text: str) -> int:
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little") >> 1
+
+
+def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], out: NDArray[np.float32]) -> None:
+    generator = keyed_stream(seed, stream)
+    if variate.law == "uniform":
+        generator.random(out=out, dtype=np.float32)
+    elif variate.law == "normal":
+        generator.standard_normal(out=out, dtype=np.float32)
+    elif variate.law == "exponential":
+        generator.standard_exponential(out=out, dtype=np.float32)
+    else:
+        number = generator.poisson(variate.mean_points(sizes))
+        generator.random(out=out, dtype=np.float32)
+        out[number:, -1] = ABSENT
+
+
+def draw_variates(
+    seeds: Sequence[int], stage: str, variates: Sequence[Variate], sizes: Mapping[str, int]
+) -> dict[str, NDArray[np.float32]]:
+    """Draw a stage's variates for every sample, each from its own stream.
+
+    Args:
+        seeds: one integer a sample.
+        stage: the stage's name in its chain.
+        variates: what the stage needs.
+        sizes: values of the named sizes, for example ``{"H": 1464, "W": 1936}``.
+
+    Returns:
+        ``<stage>.<variate>`` to float32 array ``(len(seeds), *sample shape)``.
+    """
+    drawn: dict[str, NDArray[np.float32]] = {}
+    tasks = []
+    for variate in variates:
+        stream = f"{stage}.{variate.name}"
+        array = np.empty((len(seeds), *variate.sample_shape(sizes)), dtype=np.float32)
+        drawn[stream] = array
+        tasks += [(seed, stream, variate, sizes, array[row]) for row, seed in enumerate(seeds)]
+    in_parallel(lambda task: _fill(*task), tasks, sum(array.size for array in drawn.values()))
+    return drawn
+
+
+def in_parallel(function: Callable[[T], R], items: Sequence[T], numbers: int) -> list[R]:
+    """The function of each item; on threads where there are many random ``numbers`` to draw in all."""
+    workers = min(len(items), _threads())
+    if workers <= 1 or numbers < THREADED_FROM:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return list(pool.map(function, items))
+
+
+def _threads() -> int:
+    """As many threads as torch uses (one in a ``DataLoader``'s worker), or the machine's cores without torch."""
+    torch = sys.modules.get("torch")
+    return os.cpu_count() or 1 if torch is None else int(torch.get_num_threads())
+
+
+def sample_seeds(
+    batch_shape: Sequence[int], generator: torch.Generator | None = None, seed: int | Tensor | None = None
+) -> list[int]:
+    """One 63-bit integer per sample.
+
+    Args:
+        batch_shape: leading dimensions of the data; ``()`` is one sample.
+        generator: torch generator to take them from; ``None`` is torch's global one, which a ``DataLoader``
+            seeds per worker.
+        seed: the integers themselves: a tensor of the batch shape, or one integer s, by which the samples get
+            s, s + 1, s + 2, ... in order.
+
+    Returns:
+        The integers, in the batch's row-major order.
+
+    Example:
+        >>> sample_seeds((3,), seed=7)
+        [7, 8, 9]
+    """
+    import torch
+
+    number = math.prod(batch_shape)
+    if seed is not None and generator is not None:
+        raise ValueError("draw: give either seed or generator, not both.")
+    if isinstance(seed, torch.Tensor):
+        if tuple(seed.shape) != tuple(batch_shape) and seed.numel() != 1:
+            raise ValueError(
+                f"draw: seed must be one integer or a tensor of the batch shape {tuple(batch_shape)}; "
+                f"got shape {tuple(seed.shape)}."
+            )
+        if seed.is_floating_point() or seed.is_complex():
+            raise TypeError(f"draw: seed must hold integers; got dtype {seed.dtype}.")
+        if tuple(seed.shape) == tuple(batch_shape):
+            return [int(value) for value in seed.reshape(-1).tolist()]
+        seed = int(seed)
+    if seed is not None:
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+            raise TypeError(f"draw: seed must be an integer or an integer tensor; got {seed!r}.")
+        return [int(seed) + row for row in range(number)]
+    device = generator.device if generator is not None else "cpu"
+    return [int(v) for v in torch.randint(0, 2**63 - 1, (number,), generator=generator, device=device).tolist()]
+
+
+def flat_noise(
+    noise: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]], batch: int, *, owner: object
+) -> dict[str, Tensor]:
+    """The noise that is needed, ``(batch, *shape)`` each.
+
+    Args:
+        noise: ``<stage>.<variate>`` to a tensor that leads with the batch shape, as ``draw`` gave it.
+        shapes: the keys that are needed and the shape of one sample's.
+        batch: number of samples.
+        owner: for messages.
+    """
+    name = type(owner).__name__
+    flat = {}
+    for key, shape in shapes.items():
+        if key not in noise:
+            raise ValueError(
+                f"{name}: the noise lacks {key}; use what draw() of this (or of one with the same weather and "
+                "sensor) gave."
+            )
+        value = noise[key]
+        fits = tuple(value.shape[value.ndim - len(shape) :]) == shape
+        if not fits or value.numel() != batch * math.prod(shape):
+            raise ValueError(
+                f"{name}: noise {key!r} must hold {shape} for each of {batch} samples; got {tuple(value.shape)}. Draw "
+                "again for this data."
+            )
+        flat[key] = value.reshape(batch, *shape)
+    return flat
+
+
+def sizes_of(height: int, width: int, planes: int = 1) -> dict[str, int]:
+    """The named sizes of an image: ``C`` is 1 for a mosaic and 3 for colour planes."""
+    return {"C": planes, "H": height, "W": width}

@@ -1,0 +1,1 @@
+"""Data sets on disk: whole folders in weather."""

@@ -1,0 +1,125 @@
+"""A recipe as what it does to the sensors of a frame."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from torchweather.compose import Compose
+from torchweather.core.errors import TorchweatherError
+from torchweather.lidar import OwnVehicleMask
+from torchweather.recipes.recipes import load_recipe
+from torchweather.sensors import Camera, Lidar
+from torchweather.transforms.plans import Plan, plan_of
+
+__all__ = ["FrameRecipe", "SensorUse", "kind_of_sensor", "text_sha256"]
+
+KEPT = 8  # pipelines of different cameras: a data set has few
+
+
+@dataclass(frozen=True)
+class SensorUse:
+    """A sensor of a frame.
+
+    Args:
+        kind: ``camera``, ``lidar`` or ``radar``.
+        camera: of the image; ``None`` for other kinds.
+        rgb: whether it is a colour image.
+        depth: whether a depth map comes with it.
+        drive: that a cloud belongs to, where there is a mask of it.
+        own_vehicle: that mask.
+    """
+
+    kind: str
+    camera: Camera | None = None
+    rgb: bool = False
+    depth: bool = False
+    drive: str = ""
+    own_vehicle: OwnVehicleMask | None = field(default=None, repr=False, compare=False)
+
+
+class FrameRecipe:
+    """What a recipe does, for any size of image.
+
+    Args:
+        recipe: the text of the file, so that every process and machine has the same.
+        name: of the file, for messages.
+
+    Example:
+        >>> from torchweather.recipes.recipes import read_recipe
+        >>> FrameRecipe(read_recipe("lidar/os1-fog-50m").path.read_text()).keys
+        {'lidar': 'points'}
+    """
+
+    def __init__(self, recipe: str, name: str = "the recipe") -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "recipe.yaml")
+            file.write_text(recipe, encoding="utf-8")
+            try:
+                built = load_recipe(file)
+            except TorchweatherError as error:
+                raise TorchweatherError(str(error).replace(str(file), name)) from error
+        if not isinstance(built, Compose):
+            built = Compose({"image" if kind_of_sensor(plan_of(built)) == "camera" else "points": built})
+        self.compose = built
+        self.keys: dict[str, str] = {}
+        for key, plan in self.compose.plans.items():
+            kind = kind_of_sensor(plan)
+            if kind in self.keys:
+                raise ValueError(
+                    f"augment: wanted a recipe with one sensor of a kind; it has two of a {kind}, {self.keys[kind]!r} "
+                    f"and {key!r}. All cameras of a data set take the one camera's transform."
+                )
+            self.keys[kind] = key
+        self._built: OrderedDict[str, Compose] = OrderedDict()
+
+    def plan(self, kind: str) -> Plan:
+        """The transform for a kind of sensor."""
+        return self.compose.plans[self.keys[kind]]
+
+    def for_sensors(self, uses: Mapping[str, SensorUse]) -> Compose:
+        """The recipe for the sensors of a frame, by key; a depth map is wanted as ``<key> depth``."""
+        place = repr(sorted(uses.items()))
+        if place not in self._built:
+            self._built[place] = self._build(uses)
+            if len(self._built) > KEPT:
+                self._built.popitem(last=False)
+        self._built.move_to_end(place)
+        return self._built[place]
+
+    def _build(self, uses: Mapping[str, SensorUse]) -> Compose:
+        some = next((one for one in self.compose.weather.values if one is not None), None)
+        if some is None:
+            raise ValueError("augment: the recipe has no weather, clear air only.")
+        transforms: dict[str, Any] = {}
+        for key, use in uses.items():
+            plan = self.plan(use.kind)
+            if use.camera is not None:
+                plan = replace(plan, sensor=use.camera, rgb=use.rgb, through_mosaic=plan.through_mosaic and use.rgb)
+            if use.own_vehicle is not None:
+                plan = replace(plan, options={**plan.options, "own_vehicle": use.own_vehicle})
+            transforms[key] = plan.build(some)
+        return Compose(
+            transforms,
+            weather=self.compose.weather,
+            p=self.compose.p,
+            inputs={key: {"depth": f"{key} depth"} for key, use in uses.items() if use.depth},
+            mosaic_clear=self.compose.mosaic_clear,
+        )
+
+
+def kind_of_sensor(plan: Plan) -> str:
+    """``camera``, ``lidar`` or ``radar``."""
+    if isinstance(plan.sensor, Camera):
+        return "camera"
+    return "lidar" if isinstance(plan.sensor, Lidar) else "radar"
+
+
+def text_sha256(text: str) -> str:
+    """Of the text in UTF-8."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -1,0 +1,62 @@
+"""KITTI's object layout: image_2, velodyne, calib and label_2 below training or testing, files of a frame by number."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from torchweather.datasets.augment.folder import name_without_ending
+from torchweather.datasets.augment.frames import Frame, SensorFile
+from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
+
+__all__ = ["is_kitti", "kitti_frames"]
+
+# Camera 2 is the left colour camera, for which the calibration is read; that of camera 3 stands beside it.
+CAMERA, LIDAR, CALIBRATION, BOXES, LABELS = "image_2", "velodyne", "calib", "label_2", "labels"
+FOLDERS = {CAMERA: "camera", LIDAR: "lidar", CALIBRATION: "", BOXES: "", LABELS: ""}
+SUFFIXES = {CAMERA: IMAGE_SUFFIXES, LIDAR: tuple(POINT_SUFFIXES), CALIBRATION: (".txt",), BOXES: (".txt",)}
+PLACE = re.compile(rf"^(?P<split>(?:.*/)?)(?P<folder>{'|'.join(FOLDERS)})/(?P<name>[^/]+)$")
+
+
+def is_kitti(paths: Sequence[str]) -> bool:
+    """Whether there are images or clouds in KITTI's folders."""
+    return any(re.search(rf"(^|/)({CAMERA}|{LIDAR})/[^/]+$", path) for path in paths)
+
+
+def kitti_frames(paths: Sequence[str], keys: Mapping[str, str], *, depth_from_lidar: bool) -> list[Frame]:
+    """Frames of KITTI's layout, each of one number: its image and its cloud, with one weather.
+
+    Args:
+        paths: of all files.
+        keys: kind of sensor to its name in the recipe.
+        depth_from_lidar: whether the camera's depth is that of the projected cloud.
+    """
+    grouped: dict[str, dict[str, str]] = defaultdict(dict)
+    for path in paths:
+        place = PLACE.match(path)
+        if place and path.lower().endswith(SUFFIXES.get(place["folder"], (".label",))):
+            grouped[place["split"] + name_without_ending(place["name"])][place["folder"]] = path
+    frames = []
+    for name, there in sorted(grouped.items()):
+        files = []
+        for folder in (CAMERA, LIDAR):
+            kind = FOLDERS[folder]
+            if folder in there and kind in keys:
+                files.append(SensorFile(keys[kind], kind, there[folder], there[folder]))
+        if not files:
+            continue
+        files = [_with_company(one, there, depth_from_lidar) for one in files]
+        boxes = there.get(BOXES) if "lidar" in keys and LIDAR in there else None
+        lidar_key = keys.get("lidar") if LIDAR in there else None
+        needs = boxes is not None or any(one.kind == "camera" for one in files)
+        calibration = there.get(CALIBRATION) if needs else None
+        frames.append(Frame(name, tuple(files), name, calibration, boxes, lidar_key=lidar_key))
+    return frames
+
+
+def _with_company(file: SensorFile, there: Mapping[str, str], depth_from_lidar: bool) -> SensorFile:
+    if file.kind == "lidar":
+        return replace(file, labels=there.get(LABELS))
+    return replace(file, depth_cloud=there.get(LIDAR) if depth_from_lidar else None)

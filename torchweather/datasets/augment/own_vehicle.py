@@ -1,0 +1,110 @@
+"""Masks of the own vehicle for the drives of a data set."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchweather.core.errors import TorchweatherError
+from torchweather.datasets.augment.frames import Frame
+from torchweather.datasets.augment.paths import inside
+from torchweather.io import read_points
+from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
+from torchweather.lidar.drive_sweeps import evenly_chosen
+from torchweather.sensors import Lidar
+from torchweather.transforms.plans import Plan
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["DRIVE", "NONE", "drive_masks", "drive_of", "masks_from_text", "masks_to_text"]
+
+DRIVE, NONE = "drive", "none"
+LOG_ENDS = "__"  # n015-2018-07-24-11-22-45+0800__LIDAR_TOP__1532402927647951: a log of nuScenes is one drive
+
+
+def drive_of(path: str) -> str:
+    """The drive that a sweep belongs to: its folder, and what stands before ``__`` in its name.
+
+    Example:
+        >>> drive_of("training/velodyne/000008.bin"), drive_of("samples/LIDAR_TOP/n015__LIDAR_TOP__15.pcd.bin")
+        ('training/velodyne/', 'samples/LIDAR_TOP/n015')
+    """
+    folder, _, name = path.rpartition("/")
+    log, ends, _ = name.partition(LOG_ENDS)
+    return f"{folder}/{log if ends else ''}"
+
+
+def drive_masks(chosen: str | None, frames: Sequence[Frame], source: Path, plan: Plan) -> dict[str, OwnVehicleMask]:
+    """Drive to its mask.
+
+    Args:
+        chosen: ``drive``; ``none``; a file of a mask; ``None``: ``drive`` where the recipe completes sweeps and has no
+            ``own_vehicle`` of its own.
+        frames: of the data set; at most 50 sweeps of a drive are read, evenly chosen by name.
+        source: root of the data set.
+        plan: of the recipe's LiDAR.
+
+    Returns:
+        Drives with fewer than 5 sweeps that differ have none: each of their sweeps is looked at by itself.
+
+    Raises:
+        ValueError: ``drive`` was asked for and no drive has a mask.
+    """
+    drives: dict[str, list[str]] = {}
+    for frame in frames:
+        for file in frame.files:
+            if file.kind == "lidar":
+                drives.setdefault(drive_of(file.path), []).append(file.path)
+    wanted = bool(plan.options.get("complete_scan")) and plan.options.get("own_vehicle") is None
+    if chosen == NONE or (chosen is None and not wanted):
+        return {}
+    if chosen not in (None, DRIVE):
+        mask = OwnVehicleMask.load(chosen)
+        return dict.fromkeys(drives, mask)
+    assert isinstance(plan.sensor, Lidar)
+    found: dict[str, OwnVehicleMask] = {}
+    why = "there are no sweeps"
+    for drive, paths in drives.items():
+        try:
+            mask = own_vehicle_mask(_clouds(evenly_chosen(paths), source), plan.sensor)
+        except (ValueError, IndexError) as error:
+            why = str(error)
+            continue
+        if mask.beams or chosen == DRIVE:
+            found[drive] = mask
+    if chosen == DRIVE and not found:
+        raise ValueError(f"augment: --own-vehicle drive: {why}")
+    return found
+
+
+def masks_to_text(masks: Mapping[str, OwnVehicleMask]) -> str:
+    """Masks as the manifest keeps them, for a run that goes on later: size and origin, and the mask itself."""
+    values = {}
+    for drive, mask in masks.items():
+        buffer = io.BytesIO()
+        mask.save(buffer)
+        data = base64.b64encode(buffer.getvalue()).decode("ascii")
+        values[drive] = {"beams": mask.beams, "sweeps": mask.sweeps, "views": mask.views, "npz_base64": data}
+    return json.dumps(values)
+
+
+def masks_from_text(text: str) -> dict[str, OwnVehicleMask]:
+    """What `masks_to_text` wrote; none of an empty text."""
+    values = json.loads(text or "{}")
+    return {
+        drive: OwnVehicleMask.load(io.BytesIO(base64.b64decode(one["npz_base64"]))) for drive, one in values.items()
+    }
+
+
+def _clouds(paths: Sequence[str], source: Path) -> Iterator[Tensor]:
+    """The sweeps that can be read; a broken one is reported when its turn comes."""
+    for path in paths:
+        try:
+            yield read_points(inside(source, path, "augment")).points
+        except (ValueError, OSError, TorchweatherError):
+            continue

@@ -1,0 +1,1 @@
+"""Scores over a sweep of weather, and the robustness of detectors."""

@@ -1,0 +1,155 @@
+"""Labelled frames and clouds, put into weather and given to a detector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchweather.core.errors import TorchweatherError
+from torchweather.core.threads import one_thread_an_operation
+from torchweather.evaluation.robustness.detector import OnnxDetector
+from torchweather.evaluation.robustness.performance import Counter
+from torchweather.evaluation.sweep import CameraSubject, LidarSubject
+from torchweather.image import normalise
+from torchweather.recipes.suites import Condition
+from torchweather.stages import PointKind
+from torchweather.transforms.raw_levels import raw_to_linear
+
+__all__ = ["FrameInWeather", "LabelledFrame", "Look", "stem_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """A frame or cloud with what is in it.
+
+    Args:
+        name: by which its storms are drawn and its scores stand in the table.
+        subject: the clear data and how weather is put on them.
+        truth: ``BoxTruth`` or ``LabelTruth``.
+    """
+
+    name: str
+    subject: CameraSubject | LidarSubject
+    truth: Any
+
+    @property
+    def depth(self) -> str:
+        """How sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``; empty of a LiDAR."""
+        return self.subject.depth_confidence if isinstance(self.subject, CameraSubject) else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One frame as the detector got it, for a picture.
+
+    Args:
+        frame: which.
+        condition: ``None`` in clear air.
+        shown: sRGB picture ``(3, H, W)``, or points ``(N, C)``.
+        found: boxes with scores and labels, or classes.
+        weather: of a cloud, ``(N,)``: the point is a particle.
+    """
+
+    frame: LabelledFrame
+    condition: Condition | None
+    shown: Tensor
+    found: Any
+    weather: NDArray[np.bool_] | None
+
+
+class FrameInWeather:
+    """One frame in changing weather, and what the detector says of it."""
+
+    def __init__(self, frame: LabelledFrame, detector: OnnxDetector, look: Callable[[Look], object] | None) -> None:
+        self.frame, self.detector, self.look = frame, detector, look
+        self.before: Tensor | None = None
+        self.found: Any = None
+        self.truth: Any = frame.truth
+        self.kind: NDArray[np.bool_] | None = None
+        self.scores: dict[str, float] = {}
+
+    def clear(self, counter: Counter) -> None:
+        """The frame as it is."""
+        subject = self.frame.subject
+        with torch.no_grad():
+            if isinstance(subject, LidarSubject):
+                self._cloud(subject.points, torch.zeros(len(subject.points), dtype=torch.bool), None)
+            else:
+                self._frame(subject, subject.reference, None)
+        self.add(counter)
+
+    def weather(self, condition: Condition, seed: int, metrics: Sequence[str], *, first: bool) -> dict[str, float]:
+        """The frame in a weather: its scores."""
+        subject = self.frame.subject
+        look = self.look if first else None
+        try:
+            with one_thread_an_operation(), torch.no_grad():
+                if isinstance(subject, LidarSubject):
+                    result = subject.run(condition.weather, seed)
+                    assert isinstance(result.points, Tensor)
+                    assert isinstance(result.kind, Tensor)
+                    data = result.points
+                    self._cloud(data, result.kind == PointKind.PARTICLE, condition, look)
+                else:
+                    data = subject.render(condition.weather, seed)
+                    # A camera's fog draws nothing: every storm gives the same frame.
+                    if self.before is None or not torch.equal(self.before, data):
+                        self._frame(subject, data, condition, look)
+            if self.before is None or not torch.equal(self.before, data):
+                self.scores = subject.score(data, metrics) if metrics else {}
+        except (ValueError, TypeError) as error:
+            raise TorchweatherError(f"{self.frame.name}, {condition.name} {condition.value:g}: {error}") from error
+        self.before = data
+        return dict(self.scores)
+
+    def add(self, counter: Counter) -> None:
+        """Count what was found last."""
+        counter.add(self.found, self.truth, self.kind)
+
+    def _frame(
+        self,
+        subject: CameraSubject,
+        data: Tensor,
+        condition: Condition | None,
+        look: Callable[[Look], object] | None = None,
+    ) -> None:
+        if subject.is_rgb:
+            linear, picture = None, normalise(data)
+        else:
+            linear = raw_to_linear(data, subject.camera, "robustness").clamp(0.0, 1.0)
+            picture = self.detector.developed(linear, subject.camera.bayer_pattern)
+        self.found = self.detector.of_frame(linear, picture)
+        self._show(look if condition is not None else self.look, condition, picture)
+
+    def _cloud(
+        self,
+        points: Tensor,
+        particle: Tensor,
+        condition: Condition | None,
+        look: Callable[[Look], object] | None = None,
+    ) -> None:
+        # What was lost is no point any more, as in a recording.
+        there = (points[:, :3] != 0).any(-1) & torch.isfinite(points[:, :3]).all(-1)
+        kept = points[there]
+        self.kind = particle[there].numpy()
+        self.truth = type(self.frame.truth)(self.frame.truth.classes[there.numpy()])
+        self.found = self.detector.of_cloud(kept)
+        self._show(look if condition is not None else self.look, condition, kept)
+
+    def _show(self, look: Callable[[Look], object] | None, condition: Condition | None, shown: Tensor) -> None:
+        if look is not None:
+            frame = LabelledFrame(self.frame.name, self.frame.subject, self.truth)
+            look(Look(frame, condition, shown, self.found, self.kind))
+
+
+def stem_of(path: Path) -> str:
+    """Name of a frame by which its truth is found; nuScenes' clouds end in ``.pcd.bin``."""
+    name = path.name
+    return name[: -len(".pcd.bin")] if name.lower().endswith(".pcd.bin") else path.stem

@@ -1,0 +1,137 @@
+"""Ground truth: boxes of COCO's JSON, label images, and labels of points."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.io import read_image
+from torchweather.io.labels import read_labels
+
+__all__ = ["LABEL_SUFFIXES", "BoxTruth", "LabelTruth", "read_boxes_truth", "read_label_truth"]
+
+LABEL_SUFFIXES = {"camera": (".png", ".npy", ".npz", ".tif"), "lidar": (".label",)}
+"""By the sensor: endings of the files that hold the class of every pixel or point."""
+
+
+@dataclass(frozen=True)
+class BoxTruth:
+    """The boxes of one frame.
+
+    Args:
+        boxes: ``(M, 4)`` left, top, right, bottom, pixels.
+        labels: names of their classes.
+        ignore: ``(M,)`` bool: neither missed nor false (COCO's crowds).
+    """
+
+    boxes: NDArray[np.float64]
+    labels: tuple[str, ...]
+    ignore: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LabelTruth:
+    """The class of every pixel ``(H, W)`` or point ``(N,)``; numbers that are no class are not judged."""
+
+    classes: NDArray[np.int64]
+
+
+def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -> dict[str, BoxTruth]:
+    """Boxes by the stem of the frame's file name.
+
+    Args:
+        path: COCO's JSON: ``images`` (``id``, ``file_name``), ``annotations`` (``image_id``, ``category_id``, ``bbox``
+            left, top, width, height in pixels, ``iscrowd``), ``categories`` (``id``, ``name``).
+        classes: of the detector; boxes of other categories are left out.
+
+    Raises:
+        TorchweatherError: the file is missing or no such JSON, or has no category that the detector knows.
+    """
+    file = Path(path)
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        images = {each["id"]: Path(each["file_name"]).stem for each in values["images"]}
+        names = {each["id"]: str(each["name"]) for each in values["categories"]}
+        boxes = [
+            (images[each["image_id"]], names[each["category_id"]], [float(v) for v in each["bbox"]], each)
+            for each in values["annotations"]
+        ]
+    except FileNotFoundError as error:
+        raise TorchweatherError(f"{file}: no such file; wanted ground truth as COCO's JSON.") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise TorchweatherError(
+            f"{file}: wanted ground truth as COCO's JSON (images, annotations, categories); it cannot be read "
+            f"({reason})."
+        ) from error
+    if len({*images.values()}) < len(images):
+        raise TorchweatherError(f"{file}: wanted images of different names; some stand there twice.")
+    known = {*classes.values()} & {*names.values()}
+    if not known:
+        hint = nearest_name(next(iter(classes.values())), names.values())
+        raise TorchweatherError(
+            f"{file}: no category that the detector knows; it has {', '.join(sorted({*names.values()})) or 'none'}, "
+            f"the detector {', '.join(classes.values())}.{hint}"
+        )
+    found: dict[str, list[tuple[str, list[float], bool]]] = defaultdict(list)
+    for stem, name, box, each in boxes:
+        if len(box) != 4 or not all(math.isfinite(v) for v in box) or min(box[2:]) < 0:
+            raise TorchweatherError(f"{file}: bbox must be left, top, width, height in pixels; got {each['bbox']!r}.")
+        if name in known:
+            left, top, width, height = box
+            found[stem].append((name, [left, top, left + width, top + height], bool(each.get("iscrowd", 0))))
+    return {stem: _boxes(found[stem]) for stem in images.values()}
+
+
+def _boxes(entries: list[tuple[str, list[float], bool]]) -> BoxTruth:
+    return BoxTruth(
+        np.array([box for _, box, _ in entries], dtype=np.float64).reshape(-1, 4),
+        tuple(name for name, _, _ in entries),
+        np.array([crowd for _, _, crowd in entries], dtype=bool),
+    )
+
+
+def read_label_truth(folder: str | os.PathLike[str], stem: str, sensor: str, shape: tuple[int, ...]) -> LabelTruth:
+    """Labels of one frame or cloud, from the file of its name in a folder.
+
+    Args:
+        folder: of the label images (one value a pixel) or ``.label`` files (SemanticKITTI's).
+        stem: name of the frame without its ending.
+        sensor: ``camera`` or ``lidar``.
+        shape: ``(H, W)`` or ``(N,)``, checked.
+    """
+    for suffix in LABEL_SUFFIXES[sensor]:
+        file = Path(folder) / f"{stem}{suffix}"
+        if file.is_file():
+            return LabelTruth(_labels(file, shape))
+    raise TorchweatherError(
+        f"{folder}: no ground truth for {stem}; wanted {stem} with {', '.join(LABEL_SUFFIXES[sensor])}."
+    )
+
+
+def _labels(file: Path, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    if file.suffix == ".label":
+        return np.asarray(read_labels(file, shape[0]).classes.numpy(), dtype=np.int64)
+    image, _ = read_image(file)
+    if tuple(image.shape) != (1, *shape):
+        raise TorchweatherError(
+            f"{file}: wanted one class a pixel, {shape[0]} x {shape[1]} as the frame; got shape {tuple(image.shape)}."
+        )
+    return np.asarray(image[0].numpy(), dtype=np.int64)
+
+
+def frame_truth(truths: Mapping[str, Any], stem: str, where: str) -> Any:
+    """The truth of a frame among those of a file."""
+    if stem not in truths:
+        raise TorchweatherError(f"{where}: no ground truth for {stem}; it has {len(truths)} other images.")
+    return truths[stem]

@@ -1,0 +1,1 @@
+"""Recipes, pipelines and suites as YAML files."""
