@@ -27,8 +27,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import torchweather as tw
+from torchweather.camera.tone import srgb_encode
 from torchweather.image import demosaic
-from torchweather.image.tone import srgb_encode
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, cloud_scores, image_scores
 from torchweather.metrics.nearest import SLIDING
 from torchweather.scenes import lidar_view, test_track

@@ -25,7 +25,7 @@ from measure import hand_over, machine
 
 import torchweather as tw
 from torchweather.io import read_kitti_points
-from torchweather.lidar.completion import complete_scan
+from torchweather.lidar.sweep.completion import complete_scan
 from torchweather.stages import PointKind
 
 HERE = Path(__file__).parent

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
 import torchweather as tw
-from torchweather.stages.beam import Beam
-from torchweather.stages.beam_particles import SIZE_KNOTS_MM, BeamParticles
-from torchweather.stages.effects_lidar_structure import beam_overlap
-from torchweather.stages.strongest import expected_number
+from torchweather.lidar.beam import Beam
+from torchweather.lidar.effects.structure import beam_overlap
+from torchweather.lidar.returns.beam_particles import SIZE_KNOTS_MM, BeamParticles
+from torchweather.lidar.returns.strongest import expected_number
 
 Array = NDArray[np.float64]
 

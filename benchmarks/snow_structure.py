@@ -44,7 +44,7 @@ from snow_fit import (
 
 import torchweather as tw
 from torchweather.io import FALLING_SNOW, read_labels, read_points
-from torchweather.stages.beam_particles import SIZE_KNOTS_MM
+from torchweather.lidar.returns.beam_particles import SIZE_KNOTS_MM
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "lidar_snow_against_wads.py"
 PRESET = "pandar64-wads"

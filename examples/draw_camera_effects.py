@@ -29,10 +29,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Weather
 from torchweather.report.figures import STYLE, plain_axes
 from torchweather.scenes import SceneView, test_track
 from torchweather.stages import EFFECTS
-from torchweather.weather import Weather
 
 Array = NDArray[Any]
 

@@ -32,11 +32,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Weather
 from torchweather.io import atomic_write
 from torchweather.report.figures import STYLE, plain_axes
 from torchweather.scenes import lidar_view, test_track
 from torchweather.stages import EFFECTS
-from torchweather.weather import Weather
 
 Array = NDArray[Any]
 

@@ -37,9 +37,9 @@ from draw_lidar_effects import (
     save,
 )
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.report.figures import STYLE
 from torchweather.stages import EFFECTS
-from torchweather.weather import Weather
 
 FINE_COLUMNS, FINE_FRAMES = 1024, 4  # of the scan on which beams overlap
 APART_CM = 2.0 * np.arange(26)

@@ -27,10 +27,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Weather
 from torchweather.physics import wet_cover_series_db
 from torchweather.report.figures import STYLE, plain_axes
 from torchweather.stages import EFFECTS
-from torchweather.weather import Weather
 
 Array = NDArray[Any]
 

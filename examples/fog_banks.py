@@ -18,11 +18,11 @@ import matplotlib
 import torch
 
 import torchweather as tw
+from torchweather.atmosphere.density_field import PatchyAir
 from torchweather.core.random import draw_variates
 from torchweather.image import develop
 from torchweather.io import atomic_write
 from torchweather.scenes import lidar_view, test_track
-from torchweather.stages.patchy_air import PatchyAir
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--mor", type=float, default=120.0, help="visibility of the mean density, m")

@@ -35,11 +35,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import torchweather as tw
+from torchweather.camera.effects.all import CameraExposureGain
 from torchweather.explain import aligned
 from torchweather.gap import GapReport, Study, find_gap
 from torchweather.gap.hidden_study import WEATHERS, HiddenStudy, hidden_study
 from torchweather.io import atomic_write
+from torchweather.lidar.effects.all import (
+    LidarExtinctionScale,
+    LidarIsolatedReturnFilter,
+    LidarLimitedExtent,
+    LidarStaticStructure,
+)
 from torchweather.physics import rain_attenuation_p838_db_per_km
+from torchweather.radar.effects.all import RadarCfarShift, RadarNoiseFloor
 from torchweather.report.gap_page import write_gap
 from torchweather.report.gap_words import (
     axis_name,
@@ -51,14 +59,6 @@ from torchweather.report.gap_words import (
 )
 from torchweather.scenes import SCENES
 from torchweather.stages import Effect
-from torchweather.stages.effects_camera import CameraExposureGain
-from torchweather.stages.effects_lidar import (
-    LidarExtinctionScale,
-    LidarIsolatedReturnFilter,
-    LidarLimitedExtent,
-    LidarStaticStructure,
-)
-from torchweather.stages.effects_radar import RadarCfarShift, RadarNoiseFloor
 
 BEFORE, AFTER = "#e03131", "#1c7ed6"
 TICKS = (-300, -100, -30, -10, -3, 0, 3, 10, 30, 100, 300)  # of departures, in scatters

@@ -37,7 +37,7 @@ from torch import Tensor
 import torchweather as tw
 from torchweather.io import atomic_write, read_points
 from torchweather.lidar import beam_ends
-from torchweather.sensors.scan import recover_ring, scan_directions
+from torchweather.lidar.scan import recover_ring, scan_directions
 
 PRESET = "velodyne-hdl-32e"
 FOG_FROM_M, FOG_TO_M = 2.0, 6.0

@@ -39,7 +39,7 @@ from torch import Tensor
 
 import torchweather as tw
 from torchweather.io import FALLING_SNOW, atomic_write, read_labels, read_points
-from torchweather.sensors.scan import empty_beams, recover_ring
+from torchweather.lidar.scan import empty_beams, recover_ring
 from torchweather.stages import Chain, LidarState, Stage
 
 SCANNER = "pandar64-wads"  # whose scan pattern the recording has

@@ -38,11 +38,11 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.io import atomic_write
 from torchweather.radar import FmcwRadar, Scatterers
 from torchweather.scenes import radar_view, test_track
-from torchweather.weather import Weather
 
 D34_CLEAR, D34_RAIN, D34_SNOW = 340, 535, 543  # D3.4, Figures 15-17, 35-36
 RAIN_MM_PER_H, FOG_M, SNOW_MM_PER_H = (10.0, 25.0, 50.0), (10, 20, 30, 50), (1.0, 19.0)

@@ -30,11 +30,11 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Rain, Snow, parse_weather
+from torchweather.camera.particles.veil import REFLECTED_SHARE
 from torchweather.image import cfa_index, colour_means, develop
 from torchweather.io import atomic_write, write_image
 from torchweather.scenes import test_track
-from torchweather.stages.particle_veil import REFLECTED_SHARE
-from torchweather.weather import Rain, Snow, parse_weather
 
 NEAR_M = 0.5
 SKY_SIGNAL = 1.0  # the masks do not depend on it

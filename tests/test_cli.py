@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 import torchweather
+from torchweather.atmosphere.weather import Fog, Rain, parse_weather
 from torchweather.cli.main import main
 from torchweather.explain import explain
 from torchweather.image import ConstantDepth, quantise
@@ -24,7 +25,6 @@ from torchweather.io import read_image, write_image
 from torchweather.physics import mor_from_extinction
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.weather import Fog, Rain, parse_weather
 
 Run = tuple[int, str, str]
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 import torchweather.io as io
+from torchweather.atmosphere.weather import parse_weather
 from torchweather.cli.main import main
 from torchweather.explain import explain
 from torchweather.io import PointCloud, PointLabels, read_labels, read_points, write_labels, write_points
@@ -21,7 +22,6 @@ from torchweather.io.ouster import OusterFrame
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarWeather
-from torchweather.weather import parse_weather
 
 STORM = "rain:rate=20+snow:rate=1"
 HDL = ("--sensor", "lidar:velodyne-hdl-64e")

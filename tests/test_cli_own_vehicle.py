@@ -12,13 +12,13 @@ import torch
 
 from tests.lidar.own_car_drive import SENSOR, hidden, mirror, sweep
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog
 from torchweather.cli.main import main
 from torchweather.io import read_points, write_points
 from torchweather.lidar import own_vehicle_mask
-from torchweather.lidar.drive_sweeps import MOST_SWEEPS, evenly_chosen
+from torchweather.lidar.sweep.drive_sweeps import MOST_SWEEPS, evenly_chosen
 from torchweather.recipes.recipes import save_recipe
 from torchweather.transforms import LidarFog
-from torchweather.weather import Fog
 
 PLACES = (0.0, 0.9, 1.7, 2.8, 4.1)
 

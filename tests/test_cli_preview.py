@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.cli.main import main
 from torchweather.cli.preview import severities
 from torchweather.io import read_image, write_image, write_points
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 GREY = torch.full((3, 24, 32), 120, dtype=torch.uint8)
 

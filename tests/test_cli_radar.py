@@ -14,6 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Rain, parse_weather
 from torchweather.cli.main import main
 from torchweather.io import (
     RADAR_COLUMNS,
@@ -28,14 +29,13 @@ from torchweather.io import (
 )
 from torchweather.io.pcd import read_pcd
 from torchweather.radar import FmcwRadar
-from torchweather.radar.range_doppler import map_noise_dbm
+from torchweather.radar.fmcw.range_doppler import map_noise_dbm
 from torchweather.report.radar_picture import HEADING_PX, TITLE_PX
 from torchweather.report.radar_section import WALKING
 from torchweather.scenes import fog_tunnel, radar_view, test_track
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Rain, parse_weather
 
 RADAR = Radar.preset("imaging-77ghz")
 IMAGING = ("--sensor", "radar:imaging-77ghz")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from torchweather.atmosphere.weather import Rain
 from torchweather.cli.main import main
 from torchweather.io import read_power_map, write_image
+from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import with_noise_scale
 from torchweather.sensors import Radar
-from torchweather.transforms.radar_map import RadarMapWeather
-from torchweather.weather import Rain
 
 SENSOR = ("--sensor", "radar:navtech-radiate")
 RAIN = ("--weather", "rain:rate=50")

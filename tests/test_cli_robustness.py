@@ -26,6 +26,7 @@ from tests.robustness.robustness_command import (
     own_suite,
     with_declaration,
 )
+from torchweather.atmosphere.weather import Weather
 from torchweather.cli.main import main
 from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.evaluation.sweep import CameraSubject
@@ -33,7 +34,6 @@ from torchweather.io import PointLabels, read_table, write_image, write_labels
 from torchweather.recipes.recipes import recipes_folder
 from torchweather.recipes.suites import Suite, read_suite
 from torchweather.sensors import Camera
-from torchweather.weather import Weather
 
 
 @pytest.fixture(scope="module")

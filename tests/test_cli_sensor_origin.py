@@ -14,11 +14,11 @@ from torch import Tensor
 
 from tests.lidar.test_sensor_origin import WAYMO_M
 from tests.lidar.test_sensor_origin import cloud as sweep_at
+from torchweather.atmosphere.weather import parse_weather
 from torchweather.cli.main import main
 from torchweather.io import read_points, write_points
 from torchweather.sensors import Lidar
 from torchweather.transforms import LidarWeather
-from torchweather.weather import parse_weather
 
 STORM = "snow:rate=2"
 HDL = ("--sensor", "lidar:velodyne-hdl-64e", "--intensity-unit", "reflectivity", "--quiet")

@@ -15,6 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Snow
 from torchweather.camera.depth import SceneDepth
 from torchweather.cli import sequence_frames
 from torchweather.cli.main import main
@@ -23,7 +24,6 @@ from torchweather.io import read_image, write_image
 from torchweather.sensors import Camera
 from torchweather.stages import ParticleVeil
 from torchweather.transforms import AsBayer, BayerSnow, BayerWeather
-from torchweather.weather import Snow
 
 HEIGHT, WIDTH, FOCAL_PX = 24, 32, 40.0
 CAMERA = ("--fx", FOCAL_PX, "--cx", 15.5, "--cy", 11.5, "--exposure-s", 0.004)

@@ -13,13 +13,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import parse_weather
 from torchweather.cli.main import main
 from torchweather.image import FlatGround
 from torchweather.io import read_points, read_table, write_image, write_points
 from torchweather.metrics import Region, cloud_scores
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import BayerWeather, LidarWeather
-from torchweather.weather import parse_weather
 
 RAIN = ("--weather", "rain:rate=5,50")
 

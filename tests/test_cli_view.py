@@ -16,12 +16,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog
 from torchweather.cli.main import main
 from torchweather.image import quantise
 from torchweather.io import write_image, write_points
 from torchweather.report import photo_demo
 from torchweather.stages import PointKind
-from torchweather.weather import Fog
 
 HDL = ("--sensor", "lidar:velodyne-hdl-64e", "--intensity-unit", "reflectivity")
 SNOW = ("--weather", "snow:rate=2")

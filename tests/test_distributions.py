@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 import torchweather as tw
+from torchweather.atmosphere.weather import parse_weather, weather_from_dict
 from torchweather.core.distributions import Choice, Distribution, LogUniform, Uniform, distribution_from
-from torchweather.weather import parse_weather, weather_from_dict
 
 EACH = [Uniform(1, 50), LogUniform(0.5, 20), Choice([10, 25, 50]), Choice([1.0, 2.0], weights=[3, 1])]
 

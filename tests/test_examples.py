@@ -16,9 +16,9 @@ from torch import Tensor
 import torchweather as tw
 from tests.running_examples import EXAMPLES, run_example
 from torchweather.io import FALLING_SNOW, PointLabels, read_image, write_labels
+from torchweather.lidar.scan import scan_directions
 from torchweather.scenes import lidar_view
 from torchweather.scenes import test_track as track
-from torchweather.sensors.scan import scan_directions
 
 ROOT = Path(__file__).parents[1]
 

@@ -19,11 +19,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.core.errors import TorchweatherError
 from torchweather.export import draw_feed, fuse, to_onnx
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 pytest.importorskip("onnxscript")
 

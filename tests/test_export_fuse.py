@@ -15,12 +15,12 @@ import torch
 from torch import Tensor, nn
 
 from torchweather import __version__
+from torchweather.atmosphere.weather import Fog
 from torchweather.core.errors import TorchweatherError
 from torchweather.export import MosaicToImage, fuse
 from torchweather.image import develop
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog
-from torchweather.weather import Fog
 
 pytest.importorskip("onnxscript")
 import onnx

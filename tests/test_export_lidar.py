@@ -17,12 +17,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.export import draw_feed, fuse, to_onnx
 from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarFog, LidarRain, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 pytest.importorskip("onnxscript")
 

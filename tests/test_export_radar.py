@@ -18,13 +18,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.export import draw_feed, to_onnx
 from torchweather.export.radar_graph import traceable_radar
 from torchweather.radar import RangeDopplerMap, range_doppler
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 pytest.importorskip("onnxscript")
 

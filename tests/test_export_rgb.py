@@ -17,12 +17,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.camera.depth import EXACT, SceneDepth
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.export import ImageToDetector, MosaicToImage, draw_feed, fuse, to_onnx
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerSnow, BayerWeather, LidarFog
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 pytest.importorskip("onnxscript")
 

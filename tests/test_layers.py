@@ -16,9 +16,9 @@ PACKAGE = Path(__file__).parents[1] / "torchweather"
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"core"}),
     frozenset({"physics"}),
-    frozenset({"weather", "sensors"}),
-    frozenset({"camera", "image", "lidar", "radar", "stages"}),
-    frozenset({"transforms"}),
+    frozenset({"atmosphere", "pipeline"}),
+    frozenset({"camera", "lidar", "radar"}),
+    frozenset({"image", "sensors", "stages", "transforms"}),
     frozenset({"compose", "recipes"}),
     frozenset({"scenes", "io", "export", "explain"}),
     frozenset({"datasets", "gap", "evaluation"}),
@@ -26,7 +26,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"cli"}),
 )
 LAYER_OF = {name: number for number, names in enumerate(LAYERS) for name in names}
-# It needs nothing but the core, and the mosaics of ``image``.
+# It needs nothing but the core, and the mosaics of ``camera``.
 ONLY_ERRORS = "metrics"
 
 # Libraries outside: where each may be imported; everything else may be imported anywhere but in physics.
@@ -36,7 +36,7 @@ CONFINED: dict[str, set[str]] = {
     "onnxruntime": {"camera", "evaluation", "export"},
     "matplotlib": {"report"},
     "jinja2": {"report"},
-    "kornia": {"camera", "image"},
+    "kornia": {"camera"},
     "av": {"io"},
     "pyarrow": {"io"},
     "pycocotools": {"metrics"},
@@ -48,7 +48,7 @@ PHYSICS_NEEDS = {"torch", "numpy", "torchweather"}
 
 
 # Old paths: each holds nothing but `moved`.
-FACADES = frozenset({"augment", "distributions", "errors", "random", "robustness", "sweep"})
+FACADES = frozenset({"augment", "distributions", "errors", "random", "robustness", "sweep", "weather"})
 
 
 def files() -> list[Path]:
@@ -57,7 +57,7 @@ def files() -> list[Path]:
 
 
 def part_of(path: Path) -> str:
-    """``torchweather/stages/chain.py`` belongs to ``stages``, ``torchweather/core/random.py`` to ``random``."""
+    """``torchweather/pipeline/chain.py`` belongs to ``stages``, ``torchweather/core/random.py`` to ``random``."""
     relative = path.relative_to(PACKAGE)
     return relative.parts[0] if len(relative.parts) > 1 else relative.stem
 
@@ -111,7 +111,7 @@ def test_nobody_imports_upwards() -> None:
         if other not in LAYER_OF and other != ONLY_ERRORS:
             continue  # a public name of the package itself, such as __version__
         if part == ONLY_ERRORS:
-            allowed = other in ("core", "image", ONLY_ERRORS)
+            allowed = other in ("core", "camera", ONLY_ERRORS)
         elif other == ONLY_ERRORS:
             allowed = LAYER_OF[part] >= LAYER_OF["gap"]
         else:

@@ -10,6 +10,7 @@ MOVED = [
     ("torchweather.errors", "TorchweatherError", "torchweather.core.errors"),
     ("torchweather.random", "keyed_stream", "torchweather.core.random"),
     ("torchweather.distributions", "Choice", "torchweather.core.distributions"),
+    ("torchweather.weather", "parse_weather", "torchweather.atmosphere.weather"),
     ("torchweather.sweep", "parse_levels", "torchweather.evaluation.sweep"),
     ("torchweather.robustness", "run_robustness", "torchweather.evaluation.robustness"),
     ("torchweather.augment", "augment", "torchweather.datasets.augment"),

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.image import DepthFromPoints, FlatGround
 from torchweather.io import (
     read_image,
@@ -25,7 +26,6 @@ from torchweather.io import (
 )
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 pytestmark = pytest.mark.real_data
 

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.compose import Compose
 from torchweather.io import read_image, read_points, read_power_map, write_power_map
+from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import map_detections, noise_correlation, quiet_cells, with_noise_scale
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerRain, LidarRain
-from torchweather.transforms.radar_map import RadarMapWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 pytestmark = pytest.mark.real_data
 

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from tests.recordings import recording
 from torchweather.core.errors import TorchweatherWarning
+from torchweather.lidar.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
 from torchweather.sensors import Lidar
-from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
 
 PATTERNS = [name for name in Lidar.presets() if Lidar.preset(name).elevations_deg]
 SMALL = Lidar(

@@ -5,10 +5,10 @@ import threading
 import pytest
 import torch
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.core.threads import one_thread_an_operation, side_by_side
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 
 @pytest.fixture(params=[1, 2, 3])

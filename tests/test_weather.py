@@ -13,9 +13,9 @@ import pytest
 import torch
 import yaml
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather, parse_weather, weather_from_dict
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.physics import Binned, extinction_per_m, rehearse_fog
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather, parse_weather, weather_from_dict
 
 ALL: list[Weather] = [
     Rain(25.0),

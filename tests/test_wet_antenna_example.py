@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from tests.running_examples import load_example, run_example
-from torchweather.stages.effects_radar import RadarPathLossScale, RadarWetRadome
+from torchweather.radar.effects.all import RadarPathLossScale, RadarWetRadome
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = "gap_wet_antenna.py"

@@ -6,28 +6,18 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+    from torchweather.camera.rgb import AsBayer
+    from torchweather.camera.sensor import Camera
+    from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
     from torchweather.compose import Compose, RandomFog, RandomRain, RandomSnow, RandomWeather, WeatherDataset
     from torchweather.core.distributions import Choice, LogUniform, Uniform
-    from torchweather.sensors import Camera, Lidar, Radar
-    from torchweather.stages import PointKind
-    from torchweather.transforms import (
-        AsBayer,
-        BayerFog,
-        BayerRain,
-        BayerSnow,
-        BayerWeather,
-        CameraResult,
-        LidarFog,
-        LidarRain,
-        LidarResult,
-        LidarSnow,
-        LidarWeather,
-        RadarAttenuation,
-        RadarMapResult,
-        RadarMapWeather,
-        RadarResult,
-    )
-    from torchweather.weather import Fog, Mixture, Rain, Snow
+    from torchweather.lidar.sensor import Lidar
+    from torchweather.lidar.transform import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
+    from torchweather.pipeline.point_kind import PointKind
+    from torchweather.radar.map_transform import RadarMapResult, RadarMapWeather
+    from torchweather.radar.sensor import Radar
+    from torchweather.radar.transform import RadarAttenuation, RadarResult
 
 __version__ = "0.1.0"
 
@@ -90,7 +80,7 @@ _HOMES = {
         "RadarMapWeather",
         "RadarResult",
     ),
-    "torchweather.weather": ("Fog", "Mixture", "Rain", "Snow"),
+    "torchweather.atmosphere.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.
 _PARTS = frozenset(

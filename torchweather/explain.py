@@ -10,6 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weather
+from torchweather.camera.sensor import Camera
+from torchweather.lidar.sensor import Lidar
 from torchweather.physics import (
     DB_PER_KM,
     Q_EFF,
@@ -20,9 +23,9 @@ from torchweather.physics import (
     precipitation_rate_mm_per_h,
     volume_reflectivity_m2_per_m3,
 )
-from torchweather.sensors import Camera, Lidar, Radar, sensor_preset
-from torchweather.stages import weather_attenuation_db_per_km
-from torchweather.weather import Fog, Rain, Snow, Weather, parse_weather
+from torchweather.radar.attenuation import weather_attenuation_db_per_km
+from torchweather.radar.sensor import Radar
+from torchweather.sensors import sensor_preset
 
 __all__ = ["explain", "explanation_text"]
 

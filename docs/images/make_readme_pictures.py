@@ -26,10 +26,10 @@ from PIL import Image, ImageColor, ImageDraw, ImageFilter, ImageFont
 from torch import Tensor
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Weather
 from torchweather.camera.depth import SceneDepth, ScenePrior
 from torchweather.io import atomic_write
 from torchweather.scenes import lidar_view, test_track
-from torchweather.weather import Weather
 
 HERE = Path(__file__).parent
 PHOTOGRAPH = HERE / "photographs" / "downtown_street.jpg"

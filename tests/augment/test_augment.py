@@ -65,7 +65,11 @@ def test_a_folder_keeps_its_tree_and_each_frame_has_one_weather(tmp_path: Path) 
     # What one gets by hand with the seed in the manifest.
     row = found["001"]
     assert row.seed == sample_seed(5, "001", 0)
-    points = load_recipe(recipe(tmp_path)).plans["points"].build(torchweather.weather.weather_from_dict(row.weather))
+    points = (
+        load_recipe(recipe(tmp_path))
+        .plans["points"]
+        .build(torchweather.atmosphere.weather.weather_from_dict(row.weather))
+    )
     clear = read_points(source / "day/clouds/001.bin").points
     seed = torchweather.core.random.derived_seed(row.seed, "points")
     expected = points(clear, points.draw(clear, seed=seed))
@@ -103,7 +107,7 @@ def by_hand(folder: Path, row: Row, key: str, text: str) -> Tensor:
     camera = torchweather.Camera.from_intrinsics(40, 40, 19.5, 11.5, 40, 24, height_m=1.65)
     lidar_axes = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     depth = CompletedDepth(cloud(0), torch.tensor(lidar_axes)).scene(camera, 24, 40, image=image(0))
-    transform = plan.build(torchweather.weather.weather_from_dict(row.weather))
+    transform = plan.build(torchweather.atmosphere.weather.weather_from_dict(row.weather))
     noise = transform.draw(image(0), seed=torchweather.core.random.derived_seed(row.seed, key))
     found: Tensor = transform(image(0), depth, noise)
     return found

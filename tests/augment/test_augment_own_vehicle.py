@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from tests.lidar.own_car_drive import SENSOR, hidden, mirror, sweep
+from torchweather.atmosphere.weather import Fog
 from torchweather.datasets.augment import augment
 from torchweather.datasets.augment.manifest import NAME, Manifest, Row
 from torchweather.io import read_points, write_points
 from torchweather.lidar import own_vehicle_mask
 from torchweather.recipes.recipes import save_recipe
 from torchweather.transforms import LidarFog
-from torchweather.weather import Fog
 
 PLACES = (0.0, 0.9, 1.7, 2.8, 4.1)
 

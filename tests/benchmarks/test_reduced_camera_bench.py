@@ -11,8 +11,8 @@ from benchmarks.hidden.camera.cases import SENSOR, Places, build, plan
 from benchmarks.hidden.camera.design import Size
 from benchmarks.hidden.camera.effects import CATALOGUE, OUTSIDE
 from benchmarks.hidden.planning import Case
+from torchweather.camera.effects.all import EFFECTS
 from torchweather.gap import find_gap
-from torchweather.stages.effects_camera import EFFECTS
 
 CASES = list(plan("ci", 1, ["reduced"], Size().smaller()))
 RELATIVE = 0.4  # d' of 30 tells a parameter to some percent, another form of the effect than the catalogue's to less

@@ -13,10 +13,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import BAYER_PATTERNS, Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 H, W = 24, 32
 CAMERA = Camera.from_intrinsics(300.0, 300.0, 15.5, 11.5, W, H)

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from tests.contract.test_camera_contract import CAMERA, IDENTITIES, Maker, every_transform, frame
+from torchweather.atmosphere.weather import Weather
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Weather
 
 DOUBLE = torch.float64
 

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import Chain, PointKind
 from torchweather.transforms import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 # Overlap from 1 to 3 m: rain returns too, fog not in every beam, and every kind of output occurs in a small cloud.
 SENSOR = Lidar(

@@ -19,10 +19,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.sensors import Radar
 from torchweather.stages import Chain, PointKind
 from torchweather.transforms import RadarAttenuation, RadarResult
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 # A floor in the middle of the powers below: of a small list some are lost, some stand on it, and rain is seen itself.
 SENSOR = replace(Radar.preset("imaging-77ghz"), noise_floor_db=-130.0)

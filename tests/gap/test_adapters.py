@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.gap.adapters import study_from_folders, study_from_kitti
 from torchweather.gap.scan_grid import scan_frame
 from torchweather.gap.study import Study
 from torchweather.io import PointCloud, write_image, write_points
 from torchweather.sensors import Camera, Lidar, scan_directions
-from torchweather.weather import Fog, Rain
 
 LIDAR = Lidar(905.0, elevations_deg=(-10.0, 0.0, 10.0), columns=90, azimuth_offsets_deg=(0.0, 1.0, -1.0))
 CAMERA = Camera.from_intrinsics(20.0, 20.0, 3.0, 2.0, 7, 5, bit_depth=12, black_level=100.0, bayer_pattern="GRBG")

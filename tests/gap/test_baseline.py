@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.gap.tiny_study import tiny_study
+from torchweather.atmosphere.weather import Snow
 from torchweather.gap.baseline import (
     PORTIONED_FRAMES,
     PORTIONS,
@@ -25,8 +26,7 @@ from torchweather.gap.baseline import (
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.statistics import Group, Layout, Pool, Reduced
 from torchweather.gap.study import Condition, Study
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.weather import Snow
+from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng
 BINS = 6

@@ -10,6 +10,8 @@ import pytest
 import torch
 
 from tests.gap.tiny_camera_study import CAMERA, CLEAR, ELECTRONS, HEIGHT, SPLITS, WEATHERS, WIDTH, values_of, view
+from torchweather.atmosphere.weather import Rain
+from torchweather.camera.effects.all import EFFECTS
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.baseline import FrameModel
@@ -21,9 +23,7 @@ from torchweather.gap.camera_sums import MAP_BLOCKS
 from torchweather.gap.camera_tails import ASIDE, TAILS_SD
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.stages import ParticleVeil
-from torchweather.stages.effects_camera import EFFECTS
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Rain
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from torchweather.gap.candidate_fits import REWEIGHTED, SETTLED_ROUNDS, _least, 
 from torchweather.gap.candidates import lines
 from torchweather.gap.matched import Node
 from torchweather.gap.search import SETTLED, Setting
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.lidar.effects.all import EFFECTS
 
 BASE: Any = SimpleNamespace(note="the fit without effects")
 

@@ -8,8 +8,8 @@ import math
 import pytest
 
 from torchweather.gap.candidates import Line, lines
-from torchweather.stages.effects import EFFECTS, Effect
-from torchweather.stages.effects_lidar import EFFECTS as LIDAR_EFFECTS
+from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
+from torchweather.pipeline.effect import EFFECTS, Effect
 
 PLACES = (-2.0, 0.5)
 NAMES = sorted(name for name in LIDAR_EFFECTS if name.startswith("lidar."))

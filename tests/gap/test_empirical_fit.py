@@ -23,7 +23,7 @@ from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.radar_sums import radar_layout
 from torchweather.gap.statistics import Group, Layout, Pool
 from torchweather.gap.study import Study
-from torchweather.stages.empirical import Empirical
+from torchweather.lidar.effects.empirical import Empirical
 
 Floats = NDArray[np.float64]
 Frame = dict[str, NDArray[np.float32]]

@@ -15,6 +15,9 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
+from torchweather.atmosphere.weather import Fog, Rain, Weather
+from torchweather.camera.effects.optics import CameraDefocus
+from torchweather.camera.effects.sensor import CameraExposureGain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.baseline import Baseline, Target, Whitening
 from torchweather.gap.clear_air import ClearAir
@@ -25,15 +28,12 @@ from torchweather.gap.model_file import Additions
 from torchweather.gap.search import Setting
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.unknown import log_chance, without_means
+from torchweather.lidar.effects.all import LidarRangeNoise, LidarWindowLoss
+from torchweather.lidar.effects.empirical import Empirical
+from torchweather.pipeline.effect import EFFECTS, Parameter
 from torchweather.sensors import Camera, Lidar
 from torchweather.stages import with_effects
-from torchweather.stages.effects import EFFECTS, Parameter
-from torchweather.stages.effects_camera_optics import CameraDefocus
-from torchweather.stages.effects_camera_sensor import CameraExposureGain
-from torchweather.stages.effects_lidar import LidarRangeNoise, LidarWindowLoss
-from torchweather.stages.empirical import Empirical
 from torchweather.transforms import BayerRain, LidarWeather
-from torchweather.weather import Fog, Rain, Weather
 
 Floats = NDArray[np.float64]
 

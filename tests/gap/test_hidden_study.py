@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 
 from tests.report.made_up_gaps import report
+from torchweather.atmosphere.weather import Rain, Weather
 from torchweather.gap import find_gap
 from torchweather.gap import hidden_study as module
 from torchweather.gap.hidden_study import HIDEABLE, WEATHERS, HiddenStudy, drawn_effect, drawn_study, hidden_study
 from torchweather.gap.study import Study
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.pipeline.effect import Effect
 from torchweather.scenes import SCENES, LidarView, Scene, lidar_view
 from torchweather.sensors import Lidar
-from torchweather.stages.effects import Effect
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.weather import Rain, Weather
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "gap_d34_suspicions.py"
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]

@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.gap.lidar import LidarFrames
 from torchweather.gap.lidar_nuisance import WeakSignalNoise
 from torchweather.gap.lidar_scene import CLUSTER_M, SAME_SURFACE_M
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Study
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.lidar.effects.all import EFFECTS
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Fog, Rain, Snow
 
 ROWS, COLUMNS, CLEAR, FRAMES = 16, 16, 4, 3
 WEATHERS = (Snow(2.0), Fog(60.0), Rain(40.0))

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from tests.gap.tiny_study import SENSOR, tiny_study
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.gap.lidar import FOG_GAIN_SD, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
 from torchweather.gap.lidar_nuisance import (
     ClearScale,
@@ -22,11 +23,10 @@ from torchweather.gap.lidar_nuisance import (
 )
 from torchweather.gap.study import Study
 from torchweather.gap.whole_frames import widened
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.pipeline.effect import Effect, with_effects
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.stages import LidarState
-from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.stages.states import PointKind
-from torchweather.weather import Fog, Rain, Snow
 
 N = 100_000
 THRESHOLD = 1e-5

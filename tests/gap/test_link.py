@@ -16,16 +16,16 @@ import pytest
 from tests.gap.tiny_link_study import LINKS, STEP_MIN
 from tests.gap.tiny_link_study import link_record as record
 from tests.gap.tiny_link_study import tiny_link_study as study
+from torchweather.atmosphere.weather import Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.link import LinkFrames
 from torchweather.gap.link_effects import attenuation_db
 from torchweather.gap.link_samples import LinkSamples, Scatter, link_samples
+from torchweather.radar.effects.all import RadarNoiseFloor, RadarPathLossScale, RadarWetRadome
 from torchweather.sensors import Lidar, Radar
-from torchweather.stages.effects_radar import RadarNoiseFloor, RadarPathLossScale, RadarWetRadome
 from torchweather.transforms import LidarWeather, RadarAttenuation
-from torchweather.weather import Rain
 
 
 def named(report: GapReport) -> dict[str, dict[str, float]]:

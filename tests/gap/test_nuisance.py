@@ -10,7 +10,7 @@ import pytest
 from torchweather.gap.candidates import Line
 from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains, pair_gains
 from torchweather.gap.nuisance import Nuisance, together
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng
 SIZE, MOVING, FIXED = 40, 3, 4

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from tests.gap.tiny_radar_study import CLASSES, EFFECTS, SENSOR, WEATHERS, tiny_radar_study
+from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.effect_forms import is_another
@@ -42,10 +43,9 @@ from torchweather.gap.radar_sums import (
 )
 from torchweather.gap.statistics import Pool, Reduced
 from torchweather.gap.study import StudyScene
+from torchweather.pipeline.effect import Effect
 from torchweather.stages import RadarState
-from torchweather.stages.effects import Effect
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Fog, Rain
 
 NUMBER, CLEAR, FRAMES = 40, 4, 3
 SEEDS = (11, 2**40 + 5, 17)

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from tests.gap.tiny_study import tiny_study
+from torchweather.atmosphere.weather import Snow
 from torchweather.gap.baseline import baseline, targets
 from torchweather.gap.candidates import Line, lines
 from torchweather.gap.lidar import LidarFrames
@@ -21,9 +22,8 @@ from torchweather.gap.search import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAME
 from torchweather.gap.study import Study
 from torchweather.gap.whole_frames import clear_errors
 from torchweather.gap.workflow import ALARM_P, find_gap_with
-from torchweather.stages.effects import Effect
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.weather import Snow
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.pipeline.effect import Effect
 
 RNG = np.random.default_rng
 WEATHERS = (Snow(2.0), Snow(1.2))

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from tests.gap import studies
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.gap.simulation import (
     dry_samples,
     rain_attenuation_db,
@@ -25,7 +26,6 @@ from torchweather.gap.study import Study
 from torchweather.physics import rain_attenuation_p838_db_per_km
 from torchweather.sensors import Camera, Lidar, Radar, scan_directions
 from torchweather.transforms import BayerWeather, LidarWeather, RadarAttenuation
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 LIDAR = Lidar.preset(
     "ouster-os1-128",

@@ -8,7 +8,7 @@ import pytest
 
 from torchweather.gap import find_gap
 from torchweather.gap.hidden_study import WEATHERS, hidden_study
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.lidar.effects.all import EFFECTS
 
 HIDDEN: list[tuple[str, dict[str, float]]] = [
     ("lidar.particle_density_azimuth", {"amplitude": 3.0, "azimuth_rad": 2.0, "width_rad": 0.6}),

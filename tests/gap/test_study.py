@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.gap.studies import CAMERA, FRAMES, KINDS, LIDAR, H, W, arguments, lidar_frame, study
+from torchweather.atmosphere.weather import Fog, Mixture, Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.frames import Frames
 from torchweather.gap.study import Study
 from torchweather.sensors import Lidar
-from torchweather.weather import Fog, Mixture, Rain
 
 every_kind = pytest.mark.parametrize("kind", KINDS)
 

@@ -20,10 +20,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.gap.studies import KINDS, SENSORS, arguments, lidar_frame, links, series, study
+from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.study import Study
 from torchweather.sensors import Camera
-from torchweather.weather import Fog, Rain
 
 every_kind = pytest.mark.parametrize("kind", KINDS)
 EditYaml = Callable[[dict[str, Any]], None]

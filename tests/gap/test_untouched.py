@@ -13,7 +13,7 @@ from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance
 from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.untouched import TOUCHED, fresh_gains, untouched
-from torchweather.stages.effects_lidar import EFFECTS
+from torchweather.lidar.effects.all import EFFECTS
 
 LAYOUT = Layout(
     (

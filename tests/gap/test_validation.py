@@ -17,6 +17,7 @@ from scipy import stats
 
 from tests.gap import studies
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.gap import embedded_study as embedded
 from torchweather.gap.comparison import Comparison, Sample, judged
 from torchweather.gap.embedded_study import embedded_study
@@ -26,7 +27,6 @@ from torchweather.gap.severity import compared_trends, weather_label
 from torchweather.gap.simulation import rain_attenuation_db, start_frame
 from torchweather.gap.study import Frame, Study
 from torchweather.gap.validation import Validation, reference_frame, validate
-from torchweather.weather import Fog, Rain, Snow
 
 LOWER, HIGHER = ScoreMeaning(False, "m"), ScoreMeaning(True)
 POWERS = ("power_change_db", "power_rmse_db", "detected_share")

@@ -27,8 +27,8 @@ from torchweather.gap.whole_frames import (
     model_errors,
     widened,
 )
-from torchweather.stages.effects import EFFECTS
-from torchweather.stages.effects_lidar import EFFECTS as LIDAR_EFFECTS
+from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
+from torchweather.pipeline.effect import EFFECTS
 
 RNG = np.random.default_rng
 LAYOUT = Layout(

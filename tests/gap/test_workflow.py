@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.gap.tiny_study import tiny_study
+from torchweather.atmosphere.weather import Snow
 from torchweather.gap import screening as screening_module
 from torchweather.gap import workflow
 from torchweather.gap.baseline import targets
@@ -50,8 +51,7 @@ from torchweather.gap.workflow import (
     _rounds,
     _verdict,
 )
-from torchweather.stages.effects_lidar import EFFECTS, LidarWindowLoss
-from torchweather.weather import Snow
+from torchweather.lidar.effects.all import EFFECTS, LidarWindowLoss
 
 RNG = np.random.default_rng
 WEATHERS = (Snow(2.0), Snow(1.2))

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
+from torchweather.pipeline.effect import Effect
 from torchweather.scenes import SCENES
 from torchweather.sensors import Camera
-from torchweather.stages.effects import Effect
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 WIDTH, HEIGHT = 128, 96
 ELECTRONS = 9000.0

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchweather.atmosphere.weather import Rain, Weather
 from torchweather.gap.study import Study
+from torchweather.pipeline.effect import Effect
+from torchweather.radar.effects.all import EFFECTS as EFFECTS  # the catalogue, filled
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
-from torchweather.stages.effects import Effect
-from torchweather.stages.effects_radar import EFFECTS as EFFECTS  # the catalogue, filled
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Rain, Weather
 
 SENSOR = Radar.preset("imaging-77ghz")
 WEATHERS: tuple[Weather, ...] = (Rain(15.0), Rain(40.0), Rain(25.0))  # the last is held out

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchweather.atmosphere.weather import Snow, Weather
 from torchweather.gap.study import Study
+from torchweather.lidar.effects.all import EFFECTS as EFFECTS  # the catalogue, filled
+from torchweather.pipeline.effect import Effect, with_effects
 from torchweather.sensors import Lidar
-from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_lidar import EFFECTS as EFFECTS  # the catalogue, filled
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Snow, Weather
 
 SENSOR = Lidar.preset(
     "ouster-os1-128",

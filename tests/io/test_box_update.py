@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 import torch
 
+from torchweather.atmosphere.weather import Fog, Rain
+from torchweather.camera.rgb import RgbResult
+from torchweather.camera.transform import CameraResult
 from torchweather.io import boxes_from_nuscenes, labels, write_nuscenes_boxes
 from torchweather.io.box_projection import box_corners, project_boxes
 from torchweather.io.box_update import update_boxes
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog, LidarRain, RadarAttenuation
-from torchweather.transforms.as_bayer import RgbResult
-from torchweather.transforms.camera import CameraResult
-from torchweather.weather import Fog, Rain
 
 SENSOR = Lidar.preset("velodyne-hdl-64e")
 # x = -y, y = -z, z = x of the LiDAR.

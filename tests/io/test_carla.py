@@ -15,6 +15,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.io import read_depth, write_image
 from torchweather.io.carla import (
     camera_from_carla,
@@ -32,7 +33,6 @@ from torchweather.io.carla_rig import CarlaRig
 from torchweather.physics.radar_equation import received_power_dbm
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog, RadarAttenuation
-from torchweather.weather import Fog, Rain
 
 WIDTH, HEIGHT = 4, 2
 

@@ -10,10 +10,10 @@ import pytest
 import torch
 from PIL import Image
 
+from torchweather.atmosphere.weather import Fog
 from torchweather.io.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog
-from torchweather.weather import Fog
 
 HEIGHT, WIDTH = 6, 8
 CAMERA = Camera.from_intrinsics(fx=8.0, fy=8.0, cx=3.5, cy=2.5, width=WIDTH, height=HEIGHT)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.lidar.beam_ends import BeamEnd
+from torchweather.lidar.sweep.beam_ends import BeamEnd
 
 Numbers = npt.NDArray[np.floating[Any]]
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.ndimage import binary_opening
 from street_sweep import CAR, COLUMNS, MAX_RANGE_M, SENSOR_M, street
 
-from torchweather.lidar.beam_ends import BeamEnd, beam_ends
-from torchweather.lidar.ground import fit_ground
-from torchweather.lidar.sweep_raster import SweepRaster, _long_runs
+from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends
+from torchweather.lidar.sweep.ground import fit_ground
+from torchweather.lidar.sweep.sweep_raster import SweepRaster, _long_runs
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.03, -0.03])

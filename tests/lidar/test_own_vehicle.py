@@ -22,9 +22,9 @@ from tests.lidar.own_car_drive import (
 from tests.recordings import recording
 from torchweather.io import read_kitti_points
 from torchweather.lidar import BeamEnd, OwnVehicleMask, own_vehicle_mask
-from torchweather.lidar.completion import complete_scan
-from torchweather.lidar.own_vehicle import checked_own_vehicle
-from torchweather.lidar.sweep_rings import sweep_rings
+from torchweather.lidar.sweep.completion import complete_scan
+from torchweather.lidar.sweep.own_vehicle import checked_own_vehicle
+from torchweather.lidar.sweep.sweep_rings import sweep_rings
 from torchweather.sensors import Lidar
 
 SHAPE = len(ELEVATIONS_DEG), COLUMNS

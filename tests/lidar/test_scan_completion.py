@@ -9,14 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.lidar import BeamEnd, completion, fit_ground
-from torchweather.lidar.beam_heights import beam_heights_m
-from torchweather.lidar.completion import complete_scan
-from torchweather.lidar.echo_pairs import first_rows
+from torchweather.atmosphere.weather import Snow
+from torchweather.lidar import BeamEnd, fit_ground
+from torchweather.lidar.sweep import completion
+from torchweather.lidar.sweep.beam_heights import beam_heights_m
+from torchweather.lidar.sweep.completion import complete_scan
+from torchweather.lidar.sweep.echo_pairs import first_rows
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarSnow
-from torchweather.weather import Snow
 
 COLUMNS = 720
 ELEVATIONS_DEG = tuple(float(e) for e in np.concatenate([np.arange(3.0, -8.1, -0.5), np.arange(-9.0, -24.1, -1.0)]))
@@ -145,7 +146,7 @@ def test_objects_keep_their_bits_and_rows_without_weather_are_those_of_the_input
 
 
 def test_a_draw_and_its_call_find_the_beams_once_and_changed_points_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    import torchweather.transforms.beams as beams
+    import torchweather.lidar.beams as beams
 
     cloud, returns, _ = sweep()
     given, calls = cloud[returns].clone(), []

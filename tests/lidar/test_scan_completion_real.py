@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Snow
 from torchweather.io import read_kitti_points
 from torchweather.lidar import BeamEnd, ScanPattern, estimate_pattern, fit_ground
-from torchweather.lidar.echo_pairs import first_rows
+from torchweather.lidar.sweep.echo_pairs import first_rows
 from torchweather.sensors import Lidar, recover_ring
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarSnow
-from torchweather.weather import Snow
 
 pytestmark = pytest.mark.real_data
 

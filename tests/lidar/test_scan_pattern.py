@@ -10,10 +10,10 @@ import torch
 from scan_sweep import COLUMNS, ELEVATIONS_DEG, HEIGHTS_M, Array, sweep, turned_about_y
 
 from torchweather.lidar import estimate_pattern
-from torchweather.lidar.azimuth_step import fit_azimuth_step
-from torchweather.lidar.cone_fit import fit_cones
-from torchweather.lidar.ring_elevations import rings_from_elevations
-from torchweather.lidar.ring_order import rings_from_order
+from torchweather.lidar.sweep.azimuth_step import fit_azimuth_step
+from torchweather.lidar.sweep.cone_fit import fit_cones
+from torchweather.lidar.sweep.ring_elevations import rings_from_elevations
+from torchweather.lidar.sweep.ring_order import rings_from_order
 from torchweather.sensors import Lidar
 
 # Points of 0.01 m noise along the beam stay on their cone; float32 at 20 m rounds to 1e-6 m, 1e-5 degree.

@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Rain
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.io import read_points
-from torchweather.lidar.sensor_origin import SensorOrigin, estimate_origin
+from torchweather.lidar.frame_check import frame_note
+from torchweather.lidar.sweep.sensor_origin import SensorOrigin, estimate_origin
 from torchweather.sensors import Lidar
 from torchweather.transforms import LidarWeather
-from torchweather.transforms.frame_check import frame_note
-from torchweather.weather import Rain
 
 Numbers = npt.NDArray[np.floating[Any]]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from torchweather.lidar.sensor_origin import SensorOrigin
+from torchweather.lidar.sweep.sensor_origin import SensorOrigin
 
 APART = SensorOrigin(
     origin_m=(1.0, 0.0, 0.0),

@@ -17,14 +17,14 @@ from scan_sweep import COLUMNS, ELEVATIONS_DEG, HEIGHTS_M, sweep
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Snow
 from torchweather.cli.main import main
 from torchweather.io import read_kitti_points
 from torchweather.lidar import estimate_pattern
-from torchweather.lidar.completion import complete_scan
+from torchweather.lidar.sweep.completion import complete_scan
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarSnow
-from torchweather.weather import Snow
 
 TILTED = ((0.9962, 0.0, 0.0872), (0.0, 1.0, 0.0), (-0.0872, 0.0, 0.9962))  # nose down by 5 degrees
 

@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.sensors import BAYER_PATTERNS, Camera
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 H, W = 12, 16
 few = settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

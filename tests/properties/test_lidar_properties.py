@@ -15,11 +15,11 @@ import torch
 from hypothesis import Phase, given, settings
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.physics import Binned
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 N = 1500
 SENSOR = Lidar(wavelength_nm=905.0, intensity_unit="reflectivity")

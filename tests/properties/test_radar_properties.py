@@ -14,10 +14,10 @@ import torch
 from hypothesis import Phase, given, settings
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.sensors import Radar
 from torchweather.stages import PointKind
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 N = 800
 SENSOR = replace(Radar.preset("imaging-77ghz"), noise_floor_db=-130.0)

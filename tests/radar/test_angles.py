@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tests.reference import every_sample
 from torchweather.radar import Scatterers, angle_grid, beat_signal, range_doppler, range_doppler_angle
-from torchweather.radar.angles import spectrum_peaks, steering
+from torchweather.radar.fmcw.angles import spectrum_peaks, steering
 from torchweather.sensors import Radar
 
 PRESETS = ["awr1843-like", "imaging-77ghz"]

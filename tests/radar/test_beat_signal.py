@@ -14,7 +14,7 @@ from torch import Tensor
 from tests.reference import every_sample
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.radar import Scatterers, beat_signal
-from torchweather.radar.beat_signal import SECOND_ORDER
+from torchweather.radar.fmcw.beat_signal import SECOND_ORDER
 from torchweather.sensors import Radar
 
 SINGLE = 2e-6  # of the sum of amplitudes: float32 phases and products

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherWarning
-from torchweather.radar.bodies import corner_reflector_rcs_m2, corner_scatterers, facet_scatterers, gathered
-from torchweather.radar.car import CAR_DETAILS, car_details, car_facets, car_scatterers
-from torchweather.radar.facet_rcs import subdivide, triangle_field_m
-from torchweather.radar.scatterers import Scatterers
+from torchweather.radar.fmcw.bodies import corner_reflector_rcs_m2, corner_scatterers, facet_scatterers, gathered
+from torchweather.radar.fmcw.car import CAR_DETAILS, car_details, car_facets, car_scatterers
+from torchweather.radar.fmcw.facet_rcs import subdivide, triangle_field_m
+from torchweather.radar.fmcw.scatterers import Scatterers
 
 WAVELENGTH_M = 299_792_458.0 / 77e9
 STILL = torch.zeros(3, dtype=torch.float64)

@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.optimize import brentq
 from torch import Tensor
 
-from torchweather.radar.cfar import HANN_CORRELATION, CellAveragingCfar, OrderStatisticCfar, window_correlation
+from torchweather.radar.fmcw.cfar import HANN_CORRELATION, CellAveragingCfar, OrderStatisticCfar, window_correlation
 
 WHITE = ((), ())
 DETECTORS = [CellAveragingCfar, OrderStatisticCfar]

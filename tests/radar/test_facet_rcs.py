@@ -12,7 +12,7 @@ from torch import Tensor
 
 from tests.oracles import load
 from torchweather.core.errors import TorchweatherWarning
-from torchweather.radar.facet_rcs import far_field_edge_m, isosceles_triangle_rcs_m2, subdivide, triangle_field_m
+from torchweather.radar.fmcw.facet_rcs import far_field_edge_m, isosceles_triangle_rcs_m2, subdivide, triangle_field_m
 
 WAVELENGTH_M = 299_792_458.0 / 77e9
 WAVENUMBER_PER_M = 2.0 * math.pi / WAVELENGTH_M

@@ -8,11 +8,11 @@ import torch
 
 from tests.oracles import load
 from tests.reference import every_sample
+from torchweather.atmosphere.weather import Rain
 from torchweather.physics import radar_constant_db, received_power_dbm, target_rcs_dbsm, thermal_noise_dbm
 from torchweather.radar import FmcwRadar, Scatterers, beat_signal
 from torchweather.sensors import Radar
 from torchweather.stages import weather_attenuation_db_per_km
-from torchweather.weather import Rain
 
 FMCW, EQUATION, NOISE = load("fmcw"), load("radar_equation"), load("thermal_noise")
 

@@ -10,13 +10,13 @@ import pytest
 import torch
 from torch import Tensor
 
-import torchweather.radar.detection as detection
+import torchweather.radar.fmcw.detection as detection
 from tests.reference import every_sample
+from torchweather.atmosphere.weather import Rain
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.radar import WINDOWS, FmcwRadar, Scatterers, cfar_for
 from torchweather.sensors import Radar
 from torchweather.stages import weather_attenuation_db_per_km
-from torchweather.weather import Rain
 
 RADARS = {
     "awr1843-like": Radar.preset("awr1843-like"),

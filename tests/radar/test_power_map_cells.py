@@ -18,13 +18,13 @@ from torchweather.physics import (
     thermal_noise_dbm,
     volume_reflectivity_m2_per_m3,
 )
+from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import (
     MapAxes,
     MapClutter,
     PowerScale,
     oversampled_taps,
 )
-from torchweather.transforms.radar_map import RadarMapWeather
 
 LINEAR = PowerScale("linear")
 RATE = 40.0

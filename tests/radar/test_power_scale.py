@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather import Radar, Rain
+from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import (
     MapAxes,
     PowerScale,
@@ -21,7 +22,6 @@ from torchweather.radar.power_map import (
     quiet_cells,
     with_noise_scale,
 )
-from torchweather.transforms.radar_map import RadarMapWeather
 
 BIN_M = 0.25
 AXES = MapAxes.of_turn(bins=200, bin_m=BIN_M, azimuths=400, dims=("range", "azimuth"))

@@ -10,12 +10,12 @@ import torch
 
 from tests.reference import every_sample
 from torchweather.radar import WINDOWS, FmcwRadar, Scatterers, beat_signal, map_noise_dbm, range_doppler
-from torchweather.radar.range_doppler import (
+from torchweather.radar.fmcw.range_doppler import (
     range_m_of_bin,
     speed_m_per_s_of_bin,
     transmitter_rotation,
 )
-from torchweather.radar.windows import tone_place_and_loss, window
+from torchweather.radar.fmcw.windows import tone_place_and_loss, window
 from torchweather.sensors import Radar
 
 RADAR = Radar(

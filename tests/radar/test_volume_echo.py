@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from tests.reference import every_sample
+from torchweather.atmosphere.weather import Rain, Snow, Weather
 from torchweather.physics import reflectivity_weighted_fall_speed
 from torchweather.radar import FmcwRadar, Scatterers, VolumeEcho, range_doppler
 from torchweather.sensors import Radar
-from torchweather.weather import Rain, Snow, Weather
 
 FRAMES = 48
 # One channel, 19.2 m in 128 bins; unambiguous to 19.5 m/s

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.radar import VolumeEcho
 from torchweather.sensors import Radar
-from torchweather.weather import Rain, Snow
 
 
 @pytest.mark.parametrize("preset", sorted(Radar.presets()))

@@ -10,8 +10,8 @@ import numpy as np
 
 from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response
 from torchweather.gap.study import Study
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.stages.empirical import Empirical
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.lidar.effects.empirical import Empirical
 
 RANGE_M = (0.0, 8.0, 17.0, 30.0, 55.0, 110.0, 1000.0)
 SECTORS = tuple(float(v) for v in np.linspace(-math.pi, math.pi, 17))

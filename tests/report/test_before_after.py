@@ -18,6 +18,7 @@ from PIL import Image
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog, Snow
 from torchweather.camera.depth import ConstantDepth, DepthMap
 from torchweather.core.errors import TorchweatherError
 from torchweather.image import quantise
@@ -34,7 +35,6 @@ from torchweather.report.before_after import (
 )
 from torchweather.report.photo_demo import SEVERITIES, Photo, write_photo_demo
 from torchweather.sensors import Camera
-from torchweather.weather import Fog, Snow
 
 FEW = (("fog-50", "Fog 50 m", Fog(mor_m=50.0)), ("snow-1", "Snow 1 mm/h", Snow(rate_mm_per_h=1.0)))
 

@@ -18,6 +18,7 @@ from parsed_page import Page
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Weather, parse_weather
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_kitti_points
 from torchweather.report.cloud_counts import cloud_counts, has_return
@@ -26,7 +27,6 @@ from torchweather.report.view_points import counts_by_range, thinned, view_point
 from torchweather.report.view_words import share_text, weather_words
 from torchweather.sensors import Lidar, scan_directions
 from torchweather.transforms import LidarResult, LidarWeather
-from torchweather.weather import Weather, parse_weather
 
 SNOW = parse_weather("snow:rate=2")
 

@@ -16,10 +16,10 @@ from tests.report.made_up_gaps import EMPIRICAL, UNKNOWN, WINDOW_LOSS, report
 from tests.report.parsed_page import Page
 from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response, read_model
 from torchweather.gap.study import Study
+from torchweather.lidar.effects.all import EFFECTS
 from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
 from torchweather.report.gap_page import write_gap
 from torchweather.report.gap_words import exact_twins, verdict_sentence
-from torchweather.stages.effects_lidar import EFFECTS
 
 VERDICTS = ("none", "named", "named_and_rest", "unknown")
 

@@ -16,7 +16,9 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.io import read_points
+from torchweather.lidar.scan import scan_directions
 from torchweather.report import demo as demo_module
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.report.demo import SECTIONS, write_demo
@@ -25,10 +27,8 @@ from torchweather.report.lidar_section import lidar_part
 from torchweather.report.lidar_views import LidarScene, WeatherCloud, lidar_scene
 from torchweather.scenes import test_track as track
 from torchweather.sensors import Camera, Lidar
-from torchweather.sensors.scan import scan_directions
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Fog, Rain, Snow
 
 # A few rings and columns show the same in a fraction of the time.
 SMALL: dict[str, Any] = {

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.physics import extinction_per_m
 from torchweather.report.measure import falling_numbers, light_path, mean_over_bins, populations
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 CAMERA = Camera.from_intrinsics(300.0, 330.0, 31.5, 23.5, 64, 48)
 DEPTH_M = 12.0

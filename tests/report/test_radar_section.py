@@ -14,6 +14,7 @@ import pytest
 import torch
 from PIL import Image
 
+from torchweather.atmosphere.weather import Rain
 from torchweather.io import read_radar
 from torchweather.radar import FmcwRadar, map_noise_dbm
 from torchweather.report import demo as demo_module
@@ -25,7 +26,6 @@ from torchweather.report.radar_views import LOSS_AT_M, RadarFrame, RadarScene, r
 from torchweather.scenes import radar_view
 from torchweather.scenes import test_track as track
 from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.weather import Rain
 
 RADAR = Radar.preset("awr1843-like")
 # A few rings and columns are enough beside the radar.

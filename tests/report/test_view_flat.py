@@ -17,6 +17,7 @@ from test_cloud_view import data_of, written
 from torch import Tensor
 
 from tests.recordings import recording
+from torchweather.atmosphere.weather import parse_weather
 from torchweather.io import read_kitti_points
 from torchweather.lidar import fit_ground
 from torchweather.report.view_flat import BELOW_COLOUR, flat_view, under_ground
@@ -24,7 +25,6 @@ from torchweather.report.view_points import ViewPoints, view_points
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarResult, LidarWeather
-from torchweather.weather import parse_weather
 
 HEIGHT_M = 1.8
 SENSOR = Lidar(905.0, intensity_unit="reflectivity")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from torchweather.atmosphere.weather import Rain
 from torchweather.evaluation.robustness import BoxTruth, LabelTruth, Performance
 from torchweather.evaluation.robustness.intervals import Interval, Resampling
 from torchweather.evaluation.robustness.operating import operating_point
@@ -18,7 +19,6 @@ from torchweather.evaluation.robustness.result import ConditionResult, Robustnes
 from torchweather.metrics import average_precision
 from torchweather.metrics.detection import matched_boxes
 from torchweather.recipes.suites import Condition
-from torchweather.weather import Rain
 
 CLASSES = {0: "car", 1: "person"}
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.lidar.intensity import reflectivity_from_intensity
 from torchweather.scenes import SCENES, LidarView, Scene, SceneLabel, fog_tunnel, lidar_view, test_track
 from torchweather.scenes.lidar_view import ROOF_MOUNT_M
 from torchweather.scenes.lighting import DiffuseLight
@@ -17,7 +18,6 @@ from torchweather.scenes.materials import MATERIALS, Material, board, laser_refl
 from torchweather.scenes.primitives import Plane
 from torchweather.scenes.scene import Part, SceneObject
 from torchweather.sensors import Lidar
-from torchweather.stages.intensity import reflectivity_from_intensity
 
 LIDAR = Lidar(wavelength_nm=905.0)  # 50 m at 10 %
 AHEAD = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from torchweather.image.bayer import mosaic
+from torchweather.camera.bayer import mosaic
 from torchweather.scenes import SCENES, Scene, SceneLabel, SceneView, fog_tunnel, test_track
 from torchweather.scenes.scene import Part, SceneObject
 from torchweather.sensors import Camera

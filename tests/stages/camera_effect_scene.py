@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain
 from torchweather.sensors import Camera
 from torchweather.stages import EFFECTS, CameraState, Effect
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Fog, Mixture, Rain
 
 H, W, FOCAL_PX = 32, 48, 100.0
 LIGHT = (0.6, 0.7, 0.8)

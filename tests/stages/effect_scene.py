@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Rain
 from torchweather.sensors import Lidar
 from torchweather.stages import EFFECTS, Chain, Effect, LidarState
 from torchweather.transforms import LidarRain, LidarWeather
-from torchweather.weather import Rain
 
 ROWS, COLUMNS = 8, 64
 BEAMS = ROWS * COLUMNS

@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Rain
 from torchweather.sensors import Radar
 from torchweather.stages import EFFECTS, Chain, Effect, RadarState
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Rain
 
 TARGETS = 40
 RATE_MM_PER_H = 50.0

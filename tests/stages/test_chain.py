@@ -15,6 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.random import Variate
 from torchweather.image.depth import FlatGround
@@ -30,7 +31,6 @@ from torchweather.stages import (
     register,
 )
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 CAMERA = Camera.from_intrinsics(300.0, 300.0, 23.5, 15.5, 48, 32, k1=-0.1, response_knots=((0.0, 0.0), (1.0, 1.0)))
 

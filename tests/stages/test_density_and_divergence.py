@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 from scipy.stats import norm
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow
+from torchweather.lidar.beam import Beam
+from torchweather.lidar.returns.beam_particles import BeamParticles
 from torchweather.sensors import Lidar
 from torchweather.stages import Detection, Extinction, LidarState, ParticleReturns, PointKind, ToEnergy
-from torchweather.stages.beam import Beam
-from torchweather.stages.beam_particles import BeamParticles
 from torchweather.transforms import LidarFog, LidarRain, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Rain, Snow
 
 SENSOR = Lidar(wavelength_nm=905.0, range_at_10_percent_m=60.0, divergence_mrad=2.0).with_hahner_overlap()
 BEAMS = 40_000

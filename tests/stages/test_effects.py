@@ -26,6 +26,7 @@ from tests.stages.effect_scene import (
     scan_sensor,
     states,
 )
+from torchweather.atmosphere.weather import Rain
 from torchweather.export import draw_feed, to_onnx
 from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.recipes.recipes import load_recipe, save_recipe
@@ -40,7 +41,6 @@ from torchweather.stages import (
     with_effects,
 )
 from torchweather.transforms import LidarRain, LidarWeather
-from torchweather.weather import Rain
 
 # The names and identities of the catalogue; None where a parameter says only where or how.
 CATALOGUE: dict[str, dict[str, float | None]] = {
@@ -485,7 +485,7 @@ def test_a_large_batch_in_portions_is_the_same_as_whole(monkeypatch: pytest.Monk
     points, noise = cloud(), None
     noise = transform.draw(points, seed=2)
     whole = transform.run(points, noise, directions=directions())
-    monkeypatch.setattr("torchweather.transforms.lidar.BEAMS_AT_ONCE", 300)
+    monkeypatch.setattr("torchweather.lidar.transform.BEAMS_AT_ONCE", 300)
     parts = transform.run(points, noise, directions=directions())
     for name in ("points", "kind", "transmission"):
         torch.testing.assert_close(getattr(parts, name), getattr(whole, name), rtol=2e-6, atol=1e-6)

@@ -31,14 +31,14 @@ from tests.stages.camera_effect_scene import (
     normals,
     rain_in_fog,
 )
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.camera.effects.optics import CameraAdherentDrops
+from torchweather.camera.particles.streaks import Marks, add_listed
 from torchweather.export import draw_feed, to_onnx
+from torchweather.pipeline.effect import CAMERA_PLACES
 from torchweather.recipes.recipes import load_recipe, save_recipe
 from torchweather.stages import EFFECTS, CameraState, Chain, ParticleVeil, effect_from_dict, with_effects
-from torchweather.stages.effects import CAMERA_PLACES
-from torchweather.stages.effects_camera_optics import CameraAdherentDrops
-from torchweather.stages.streaks import Marks, add_listed
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 Array = NDArray[np.float64]
 inf = math.inf

@@ -24,11 +24,11 @@ from tests.stages.effect_scene import (
     scan_sensor,
     states,
 )
+from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.random import draw_variates
 from torchweather.sensors import Lidar
 from torchweather.stages import EFFECTS, LidarState, PointKind, with_effects
 from torchweather.transforms import LidarFog, LidarRain, LidarWeather
-from torchweather.weather import Fog, Rain
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 AZIMUTH = torch.atan2(directions()[:, 1], directions()[:, 0])

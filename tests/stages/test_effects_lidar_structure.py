@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from tests.stages.effect_scene import begin, directions, rain, states
+from torchweather.atmosphere.weather import Fog, Rain, Snow
+from torchweather.lidar.beam import Beam
+from torchweather.lidar.effects.structure import beam_overlap
+from torchweather.lidar.returns.beam_particles import BeamParticles
 from torchweather.sensors import Lidar
 from torchweather.stages import EFFECTS, LidarState, PointKind, with_effects
-from torchweather.stages.beam import Beam
-from torchweather.stages.beam_particles import BeamParticles
-from torchweather.stages.effects_lidar_structure import beam_overlap
 from torchweather.transforms import LidarFog, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Rain, Snow
 
 PARTICLE = int(PointKind.PARTICLE)
 AZIMUTH, ELEVATION = torch.atan2(directions()[:, 1], directions()[:, 0]), torch.asin(directions()[:, 2])

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tests.stages.radar_effect_scene import SENSOR, TARGETS, begin, detections, known, rain, states
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.core.random import draw_variates
 from torchweather.sensors import Radar
 from torchweather.stages import EFFECTS, PointKind, RadarState, VolumeClutter, WetRadome, with_effects
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Fog, Rain, Snow
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 Array = NDArray[Any]

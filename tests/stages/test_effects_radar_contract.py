@@ -27,11 +27,11 @@ from tests.stages.radar_effect_scene import (
     rain,
     states,
 )
+from torchweather.atmosphere.weather import Mixture, Rain, Snow
 from torchweather.export import draw_feed, to_onnx
 from torchweather.recipes.recipes import load_recipe, save_recipe
 from torchweather.stages import EFFECTS, Chain, PointKind, effect_from_dict, with_effects
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Mixture, Rain, Snow
 
 # The names and identities of the catalogue; None where a parameter says only where or how.
 CATALOGUE: dict[str, dict[str, float | None]] = {

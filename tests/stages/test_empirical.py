@@ -23,8 +23,8 @@ from tests.stages.effect_scene import (
     scan_sensor,
     states,
 )
+from torchweather.lidar.effects.empirical import AXES, KINDS, Empirical
 from torchweather.stages import Chain, LidarState, PointKind
-from torchweather.stages.empirical import AXES, KINDS, Empirical
 from torchweather.transforms import LidarWeather
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))

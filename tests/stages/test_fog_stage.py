@@ -11,13 +11,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog
+from torchweather.camera.bayer import cfa_colour_index
 from torchweather.core.errors import TorchweatherWarning
-from torchweather.image.bayer import cfa_colour_index
 from torchweather.physics import extinction_per_m, table13
 from torchweather.sensors import BAYER_PATTERNS, Camera
 from torchweather.stages import ExtinctionAndAirlight
 from torchweather.transforms import BayerFog
-from torchweather.weather import Fog
 
 ORACLES = Path(__file__).parents[1] / "oracles" / "physics_oracles.json"
 H, W = 32, 48

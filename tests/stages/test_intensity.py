@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.stages.intensity import dimmed_intensity, intensity_from_signal, reflectivity_from_intensity
+from torchweather.lidar.intensity import dimmed_intensity, intensity_from_signal, reflectivity_from_intensity
 
 LINEAR = {"reflectivity": 1.0, "reflectivity_percent": 100.0, "uint8_linear": 255.0, "uint8_calibrated": 100.0}
 COUNTED = ("reflectivity_percent", "uint8_linear", "uint8_calibrated", "photons")

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.signal import oaconvolve
 
 from tests.reference.every_particle import Kind, draw_particles, mark_patches, population
+from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Rain, Snow
 
 SIZE, MARGIN, FINE = 96, 12, 3
 EXPOSURE_S = 0.005

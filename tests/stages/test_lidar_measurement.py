@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from tests.stages.effect_scene import begin, cloud, directions, own_noise, rain, scan_sensor, states
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.lidar.returns.strongest import ReturnTable
 from torchweather.sensors import RETURN_MODES
 from torchweather.stages import LidarState, ParticleReturns, ToPoints
-from torchweather.stages.strongest import ReturnTable
 from torchweather.transforms import LidarFog, LidarRain, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 UNITS = ("reflectivity", "reflectivity_percent", "uint8_linear", "photons")
 SCALES = {"reflectivity": 1.0, "reflectivity_percent": 100.0, "uint8_linear": 255.0, "photons": 300.0}

@@ -12,11 +12,11 @@ from scipy.signal import fftconvolve
 from tests.oracles import load
 from tests.reference.every_lidar_particle import Link
 from tests.reference.fog_waveform import SoftTarget, local_signal, soft_return, soft_signal
+from torchweather.atmosphere.weather import Fog, Rain
+from torchweather.lidar.beam import Beam
+from torchweather.lidar.returns.soft_return import SoftReturn
 from torchweather.sensors import Lidar
-from torchweather.stages.beam import Beam
-from torchweather.stages.soft_return import SoftReturn
 from torchweather.transforms import LidarFog, LidarRain
-from torchweather.weather import Fog, Rain
 
 LINK = load("lidar_link")
 FOG = load("lidar_fog_soft")

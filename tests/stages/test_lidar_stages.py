@@ -10,13 +10,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow
+from torchweather.lidar.intensity import are_integers
+from torchweather.lidar.returns.beam_particles import BeamParticles
+from torchweather.lidar.returns.strongest import ReturnTable, strongest_before
+from torchweather.lidar.stages import DB
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import Detection, Extinction, LidarState, ParticleReturns, PointKind, ToEnergy, ToPoints
-from torchweather.stages.beam_particles import BeamParticles
-from torchweather.stages.intensity import are_integers
-from torchweather.stages.lidar import DB
-from torchweather.stages.strongest import ReturnTable, strongest_before
-from torchweather.weather import Fog, Rain, Snow
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 SENSOR = Lidar(wavelength_nm=905.0, range_at_10_percent_m=50.0, echo_separation_m=1.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from torchweather.stages.mosaic_blur import _convolved, gaussian_blur
+from torchweather.camera.mosaic_blur import _convolved, gaussian_blur
 
 
 @pytest.mark.parametrize("variance_px2", [1.0, 12.0, 192.0, 768.0])

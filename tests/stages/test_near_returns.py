@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Snow, Weather
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind, ToEnergy
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Fog, Snow, Weather
 
 BEAMS = 4000
 RANGES_M = [1.8 + 0.02 * step for step in range(21)]  # 1.8 to 2.2 m

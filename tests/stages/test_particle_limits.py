@@ -10,10 +10,10 @@ import torch
 
 from tests.reference.every_particle import Particles, mark_patches
 from tests.stages.test_streaks import mask_of, padded
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.physics import Binned
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerRain, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 CAMERA = Camera.from_intrinsics(300.0, 300.0, 15.5, 11.5, 32, 24)
 

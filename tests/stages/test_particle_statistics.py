@@ -13,9 +13,9 @@ import pytest
 import torch
 
 from tests.reference.every_particle import render, statistics
+from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerWeather
-from torchweather.weather import Rain, Snow
 
 BLOCKS: dict[str, Any] = json.loads((Path(__file__).parents[1] / "reference" / "particle_statistics.json").read_text())[
     "blocks"

@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from tests.reference.every_particle import geometric_extinction, population
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.camera.particles.population import Population
+from torchweather.camera.particles.streaks import Marks
 from torchweather.physics import Binned
 from torchweather.sensors import Camera
 from torchweather.stages import ParticleVeil
-from torchweather.stages.population import Population
-from torchweather.stages.streaks import Marks
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 F_PX = 1137.4
 DARK = 0.1

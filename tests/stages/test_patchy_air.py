@@ -11,12 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.atmosphere.density_field import LENGTHS, SECTORS, WAVES, PatchyAir, sector_of
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, weather_from_dict
 from torchweather.core.random import draw_variates
+from torchweather.lidar.returns.beam_particles import BeamParticles
 from torchweather.radar import FmcwRadar
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import EFFECTS, ExtinctionAndAirlight, ParticleReturns, PointKind, VolumeClutter
-from torchweather.stages.beam_particles import BeamParticles
-from torchweather.stages.patchy_air import LENGTHS, SECTORS, WAVES, PatchyAir, sector_of
 from torchweather.transforms import (
     BayerFog,
     BayerRain,
@@ -26,7 +27,6 @@ from torchweather.transforms import (
     LidarWeather,
     RadarAttenuation,
 )
-from torchweather.weather import Fog, Mixture, Rain, Snow, weather_from_dict
 
 Floats = NDArray[np.float64]
 LENGTH_M = 20.0

@@ -15,6 +15,7 @@ from scipy.stats import kstest
 from torch import Tensor
 
 from tests.oracles import load
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.physics import FOG
 from torchweather.sensors import Radar
 from torchweather.stages import (
@@ -26,7 +27,6 @@ from torchweather.stages import (
     WetRadome,
     weather_attenuation_db_per_km,
 )
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 SENSOR = Radar(noise_floor_db=-120.0, detection_snr_db=10.0, margin_db=3.0)

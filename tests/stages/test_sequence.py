@@ -13,12 +13,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.camera.particles.population import COLUMN_DEPTH, COLUMN_LEVEL, COLUMN_U, COLUMN_V, Population
 from torchweather.core.random import ABSENT
 from torchweather.sensors import Camera
 from torchweather.stages import ParticleVeil
-from torchweather.stages.population import COLUMN_DEPTH, COLUMN_LEVEL, COLUMN_U, COLUMN_V, Population
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 H, W = 48, 64
 FOCAL_PX = 300.0

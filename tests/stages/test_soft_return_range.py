@@ -19,10 +19,10 @@ from scipy.signal import fftconvolve
 
 from tests.reference.every_lidar_particle import Link
 from tests.reference.fog_waveform import SoftTarget, soft_signal
+from torchweather.atmosphere.weather import Fog
 from torchweather.sensors import Lidar
 from torchweather.stages import ParticleReturns
 from torchweather.transforms import LidarFog
-from torchweather.weather import Fog
 
 PHOTONS, STEP_M, FARTHEST_M, DRAWS = 1000.0, 0.05, 30.0, 20_000
 OS1 = replace(Lidar.preset("ouster-os1-128"), photons_at_threshold=PHOTONS, range_noise_m=0.0, range_resolution_m=0.0)

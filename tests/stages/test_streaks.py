@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tests.reference.every_particle import Particles, mark_patches
-from torchweather.stages.depth_blocks import DepthBlocks
-from torchweather.stages.streaks import Marks, add_listed
+from torchweather.camera.particles.depth_blocks import DepthBlocks
+from torchweather.camera.particles.streaks import Marks, add_listed
 
 ORACLES = Path(__file__).parents[1] / "oracles" / "physics_oracles.json"
 

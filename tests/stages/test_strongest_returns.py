@@ -26,11 +26,11 @@ from tests.reference.every_lidar_particle import (
     object_signal,
 )
 from tests.reference.every_particle import population
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
+from torchweather.lidar.returns.strongest import ReturnTable, strongest_before
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import Detection, LidarState
-from torchweather.stages.strongest import ReturnTable, strongest_before
 from torchweather.transforms import LidarWeather
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 N_BEAMS = 60_000
 NO_MARGIN_DB = 1e-6  # objects on the floor stand at the threshold itself, as in the reference

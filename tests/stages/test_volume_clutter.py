@@ -14,16 +14,16 @@ from scipy.stats import kstest
 from torch import Tensor
 
 from tests.oracles import load
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.physics import received_power_dbm, reflectivity_weighted_fall_speed
-from torchweather.sensors import Radar
-from torchweather.stages import RadarState, Stage, VolumeClutter
-from torchweather.stages.volume_clutter import (
+from torchweather.radar.clutter import (
     FallingReflectivity,
     cell_volume_m3,
     radial_speed_m_per_s,
     two_way_widths_rad,
 )
-from torchweather.weather import Fog, Rain, Snow
+from torchweather.sensors import Radar
+from torchweather.stages import RadarState, Stage, VolumeClutter
 
 # Four elements in a row; range bins of 0.5 m to 32 m, Doppler bins of 0.6 m/s; some 300 cells of heavy rain are seen.
 RADAR = Radar(

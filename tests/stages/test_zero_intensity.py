@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain
+from torchweather.lidar.clouds import below_floor
+from torchweather.lidar.intensity import zero_intensity
 from torchweather.sensors import Lidar
-from torchweather.stages.intensity import zero_intensity
 from torchweather.transforms import LidarWeather
-from torchweather.transforms.clouds import below_floor
-from torchweather.weather import Fog, Rain
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.evaluation.sweep import parse_levels
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 
 def test_rates_rise_and_visibilities_fall() -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather, parse_weather
 from torchweather.core.errors import TorchweatherError
 from torchweather.evaluation.sweep import (
     COLUMNS,
@@ -27,7 +28,6 @@ from torchweather.scenes import radar_view, test_track
 from torchweather.scenes.raw_frame import raw_frame
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerWeather, LidarWeather, RadarAttenuation
-from torchweather.weather import Weather, parse_weather
 
 CAMERA = Camera.preset("lucid-triton").resized(32, 24)
 LIDAR = Lidar.preset("velodyne-hdl-64e")

@@ -6,10 +6,10 @@ import math
 
 import torch
 
+from torchweather.atmosphere.weather import Fog
 from torchweather.evaluation.sweep import CameraSubject
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.weather import Fog
 
 CAMERA = Camera.from_intrinsics(200, 200, 99.5, 99.5, 200, 200)
 

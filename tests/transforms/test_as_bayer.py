@@ -8,19 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.image import (
-    DepthFromCallable,
-    FlatGround,
-    demosaic,
-    mosaic,
-    quantise,
-    srgb_decode,
-    srgb_encode,
-)
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.camera.through_mosaic import padded, padded_size
+from torchweather.image import DepthFromCallable, FlatGround, demosaic, mosaic, quantise, srgb_decode, srgb_encode
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.transforms.through_mosaic import padded, padded_size
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 AIRLIGHT = (0.7, 0.72, 0.75)
 DTYPES = (torch.uint8, torch.uint16, torch.float32, torch.float64, torch.float16)

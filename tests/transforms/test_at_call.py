@@ -12,9 +12,9 @@ from torch import Tensor
 import torchweather as tw
 from tests.stages import camera_effect_scene, effect_scene, radar_effect_scene
 from torchweather.export import to_onnx
+from torchweather.pipeline.at_call import weather_at_call
 from torchweather.radar.power_map import MapAxes, PowerScale
 from torchweather.stages import Quantise
-from torchweather.transforms.at_call import weather_at_call
 
 AXES = MapAxes.of_turn(bins=48, bin_m=0.5, azimuths=20, dims=("range", "azimuth"))
 RANGE, FIXED = tw.Rain(rate_mm_per_h=(5.0, 50.0)), tw.Rain(rate_mm_per_h=20.0)

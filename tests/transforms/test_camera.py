@@ -10,12 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.camera.levels import raw_from_linear, raw_to_linear
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.image.depth import FlatGround
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
-from torchweather.transforms.raw_levels import raw_from_linear, raw_to_linear
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 H, W = 24, 32
 CAMERA = Camera.from_intrinsics(300.0, 300.0, 15.5, 11.5, W, H)

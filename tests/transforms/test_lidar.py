@@ -17,11 +17,11 @@ import torch
 from scipy.stats import kstest
 from torch import Tensor, nn
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarFog, LidarRain, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 SENSOR = Lidar(wavelength_nm=905.0, intensity_unit="reflectivity", range_at_10_percent_m=50.0)
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
@@ -418,7 +418,7 @@ def test_ten_million_points() -> None:
 
 
 def test_a_cloud_worked_on_in_portions_comes_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    import torchweather.transforms.lidar as module
+    import torchweather.lidar.transform as module
 
     generator = torch.Generator().manual_seed(3)
     points = torch.rand(3, 1000, 5, generator=generator) * 40.0

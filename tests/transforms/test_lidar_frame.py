@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
+from torchweather.lidar.cloud_frame import points_in_cloud_frame, points_in_sensor_frame
 from torchweather.sensors import Lidar
-from torchweather.sensors.cloud_frame import points_in_cloud_frame, points_in_sensor_frame
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarResult, LidarWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 WEATHER = Mixture(Snow(rate_mm_per_h=2), Fog(mor_m=50))
 # Waymo's top LiDAR, turned a little.

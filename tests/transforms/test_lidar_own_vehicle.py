@@ -11,6 +11,7 @@ from torch import Tensor
 
 from tests.lidar.own_car_drive import SENSOR, mirror, sweep
 from tests.recordings import recording
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.io import read_points
 from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
 from torchweather.recipes.recipes import load_recipe, save_recipe
@@ -18,7 +19,6 @@ from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarFog, LidarSnow, LidarWeather
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 SEEN = SENSOR  # its pattern, 100 m
 BOX = (-0.5, 0.5, 0.5, 1.5, -0.5, -0.2)  # around the mirror, metres

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherWarning
+from torchweather.lidar.clouds import check_points
 from torchweather.sensors import Lidar
-from torchweather.transforms.clouds import check_points
 
 
 def cloud(intensities: Tensor) -> Tensor:

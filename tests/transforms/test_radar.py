@@ -14,13 +14,13 @@ from scipy.stats import kstest
 from torch import Tensor
 
 from tests.oracles import load
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.cli.main import main
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.physics import received_power_dbm
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.stages import PointKind
 from torchweather.transforms import RadarAttenuation
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 SENSOR = Radar.preset("imaging-77ghz")

@@ -12,9 +12,9 @@ from torch import Tensor
 
 import torchweather as tw
 from torchweather import Fog, Lidar, Mixture, Radar, Rain, Snow
+from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import MapAxes, PowerScale, RadarPowerMap
 from torchweather.stages import Chain
-from torchweather.transforms.radar_map import RadarMapWeather
 
 SENSOR = Radar.preset("awr1843-like")
 CALM = Mixture(Rain(0.0), Snow(0.0), Fog(math.inf))

@@ -8,6 +8,7 @@ import pytest
 import torch
 import yaml
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.core.errors import TorchweatherError
 from torchweather.image import DepthMap, FlatGround
 from torchweather.recipes.recipes import (
@@ -30,7 +31,6 @@ from torchweather.transforms import (
     LidarWeather,
     RadarAttenuation,
 )
-from torchweather.weather import Fog, Mixture, Rain, Snow
 
 SMALL = Camera.from_intrinsics(40.0, 40.0, 15.5, 11.5, 32, 24)
 HDL = Lidar.preset("velodyne-hdl-64e")

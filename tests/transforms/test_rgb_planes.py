@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.camera.depth import SceneDepth
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.image import mosaic, srgb_encode
+from torchweather.pipeline.effect import EFFECTS
 from torchweather.sensors import Camera
 from torchweather.stages import CameraState
-from torchweather.stages.effects import EFFECTS
 from torchweather.transforms import AsBayer, BayerFog, BayerWeather
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
 
 H, W = 48, 64
 AIRLIGHT = (0.6, 0.62, 0.65)

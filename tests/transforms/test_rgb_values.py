@@ -7,9 +7,9 @@ import math
 import pytest
 import torch
 
+from torchweather.camera.rgb_planes import check_rgb_values, linear_planes
+from torchweather.camera.through_mosaic import image_of_mosaic, mosaic_of_image
 from torchweather.sensors import Camera
-from torchweather.transforms.rgb_planes import check_rgb_values, linear_planes
-from torchweather.transforms.through_mosaic import image_of_mosaic, mosaic_of_image
 
 
 def srgb_to_linear(display: float) -> float:

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 import yaml
 
+from torchweather.atmosphere.weather import Fog, Mixture, Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.recipes.pipelines import list_pipelines
 from torchweather.recipes.recipes import list_recipes, read_recipe, recipes_folder
 from torchweather.recipes.suites import FORMAT, list_suites, read_suite
-from torchweather.weather import Fog, Mixture, Rain
 
 RATES = [1.0, 2.0, 3.0, 4.0, 5.0]
 

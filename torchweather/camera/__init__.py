@@ -1,1 +1,1 @@
-"""The camera: depth of its pictures (more rooms follow)."""
+"""The camera: sensor, transform, fog, particles, effects, depth of its pictures."""

@@ -12,8 +12,8 @@ from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_
 from torchweather.cli.own_vehicle import add_own_vehicle
 
 if TYPE_CHECKING:
+    from torchweather.atmosphere.weather import Weather
     from torchweather.recipes.recipe import Recipe
-    from torchweather.weather import Weather
 
 NAME = "apply"
 SUMMARY = "weather on files of images, point clouds and radar detections"
@@ -92,9 +92,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Process the files."""
+    from torchweather.atmosphere.weather import parse_weather
     from torchweather.cli.output import print_json, print_lines
     from torchweather.recipes.recipes import read_recipe
-    from torchweather.weather import parse_weather
 
     recipe = None if args.recipe is None else read_recipe(args.recipe)
     if args.weather is not None:

@@ -13,16 +13,17 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.camera.depth import AUTO, SceneDepth, scene_of
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
 from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.cli.output import note
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_image, write_image
 from torchweather.io.depth_sources import GROUND
 from torchweather.recipes.recipe import Recipe, camera_of
-from torchweather.sensors import Camera
-from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.weather import Weather
 
 __all__ = ["line", "process"]
 

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.cli.cloud_files import CloudFiles
 from torchweather.cli.clouds import (
     CloudFrame,
@@ -31,12 +32,12 @@ from torchweather.cli.own_vehicle import own_vehicle_of, words_of
 from torchweather.core.errors import TorchweatherError
 from torchweather.explain import explain
 from torchweather.io import PointCloud
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarResult, LidarWeather
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.recipes.recipe import Recipe, lidar_of, transform_class
 from torchweather.report.cloud_counts import cloud_counts, has_return
-from torchweather.sensors import DEFAULT_PRESETS, Lidar
-from torchweather.stages import PointKind
-from torchweather.transforms import LidarResult, LidarWeather
-from torchweather.weather import Weather
+from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["line", "process"]
 

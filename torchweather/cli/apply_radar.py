@@ -14,16 +14,16 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.cli.detections import gathered_detections, radar_fields, radar_options
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import atomic_write, read_radar, write_radar
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.radar.transform import RadarAttenuation, RadarResult
 from torchweather.recipes.recipe import Recipe, radar_of
 from torchweather.sensors import DEFAULT_PRESETS
-from torchweather.stages import PointKind
-from torchweather.transforms import RadarAttenuation, RadarResult
-from torchweather.weather import Weather
 
 __all__ = ["line", "process", "transform_of"]
 

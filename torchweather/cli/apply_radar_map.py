@@ -16,16 +16,17 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.cli.detections import radar_fields
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import MAP_SUFFIXES, atomic_write, read_power_map, write_power_map
+from torchweather.radar.map_transform import RadarMapResult, RadarMapWeather
 from torchweather.radar.power_map import RadarPowerMap, map_cfar, map_detections, with_noise_scale
+from torchweather.radar.sensor import Radar
 from torchweather.recipes.recipe import Recipe, radar_of
-from torchweather.sensors import DEFAULT_PRESETS, Radar
-from torchweather.transforms.radar_map import RadarMapResult, RadarMapWeather
-from torchweather.weather import Weather
+from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["has_maps", "line", "process"]
 

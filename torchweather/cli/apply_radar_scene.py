@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.cli.apply_radar import transform_of
 from torchweather.cli.detections import radar_options
 from torchweather.cli.output import note
@@ -18,16 +19,16 @@ from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import check_one_of
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.io import RADAR_COLUMNS, RadarPoints, atomic_write, write_radar
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar import FmcwRadar, range_doppler
-from torchweather.radar.detection import beam_amplitude
+from torchweather.radar.fmcw.detection import beam_amplitude
+from torchweather.radar.sensor import Radar
 from torchweather.recipes.recipe import Recipe
 from torchweather.report.radar_picture import radar_picture
 from torchweather.report.radar_section import WALKING
 from torchweather.report.radar_views import RadarFrame
 from torchweather.scenes import SCENES, RadarView, radar_view
-from torchweather.sensors import DEFAULT_PRESETS, Radar
-from torchweather.stages import PointKind
-from torchweather.weather import Fog, Rain, Snow, Weather
+from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["line", "process"]
 

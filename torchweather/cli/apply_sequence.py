@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather import __version__
+from torchweather.atmosphere.weather import Weather
 from torchweather.cli.frames import camera_fields, fitted_camera, gathered
 from torchweather.cli.output import note
 from torchweather.cli.sequence_frames import (
@@ -23,7 +24,6 @@ from torchweather.core.errors import check_positive
 from torchweather.io.speeds import read_speeds
 from torchweather.io.video import CRF, VIDEO_SUFFIXES, WRITTEN_SUFFIXES
 from torchweather.recipes.recipe import Recipe, camera_of
-from torchweather.weather import Weather
 
 __all__ = ["is_video", "line", "process"]
 

@@ -14,7 +14,7 @@ from torchweather.cli.clouds import PCAP, CloudFrame, stem
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import PointCloud, PointLabels, atomic_write, merge_kind, read_labels, write_labels, write_points
-from torchweather.transforms import LidarResult
+from torchweather.lidar.transform import LidarResult
 
 __all__ = ["CloudFiles"]
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from torchweather.io import PointCloud
-    from torchweather.sensors import Lidar
+    from torchweather.lidar.sensor import Lidar
 
 __all__ = [
     "add_complete_scan",
@@ -71,8 +71,8 @@ def add_force(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
 def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.Namespace, owner: str) -> None:
     """Raise where more than nine tenths of a cloud's points lie below the sensor's own floor, unless forced."""
     from torchweather.core.errors import TorchweatherError
-    from torchweather.transforms.clouds import below_floor
-    from torchweather.transforms.frame_check import frame_note
+    from torchweather.lidar.clouds import below_floor
+    from torchweather.lidar.frame_check import frame_note
 
     floored, returns = below_floor(points, sensor)
     if not getattr(args, "force", False) and floored > NEARLY_ALL * returns:
@@ -148,7 +148,7 @@ def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
         raise ValueError("--sensor-origin and --sensor-pose both say where the sensor stands; give one of them.")
     if pose is not None:
         from torchweather.io import read_sensor_pose
-        from torchweather.sensors.pose import split_pose
+        from torchweather.lidar.pose import split_pose
 
         given["origin_m"], given["rotation"] = split_pose(read_sensor_pose(pose))
     elif origin is not None:

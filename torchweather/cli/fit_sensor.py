@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from torchweather.cli.clouds import CloudFrame
     from torchweather.lidar import NearResponseFit, PatternFit, ScanPattern
-    from torchweather.sensors import Lidar
+    from torchweather.lidar.sensor import Lidar
 
 NAME = "fit-sensor"
 SUMMARY = "measure a LiDAR's rings, columns and near-range response in its recordings"
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit and write."""
     from torchweather.cli.output import note, print_json, print_lines
-    from torchweather.lidar.pattern_fit import combine_patterns
+    from torchweather.lidar.sweep.pattern_fit import combine_patterns
     from torchweather.report.sensor_fit_figures import draw_sensor_fit
 
     if args.out.suffix.lower() not in YAML_SUFFIXES:
@@ -82,7 +82,7 @@ def _other_preset(pattern: PatternFit, found: _Gathered) -> list[str]:
     """A note where the rings are those of another preset than the one that gives what is not measured."""
     import numpy as np
 
-    from torchweather.lidar.sweep_cause import preset_of_rings, sensor_problem
+    from torchweather.lidar.sweep.sweep_cause import preset_of_rings, sensor_problem
 
     known = pattern.elevations_deg[np.isfinite(pattern.elevations_deg)]
     if not found.lidar.elevations_deg or not sensor_problem(pattern, found.lidar):
@@ -149,7 +149,7 @@ def _gathered(args: argparse.Namespace) -> _Gathered:
 
 def _elsewhere(points: Tensor, ring: Tensor | None) -> str:
     """Sentence about a cloud whose sensor stands beside its origin; empty where it does not, or no rings are found."""
-    from torchweather.lidar.sensor_origin import estimate_origin
+    from torchweather.lidar.sweep.sensor_origin import estimate_origin
 
     origin = estimate_origin(points[:, :3].double().numpy(), None if ring is None else ring.numpy())
     if origin is None or not origin.is_apart:
@@ -180,7 +180,7 @@ def _refuse_other_frame(name: str, pattern: ScanPattern) -> None:
 
 def _sensor(args: argparse.Namespace, frame: CloudFrame) -> tuple[str, Lidar]:
     from torchweather.cli.ouster_product import preset_of_product
-    from torchweather.sensors import Lidar
+    from torchweather.lidar.sensor import Lidar
 
     kind, _, preset = (args.sensor or "lidar").partition(":")
     if kind != "lidar":

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from torchweather.image import DepthSource
-    from torchweather.sensors import Camera, CameraFit
+    from torchweather.camera.sensor import Camera
+    from torchweather.camera.sensor_fit import CameraFit
+    from torchweather.image.depth import DepthSource
 
 __all__ = [
     "CAMERA_ARGUMENTS",
@@ -182,8 +183,8 @@ def _focal(args: argparse.Namespace) -> tuple[float, float]:
 
 def _calibrated(camera: Camera, height: int, width: int, args: argparse.Namespace) -> tuple[Camera, str]:
     """The preset with the lens of a calibration file, and with its mounting where the arguments give none."""
+    from torchweather.camera.sensor_fit import without_distortion
     from torchweather.io.camera_files import read_camera_fields
-    from torchweather.sensors import without_distortion
 
     fields = read_camera_fields(args.camera, width=width, height=height, name=getattr(args, "camera_name", None))
     for name in ("height_m", "pitch_rad"):
@@ -199,8 +200,8 @@ def _calibrated(camera: Camera, height: int, width: int, args: argparse.Namespac
 
 def _photographed(camera: Camera, height: int, width: int, frame: Path | None) -> tuple[Camera, str]:
     """The camera by the EXIF tags of the frame, else the preset's fitted to it."""
+    from torchweather.camera.sensor_fit import fit_camera, without_distortion
     from torchweather.io.exif import read_exif_focal
-    from torchweather.sensors import fit_camera, without_distortion
 
     found = None if frame is None else read_exif_focal(frame, width, height)
     if found is not None and found.focal_px is not None:

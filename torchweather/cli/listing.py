@@ -29,13 +29,13 @@ def run(args: argparse.Namespace) -> int:
 
 def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
+    from torchweather.atmosphere.weather import REHEARSE, WEATHERS
     from torchweather.physics import FOG, RAIN, SNOW
+    from torchweather.pipeline.registry import STAGES
     from torchweather.recipes.pipelines import list_pipelines
     from torchweather.recipes.recipes import list_recipes
     from torchweather.recipes.suites import list_suites
     from torchweather.sensors import SENSOR_CLASSES
-    from torchweather.stages import STAGES
-    from torchweather.weather import REHEARSE, WEATHERS
 
     return {
         "recipes": [

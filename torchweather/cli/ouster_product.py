@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from torchweather.sensors import Lidar
+    from torchweather.lidar.sensor import Lidar
 
 __all__ = ["preset_of_product", "refuse_other_product"]
 
@@ -40,7 +40,7 @@ def refuse_other_product(name: str, product: str | None, sensor: Lidar, args: ar
         owner: the command.
     """
     from torchweather.core.errors import TorchweatherError
-    from torchweather.sensors import Lidar
+    from torchweather.lidar.sensor import Lidar
 
     preset = preset_of_product(product)
     if preset is None or getattr(args, "force", False):

@@ -15,7 +15,7 @@ from torchweather.cli.output import note
 if TYPE_CHECKING:
     from torchweather.io import PointCloud
     from torchweather.lidar import OwnVehicleMask
-    from torchweather.sensors import Lidar
+    from torchweather.lidar.sensor import Lidar
 
 __all__ = ["DRIVE", "NONE", "add_own_vehicle", "own_vehicle_of", "words_of"]
 
@@ -49,8 +49,8 @@ def own_vehicle_of(
         ValueError: too few sweeps for the drive that was asked for, or a file without a mask.
     """
     from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
-    from torchweather.lidar.drive_sweeps import evenly_chosen
-    from torchweather.lidar.own_vehicle import FEWEST_VIEWS
+    from torchweather.lidar.sweep.drive_sweeps import evenly_chosen
+    from torchweather.lidar.sweep.own_vehicle import FEWEST_VIEWS
 
     chosen = args.own_vehicle
     if chosen == NONE or (chosen is None and not complete_scan):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from torchweather.atmosphere.weather import Weather
     from torchweather.camera.depth import SceneDepth
-    from torchweather.weather import Weather
 
 __all__ = ["preview_image", "severities"]
 
@@ -23,7 +23,7 @@ def severities(weather: Weather) -> list[tuple[str, Weather]]:
     the visibility.
 
     Example:
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> [(name, one.mor_m) for name, one in severities(Fog(mor_m=200.0))]
         [('as applied', 200.0), ('lighter', 800.0), ('heavier', 50.0)]
     """
@@ -32,7 +32,7 @@ def severities(weather: Weather) -> list[tuple[str, Weather]]:
 
 def _scaled(weather: Weather, factor: float) -> Weather:
     """The weather with its rates times a factor, and its visibilities divided by it."""
-    from torchweather.weather import Mixture
+    from torchweather.atmosphere.weather import Mixture
 
     parts = []
     for part in weather.parts:
@@ -80,12 +80,12 @@ def _shower(image: Tensor, transform: Any, scene: SceneDepth) -> Any:
     """What makes an 8-bit picture ``(3, H, W)`` of an image: a mosaic is developed as the clear one looks best."""
     import torch
 
-    from torchweather.image import normalise, quantise
+    from torchweather.camera.tone import normalise, quantise
 
     if image.shape[-3] == 3:
         return lambda data: data if data.dtype == torch.uint8 else quantise(normalise(data), torch.uint8)
+    from torchweather.camera.levels import raw_to_linear
     from torchweather.report.pictures import look_of
-    from torchweather.transforms.raw_levels import raw_to_linear
 
     camera = transform.camera
     look = look_of(raw_to_linear(image, camera, "preview"), scene.depth_m.reshape(1, *image.shape[-2:]), camera)

@@ -12,7 +12,7 @@ from torchweather.cli.regions import parse_region
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.io import read_points, read_radar
 from torchweather.metrics import CLOUD_SCORES, cloud_scores
-from torchweather.sensors import Radar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["CloudScores"]
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchweather.camera.levels import levels, raw_to_linear
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import normalise
 from torchweather.cli.output import note
 from torchweather.core.errors import TorchweatherError, check_one_of
-from torchweather.image import normalise
 from torchweather.io import read_image
 from torchweather.metrics import IMAGE_SCORES, bayer_scores, image_scores
-from torchweather.sensors import Camera
-from torchweather.transforms.raw_levels import levels, raw_to_linear
 
 __all__ = ["ImageScores"]
 

@@ -15,16 +15,17 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.airlight import given_or_estimated
 from torchweather.camera.depth import DepthSource, SceneDepth, ScenePrior, least_sure, scene_of
 from torchweather.camera.depth.steady import common_near_mask, reach_of, steady_scenes
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.rgb_planes import linear_planes
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
 from torchweather.cli.frames import depth_source
 from torchweather.cli.sequence_frames import ClipFrames, FolderFrames, Frame
 from torchweather.core.errors import TorchweatherError
-from torchweather.sensors import Camera
-from torchweather.stages.airlight import given_or_estimated
-from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.transforms.rgb_planes import linear_planes
-from torchweather.weather import Weather
 
 __all__ = ["SequencePlan", "SequenceWork", "Survey"]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.camera.depth import AUTO, GUESSED, DepthSource, scene_of
+from torchweather.camera.sensor import Camera
 from torchweather.cli.clouds import (
     clouds_in,
     complete_scan_of,
@@ -29,7 +30,6 @@ from torchweather.recipes.recipe import camera_of, lidar_of, radar_of
 from torchweather.report.radar_section import WALKING
 from torchweather.scenes import SCENES, Scene, lidar_view, radar_view
 from torchweather.scenes.raw_frame import INDOORS, raw_frame
-from torchweather.sensors import Camera
 
 __all__ = ["MAKERS", "Maker"]
 

@@ -14,8 +14,8 @@ from torchweather.cli.clouds import add_complete_scan, add_lidar_fields
 
 if TYPE_CHECKING:
     from torchweather.cli.clouds import CloudFrame
-    from torchweather.sensors import Lidar
-    from torchweather.transforms import LidarResult
+    from torchweather.lidar.sensor import Lidar
+    from torchweather.lidar.transform import LidarResult
 
 NAME = "view"
 SUMMARY = "look at a point cloud in clear air and in a weather"
@@ -55,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
+    from torchweather.atmosphere.weather import parse_weather
     from torchweather.cli.output import note, print_json, print_lines
     from torchweather.report.cloud_view import write_cloud_view
-    from torchweather.weather import parse_weather
 
     _check(args)
     recording = _rerun() if args.rerun else None

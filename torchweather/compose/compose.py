@@ -13,16 +13,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.depth import SceneDepth
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.compose.plans import Plan, plan_of
 from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
-from torchweather.sensors import Camera
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.plans import Plan, plan_of
-from torchweather.transforms.radar import KNOWN, RadarAttenuation
-from torchweather.weather import Weather, weather_from_dict
+from torchweather.radar.transform import KNOWN, RadarAttenuation
 
 __all__ = ["Compose", "Draw"]
 

@@ -12,15 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
+from torchweather.camera.picture_types import is_picture, picture_tensor
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.camera.sensor_fit import fit_camera
+from torchweather.camera.transform import BayerWeather
 from torchweather.compose.compose import Compose
 from torchweather.core.distributions import Choice, Distribution, LogUniform
 from torchweather.core.errors import TorchweatherWarning, check_between
 from torchweather.core.random import sample_seed
-from torchweather.sensors import Camera, fit_camera
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.picture_types import is_picture, picture_tensor
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 __all__ = ["RandomFog", "RandomRain", "RandomSnow", "RandomWeather"]
 

@@ -7,14 +7,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.camera.bayer import cfa_colour_index
+from torchweather.camera.fog import ExtinctionAndAirlight
+from torchweather.camera.particles.veil import ParticleVeil
+from torchweather.camera.rays import rays_of
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.rgb_planes import encoded_planes, linear_planes
+from torchweather.camera.state import CameraState
+from torchweather.camera.transform import BayerWeather
 from torchweather.core.random import draw_variates, sizes_of
 from torchweather.export.traceable import Traceable
-from torchweather.image.bayer import cfa_colour_index
-from torchweather.stages import CameraState, ExtinctionAndAirlight, ParticleVeil
-from torchweather.stages.camera_rays import rays_of
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.rgb_planes import encoded_planes, linear_planes
 
 __all__ = ["IMAGE_OUTPUTS", "traceable_camera"]
 

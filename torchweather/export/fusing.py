@@ -11,16 +11,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.transform import BayerWeather
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.export.camera_graph import IMAGE_OUTPUTS
 from torchweather.export.graph import OPSET, traced_model
 from torchweather.export.joining import check_connection, inputs_of, join_models, signature_text
 from torchweather.export.metadata import set_properties
 from torchweather.io.atomic import atomic_write
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.lidar import LidarWeather
-from torchweather.transforms.radar import RadarAttenuation
+from torchweather.lidar.transform import LidarWeather
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = ["fuse"]
 
@@ -89,7 +89,7 @@ def fuse(
     Example:
         >>> from torchweather.sensors import Camera
         >>> from torchweather.transforms import BayerFog
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> fog = BayerFog(Fog(mor_m=50), Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24))
         >>> fuse(fog, "detector.onnx", "fused.onnx", between=MosaicToImage("RGGB"))  # doctest: +SKIP
         ['bayer', 'depth', 'fx', 'fy', 'cx', 'cy', 'mor_m']

@@ -12,17 +12,17 @@ from typing import Any
 
 import torch
 
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.transform import BayerWeather
 from torchweather.export.camera_graph import traceable_camera
 from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.export.metadata import model_properties, set_properties
 from torchweather.export.radar_graph import traceable_map, traceable_radar
 from torchweather.export.traceable import Traceable
 from torchweather.io.atomic import atomic_write
+from torchweather.lidar.transform import LidarWeather
 from torchweather.radar import RangeDopplerMap
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.lidar import LidarWeather
-from torchweather.transforms.radar import RadarAttenuation
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = ["to_onnx"]
 
@@ -97,7 +97,7 @@ def to_onnx(
     Example:
         >>> from torchweather.sensors import Camera
         >>> from torchweather.transforms import BayerFog
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> fog = BayerFog(Fog(mor_m=50), Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24))
         >>> to_onnx(fog, "fog.onnx")  # doctest: +SKIP
         ['bayer', 'depth', 'fx', 'fy', 'cx', 'cy', 'mor_m']

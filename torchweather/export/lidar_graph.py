@@ -9,11 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.atmosphere.weather import Mixture
 from torchweather.core.random import Variate, draw_variates
 from torchweather.export.traceable import Traceable, knob_inputs
-from torchweather.stages import Extinction, ParticleReturns
-from torchweather.transforms.lidar import LidarWeather
-from torchweather.weather import Mixture
+from torchweather.lidar.stages import Extinction, ParticleReturns
+from torchweather.lidar.transform import LidarWeather
 
 __all__ = ["traceable_lidar"]
 

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torchweather
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.transform import BayerWeather
 from torchweather.export.feed import METADATA_KEY, TRANSFORM_KEY, variates_to_metadata
 from torchweather.export.traceable import Traceable
+from torchweather.lidar.transform import LidarWeather
 from torchweather.radar import RangeDopplerMap
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.lidar import LidarWeather
-from torchweather.transforms.radar import RadarAttenuation
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = ["model_properties", "set_properties"]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from torchweather.camera.tone import develop
 from torchweather.core.errors import check_one_of, check_positive
-from torchweather.image import develop
 
 __all__ = ["ImageToDetector", "MosaicToImage"]
 

@@ -9,12 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.atmosphere.weather import Mixture
 from torchweather.core.random import draw_variates
 from torchweather.export.traceable import Traceable, knob_inputs
 from torchweather.radar import RangeDopplerMap
-from torchweather.stages import PathAttenuation, VolumeClutter, WetRadome
-from torchweather.transforms.radar import RadarAttenuation
-from torchweather.weather import Mixture
+from torchweather.radar.attenuation import PathAttenuation, WetRadome
+from torchweather.radar.clutter import VolumeClutter
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = ["traceable_map", "traceable_radar"]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from torch import nn
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.core.random import Variate
-from torchweather.weather import Weather
 
 __all__ = ["Traceable", "knob_inputs"]
 

@@ -10,6 +10,8 @@ from typing import Any
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather, weather_from_dict
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.frames import Frame
 from torchweather.gap.recorded_frames import CloudFile, ImageFile, beam_directions, even_camera, shared_depth
@@ -18,8 +20,8 @@ from torchweather.gap.study_parts import WEATHERS
 from torchweather.io import IMAGE_SUFFIXES
 from torchweather.io.points import POINT_SUFFIXES
 from torchweather.io.tables import read_table
-from torchweather.sensors import Camera, Lidar, sensor_preset
-from torchweather.weather import Weather, weather_from_dict
+from torchweather.lidar.sensor import Lidar
+from torchweather.sensors import sensor_preset
 
 __all__ = ["study_from_folders", "study_from_kitti"]
 

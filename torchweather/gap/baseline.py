@@ -24,7 +24,7 @@ from scipy.linalg import solve_triangular
 
 from torchweather.gap.conditions import Condition
 from torchweather.gap.statistics import INDEPENDENT, TINY, Layout, Pool, Reduced
-from torchweather.stages.effects import Effect
+from torchweather.pipeline.effect import Effect
 
 __all__ = [
     "PORTIONED_FRAMES",

@@ -21,6 +21,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.camera.airlight import towards_horizon
+from torchweather.camera.bayer import cfa_colour_index
+from torchweather.camera.effects.all import EFFECTS
+from torchweather.camera.fog import ExtinctionAndAirlight
+from torchweather.camera.particles.veil import REFLECTED_SHARE, ParticleVeil
+from torchweather.camera.rays import rays_of
+from torchweather.camera.sensor import Camera
+from torchweather.camera.state import CameraState
+from torchweather.camera.transform import BayerWeather
 from torchweather.core.random import keyed_stream
 from torchweather.gap.camera_change import refuse_changed
 from torchweather.gap.camera_nuisance import AirlightError, ParticleContrast
@@ -30,15 +39,9 @@ from torchweather.gap.camera_sums import CameraSums, camera_layout, colours_of
 from torchweather.gap.effect_forms import counted_form
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
-from torchweather.image.bayer import cfa_colour_index
-from torchweather.sensors import Camera
-from torchweather.stages import CameraState, Chain, ExtinctionAndAirlight, ParticleVeil, Stage
-from torchweather.stages.airlight import towards_horizon
-from torchweather.stages.camera_rays import rays_of
-from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_camera import EFFECTS
-from torchweather.stages.particle_veil import REFLECTED_SHARE
-from torchweather.transforms import BayerWeather
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, with_effects
+from torchweather.pipeline.stage import Stage
 
 __all__ = ["CameraFrames"]
 

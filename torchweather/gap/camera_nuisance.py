@@ -8,8 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.states import CameraState
+from torchweather.camera.state import CameraState
+from torchweather.pipeline.effect import Effect, Parameter
 
 __all__ = ["AirlightError", "ParticleContrast"]
 

@@ -18,8 +18,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchweather.camera.particles.veil import ParticleVeil
+from torchweather.camera.state import CameraState
 from torchweather.gap.study import Condition
-from torchweather.stages import CameraState, ParticleVeil
 
 __all__ = ["LEAST_STEP", "MOST_STEP", "Rendered"]
 

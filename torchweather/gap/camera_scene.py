@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.camera.bayer import cfa_colour_index
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.study import StudyScene
-from torchweather.image.bayer import cfa_colour_index
-from torchweather.sensors import Camera
 
 __all__ = ["COLOURS", "LAGS", "CameraScene", "Pairs", "camera_scene", "cell_colours", "in_blocks", "place_in"]
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from torchweather.gap.effect_forms import tried_values
-from torchweather.stages.effects import Effect, Parameter
+from torchweather.pipeline.effect import Effect, Parameter
 
 __all__ = ["Line", "lines"]
 

@@ -8,9 +8,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.sensor import Camera
 from torchweather.gap.frames import Frame, Frames
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.weather import Weather
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["Condition", "StudyContent", "StudyScene"]
 

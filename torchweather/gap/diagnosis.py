@@ -18,8 +18,8 @@ from torchweather.gap.frames import Frame, Frames
 from torchweather.gap.simulation import dry_samples
 from torchweather.gap.splits import condition_group
 from torchweather.gap.study import Study
-from torchweather.sensors import Lidar
-from torchweather.stages.intensity import reflectivity_from_intensity
+from torchweather.lidar.intensity import reflectivity_from_intensity
+from torchweather.lidar.sensor import Lidar
 
 __all__ = ["LEVELS", "Finding", "diagnose"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from torchweather.stages.effects import EFFECTS, Effect, effect_from_dict
+from torchweather.pipeline.effect import EFFECTS, Effect, effect_from_dict
 
 __all__ = [
     "A_PARAMETER",

@@ -10,15 +10,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.simulation import simulated_camera, simulated_lidar, simulated_radar
 from torchweather.gap.study import Frame, Study
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
 from torchweather.scenes import SCENES, RadarView, Scene, lidar_view, radar_view
 from torchweather.scenes.scene import SceneLabel
-from torchweather.sensors import DEFAULT_PRESETS, Camera, Lidar, Radar
-from torchweather.weather import Fog, Rain, Snow, Weather
+from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["EMBEDDED_KINDS", "WEATHERS", "embedded_study"]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from torchweather.gap.formula import bounded
 from torchweather.gap.statistics import ANSCOMBE, Group, Layout
-from torchweather.stages.empirical import Empirical
+from torchweather.lidar.effects.empirical import Empirical
 
 __all__ = ["Departures", "NaturalCurve", "empirical_stage", "natural_curve"]
 

@@ -16,7 +16,7 @@ from torchweather.gap.link import LinkFrames
 from torchweather.gap.radar import RadarFrames
 from torchweather.gap.study import Study
 from torchweather.gap.workflow import find_gap_with
-from torchweather.stages.effects import Effect
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["find_gap"]
 

@@ -12,12 +12,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_one_of
 from torchweather.gap.study import Frame, Study
 from torchweather.metrics.bayer import bayer_scores
 from torchweather.metrics.cloud_scores import CLOUD_SCORES, cloud_scores
 from torchweather.metrics.image_scores import IMAGE_SCORES
-from torchweather.sensors import Camera
 
 __all__ = ["FrameScores", "ScoreMeaning", "frame_scores", "lidar_points", "radar_points"]
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather import __version__
+from torchweather.atmosphere.weather import Fog
 from torchweather.gap.baseline import Baseline
 from torchweather.gap.candidate_fits import Candidate
 from torchweather.gap.effect_forms import effect_class
@@ -22,10 +23,9 @@ from torchweather.gap.statistics import Group
 from torchweather.gap.unknown import unknown
 from torchweather.gap.workflow import GapResult
 from torchweather.io import atomic_write
+from torchweather.lidar.effects.empirical import Empirical
+from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.recipes.options import RecipeTransform
-from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.empirical import Empirical
-from torchweather.weather import Fog
 
 __all__ = ["Curve", "GapReport", "ResidualMap", "Response", "gap_report", "read_model", "write_model"]
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
@@ -18,13 +19,12 @@ from torchweather.gap.embedded_study import RINGS
 from torchweather.gap.frames import Frame
 from torchweather.gap.splits import FIT, HOLDOUT
 from torchweather.gap.study import Study
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.stages import ToEnergy
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.effect import Effect
 from torchweather.scenes import SCENES, LidarView, lidar_view
-from torchweather.sensors import Lidar
-from torchweather.stages import ToEnergy
-from torchweather.stages.effects import Effect
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.transforms import LidarWeather
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 __all__ = ["HIDEABLE", "WEATHERS", "HiddenStudy", "Hideable", "drawn_effect", "drawn_study", "hidden_study"]
 

@@ -31,11 +31,13 @@ from torchweather.gap.lidar_sums import LidarSums, lidar_layout, map_cells
 from torchweather.gap.statistics import Reduced
 from torchweather.gap.study import Condition, Study
 from torchweather.gap.whole_frames import widened
-from torchweather.sensors import Lidar
-from torchweather.stages import Chain, Extinction, LidarState, ParticleReturns, ToEnergy, ToPoints
-from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_lidar import EFFECTS
-from torchweather.transforms import LidarWeather
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.stages import Extinction, ParticleReturns, ToEnergy, ToPoints
+from torchweather.lidar.state import LidarState
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, with_effects
 
 __all__ = ["LidarFrames"]
 

@@ -15,13 +15,13 @@ import torch
 from torch import Tensor
 
 from torchweather.gap.effect_forms import A_PARAMETER, SearchForm, counted_form
-from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_lidar_structure import (
+from torchweather.lidar.effects.structure import (
     LidarParticleDensityAzimuth,
     LidarParticleDensityElevation,
     LidarParticleSizes,
     LidarSharedParticles,
 )
+from torchweather.pipeline.effect import Effect, Parameter
 
 __all__ = ["LIDAR_FORMS", "ElevationForm", "SharedForm", "WakeForm"]
 

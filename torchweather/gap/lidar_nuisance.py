@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from torchweather.core.random import Variate
-from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.states import LidarState, PointKind
+from torchweather.lidar.state import LidarState
+from torchweather.pipeline.effect import Effect, Parameter
+from torchweather.pipeline.point_kind import PointKind
 
 __all__ = ["ClearScale", "EchoGain", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
 

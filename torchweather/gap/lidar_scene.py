@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchweather.gap.study import StudyScene
-from torchweather.stages import ToEnergy
+from torchweather.lidar.stages import ToEnergy
 
 __all__ = ["CLUSTER_M", "FAINTEST", "SAME_SURFACE_M", "LidarScene", "has_neighbour", "lidar_scene"]
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.atmosphere.weather import Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.conditions import Condition
 from torchweather.gap.frames import Frames
@@ -28,8 +29,7 @@ from torchweather.gap.link_samples import LinkSamples, Scatter, link_samples, ra
 from torchweather.gap.splits import FIT, HOLDOUT
 from torchweather.gap.statistics import FEWEST, Group, Layout, Reduced
 from torchweather.gap.study import Study
-from torchweather.stages.effects import Effect
-from torchweather.weather import Rain
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["LinkFrames"]
 

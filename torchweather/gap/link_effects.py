@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from torchweather.gap.link_samples import LinkSamples
 from torchweather.physics import wet_cover_loss_db
-from torchweather.stages import effects_radar
-from torchweather.stages.effects import Effect
+from torchweather.pipeline.effect import Effect
+from torchweather.radar.effects import all as effects_radar
 
 __all__ = ["LINK_EFFECTS", "attenuation_db"]
 

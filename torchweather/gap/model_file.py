@@ -11,10 +11,10 @@ import yaml
 
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import atomic_write
+from torchweather.lidar.effects.empirical import Empirical
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.effect import Effect, effect_from_dict
 from torchweather.recipes.options import RecipeTransform, with_more_effects
-from torchweather.stages.effects import Effect, effect_from_dict
-from torchweather.stages.empirical import Empirical
-from torchweather.transforms import LidarWeather
 
 __all__ = ["Additions", "read_model", "write_model"]
 

@@ -15,7 +15,7 @@ import numpy as np
 from torchweather.gap.candidates import Line
 from torchweather.gap.effect_forms import effect_class
 from torchweather.gap.search import Fit, Search, Setting
-from torchweather.stages.effects import Effect
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["placed", "standing_lines"]
 

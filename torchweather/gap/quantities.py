@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchweather.camera.bayer import cfa_index
+from torchweather.camera.sensor import Camera
 from torchweather.gap.study import Frame, Study
-from torchweather.image import cfa_index
 from torchweather.metrics.double_validation import double_validation
-from torchweather.sensors import Camera
 
 __all__ = ["Quantity", "Values", "compared_quantities", "quantity", "values_of"]
 

@@ -36,11 +36,15 @@ from torchweather.gap.radar_scene import (
 from torchweather.gap.radar_sums import RadarSums, radar_layout
 from torchweather.gap.statistics import FEWEST, Reduced
 from torchweather.gap.study import Study
-from torchweather.sensors import Radar
-from torchweather.stages import Chain, PathAttenuation, PointKind, RadarState, VolumeClutter, WetRadome
-from torchweather.stages.effects import Effect, with_effects
-from torchweather.stages.effects_radar import EFFECTS, RadarInterference, RadarVolumeClutter
-from torchweather.transforms import RadarAttenuation
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, with_effects
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.radar.attenuation import PathAttenuation, WetRadome
+from torchweather.radar.clutter import VolumeClutter
+from torchweather.radar.effects.all import EFFECTS, RadarInterference, RadarVolumeClutter
+from torchweather.radar.sensor import Radar
+from torchweather.radar.state import RadarState
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = ["RadarFrames"]
 

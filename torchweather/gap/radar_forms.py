@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from torchweather.gap.effect_forms import A_PARAMETER, SearchForm
-from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_radar import RadarInterference, RadarMultipath, RadarVolumeClutter, RadarWetRcs
-from torchweather.stages.states import RadarState
+from torchweather.pipeline.effect import Effect, Parameter
+from torchweather.radar.effects.all import RadarInterference, RadarMultipath, RadarVolumeClutter, RadarWetRcs
+from torchweather.radar.state import RadarState
 
 __all__ = ["InterferenceForm", "multipath_form", "volume_clutter_form", "wet_rcs_form"]
 

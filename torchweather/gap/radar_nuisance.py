@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from torchweather.core.random import Variate
-from torchweather.stages.effects import Effect, Parameter
-from torchweather.stages.effects_radar_path import of_state
-from torchweather.stages.states import RadarState
-from torchweather.stages.volume_clutter import DB
+from torchweather.pipeline.effect import Effect, Parameter
+from torchweather.radar.clutter import DB
+from torchweather.radar.effects.path import of_state
+from torchweather.radar.state import RadarState
 
 __all__ = ["ReceiverNoise"]
 

@@ -20,7 +20,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.gap.frames import Frame
 from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, fading, shares_by_class
 from torchweather.gap.study import StudyScene
-from torchweather.sensors import Radar
+from torchweather.radar.sensor import Radar
 
 __all__ = [
     "CLUTTER_COLUMNS",

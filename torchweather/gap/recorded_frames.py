@@ -13,15 +13,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.bayer import mosaic
+from torchweather.camera.levels import raw_to_linear
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import normalise, srgb_decode
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.gap.frames import Frame
 from torchweather.gap.scan_grid import DirectionMean, organised_frame, scan_frame
 from torchweather.gap.study_checks import numbers
-from torchweather.image import mosaic, normalise, srgb_decode
 from torchweather.io import read_image, read_points
 from torchweather.io.depth_maps import map_source
-from torchweather.sensors import Camera, Lidar, scan_directions
-from torchweather.transforms.raw_levels import raw_to_linear
+from torchweather.lidar.scan import scan_directions
+from torchweather.lidar.sensor import Lidar
 
 __all__ = ["CloudFile", "ImageFile", "beam_directions", "even_camera", "shared_depth"]
 

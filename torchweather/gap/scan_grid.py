@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.frames import Frame
 from torchweather.io import PointCloud
-from torchweather.sensors import Lidar, recover_ring
+from torchweather.lidar.scan import recover_ring
+from torchweather.lidar.sensor import Lidar
 
 __all__ = ["DirectionMean", "organised_frame", "scan_frame"]
 
 # Names under which files keep the ring; case does not matter.
 RING_NAMES = ("ring", "channel", "laser_id")
 TURN_DEG = 360.0
-# Two returns of one beam share its azimuth: within this share of a step, as in `torchweather.sensors.scan`.
+# Two returns of one beam share its azimuth: within this share of a step, as in `torchweather.lidar.scan`.
 SAME_BEAM = 0.25
 
 Floats = NDArray[np.float64]

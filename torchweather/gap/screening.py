@@ -19,7 +19,7 @@ from torchweather.gap.matched import Node, gains
 from torchweather.gap.placing import standing_lines
 from torchweather.gap.rest import Rest, rest_of
 from torchweather.gap.search import Fit, Search
-from torchweather.stages.effects import Effect
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["OVERDISPERSION", "Screening", "overdispersion", "placed_nodes", "screen", "screening_entries"]
 

@@ -35,7 +35,7 @@ from torchweather.gap.matched import Node
 from torchweather.gap.nuisance import Nuisance, together
 from torchweather.gap.statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
 from torchweather.gap.whole_frames import clear_errors, clear_means, frame_departures, model_errors
-from torchweather.stages.effects import Effect
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["Fit", "Search", "Setting"]
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.gap.comparison import Comparison
 from torchweather.gap.link_scores import LinkClass
 from torchweather.gap.splits import severity
 from torchweather.metrics.trends import SceneTrends, Trend, expected_trends
-from torchweather.weather import Weather
 
 __all__ = ["TrendComparison", "class_trends", "compared_trends", "knob_value", "weather_label"]
 
@@ -90,7 +90,7 @@ def weather_label(weather: Weather | None) -> str:
     """A weather in words.
 
     Example:
-        >>> from torchweather.weather import Fog, Mixture, Rain
+        >>> from torchweather.atmosphere.weather import Fog, Mixture, Rain
         >>> weather_label(Mixture(Rain(25.0), Fog(mor_m=100.0))), weather_label(None)
         ('fog 100 m + rain 25 mm/h', 'clear')
     """

@@ -17,13 +17,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
 from torchweather.core.random import keyed_stream
 from torchweather.gap.study import Condition, Frame, Study
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarWeather
 from torchweather.physics import rain_attenuation_p838_db_per_km
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.stages import PointKind
-from torchweather.transforms import BayerWeather, LidarWeather, RadarAttenuation
-from torchweather.weather import Weather
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.radar.sensor import Radar
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = [
     "DRY_AFTER_S",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.gap.conditions import Condition
-from torchweather.weather import Weather
 
 __all__ = ["FIT", "HOLDOUT", "SPLITS", "condition_group", "resolve_splits", "severity"]
 
@@ -19,7 +19,7 @@ def severity(weather: Weather) -> float:
     """Rises with the weather: the rate in mm/h, or one over the visibility in metres.
 
     Example:
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> severity(Fog(mor_m=50.0)) > severity(Fog(mor_m=200.0))
         True
     """

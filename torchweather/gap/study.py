@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.conditions import Condition, StudyContent, StudyScene
 from torchweather.gap.content_hash import content_sha256
@@ -16,7 +17,10 @@ from torchweather.gap.frames import Frame, Frames, FrameSource
 from torchweather.gap.splits import FIT, HOLDOUT
 from torchweather.gap.study_files import read_values, write_folder
 from torchweather.gap.study_parts import KINDS, SENSORS, build_parts
-from torchweather.sensors import Camera, Lidar, Radar, scan_directions, sensor_preset
+from torchweather.lidar.scan import scan_directions
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
+from torchweather.sensors import sensor_preset
 
 __all__ = ["Condition", "Frame", "Frames", "Study", "StudyScene"]
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.gap.conditions import Condition, StudyContent
 from torchweather.gap.content_hash import plain
@@ -16,7 +17,8 @@ from torchweather.gap.frames import Frame, Frames, NpzFile
 from torchweather.gap.study_parts import CLEAR, KINDS, SENSORS, WEATHERS, refuse_unknown
 from torchweather.io import atomic_folder
 from torchweather.io.arrays import write_archive
-from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["FORMAT", "STUDY_FILE", "StudyValues", "read_values", "write_folder"]
 

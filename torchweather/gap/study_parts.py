@@ -12,15 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weather, weather_from_dict
+from torchweather.camera.airlight import airlight_argument
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.conditions import Condition, StudyScene
 from torchweather.gap.frames import Frame, Frames, FrameSource, load
 from torchweather.gap.splits import SPLITS, resolve_splits
 from torchweather.gap.study_checks import ARRAYS, FrameRule
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.stages.airlight import airlight_argument
-from torchweather.stages.intensity import FULL_SCALE
-from torchweather.weather import Fog, Rain, Snow, Weather, parse_weather, weather_from_dict
+from torchweather.lidar.intensity import FULL_SCALE
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["KINDS", "Parts", "SENSORS", "build_parts", "refuse_unknown"]
 

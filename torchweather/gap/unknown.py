@@ -18,7 +18,7 @@ from torchweather.gap.formula import Formula, simplest_formula
 from torchweather.gap.search import Search
 from torchweather.gap.statistics import Group
 from torchweather.gap.workflow import GapResult
-from torchweather.stages.empirical import Empirical
+from torchweather.lidar.effects.empirical import Empirical
 
 __all__ = ["Unknown", "departures", "unknown"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchweather.image.bayer import (
+from torchweather.camera.bayer import (
     PATTERNS,
     RCCB_TO_RGB,
     RGB_TO_RCCB,
@@ -13,19 +13,8 @@ from torchweather.image.bayer import (
     mosaic,
     split_planes,
 )
-from torchweather.image.demosaic import METHODS, demosaic
-from torchweather.image.depth import (
-    ConstantDepth,
-    DepthFromCallable,
-    DepthFromPoints,
-    DepthMap,
-    DepthSource,
-    FlatGround,
-    as_depth_source,
-    check_depth,
-    project_points,
-)
-from torchweather.image.tone import (
+from torchweather.camera.demosaic import METHODS, demosaic
+from torchweather.camera.tone import (
     colour_matrix,
     compand,
     develop,
@@ -37,6 +26,17 @@ from torchweather.image.tone import (
     srgb_decode,
     srgb_encode,
     white_balance,
+)
+from torchweather.image.depth import (
+    ConstantDepth,
+    DepthFromCallable,
+    DepthFromPoints,
+    DepthMap,
+    DepthSource,
+    FlatGround,
+    as_depth_source,
+    check_depth,
+    project_points,
 )
 
 __all__ = [

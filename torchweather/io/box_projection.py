@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth import project_points
+from torchweather.camera.sensor import Camera
 from torchweather.io.boxes import Boxes
-from torchweather.sensors import Camera
 
 __all__ = ["box_corners", "project_boxes"]
 

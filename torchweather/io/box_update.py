@@ -11,11 +11,13 @@ from torch import Tensor
 
 from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
-from torchweather.stages.states import PointKind
+from torchweather.pipeline.point_kind import PointKind
 
 if TYPE_CHECKING:
-    from torchweather.transforms import CameraResult, LidarResult, RadarResult
-    from torchweather.transforms.as_bayer import RgbResult
+    from torchweather.camera.rgb import RgbResult
+    from torchweather.camera.transform import CameraResult
+    from torchweather.lidar.transform import LidarResult
+    from torchweather.radar.transform import RadarResult
 
 __all__ = ["update_boxes"]
 
@@ -68,15 +70,17 @@ def update_boxes(
     Example:
         >>> from torchweather.sensors import Lidar
         >>> from torchweather.transforms import LidarFog
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> fog = LidarFog(Fog(mor_m=50), Lidar.preset("velodyne-hdl-64e"))
         >>> points = torch.tensor([[20.0, 0.0, 0.0, 200.0], [20.0, 0.5, 0.0, 1.0]])
         >>> car = Boxes(torch.tensor([[21.0, 0, 0]]), torch.tensor([[4.0, 2, 2]]), torch.zeros(1), ("Car",))
         >>> update_boxes(car, fog.run(points, fog.draw(points, seed=1)), points).records[0]["lidar_points_before"]
         2
     """
-    from torchweather.transforms import CameraResult, LidarResult, RadarResult
-    from torchweather.transforms.as_bayer import RgbResult
+    from torchweather.camera.rgb import RgbResult
+    from torchweather.camera.transform import CameraResult
+    from torchweather.lidar.transform import LidarResult
+    from torchweather.radar.transform import RadarResult
 
     sensor = "radar" if isinstance(result, RadarResult) else "lidar"
     if isinstance(result, (CameraResult, RgbResult)):

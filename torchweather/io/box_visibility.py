@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.io.boxes import Boxes, points_in_boxes
-from torchweather.stages.states import PointKind
+from torchweather.pipeline.point_kind import PointKind
 
 __all__ = ["BoxVisibility", "box_visibility"]
 

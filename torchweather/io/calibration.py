@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["CameraLidarCalibration"]
 

@@ -9,10 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from torchweather.camera.frame_sizes import same_aspect
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.io.kitti import read_kitti_entries
 from torchweather.io.yaml_calibration import camera_fields_from_yaml
-from torchweather.sensors import Camera, same_aspect
 
 __all__ = ["read_camera", "read_camera_fields"]
 

@@ -20,10 +20,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_between, check_finite
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
 from torchweather.physics.radar_equation import received_power_dbm
-from torchweather.sensors import Camera, Radar
+from torchweather.radar.sensor import Radar
 
 __all__ = [
     "camera_from_carla",
@@ -39,7 +40,7 @@ __all__ = [
 ]
 
 FLOATS_A_ROW = 4  # LiDAR: x, y, z, intensity; radar: velocity, azimuth, altitude, depth
-# Mean cross section of a passenger car at 77 GHz: 10.6 dBsm in radar/car.py, 10 m^2 for the test target of ISO 15622.
+# Mean cross section of a passenger car at 77 GHz: 10.6 dBsm in radar/fmcw/car.py; ISO 15622 tests with 10 m^2.
 CAR_RCS_DBSM = 10.0
 
 

@@ -20,7 +20,7 @@ from torchweather.io.carla import (
     image_from_carla,
     points_from_carla,
 )
-from torchweather.sensors import Radar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["CARLA_SENSORS", "CarlaRig"]
 
@@ -66,7 +66,7 @@ class CarlaRig:
         >>> from types import SimpleNamespace
         >>> from torchweather.sensors import Lidar
         >>> from torchweather.transforms import LidarFog
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> fog = LidarFog(Fog(mor_m=50), Lidar(wavelength_nm=905, intensity_unit="none"))
         >>> def weather(sample):
         ...     return {**sample, "points": fog(sample["points"])}

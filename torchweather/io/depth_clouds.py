@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth import CompletedDepth, SceneDepth
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError
 from torchweather.io.calibration import CameraLidarCalibration
 from torchweather.io.kitti import read_kitti_calibration
 from torchweather.io.nuscenes import read_nuscenes_calibration
 from torchweather.io.points import POINT_SUFFIXES, read_points
-from torchweather.sensors import Camera
 
 __all__ = ["CalibratedCloud", "calibration_file", "cloud_file", "cloud_source", "frame_camera_name", "is_cloud"]
 

@@ -21,10 +21,10 @@ from torchweather.camera.depth import (
     depth_from_disparity,
 )
 from torchweather.camera.depth.source import SceneSource
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, check_one_of, check_positive
 from torchweather.io.depth import DISPARITY_ENCODINGS, read_depth, read_disparity
 from torchweather.io.depth_plausible import check_plausible
-from torchweather.sensors import Camera
 
 __all__ = ["ALONG", "ConvertedDepth", "PartlyKnownDepth", "map_source"]
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from torchweather.core.errors import TorchweatherError, check_between
 from torchweather.io.atomic import atomic_write
 from torchweather.io.box_update import update_boxes
-from torchweather.stages.states import PointKind
+from torchweather.pipeline.point_kind import PointKind
 
 __all__ = [
     "FALLING_SNOW",

@@ -25,7 +25,7 @@ from torchweather.io.radar_columns import POSITIONS, RADIAL, SPEEDS, RadarColumn
 from torchweather.io.stored_points import PointLayout, StoredPoints
 from torchweather.io.vod_radar import read_vod_radar, write_vod_radar
 from torchweather.physics import received_power_dbm, target_rcs_dbsm
-from torchweather.sensors import Radar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["RADAR_COLUMNS", "RADAR_FORMATS", "RadarPoints", "read_radar", "write_radar"]
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import read_array
-from torchweather.sensors.pose import split_pose
+from torchweather.lidar.pose import split_pose
 
 __all__ = ["read_sensor_pose"]
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from torchweather.lidar.beam_ends import BeamEnd, BeamEnds, beam_ends
-from torchweather.lidar.ground import GroundPlane, fit_ground
-from torchweather.lidar.near_response import NearResponseFit, fit_near_response
-from torchweather.lidar.own_vehicle import OwnVehicleMask, own_vehicle_mask
-from torchweather.lidar.pattern_fit import PatternFit, fit_pattern
-from torchweather.lidar.scan_counts import check_scan_counts, scan_count_problem
-from torchweather.lidar.scan_pattern import ScanPattern, estimate_pattern
+from torchweather.lidar.sweep.beam_ends import BeamEnd, BeamEnds, beam_ends
+from torchweather.lidar.sweep.ground import GroundPlane, fit_ground
+from torchweather.lidar.sweep.near_response import NearResponseFit, fit_near_response
+from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask, own_vehicle_mask
+from torchweather.lidar.sweep.pattern_fit import PatternFit, fit_pattern
+from torchweather.lidar.sweep.scan_counts import check_scan_counts, scan_count_problem
+from torchweather.lidar.sweep.scan_pattern import ScanPattern, estimate_pattern
 
 __all__ = [
     "BeamEnd",

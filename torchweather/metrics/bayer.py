@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.camera.bayer import PATTERNS, cfa_index, check_even, split_planes
+from torchweather.camera.demosaic import demosaic
+from torchweather.camera.tone import srgb_encode
 from torchweather.core.errors import check_one_of, check_positive
-from torchweather.image.bayer import PATTERNS, cfa_index, check_even, split_planes
-from torchweather.image.demosaic import demosaic
-from torchweather.image.tone import srgb_encode
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
 from torchweather.metrics.pairs import check_pair
 from torchweather.metrics.score import Collected, ScoreFacts

@@ -1,17 +1,17 @@
 """FMCW radar: scatterers to beat signal to range-Doppler-angle map to points, with weather at its physical places."""
 
-from torchweather.radar.angles import angle_grid, range_doppler_angle
-from torchweather.radar.beat_signal import beat_signal
-from torchweather.radar.bodies import corner_reflector_rcs_m2, corner_scatterers, facet_scatterers, gathered
-from torchweather.radar.car import car_details, car_facets, car_scatterers
-from torchweather.radar.cfar import CellAveragingCfar, OrderStatisticCfar
-from torchweather.radar.facet_rcs import isosceles_triangle_rcs_m2, subdivide, triangle_field_m
-from torchweather.radar.fmcw import FmcwRadar, FmcwResult, cfar_for
-from torchweather.radar.range_doppler import map_noise_dbm, range_doppler
-from torchweather.radar.range_doppler_map import RangeDopplerMap
-from torchweather.radar.scatterers import Scatterers
-from torchweather.radar.volume_echo import VolumeEcho
-from torchweather.radar.windows import WINDOWS
+from torchweather.radar.fmcw.angles import angle_grid, range_doppler_angle
+from torchweather.radar.fmcw.beat_signal import beat_signal
+from torchweather.radar.fmcw.bodies import corner_reflector_rcs_m2, corner_scatterers, facet_scatterers, gathered
+from torchweather.radar.fmcw.car import car_details, car_facets, car_scatterers
+from torchweather.radar.fmcw.cfar import CellAveragingCfar, OrderStatisticCfar
+from torchweather.radar.fmcw.facet_rcs import isosceles_triangle_rcs_m2, subdivide, triangle_field_m
+from torchweather.radar.fmcw.fmcw import FmcwRadar, FmcwResult, cfar_for
+from torchweather.radar.fmcw.range_doppler import map_noise_dbm, range_doppler
+from torchweather.radar.fmcw.range_doppler_map import RangeDopplerMap
+from torchweather.radar.fmcw.scatterers import Scatterers
+from torchweather.radar.fmcw.volume_echo import VolumeEcho
+from torchweather.radar.fmcw.windows import WINDOWS
 
 __all__ = [
     "WINDOWS",

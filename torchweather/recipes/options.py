@@ -10,14 +10,16 @@ import numpy as np
 from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
-from torchweather.lidar.own_vehicle import OwnVehicleMask
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.stages import Effect
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.lidar import LidarWeather
-from torchweather.transforms.plans import plan_of, sensor_of
-from torchweather.transforms.radar import RadarAttenuation
-from torchweather.transforms.weather_transform import options_of as options_of_class
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
+from torchweather.compose.plans import plan_of, sensor_of
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.effect import Effect
+from torchweather.pipeline.sensor_transform import options_of as options_of_class
+from torchweather.radar.sensor import Radar
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = [
     "GROUND",

@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from torchweather.atmosphere.weather import Weather, parse_weather, weather_from_dict
+from torchweather.camera.rgb import AsBayer
 from torchweather.compose.compose import Compose
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import TorchweatherError
@@ -35,8 +37,6 @@ from torchweather.recipes.files import (
 from torchweather.recipes.options import options_of, sensor_values
 from torchweather.recipes.recipe import FORMAT as RECIPE_FORMAT
 from torchweather.recipes.recipe import Recipe, built_recipe, checked_recipe, overrides_of, refuse_overrides
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.weather import Weather, parse_weather, weather_from_dict
 
 __all__ = ["FORMAT", "Pipeline", "list_pipelines", "load_pipeline", "read_pipeline", "save_pipeline"]
 

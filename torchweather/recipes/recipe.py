@@ -22,18 +22,21 @@ from typing import Any
 
 from torch import nn
 
+from torchweather.atmosphere.weather import Weather, parse_weather, weather_from_dict
 from torchweather.camera.depth import AUTO, FlatGround
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
+from torchweather.compose.plans import TRANSFORMS, TransformClass
 from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
+from torchweather.radar.sensor import Radar
+from torchweather.radar.transform import RadarAttenuation
 from torchweather.recipes.files import RECIPE, check_format, name_of, refuse_unknown
 from torchweather.recipes.options import GROUND, OPTIONS
-from torchweather.sensors import SENSOR_CLASSES, Camera, Lidar, Radar, sensor_preset
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerWeather
-from torchweather.transforms.lidar import LidarWeather
-from torchweather.transforms.plans import TRANSFORMS, TransformClass
-from torchweather.transforms.radar import RadarAttenuation
-from torchweather.transforms.weather_transform import WeatherTransform, class_for
-from torchweather.weather import Weather, parse_weather, weather_from_dict
+from torchweather.sensors import SENSOR_CLASSES, sensor_preset
 
 __all__ = ["FORMAT", "Recipe", "as_weather", "built_recipe", "checked_recipe", "sensor_of_values"]
 

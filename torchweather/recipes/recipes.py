@@ -7,6 +7,8 @@ from typing import Any
 
 from torch import nn
 
+from torchweather.camera.rgb import AsBayer
+from torchweather.compose.plans import TRANSFORMS, sensor_of
 from torchweather.core.errors import TorchweatherError
 from torchweather.recipes.files import (
     PIPELINE,
@@ -29,8 +31,6 @@ from torchweather.recipes.recipe import (
     overrides_of,
     refuse_overrides,
 )
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.plans import TRANSFORMS, sensor_of
 
 __all__ = ["FORMAT", "Recipe", "list_recipes", "load_recipe", "read_recipe", "recipes_folder", "save_recipe"]
 

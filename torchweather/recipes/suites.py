@@ -19,12 +19,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from torchweather.atmosphere.weather import WEATHERS, Weather, weather_from_dict
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.recipes.files import SUITE, check_format, files_of, find, name_of, read_yaml, refuse_unknown
 from torchweather.recipes.options import OPTIONS
 from torchweather.recipes.recipe import sensor_of_values
 from torchweather.sensors import SENSOR_CLASSES
-from torchweather.weather import WEATHERS, Weather, weather_from_dict
 
 __all__ = ["FORMAT", "SEVERITIES", "Condition", "Suite", "list_suites", "read_suite"]
 

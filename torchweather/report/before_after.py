@@ -12,14 +12,14 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from torchweather import __version__
+from torchweather.atmosphere.weather import Weather
 from torchweather.camera.depth.scene_depth import CONFIDENCES
+from torchweather.camera.tone import normalise, quantise, srgb_decode, srgb_encode
 from torchweather.core.errors import check_one_of
-from torchweather.image import normalise, quantise, srgb_decode, srgb_encode
 from torchweather.io import atomic_write
 from torchweather.report.page import html_page
 from torchweather.report.pictures import jpeg_uri, png_uri
 from torchweather.report.view_words import weather_words
-from torchweather.weather import Weather
 
 __all__ = [
     "LONGEST_PX",
@@ -93,7 +93,7 @@ def panel_caption(
         airlight_from: where it comes from, such as ``given``, ``the frame's sky`` or ``guessed``.
 
     Example:
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> panel_caption(Fog(mor_m=200.0), seed=7, confidence="guessed", airlight=(0.6, 0.61, 0.62))
         'Fog of 200 m visibility. Depth guessed. Airlight 0.60 0.61 0.62 of saturation (guessed). Seed 7.'
     """

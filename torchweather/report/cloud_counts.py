@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from torchweather.lidar import BeamEnd
-from torchweather.sensors import Lidar
-from torchweather.sensors.cloud_frame import points_in_sensor_frame
-from torchweather.stages import PointKind
-from torchweather.transforms import LidarResult
+from torchweather.lidar.cloud_frame import points_in_sensor_frame
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarResult
+from torchweather.pipeline.point_kind import PointKind
 
 __all__ = ["cloud_counts", "has_return"]
 
@@ -46,7 +46,7 @@ def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
 
     Example:
         >>> from torchweather.transforms import LidarFog
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> lidar = Lidar.preset("ouster-os1-128")
         >>> points = torch.tensor([[60.0, 0.0, 0.0, 40.0], [0.0, 0.0, 0.0, 0.0]])
         >>> fog = LidarFog(Fog(mor_m=50), lidar)

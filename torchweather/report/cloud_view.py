@@ -12,8 +12,11 @@ import torch
 from torch import Tensor
 
 from torchweather import __version__
+from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import check_at_least
 from torchweather.io import atomic_write
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarResult
 from torchweather.report.page import html_page
 from torchweather.report.view_flat import flat_view, under_ground
 from torchweather.report.view_points import (
@@ -26,9 +29,6 @@ from torchweather.report.view_points import (
     view_points,
 )
 from torchweather.report.view_words import count_text, share_text, weather_words
-from torchweather.sensors import Lidar
-from torchweather.transforms import LidarResult
-from torchweather.weather import Weather
 
 __all__ = ["MOST_POINTS", "write_cloud_view"]
 

@@ -15,8 +15,13 @@ import torch
 from tqdm import tqdm
 
 from torchweather import __version__
-from torchweather.image import cfa_index, srgb_encode
+from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
+from torchweather.camera.bayer import cfa_index
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import srgb_encode
 from torchweather.io import atomic_folder, atomic_write
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
 from torchweather.report.figures import Curve, histogram_uri, map_uri, transmission_uri
 from torchweather.report.frames import Frame, Rendered, embedded_frames, user_frames
 from torchweather.report.lidar_section import lidar_part
@@ -40,8 +45,7 @@ from torchweather.report.radar_section import RADAR_WEATHERS, WALKING, radar_par
 from torchweather.report.radar_views import radar_scene
 from torchweather.report.tables import number_text, rows_of
 from torchweather.scenes import test_track
-from torchweather.sensors import DEFAULT_PRESETS, Camera, Lidar, Radar
-from torchweather.weather import Fog, Mixture, Rain, Snow, Weather
+from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["write_demo"]
 

@@ -12,25 +12,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.bayer import cfa_index, mosaic
+from torchweather.camera.levels import raw_to_linear
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import normalise, quantise, srgb_decode
+from torchweather.camera.transform import BayerWeather
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
-from torchweather.image import (
-    FlatGround,
-    as_depth_source,
-    cfa_index,
-    mosaic,
-    normalise,
-    quantise,
-    srgb_decode,
-)
+from torchweather.image.depth import FlatGround, as_depth_source
 from torchweather.io import read_image, write_image
 from torchweather.io.depth_maps import map_source
 from torchweather.report.pictures import Look, look_of
 from torchweather.scenes import fog_tunnel, test_track
 from torchweather.scenes.raw_frame import raw_frame
-from torchweather.sensors import Camera
-from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.transforms.raw_levels import raw_to_linear
-from torchweather.weather import Weather
 
 __all__ = ["Frame", "Rendered", "embedded_frames", "user_frame"]
 

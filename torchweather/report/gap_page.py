@@ -46,7 +46,7 @@ from torchweather.report.gap_words import (
 )
 from torchweather.report.page import html_page
 from torchweather.report.tables import number_text
-from torchweather.stages import EFFECTS
+from torchweather.stages.catalogue import EFFECTS
 
 __all__ = ["write_gap"]
 

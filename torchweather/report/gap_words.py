@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchweather.report.tables import number_text
-from torchweather.stages import EFFECTS
+from torchweather.stages.catalogue import EFFECTS
 
 __all__ = [
     "WHOLE",

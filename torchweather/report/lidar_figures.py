@@ -16,10 +16,10 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.figures import STYLE
 from torchweather.report.lidar_views import WeatherCloud
 from torchweather.report.pictures import data_uri
-from torchweather.stages import PointKind
 
 __all__ = ["COLOURS", "birds_eye_uri", "range_images_uri", "range_rings"]
 

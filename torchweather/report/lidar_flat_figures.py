@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.lidar import GroundPlane, fit_ground
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.figures import STYLE
 from torchweather.report.lidar_figures import AZIMUTHS_DEG, COLOURS
 from torchweather.report.lidar_views import WeatherCloud
 from torchweather.report.pictures import data_uri
 from torchweather.report.view_flat import UNDER_M, USUAL_HEIGHT_M, WITHIN_M
 from torchweather.report.view_words import count_text
-from torchweather.stages import PointKind
 
 __all__ = ["UNDER_COLOUR", "angle_views_uri", "side_views_uri", "under_the_ground"]
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import torch
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.io import PointCloud, write_points
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.lidar_figures import COLOURS, birds_eye_uri, range_images_uri
 from torchweather.report.lidar_flat_figures import UNDER_COLOUR, side_views_uri
 from torchweather.report.lidar_views import LidarScene, WeatherCloud
 from torchweather.report.tables import number_text
-from torchweather.stages import PointKind
-from torchweather.weather import Weather
 
 __all__ = ["lidar_part"]
 

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather
 from torchweather.core.threads import one_thread_an_operation
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.cloud_counts import cloud_counts
 from torchweather.scenes import LidarView, Scene, lidar_view
-from torchweather.sensors import Lidar
-from torchweather.stages import PointKind
-from torchweather.transforms import LidarWeather
-from torchweather.weather import Weather
 
 __all__ = ["LidarScene", "WeatherCloud", "lidar_scene"]
 

@@ -12,12 +12,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.fog import ExtinctionAndAirlight
+from torchweather.camera.particles.population import Population
+from torchweather.camera.particles.veil import ParticleVeil
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
 from torchweather.explain import explain
 from torchweather.physics import extinction_per_m
-from torchweather.sensors import Camera
-from torchweather.stages import ExtinctionAndAirlight, ParticleVeil
-from torchweather.stages.population import Population
-from torchweather.transforms import BayerWeather
 
 __all__ = ["TARGET_DISTANCES_M", "Path", "falling_numbers", "light_path", "mean_over_bins", "weather_numbers"]
 

@@ -16,11 +16,15 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchweather import __version__
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.camera.depth import ScenePrior
 from torchweather.camera.depth.scene_depth import GUESSED, SceneDepth
 from torchweather.camera.depth.source import DepthSource
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import normalise, quantise
+from torchweather.camera.transform import BayerWeather
 from torchweather.core.errors import TorchweatherWarning
-from torchweather.image import normalise, quantise
 from torchweather.io import atomic_folder, write_image
 from torchweather.report.before_after import (
     LONGEST_PX,
@@ -31,9 +35,6 @@ from torchweather.report.before_after import (
     reduced,
     size_within,
 )
-from torchweather.sensors import Camera
-from torchweather.transforms import AsBayer, BayerWeather
-from torchweather.weather import Fog, Rain, Snow, Weather
 
 __all__ = ["SEVERITIES", "Photo", "write_photo_demo"]
 

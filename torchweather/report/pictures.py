@@ -12,8 +12,9 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.image import cfa_index, colour_means, develop, grey_world_gains, srgb_decode, srgb_encode
-from torchweather.sensors import Camera
+from torchweather.camera.bayer import cfa_index, colour_means
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import develop, grey_world_gains, srgb_decode, srgb_encode
 
 __all__ = [
     "Look",

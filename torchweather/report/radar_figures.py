@@ -15,10 +15,10 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
+from torchweather.radar.sensor import Radar
 from torchweather.report.figures import STYLE
 from torchweather.report.pictures import data_uri
 from torchweather.report.radar_views import RadarFrame
-from torchweather.sensors import Radar
 
 __all__ = ["OTHER", "above_uri", "bar_uri", "map_uri", "power_scale"]
 

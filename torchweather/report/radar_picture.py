@@ -14,10 +14,10 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.radar.sensor import Radar
 from torchweather.report.figures import INK, MUTED, STYLE
 from torchweather.report.radar_figures import OTHER, above_uri, bar_uri, map_uri, power_scale
 from torchweather.report.radar_views import RadarFrame
-from torchweather.sensors import Radar
 
 __all__ = ["radar_picture"]
 

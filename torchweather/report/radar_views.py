@@ -11,14 +11,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Weather, parse_weather
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.radar import FmcwRadar, range_doppler
-from torchweather.radar.detection import beam_amplitude
+from torchweather.radar.fmcw.detection import beam_amplitude
+from torchweather.radar.sensor import Radar
 from torchweather.scenes import RadarView, Scene, radar_view
 from torchweather.scenes.primitives import Point
-from torchweather.sensors import Radar
-from torchweather.weather import Weather, parse_weather
 
 __all__ = ["CORNER", "LOSS_AT_M", "RadarFrame", "RadarScene", "radar_scene"]
 

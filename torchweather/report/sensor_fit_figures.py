@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from torchweather.io.atomic import atomic_write
 from torchweather.lidar import NearResponseFit, PatternFit
+from torchweather.lidar.sensor import Lidar
 from torchweather.report.figures import MUTED, STYLE, plain_axes
-from torchweather.sensors import Lidar
 
 __all__ = ["draw_sensor_fit"]
 

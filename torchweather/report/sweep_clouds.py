@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from torchweather.evaluation.sweep import Level, LidarSubject, Series, Subject
+from torchweather.lidar.cloud_frame import points_in_sensor_frame
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.cloud_counts import has_return
 from torchweather.report.lidar_flat_figures import angle_views_uri, side_views_uri
 from torchweather.report.lidar_views import WeatherCloud
-from torchweather.sensors.cloud_frame import points_in_sensor_frame
-from torchweather.stages import PointKind
 
 __all__ = ["flat_pictures", "weather_clouds"]
 

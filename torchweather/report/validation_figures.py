@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from torchweather.gap.comparison import Comparison
 from torchweather.gap.frame_scores import radar_points
 from torchweather.gap.study import Frame
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
 from torchweather.report.lidar_figures import birds_eye_uri
 from torchweather.report.lidar_views import WeatherCloud
 from torchweather.report.radar_figures import POINT_COLOURS, RING
-from torchweather.stages import PointKind
 
 __all__ = [
     "DIFFERS",

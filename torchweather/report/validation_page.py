@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.sensor import Camera
 from torchweather.gap.comparison import FAMILY_LEVEL, Comparison
 from torchweather.gap.severity import TrendComparison, knob_value
 from torchweather.gap.simulation import simulate
@@ -19,6 +21,7 @@ from torchweather.gap.splits import severity
 from torchweather.gap.study import Condition, Frame, Study
 from torchweather.gap.validation import ConditionResult, Validation
 from torchweather.io import atomic_folder
+from torchweather.radar.sensor import Radar
 from torchweather.report.lidar_figures import COLOURS
 from torchweather.report.page import html_page
 from torchweather.report.pictures import jpeg_uri, look_of, shrunk
@@ -34,8 +37,6 @@ from torchweather.report.validation_figures import (
     radar_above_uri,
     score_uri,
 )
-from torchweather.sensors import Camera, Radar
-from torchweather.weather import Weather
 
 __all__ = ["write_validation"]
 

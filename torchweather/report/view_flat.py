@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from torchweather.lidar import GroundPlane, fit_ground
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.view_points import ViewPoints
-from torchweather.stages import PointKind
 
 __all__ = ["BELOW_COLOUR", "UNDER_M", "WITHIN_M", "flat_view", "under_ground"]
 

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.lidar.cloud_frame import points_in_sensor_frame
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarResult
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.cloud_counts import has_return
-from torchweather.sensors import Lidar
-from torchweather.sensors.cloud_frame import points_in_sensor_frame
-from torchweather.stages import PointKind
-from torchweather.transforms import LidarResult
 
 __all__ = [
     "INT16_MAX",
@@ -90,7 +90,7 @@ def view_points(points: Tensor, result: LidarResult, sensor: Lidar) -> tuple[Vie
 
     Example:
         >>> from torchweather.transforms import LidarFog
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> lidar = Lidar.preset("ouster-os1-128")
         >>> points = torch.tensor([[60.0, 0.0, 0.0, 40.0], [0.0, 0.0, 0.0, 0.0]])
         >>> fog = LidarFog(Fog(mor_m=50), lidar)

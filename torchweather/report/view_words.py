@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from torchweather.weather import Weather
+from torchweather.atmosphere.weather import Weather
 
 __all__ = ["count_text", "share_text", "weather_words"]
 
@@ -16,7 +16,7 @@ def weather_words(weather: Weather) -> str:
     """A weather in words.
 
     Example:
-        >>> from torchweather.weather import parse_weather
+        >>> from torchweather.atmosphere.weather import parse_weather
         >>> weather_words(parse_weather("snow:rate=1+fog:mor=200"))
         'fog of 200 m visibility and snow of 1 mm/h'
     """

@@ -10,14 +10,13 @@ import torch
 from torch import Tensor
 
 from torchweather.core.random import keyed_stream
+from torchweather.lidar.intensity import RETROREFLECTIVE_AT_255, WHITE
+from torchweather.lidar.scan import scan_directions
+from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY, Lidar, unit_directions
 from torchweather.scenes.materials import Material, laser_reflectivity
 from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.pose import checked_pose
 from torchweather.scenes.scene import Part, Scene
-from torchweather.sensors import Lidar
-from torchweather.sensors.lidar import CALIBRATION_REFLECTIVITY, unit_directions
-from torchweather.sensors.scan import scan_directions
-from torchweather.stages.intensity import RETROREFLECTIVE_AT_255, WHITE
 
 __all__ = ["ROOF_MOUNT_M", "LidarView", "lidar_view"]
 

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from torchweather.core.errors import check_between, check_finite
 from torchweather.radar import Scatterers, car_scatterers, corner_scatterers
+from torchweather.radar.sensor import Radar
 from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.pose import checked_pose
 from torchweather.scenes.primitives import Box, Foliage, Point
 from torchweather.scenes.scene import Scene, SceneLabel, SceneObject
-from torchweather.sensors import Radar
 
 __all__ = ["BUMPER_MOUNT_M", "GENERIC_RCS_DBSM", "REFLECTORS", "CornerReflector", "RadarView", "radar_view"]
 

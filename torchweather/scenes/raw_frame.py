@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.image import colour_means, quantise
+from torchweather.camera.bayer import colour_means
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import quantise
 from torchweather.scenes.scene import Scene, SceneLabel
-from torchweather.sensors import Camera
 
 __all__ = ["INDOORS", "RawFrame", "linear_camera", "raw_frame"]
 

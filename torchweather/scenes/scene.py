@@ -12,14 +12,14 @@ from itertools import accumulate
 import torch
 from torch import Tensor
 
+from torchweather.camera.bayer import mosaic
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least, check_positive
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
-from torchweather.image.bayer import mosaic
 from torchweather.scenes.lighting import DiffuseLight, SlabShade, SphereShade
 from torchweather.scenes.materials import MATERIALS, Material, surface_reflectance
 from torchweather.scenes.primitives import Point, Shape, enclosing_sphere
-from torchweather.sensors import Camera
 
 __all__ = ["Hit", "Part", "Scene", "SceneLabel", "SceneObject", "SceneView"]
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from torchweather.camera.frame_sizes import same_aspect
+from torchweather.camera.sensor import BAYER_PATTERNS, Camera
+from torchweather.camera.sensor_fit import CameraFit, fit_camera, without_distortion
 from torchweather.core.errors import check_one_of
-from torchweather.sensors.base import Sensor
-from torchweather.sensors.camera import BAYER_PATTERNS, Camera
-from torchweather.sensors.camera_fit import CameraFit, fit_camera, without_distortion
-from torchweather.sensors.frame_sizes import same_aspect
-from torchweather.sensors.lidar import INTENSITY_UNITS, RETURN_MODES, Lidar
-from torchweather.sensors.radar import Radar
-from torchweather.sensors.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
+from torchweather.lidar.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
+from torchweather.lidar.sensor import INTENSITY_UNITS, RETURN_MODES, Lidar
+from torchweather.pipeline.sensor import Sensor
+from torchweather.radar.sensor import Radar
 
 __all__ = [
     "BAYER_PATTERNS",

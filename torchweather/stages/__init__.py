@@ -1,18 +1,21 @@
 """Stages, the chains they form, and the states that pass through them."""
 
-from torchweather.stages.camera import ExtinctionAndAirlight, Quantise
+from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
+from torchweather.camera.particles.veil import ParticleVeil
+from torchweather.camera.state import CameraState
+from torchweather.lidar.effects.empirical import Empirical
+from torchweather.lidar.stages import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
+from torchweather.lidar.state import LidarState
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, Parameter, effect_from_dict, register_effect, with_effects
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.pipeline.registry import STAGES, register
+from torchweather.pipeline.stage import Stage
+from torchweather.radar.attenuation import PathAttenuation, WetRadome, weather_attenuation_db_per_km
+from torchweather.radar.clutter import VolumeClutter
+from torchweather.radar.stages import RadarDetection, ToRadarPoints
+from torchweather.radar.state import RadarState
 from torchweather.stages.catalogue import EFFECTS
-from torchweather.stages.chain import Chain
-from torchweather.stages.effects import Effect, Parameter, effect_from_dict, register_effect, with_effects
-from torchweather.stages.empirical import Empirical
-from torchweather.stages.lidar import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
-from torchweather.stages.particle_veil import ParticleVeil
-from torchweather.stages.path_attenuation import PathAttenuation, WetRadome, weather_attenuation_db_per_km
-from torchweather.stages.radar import RadarDetection, ToRadarPoints
-from torchweather.stages.registry import STAGES, register
-from torchweather.stages.stage import Stage
-from torchweather.stages.states import CameraState, LidarState, PointKind, RadarState
-from torchweather.stages.volume_clutter import VolumeClutter
 
 __all__ = [
     "EFFECTS",

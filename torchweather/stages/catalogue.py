@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from torchweather.stages import effects_camera, effects_lidar, effects_radar  # noqa: F401  they register themselves
-from torchweather.stages.effects import EFFECTS
+import torchweather.camera.effects.all
+import torchweather.lidar.effects.all
+import torchweather.radar.effects.all  # noqa: F401  they register themselves
+from torchweather.pipeline.effect import EFFECTS
 
 __all__ = ["EFFECTS"]

@@ -1,11 +1,11 @@
 """The ready-made transforms: short constructors over chains."""
 
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
 from torchweather.core.moved import moved
-from torchweather.transforms.as_bayer import AsBayer
-from torchweather.transforms.camera import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
-from torchweather.transforms.lidar import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
-from torchweather.transforms.radar import RadarAttenuation, RadarResult
-from torchweather.transforms.radar_map import RadarMapResult, RadarMapWeather
+from torchweather.lidar.transform import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
+from torchweather.radar.map_transform import RadarMapResult, RadarMapWeather
+from torchweather.radar.transform import RadarAttenuation, RadarResult
 
 __all__ = [
     "AsBayer",

@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from torchweather.atmosphere.weather import Fog
 from torchweather.physics import extinction_per_m
 from torchweather.sensors import Camera
-from torchweather.weather import Fog
 
 from .particles import EXPOSURE_S, Streaks, draw, optical_depth
 from .scene import SKY, Eye, FloatArray, Street

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.physics import physical_diameter_mm, rain_fall_speed_m_per_s, snow_fall_speed_m_per_s
-from torchweather.weather import Rain, Snow
 
 from .scene import FloatArray, Street
 

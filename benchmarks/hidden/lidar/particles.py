@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.physics import (
     FLAKE_ALBEDO,
     Q_EFF,
@@ -20,7 +21,6 @@ from torchweather.physics import (
     rain_q_back,
 )
 from torchweather.sensors import Lidar
-from torchweather.weather import Fog, Rain, Snow
 
 from .scene import FloatArray
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-CAMERA = "torchweather.stages.camera"
-STREAKS = "torchweather.stages.streaks"
-MOSAIC_BLUR = "torchweather.stages.mosaic_blur"
-BAYER = "torchweather.image.bayer"
-AIRLIGHT = "torchweather.stages.airlight"
+CAMERA = "torchweather.camera.fog"
+STREAKS = "torchweather.camera.particles.streaks"
+MOSAIC_BLUR = "torchweather.camera.mosaic_blur"
+BAYER = "torchweather.camera.bayer"
+AIRLIGHT = "torchweather.camera.airlight"
 
 MUTANTS = (
     Mutant(
@@ -22,7 +22,7 @@ MUTANTS = (
     Mutant(
         "fog_extinction_of_the_depth_axis",
         "light fades along the ray, not along the optical axis",
-        "torchweather.stages.camera_rays",
+        "torchweather.camera.rays",
         "per_depth = torch.sqrt(1 + x.square() + y.square())",
         "per_depth = torch.ones_like(x + y)",
         (("tests/stages/test_fog_stage.py::test_every_pixel_fades_along_its_ray_at_its_own_colours_extinction"),),
@@ -67,7 +67,7 @@ MUTANTS = (
     Mutant(
         "srgb_knee_dropped",
         "sRGB is linear near black",
-        "torchweather.image.tone",
+        "torchweather.camera.tone",
         "12.92 * linear",
         "1.0 * linear",
         ("tests/image/test_tone.py::test_srgb_gradient_is_finite_at_black",),

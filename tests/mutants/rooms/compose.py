@@ -6,10 +6,10 @@ from tests.mutants.mutant import Mutant
 
 RANDOM = "torchweather.core.random"
 DISTRIBUTIONS = "torchweather.core.distributions"
-CHAIN = "torchweather.stages.chain"
-RGB_PLANES = "torchweather.transforms.rgb_planes"
+CHAIN = "torchweather.pipeline.chain"
+RGB_PLANES = "torchweather.camera.rgb_planes"
 WEATHER_DATASET = "torchweather.compose.weather_dataset"
-WEATHER = "torchweather.weather"
+WEATHER = "torchweather.atmosphere.weather"
 
 MUTANTS = (
     Mutant(
@@ -85,7 +85,7 @@ MUTANTS = (
     Mutant(
         "sensor_file_runs_code",
         "a sensor file is data: its YAML makes no objects",
-        "torchweather.sensors.base",
+        "torchweather.pipeline.sensor",
         'content = yaml.safe_load(path.read_text(encoding="utf-8"))',
         'content = yaml.unsafe_load(path.read_text(encoding="utf-8"))',
         ("tests/test_sensors.py::test_wrong_sensor_files_name_file_and_field",),
@@ -130,7 +130,7 @@ MUTANTS = (
     Mutant(
         "completed_beams_kept_for_another_cloud",
         "beams found for one cloud do not serve another",
-        "torchweather.transforms.beams",
+        "torchweather.lidar.beams",
         "if alike and kept is not None and torch.equal(kept, points):",
         "if alike and kept is not None:",
         (
@@ -143,7 +143,7 @@ MUTANTS = (
     Mutant(
         "untouched_picture_re_encoded",
         "a picture without weather comes back bit by bit",
-        "torchweather.transforms.through_mosaic",
+        "torchweather.camera.through_mosaic",
         "unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before",
         "unlike = torch.ones_like(after, dtype=torch.bool)",
         (("tests/transforms/test_rgb_values.py::test_a_picture_whose_mosaic_did_not_change_comes_back_bit_for_bit"),),

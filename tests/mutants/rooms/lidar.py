@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-LIDAR = "torchweather.stages.lidar"
-BEAM = "torchweather.stages.beam"
-INTENSITY = "torchweather.stages.intensity"
-CLOUD_FRAME = "torchweather.sensors.cloud_frame"
-NEAR_RESPONSE = "torchweather.lidar.near_response"
-SENSOR_ORIGIN = "torchweather.lidar.sensor_origin"
+LIDAR = "torchweather.lidar.stages"
+BEAM = "torchweather.lidar.beam"
+INTENSITY = "torchweather.lidar.intensity"
+CLOUD_FRAME = "torchweather.lidar.cloud_frame"
+NEAR_RESPONSE = "torchweather.lidar.sweep.near_response"
+SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
     Mutant(
@@ -134,7 +134,7 @@ MUTANTS = (
     Mutant(
         "strongest_echo_always_at_the_object",
         "the place of the strongest echo is drawn between sensor and object",
-        "torchweather.stages.strongest",
+        "torchweather.lidar.returns.strongest",
         "wanted = place * _lerp(cells, base + column, reach - column)",
         "wanted = _lerp(cells, base + column, reach - column)",
         ("tests/stages/test_strongest_returns.py::test_tabulated_solutions_are_those_of_the_bisection",),
@@ -158,7 +158,7 @@ MUTANTS = (
     Mutant(
         "unit_hint_reads_the_brightest_point",
         "a hint about the intensity unit looks at the bulk, not at one retroreflector",
-        "torchweather.transforms.clouds",
+        "torchweather.lidar.clouds",
         "BULK = 0.9",
         "BULK = 1.0",
         ("tests/transforms/test_lidar_units.py::test_a_few_points_above_eight_bits_do_not_make_photons",),
@@ -206,7 +206,7 @@ MUTANTS = (
     Mutant(
         "ground_slope_reversed",
         "height above a sloping ground",
-        "torchweather.lidar.ground",
+        "torchweather.lidar.sweep.ground",
         "- self.slope_x * xyz[..., 0] -",
         "+ self.slope_x * xyz[..., 0] -",
         (("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one"),),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-VOLUME_CLUTTER = "torchweather.stages.volume_clutter"
-RADAR = "torchweather.stages.radar"
-RANGE_DOPPLER = "torchweather.radar.range_doppler"
-BEAT_SIGNAL = "torchweather.radar.beat_signal"
-CFAR = "torchweather.radar.cfar"
+VOLUME_CLUTTER = "torchweather.radar.clutter"
+RADAR = "torchweather.radar.stages"
+RANGE_DOPPLER = "torchweather.radar.fmcw.range_doppler"
+BEAT_SIGNAL = "torchweather.radar.fmcw.beat_signal"
+CFAR = "torchweather.radar.fmcw.cfar"
 
 MUTANTS = (
     Mutant(
@@ -107,7 +107,7 @@ MUTANTS = (
     Mutant(
         "window_not_normalised",
         "a window has unit sum: a tone keeps its power",
-        "torchweather.radar.windows",
+        "torchweather.radar.fmcw.windows",
         "return weights / weights.sum()",
         "return weights",
         (("tests/radar/test_range_doppler.py::test_noise_in_a_bin_is_that_of_the_samples_less_the_transforms"),),
@@ -115,7 +115,7 @@ MUTANTS = (
     Mutant(
         "rain_echo_of_the_map_without_range",
         "volume echo of a map falls with the square of the range",
-        "torchweather.radar.volume_echo",
+        "torchweather.radar.fmcw.volume_echo",
         "* radar.range_resolution_m / safe_m.square()",
         "* radar.range_resolution_m / safe_m",
         (

@@ -11,8 +11,8 @@ from torch import Tensor
 from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoints, Sky, at_upper_edge
 from torchweather.camera.depth.hidden_points import unseen_points
 from torchweather.camera.depth.projection import project_points
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least
-from torchweather.sensors import Camera
 
 __all__ = ["CompletedDepth"]
 

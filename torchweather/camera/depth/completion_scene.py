@@ -16,7 +16,7 @@ from torch import Tensor
 from torchweather.camera.depth.completion_core import Completion, complete
 from torchweather.camera.depth.scene_depth import COMPLETED, SceneDepth
 from torchweather.camera.depth.source import SceneSource
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["CompletedSource", "SeenPoints", "Sky", "at_upper_edge"]
 

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import DepthSource, check_depth
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least
-from torchweather.sensors import Camera
 
 AUTO = "auto"
 """Names the depth that is guessed from the picture."""

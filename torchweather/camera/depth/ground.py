@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import GUESSED
 from torchweather.camera.depth.source import DepthSource
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_positive
-from torchweather.sensors import Camera
 
 __all__ = ["FlatGround"]
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.line_segments import LineSegments, find_segments, grey_levels
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["Horizon", "below_the_sky", "find_horizon", "horizon_of_camera"]
 

@@ -19,8 +19,8 @@ from torchweather.camera.depth.network_graph import NetworkGraph, open_graph
 from torchweather.camera.depth.network_scale import check_metric, fit_to_ground, fit_to_points, points_in_picture
 from torchweather.camera.depth.scene_depth import COMPLETED, GUESSED, SceneDepth
 from torchweather.camera.depth.source import SceneSource
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_one_of, check_positive
-from torchweather.sensors import Camera
 
 __all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "DepthNetwork"]
 

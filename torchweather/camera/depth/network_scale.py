@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchweather.camera.depth.completion_scene import CompletedSource
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["Alignment", "check_metric", "fit_to_ground", "fit_to_points", "points_in_picture"]
 

@@ -13,8 +13,8 @@ from torchweather.camera.depth.fill import fill_linear, fill_nearest, paint_sky
 from torchweather.camera.depth.projection import project_points
 from torchweather.camera.depth.scene_depth import COMPLETED
 from torchweather.camera.depth.source import DepthSource
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least, check_one_of
-from torchweather.sensors import Camera
 
 __all__ = ["DepthFromPoints"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["project_points"]
 

@@ -21,8 +21,8 @@ from torchweather.camera.depth.street_walls import (
     street_depth,
     view_of_street,
 )
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_one_of, check_positive
-from torchweather.sensors import Camera
 
 __all__ = ["ScenePrior"]
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of"]
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoints, Sky, at_upper_edge
 from torchweather.camera.depth.hidden_points import unseen_points
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least, check_positive
-from torchweather.sensors import Camera
 
 __all__ = ["CompletedDepthMap", "along_ray_to_axis", "depth_from_disparity"]
 

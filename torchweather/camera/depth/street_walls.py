@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.sensors import Camera
+from torchweather.camera.sensor import Camera
 
 __all__ = ["StreetView", "sky_shares", "street_depth", "view_of_street"]
 

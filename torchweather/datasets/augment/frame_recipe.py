@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from torchweather.camera.sensor import Camera
 from torchweather.compose import Compose
+from torchweather.compose.plans import Plan, plan_of
 from torchweather.core.errors import TorchweatherError
 from torchweather.lidar import OwnVehicleMask
+from torchweather.lidar.sensor import Lidar
 from torchweather.recipes.recipes import load_recipe
-from torchweather.sensors import Camera, Lidar
-from torchweather.transforms.plans import Plan, plan_of
 
 __all__ = ["FrameRecipe", "SensorUse", "kind_of_sensor", "text_sha256"]
 

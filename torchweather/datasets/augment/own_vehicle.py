@@ -9,14 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchweather.compose.plans import Plan
 from torchweather.core.errors import TorchweatherError
 from torchweather.datasets.augment.frames import Frame
 from torchweather.datasets.augment.paths import inside
 from torchweather.io import read_points
 from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
-from torchweather.lidar.drive_sweeps import evenly_chosen
-from torchweather.sensors import Lidar
-from torchweather.transforms.plans import Plan
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.sweep.drive_sweeps import evenly_chosen
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -17,6 +17,7 @@ from torch import Tensor
 
 import torchweather
 from torchweather.camera.depth import AUTO, CompletedDepth, DepthSource, SceneDepth
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.core.file_names import stem
 from torchweather.core.random import sample_seed
@@ -47,8 +48,8 @@ from torchweather.io import (
 )
 from torchweather.io.depth_sources import GROUND, depth_source
 from torchweather.lidar import OwnVehicleMask
-from torchweather.sensors import Camera, Radar
-from torchweather.stages import PointKind
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.radar.sensor import Radar
 
 __all__ = ["ATTEMPTS", "COUNTED", "FULL", "Job", "Worker", "file_sha256"]
 

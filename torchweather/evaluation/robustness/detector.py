@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.tone import develop
 from torchweather.core.errors import TorchweatherError
 from torchweather.evaluation.robustness.declaration import Declaration
 from torchweather.evaluation.robustness.decoders import TASKS
@@ -16,7 +17,6 @@ from torchweather.evaluation.robustness.graph import open_session
 from torchweather.evaluation.robustness.graph_check import check_graph
 from torchweather.evaluation.robustness.placement import Placement, placed
 from torchweather.export import MosaicToImage
-from torchweather.image import develop
 
 __all__ = ["OnnxDetector"]
 

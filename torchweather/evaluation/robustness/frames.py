@@ -12,15 +12,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.levels import raw_to_linear
+from torchweather.camera.tone import normalise
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.evaluation.robustness.detector import OnnxDetector
 from torchweather.evaluation.robustness.performance import Counter
 from torchweather.evaluation.sweep import CameraSubject, LidarSubject
-from torchweather.image import normalise
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.recipes.suites import Condition
-from torchweather.stages import PointKind
-from torchweather.transforms.raw_levels import raw_to_linear
 
 __all__ = ["FrameInWeather", "LabelledFrame", "Look", "stem_of"]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
-from torchweather.weather import ALIASES, WEATHERS, Weather, parse_weather
+from torchweather.atmosphere.weather import ALIASES, WEATHERS, Weather, parse_weather
 
 __all__ = ["Level", "parse_levels"]
 

@@ -10,16 +10,21 @@ from typing import Any, ClassVar, Protocol
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Fog, Weather
 from torchweather.camera.depth import EXACT, SceneDepth
-from torchweather.image import normalise
+from torchweather.camera.levels import raw_to_linear
+from torchweather.camera.rgb import AsBayer
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import normalise
+from torchweather.camera.transform import BayerWeather
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.transform import LidarResult, LidarWeather
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, Region, bayer_scores, cloud_scores, image_scores
 from torchweather.metrics.clouds import there
 from torchweather.metrics.shape_signature import shape_signature
 from torchweather.radar import FmcwRadar, Scatterers
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.transforms import AsBayer, BayerWeather, LidarResult, LidarWeather, RadarAttenuation
-from torchweather.transforms.raw_levels import raw_to_linear
-from torchweather.weather import Fog, Weather
+from torchweather.radar.sensor import Radar
+from torchweather.radar.transform import RadarAttenuation
 
 __all__ = ["CameraSubject", "LidarSubject", "RadarSceneSubject", "RadarSubject", "Subject"]
 
@@ -86,7 +91,7 @@ class CameraSubject:
         >>> camera = Camera.preset("lucid-triton").resized(16, 16)
         >>> subject = CameraSubject("grey", torch.full((1, 16, 16), 0.3), torch.full((1, 16, 16), 40.0), camera,
         ...     options={"airlight": 0.8})
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> [round(subject.score(subject.render(Fog(mor_m=mor), 0), ["psnr"])["psnr"], 1) for mor in (400.0, 100.0)]
         [18.8, 11.8]
     """
@@ -210,7 +215,7 @@ class LidarSubject(_Points):
     Example:
         >>> wall = torch.tensor([[20.0, 0.1 * k, 0.0, 30.0] for k in range(200)])
         >>> subject = LidarSubject("wall", points=wall, lidar=Lidar.preset("ouster-os1-128"))
-        >>> from torchweather.weather import Fog
+        >>> from torchweather.atmosphere.weather import Fog
         >>> scores = [subject.score(subject.render(Fog(mor_m=mor), 0), ["mde"])["mde"] for mor in (400.0, 30.0)]
         >>> scores[0] < scores[1]
         True

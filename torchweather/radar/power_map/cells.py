@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.power_map.power_map import MapAxes
-from torchweather.sensors import Radar
-from torchweather.stages import PointKind, RadarState
+from torchweather.radar.sensor import Radar
+from torchweather.radar.state import RadarState
 
 __all__ = ["PowerMapState", "lines_of_sight", "map_state"]
 

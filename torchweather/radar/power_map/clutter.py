@@ -22,14 +22,12 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_dict
 from torchweather.core.errors import check_at_least, check_between
-from torchweather.radar.power_map.cells import PowerMapState, lines_of_sight, within_half_turn
-from torchweather.radar.power_map.power_map import MapAxes
-from torchweather.sensors import Radar
-from torchweather.stages.path_attenuation import radar_of
-from torchweather.stages.registry import register
-from torchweather.stages.stage import Stage
-from torchweather.stages.volume_clutter import (
+from torchweather.pipeline.registry import register
+from torchweather.pipeline.stage import Stage
+from torchweather.radar.attenuation import radar_of
+from torchweather.radar.clutter import (
     DB,
     FWHM_PER_STD,
     FallingReflectivity,
@@ -37,7 +35,9 @@ from torchweather.stages.volume_clutter import (
     radial_speed_m_per_s,
     two_way_widths_rad,
 )
-from torchweather.weather import Rain, Snow, Weather, weather_from_dict
+from torchweather.radar.power_map.cells import PowerMapState, lines_of_sight, within_half_turn
+from torchweather.radar.power_map.power_map import MapAxes
+from torchweather.radar.sensor import Radar
 
 __all__ = ["MapClutter", "map_noise_floor_dbm"]
 

@@ -7,13 +7,13 @@ import math
 import torch
 from torch import Tensor
 
-from torchweather.radar.cfar import CellAveragingCfar, Cfar
-from torchweather.radar.detection import local_maxima
+from torchweather.radar.fmcw.cfar import CellAveragingCfar, Cfar
+from torchweather.radar.fmcw.detection import local_maxima
 from torchweather.radar.power_map.clutter import map_noise_floor_dbm
 from torchweather.radar.power_map.noise_floor import noise_floor_db
 from torchweather.radar.power_map.power_map import RadarPowerMap
 from torchweather.radar.power_map.receiver import oversampled_taps
-from torchweather.sensors import Radar
+from torchweather.radar.sensor import Radar
 
 __all__ = ["map_cfar", "map_detections"]
 

@@ -27,13 +27,13 @@ from torch import Tensor
 
 from torchweather.core.errors import check_between
 from torchweather.core.random import Variate
+from torchweather.pipeline.registry import register
+from torchweather.pipeline.stage import Stage
+from torchweather.radar.clutter import DB
 from torchweather.radar.power_map.cells import PowerMapState
 from torchweather.radar.power_map.noise_floor import noise_floor_db
 from torchweather.radar.power_map.power_map import MapAxes, RadarPowerMap
 from torchweather.radar.power_map.scale import PowerScale
-from torchweather.stages.registry import register
-from torchweather.stages.stage import Stage
-from torchweather.stages.volume_clutter import DB
 
 __all__ = ["MapReceiver", "oversampled_taps"]
 

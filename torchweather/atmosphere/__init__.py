@@ -1,0 +1,1 @@
+"""Weather: rain, fog and snow, their density over space and time, and the optics of fog."""

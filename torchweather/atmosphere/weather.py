@@ -1,0 +1,635 @@
+"""Rain, Fog, Snow and Mixture: one description of the weather that drives every sensor.
+
+The knob of a weather (``rate_mm_per_h``, ``mor_m``) is a number or a tensor of the batch shape and may require
+grad; everything else is a plain number or a name. Every number may also be a distribution (``distributions``), and the
+knob a pair (low, high): then ``drawn`` gives one weather of it, and ``Compose`` draws one for each sample.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from torchweather.core.distributions import Distribution, Uniform, distribution_from
+from torchweather.core.errors import (
+    TorchweatherWarning,
+    check_between,
+    check_one_of,
+    check_positive,
+    nearest_name,
+    owner_name,
+)
+from torchweather.core.random import keyed_stream
+from torchweather.physics import (
+    FOG,
+    RAIN,
+    SNOW,
+    Binned,
+    LogNormal,
+    SizeDistribution,
+    close_rate,
+    physical_diameter_mm,
+    precipitation_rate_mm_per_h,
+    rehearse_fog,
+)
+from torchweather.physics.precipitation_rate import fall_speed_law
+
+__all__ = [
+    "Fog",
+    "Mixture",
+    "Rain",
+    "Snow",
+    "Weather",
+    "check_drawn",
+    "check_knobs",
+    "parse_weather",
+    "weather_from_dict",
+]
+
+Knob = float | Tensor
+# What the constructors take: a distribution, and a pair for ``Uniform``, is drawn before anything is computed.
+Given = Knob | Distribution | tuple[float, float]
+
+# Rates that the size distributions were fitted to, mm/h; outside them a weather warns once.
+RAIN_RATE_RANGE_MM_PER_H = (0.1, 200.0)
+SNOW_RATE_RANGE_MM_PER_H = (0.05, 10.0)
+# A rate beyond this is no weather: the largest one-minute rain on record is 1870 mm/h (WMO: Unionville 1956, 31 mm
+# in a minute).
+ABSURD_RATE_MM_PER_H = 2000.0
+# Contrast threshold to which the fog distributions of ``torchweather.physics.FOG`` are scaled (WMO's MOR).
+MOR_CONTRAST = 0.05
+# Name and visibilities, m, of the fogs that were measured in the REHEARSE fog chamber (D3.4 Table 5).
+REHEARSE, REHEARSE_MOR_M = "rehearse", (10, 20, 30, 50)
+# Patches are laid out on a grid that follows their length; below this the sectors of a LiDAR would be too coarse.
+PATCH_LENGTH_LOW_M, PATCH_LENGTH_HIGH_M, PATCH_LOG_STD_HIGH = 5.0, 10_000.0, 2.0
+
+
+class Weather:
+    """What every weather has: a kind, a knob, a plain dictionary."""
+
+    kind: ClassVar[str] = ""
+    knob_name: ClassVar[str] = ""
+    patch_log_std: Given = 0.0
+    patch_length_m: Given = 100.0
+
+    @property
+    def knob(self) -> Knob:
+        """The rate or the visibility.
+
+        Raises:
+            ValueError: it has yet to be drawn.
+        """
+        check_drawn(self, owner=self)
+        value: Knob = getattr(self, self.knob_name)
+        return value
+
+    @property
+    def parts(self) -> tuple[Weather, ...]:
+        """The weathers this one is made of; itself unless it is a mixture."""
+        return (self,)
+
+    @property
+    def random(self) -> dict[str, Distribution]:
+        """Fields that are drawn for each sample, by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return {name: value for name, value in values.items() if isinstance(value, Distribution)}
+
+    def drawn(self, seed: int) -> Weather:
+        """One weather: a plain number for every field that is random, each from a stream of its own.
+
+        Args:
+            seed: the same one gives the same weather.
+
+        Example:
+            >>> Rain(rate_mm_per_h=(1, 50)).drawn(seed=7) == Rain(rate_mm_per_h=(1, 50)).drawn(seed=7)
+            True
+        """
+        values = {
+            name: one.at(float(keyed_stream(seed, f"weather.{self.kind}.{name}").random()))
+            for name, one in self.random.items()
+        }
+        return replace(self, **values) if values else self  # type: ignore[type-var]
+
+    def densest(self) -> Weather:
+        """The one with most particles of those that can be drawn: highest rate, least visibility, the rest at will."""
+        pick = {"rate_mm_per_h": max, "mor_m": min, "patch_log_std": max}
+        values = {name: pick.get(name, lambda ends: ends[0])(one.ends()) for name, one in self.random.items()}
+        return replace(self, **values) if values else self  # type: ignore[type-var]
+
+    def _ends_are_good(self) -> bool:
+        """Whether anything is random; all that can be drawn has then been checked."""
+        knob = getattr(self, self.knob_name)
+        if isinstance(knob, (tuple, list)):
+            if len(knob) != 2 or isinstance(knob, list):
+                raise ValueError(
+                    f"{type(self).__name__}: {self.knob_name} must be a number, a tensor, a pair (low, high) or a "
+                    f"distribution such as LogUniform(1, 50); got {knob!r}."
+                )
+            object.__setattr__(self, self.knob_name, Uniform(*knob))
+        random = self.random
+        first = {name: one.ends()[0] for name, one in random.items()}
+        for name, one in random.items():
+            for end in one.ends():
+                replace(self, **{**first, name: end})  # type: ignore[type-var]
+        return bool(random)
+
+    def _check_patches(self) -> None:
+        check_between("patch_log_std", self.patch_log_std, 0.0, PATCH_LOG_STD_HIGH, owner=self)
+        lengths_m = (PATCH_LENGTH_LOW_M, PATCH_LENGTH_HIGH_M)
+        check_between("patch_length_m", self.patch_length_m, *lengths_m, unit="m", owner=self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that ``weather_from_dict`` takes and YAML can hold; a tensor knob is detached."""
+        values: dict[str, Any] = {"kind": self.kind}
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                value = value.detach().tolist()
+            elif isinstance(value, Binned):
+                value = _bins_to_dict(value)
+            elif isinstance(value, Distribution):
+                value = value.to_dict()
+            values[field.name] = list(value) if isinstance(value, tuple) else value
+        return values
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Build the weather from plain values; unknown keys are refused with the nearest name."""
+        known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        if "visibility_m" in values and "mor_m" in known:
+            values = {"mor_m" if key == "visibility_m" else key: value for key, value in values.items()}
+        taken = {}
+        for key, value in values.items():
+            if key == "kind":
+                continue
+            if key not in known:
+                raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
+            if key == cls.knob_name and isinstance(value, list):
+                value = torch.tensor(value)
+            if isinstance(value, Mapping):
+                if key == "size_distribution":
+                    value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
+                else:
+                    value = distribution_from(value, owner=f"{cls.__name__}: {key}")
+            taken[key] = tuple(value) if isinstance(value, list) else value
+        return cls(**taken)
+
+
+@dataclass(frozen=True)
+class _Precipitation(Weather):
+    rate_mm_per_h: Given = 0.0
+    size_distribution: str | Binned = ""
+    close_rate: bool = False
+    temperature_c: float = 10.0
+    wind_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    patch_log_std: Given = 0.0
+    patch_length_m: Given = 100.0
+
+    knob_name: ClassVar[str] = "rate_mm_per_h"
+    rate_range_mm_per_h: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    families: ClassVar[Mapping[str, Any]] = {}
+    particles: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        if self._ends_are_good():
+            return
+        rate = self.knob
+        check_between(
+            "rate_mm_per_h",
+            rate,
+            0.0,
+            ABSURD_RATE_MM_PER_H,
+            unit="mm/h (liquid equivalent)",
+            owner=self,
+            advice="Heavy rain is 50 mm/h, heavy snow 5 mm/h.",
+        )
+        if isinstance(self.size_distribution, str):
+            check_one_of("size_distribution", self.size_distribution, self.families, owner=self)
+        elif self.size_distribution.particle not in self.particles:
+            raise ValueError(
+                f"{type(self).__name__}: size_distribution must count {' or '.join(self.particles)}; got bins of "
+                f"{self.size_distribution.particle!r}. Set Binned(particle=...)."
+            )
+        if len(self.wind_m_per_s) != 3:
+            raise ValueError(
+                f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
+                f"got {self.wind_m_per_s!r}."
+            )
+        object.__setattr__(self, "rate_mm_per_h", _plain_knob(rate))
+        object.__setattr__(self, "wind_m_per_s", tuple(float(speed) for speed in self.wind_m_per_s))
+        for speed in self.wind_m_per_s:
+            check_between("wind_m_per_s", speed, -100.0, 100.0, unit="m/s", owner=self)
+        check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        self._check_patches()
+        self._warn_outside_fit()
+
+    def _warn_outside_fit(self) -> None:
+        low, high = self.rate_range_mm_per_h
+        rates = torch.as_tensor(self.rate_mm_per_h).detach().reshape(-1)
+        if torch.compiler.is_compiling():
+            return
+        outside = rates[(rates > 0) & ((rates < low) | (rates > high))]
+        if outside.numel():
+            warnings.warn(
+                f"{type(self).__name__}: rate_mm_per_h = {outside[0].item():g} lies outside {low:g}..{high:g} mm/h, "
+                f"the range the size distribution was fitted to.",
+                TorchweatherWarning,
+                stacklevel=5,
+            )
+
+    @property
+    def particle(self) -> str:
+        """What the size distribution counts: ``drop``, ``melted-flake`` (melted diameter) or ``flake`` (outline)."""
+        found = self.size_distribution
+        return self.families[found](1.0).particle if isinstance(found, str) else found.particle
+
+    def distribution(self, rate_mm_per_h: Knob | None = None) -> SizeDistribution:
+        """Size distribution at a rate (the weather's own by default), per diameter of ``particle``."""
+        rate = self.knob if rate_mm_per_h is None else rate_mm_per_h
+        if isinstance(self.size_distribution, str):
+            found: SizeDistribution = self.families[self.size_distribution](rate)
+            return close_rate(found, rate) if self.close_rate else found
+        measured = self.size_distribution
+        return measured.scaled(torch.as_tensor(rate) / precipitation_rate_mm_per_h(measured))
+
+    def physical_diameter_mm(self, diameter_mm: Tensor) -> Tensor:
+        """Diameter of the particle's outline, mm, from the diameter that the distribution counts."""
+        return physical_diameter_mm(diameter_mm) if self.particle == "melted-flake" else diameter_mm
+
+    def fall_speed_m_per_s(self, diameter_mm: Tensor) -> Tensor:
+        """Fall speed, m/s, from the diameter that the distribution counts, mm (``PHYSICS.md`` 2.5)."""
+        return fall_speed_law(self.particle)(diameter_mm)
+
+
+@dataclass(frozen=True)
+class Rain(_Precipitation):
+    """Rain of a rate.
+
+    Args:
+        rate_mm_per_h: rain rate, mm/h, a number or a tensor of the batch shape; 0 is no rain.
+        size_distribution: a name from ``torchweather.physics.RAIN`` or measured bins (``Binned``), which are then
+            scaled to the rate.
+        close_rate: scale the distribution so that its flux is exactly the rate.
+        temperature_c: water temperature, degrees Celsius.
+        wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
+        patch_log_std: spread of the logarithm of the drops' number over the ground, 0 (uniform) to 2; its mean stays.
+        patch_length_m: over which the density of gusts changes, 5 to 10,000 m (``atmosphere/density_field.py``).
+
+    Example:
+        >>> Rain(rate_mm_per_h=25).distribution().total_per_m3 > 1000
+        tensor(True)
+    """
+
+    kind: ClassVar[str] = "rain"
+    rate_range_mm_per_h: ClassVar[tuple[float, float]] = RAIN_RATE_RANGE_MM_PER_H
+    families: ClassVar[Mapping[str, Any]] = RAIN
+    particles: ClassVar[tuple[str, ...]] = ("drop",)
+
+    size_distribution: str | Binned = "marshall-palmer"
+
+
+@dataclass(frozen=True)
+class Snow(_Precipitation):
+    """Snow of a liquid-equivalent rate, dry unless ``melt_fraction`` is set.
+
+    Args:
+        rate_mm_per_h: liquid-equivalent snowfall rate, mm/h, a number or a tensor of the batch shape.
+        size_distribution: a name from ``torchweather.physics.SNOW`` (per melted diameter) or measured bins.
+        close_rate: scale the distribution so that its flux is exactly the rate.
+        temperature_c: ice temperature, degrees Celsius.
+        wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
+        albedo: share of light that a flake scatters, 0.85-0.95 (``PHYSICS.md`` 4.7).
+        melt_fraction: share of a flake's mass that is liquid, 0-1. Radar attenuation and backscatter use it
+            (``PHYSICS.md`` 6.7); camera and LiDAR take the flake as dry, and number and fall speed stay those of
+            dry snow.
+        patch_log_std, patch_length_m: as in ``Rain``.
+
+    Example:
+        >>> Snow(rate_mm_per_h=1).albedo
+        0.9
+    """
+
+    kind: ClassVar[str] = "snow"
+    rate_range_mm_per_h: ClassVar[tuple[float, float]] = SNOW_RATE_RANGE_MM_PER_H
+    families: ClassVar[Mapping[str, Any]] = SNOW
+    particles: ClassVar[tuple[str, ...]] = ("melted-flake", "flake")
+
+    size_distribution: str | Binned = "sekhon-srivastava"
+    temperature_c: float = -5.0
+    albedo: float = 0.9
+    melt_fraction: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.random:
+            return
+        check_between("albedo", self.albedo, 0.0, 1.0, owner=self)
+        check_between(
+            "melt_fraction",
+            self.melt_fraction,
+            0.0,
+            1.0,
+            owner=self,
+            advice="It is the share of a flake's mass that is liquid; dry snow is 0.",
+        )
+
+
+@dataclass(frozen=True, init=False)
+class Fog(Weather):
+    """Fog of a visibility.
+
+    Args:
+        mor_m: meteorological optical range, metres, a number or a tensor of the batch shape; infinity is no fog.
+        size_distribution: a name from ``torchweather.physics.FOG``, each a function of ``mor_m``, or ``rehearse``:
+            the measured fogs unscaled, interpolated between their nominal 10, 20, 30 and 50 m.
+        contrast: contrast threshold of the visibility; 0.05 is the MOR's, 0.02 the older visual range's.
+        temperature_c: water temperature, degrees Celsius.
+        patch_log_std: spread of the logarithm of the droplets' number over the ground, 0 (uniform) to 2; the
+            visibility is that of the mean number.
+        patch_length_m: over which the density of banks changes, 5 to 10,000 m (``atmosphere/density_field.py``).
+        visibility_m: another name of ``mor_m``.
+
+    Example:
+        >>> Fog(visibility_m=50) == Fog(mor_m=50)
+        True
+    """
+
+    kind: ClassVar[str] = "fog"
+    knob_name: ClassVar[str] = "mor_m"
+
+    mor_m: Given = math.inf
+    size_distribution: str = "default"
+    contrast: float = 0.05
+    temperature_c: float = 10.0
+    patch_log_std: Given = 0.0
+    patch_length_m: Given = 30.0
+
+    def __init__(
+        self,
+        mor_m: Given = math.inf,
+        size_distribution: str = "default",
+        contrast: float = 0.05,
+        temperature_c: float = 10.0,
+        patch_log_std: Given = 0.0,
+        patch_length_m: Given = 30.0,
+        *,
+        visibility_m: Given | None = None,
+    ) -> None:
+        if visibility_m is not None and not (isinstance(mor_m, float) and math.isinf(mor_m)):
+            raise ValueError(
+                f"Fog: mor_m and visibility_m are one number, the visibility in metres; got mor_m={mor_m!r} and "
+                f"visibility_m={visibility_m!r}. Pass one of them."
+            )
+        values = {
+            "mor_m": mor_m if visibility_m is None else visibility_m,
+            "size_distribution": size_distribution,
+            "contrast": contrast,
+            "temperature_c": temperature_c,
+            "patch_log_std": patch_log_std,
+            "patch_length_m": patch_length_m,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    @property
+    def visibility_m(self) -> Given:
+        """The visibility, metres: ``mor_m``."""
+        return self.mor_m
+
+    def __post_init__(self) -> None:
+        if self._ends_are_good():
+            return
+        check_positive("mor_m", self.mor_m, unit="m", owner=self, advice="Dense fog is 50 m; infinity is clear air.")
+        check_one_of("size_distribution", self.size_distribution, (*FOG, REHEARSE), owner=self)
+        if self.size_distribution == REHEARSE:
+            self._check_measured()
+        check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
+        check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        self._check_patches()
+        object.__setattr__(self, "mor_m", _plain_knob(self.knob))
+
+    def _check_measured(self) -> None:
+        mor_m = torch.as_tensor(self.mor_m).detach()
+        low, high = REHEARSE_MOR_M[0], REHEARSE_MOR_M[-1]
+        check_between(
+            "mor_m",
+            mor_m[mor_m.isfinite()],
+            low,
+            high,
+            unit="m",
+            owner=self,
+            advice="The REHEARSE fogs were measured there; size_distribution='default' goes on beyond them.",
+        )
+
+    @classmethod
+    def rehearse(cls, mor_m: int) -> Fog:
+        """The measured REHEARSE fog of nominal visibility 10, 20, 30 or 50 m, unscaled (D3.4 Table 5)."""
+        if mor_m not in REHEARSE_MOR_M:
+            raise ValueError(f"Fog.rehearse: mor_m must be one of 10, 20, 30, 50 m; got {mor_m!r}.")
+        return cls(mor_m=float(mor_m), size_distribution=REHEARSE)
+
+    @classmethod
+    def advection(cls, mor_m: Knob) -> Fog:
+        """Advection fog (gamma distribution, effective radius 10 um) scaled to the visibility."""
+        return cls(mor_m=mor_m, size_distribution="advection")
+
+    def distribution(self, mor_m: Knob | None = None) -> SizeDistribution:
+        """Droplet size distribution at a visibility (the weather's own by default)."""
+        mor = self.knob if mor_m is None else mor_m
+        if self.size_distribution == REHEARSE:
+            return _rehearse_between(mor)
+        found: SizeDistribution = FOG[self.size_distribution](mor)
+        if self.contrast == MOR_CONTRAST:
+            return found
+        # A visibility of another contrast threshold: as many droplets more as ln(1/contrast) is above ln 20.
+        return found.scaled(math.log(self.contrast) / math.log(MOR_CONTRAST))
+
+
+def _rehearse_between(mor_m: Knob) -> LogNormal:
+    """The measured fogs; ln N, ln r and sigma linear in ln V between them, held outside."""
+    measured = [rehearse_fog(mor) for mor in REHEARSE_MOR_M]
+    log_v = torch.log(torch.as_tensor(mor_m, dtype=torch.float64).clamp(REHEARSE_MOR_M[0], REHEARSE_MOR_M[-1]))
+    rows = torch.tensor(
+        [[math.log(f.number_per_cm3), math.log(f.median_radius_um), f.sigma] for f in measured], dtype=torch.float64
+    )
+    value = rows[0].expand(*log_v.shape, 3)
+    for k in range(len(measured) - 1):  # a sum of ramps: elementwise and differentiable
+        low, high = (math.log(v) for v in REHEARSE_MOR_M[k : k + 2])
+        ramp = ((log_v - low) / (high - low)).clamp(0.0, 1.0)
+        value = value + ramp[..., None] * (rows[k + 1] - rows[k])
+    return LogNormal(torch.exp(value[..., 0]), torch.exp(value[..., 1]), value[..., 2])
+
+
+def check_drawn(weather: Weather, *, owner: object) -> None:
+    """Raise where a weather has yet to be drawn."""
+    for part in weather.parts:
+        for name, one in part.random.items():
+            raise ValueError(
+                f"{owner_name(owner)}: {name} must be a number here; got {one!r}. Draw one weather, "
+                "weather.drawn(seed); or call the transform without noise, or Compose, which draw one for each sample."
+            )
+
+
+def check_knobs(weather: Weather, batch: Sequence[int], *, owner: object) -> None:
+    """Raise unless each knob is one value or one for each sample of the batch."""
+    check_drawn(weather, owner=owner)
+    for part in weather.parts:
+        knob = part.knob
+        if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
+            raise ValueError(
+                f"{owner_name(owner)}: {part.knob_name} must be one value or one for each sample, shape "
+                f"{tuple(batch)}; got shape {tuple(knob.shape)}."
+            )
+
+
+def _bins_to_dict(measured: Binned) -> dict[str, Any]:
+    return {
+        "edges_mm": measured.edges_mm.tolist(),
+        "density_per_m3_mm": measured.density_per_m3_mm.tolist(),
+        "particle": measured.particle,
+    }
+
+
+def _plain_knob(knob: Knob) -> Knob:
+    """A number as Python has it, so that it prints and goes to YAML; a tensor stays."""
+    return knob if isinstance(knob, (Tensor, int, float)) else float(knob)
+
+
+class Mixture(Weather):
+    """Several weathers at once: ``Mixture(Rain(10), Fog(mor_m=200))``.
+
+    Extinctions add, particles of all kinds compete, the sensor measures once. The order does not matter, and
+    ``Mixture(x)`` is ``x``.
+
+    Example:
+        >>> [part.kind for part in Mixture(Snow(1), Fog(mor_m=300)).parts]
+        ['fog', 'snow']
+    """
+
+    kind: ClassVar[str] = "mixture"
+
+    def __init__(self, *weathers: Weather | Sequence[Weather]) -> None:
+        given = [one for some in weathers for one in (some if isinstance(some, (list, tuple)) else (some,))]
+        for one in given:
+            if not isinstance(one, Weather):
+                raise TypeError(
+                    f"Mixture: expected weathers, such as Mixture(Rain(10), Fog(mor_m=200)); got {one!r} among them."
+                )
+        flat = [part for weather in given for part in weather.parts]
+        if not flat:
+            raise ValueError("Mixture: wanted at least one weather; got none.")
+        kinds = [part.kind for part in flat]
+        for kind in set(kinds):
+            if kinds.count(kind) > 1:
+                raise ValueError(
+                    f"Mixture: wanted each kind once; got {kinds.count(kind)} times {kind}. Add their rates (or their "
+                    "extinctions, for fog) into one."
+                )
+        self._parts = tuple(sorted(flat, key=lambda part: part.kind))
+        lengths = {part.kind: part.patch_length_m for part in self._parts if part.patch_log_std != 0.0}
+        if len({repr(length) for length in lengths.values()}) > 1:
+            said = ", ".join(f"{kind} {length!r}" for kind, length in lengths.items())
+            raise ValueError(f"Mixture: all patches are of one field and have one patch_length_m, in m; got {said}.")
+
+    @property
+    def parts(self) -> tuple[Weather, ...]:
+        """The weathers, in a fixed order."""
+        return self._parts
+
+    @property
+    def random(self) -> dict[str, Distribution]:
+        """Fields of the parts that are drawn for each sample, as ``rain.rate_mm_per_h``."""
+        return {f"{part.kind}.{name}": one for part in self._parts for name, one in part.random.items()}
+
+    def drawn(self, seed: int) -> Mixture:
+        """One of each part."""
+        return Mixture(*(part.drawn(seed) for part in self._parts))
+
+    def densest(self) -> Mixture:
+        """The densest of each part."""
+        return Mixture(*(part.densest() for part in self._parts))
+
+    def __repr__(self) -> str:
+        return f"Mixture({', '.join(map(repr, self._parts))})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mixture) and self._parts == other._parts
+
+    def __hash__(self) -> int:
+        return hash(self._parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: the parts."""
+        return {"kind": self.kind, "parts": [part.to_dict() for part in self._parts]}
+
+
+WEATHERS: dict[str, type[Rain] | type[Fog] | type[Snow]] = {"rain": Rain, "fog": Fog, "snow": Snow}
+# Short names that the command line takes.
+ALIASES = {
+    "rate": "rate_mm_per_h",
+    "mor": "mor_m",
+    "visibility": "mor_m",
+    "visibility_m": "mor_m",
+    "patches": "patch_log_std",
+    "patch_length": "patch_length_m",
+}
+
+
+def weather_from_dict(values: Mapping[str, Any]) -> Weather:
+    """The weather that ``to_dict`` wrote: ``{"kind": "rain", "rate_mm_per_h": 25.0, ...}``."""
+    kind = values.get("kind")
+    if kind == "mixture":
+        return Mixture(*(weather_from_dict(part) for part in values["parts"]))
+    check_one_of("weather kind", kind, WEATHERS, owner="torchweather")
+    return WEATHERS[str(kind)].from_dict(values)
+
+
+def parse_weather(text: str, *, random: bool = False) -> Weather:
+    """Read a weather as the command line takes it: ``rain:rate=25``, ``fog:mor=30+rain:rate=5``.
+
+    Args:
+        text: kinds with their fields.
+        random: takes ranges too, ``rain:rate=1..50``.
+
+    Example:
+        >>> parse_weather("fog:mor=30").mor_m
+        30.0
+    """
+    parts = [_parse_one(part) for part in text.split("+")]
+    weather = parts[0] if len(parts) == 1 else Mixture(*parts)
+    if not random:
+        check_drawn(weather, owner=f"weather {text!r}")
+    return weather
+
+
+def _parse_one(text: str) -> Weather:
+    kind, _, arguments = text.strip().partition(":")
+    check_one_of("weather", kind, WEATHERS, owner="torchweather")
+    values: dict[str, Any] = {}
+    for argument in filter(None, arguments.split(",")):
+        key, equals, value = argument.partition("=")
+        if not equals:
+            raise ValueError(
+                f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
+            )
+        values[ALIASES.get(key.strip(), key.strip())] = _plain(value.strip())
+    return WEATHERS[kind].from_dict(values)
+
+
+def _plain(text: str) -> str | float | bool | Uniform:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    low, dots, high = text.partition("..")
+    try:
+        if dots:
+            return Uniform(float(low), float(high))
+        return float(text)
+    except ValueError:
+        return text

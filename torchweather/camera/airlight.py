@@ -1,0 +1,220 @@
+"""Airlight: the light that fog adds along an endless ray, estimated from a frame.
+
+It is that of the fog near the horizon (``PHYSICS.md`` 10.7), so it is taken from the sky just above the horizon, not
+from the mean of all sky, and never from surfaces.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchweather.camera.state import CameraState
+from torchweather.core.errors import TorchweatherWarning, owner_name
+from torchweather.pipeline.tiling import is_exporting
+
+__all__ = [
+    "AIRLIGHT_MODES",
+    "DEFAULT_GREY",
+    "Airlight",
+    "airlight_argument",
+    "estimate_airlight",
+    "frame_mean",
+    "scaled_airlight",
+]
+
+Airlight = tuple[float, float, float] | str | None
+"""Three linear signals, ``sky`` (its colour), ``grey`` (its luminance), or ``None``: grey for colour planes, whose
+white balance is not known, and sky for a mosaic."""
+
+AIRLIGHT_MODES = ("sky", "grey")
+# The sky is estimated on every fourth row, so that the lowest sky is met, and every sixteenth column of each colour.
+STRIDES_PX = (4, 16)
+BAND_SINE = math.sin(math.radians(3.0))
+"""Sine of the elevation over which the weight of sky pixels falls by e, from the lowest sky of the frame: skylines hide
+the lowest degrees, and a clear sky darkens within some ten."""
+REC709 = (0.2126, 0.7152, 0.0722)  # luminance of linear sRGB, ITU-R BT.709
+# A blue sky's light is darker than that of a fog lit by it and the sun, and an overexposed sky says nothing: neutral
+# 0.5 to 0.7 looks right on photographs (chosen by eye; measured airlight goes to airlight=). A grey sky, overcast or
+# misty, is lit as fog is: it keeps its own light. Between them the lower bound rises with the sky's saturation.
+GREY_RANGE = (0.5, 0.7)
+BLUE_SATURATION = 0.3  # of 21 street scenes, blue skies have 0.28 to 0.65, grey and overexposed ones 0.00 to 0.16
+DEFAULT_GREY = 0.6
+DAYLIGHT_ABOVE = 0.05  # linear luminance of a horizon sky by day; below, the sky's own light is kept
+# A picture's horizon is seen through kilometres of its own air: fog whose optical depth over this way is small adds the
+# light that is there already; fog that is opaque over it has its own.
+OWN_AIR_M = 5000.0
+NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
+
+
+def airlight_argument(value: Sequence[float] | float | str | None, owner: object) -> Airlight:
+    """The argument ``airlight=`` checked: a mode, or one number or (red, green, blue) in 0..1 as three numbers."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if value not in AIRLIGHT_MODES:
+            raise ValueError(
+                f"{owner_name(owner)}: airlight must be one of {', '.join(AIRLIGHT_MODES)}, one number or (red, green, "
+                f"blue) in 0..1, linear; got {value!r}."
+            )
+        return value
+    values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
+    if len(values) != 3 or not all(0.0 <= v <= 1.0 for v in values):
+        raise ValueError(
+            f"{owner_name(owner)}: airlight must be one number or (red, green, blue) in 0..1, linear, in units of "
+            f"saturation; got {value!r}."
+        )
+    return values
+
+
+def estimate_airlight(
+    state: CameraState, owner: object, mode: str | None = None, extinction_per_m: Tensor | None = None
+) -> Tensor:
+    """Airlight per colour, ``(B, 3)``, from the sky just above the horizon.
+
+    Where a frame shows no sky, a grey of 0.6 (colour planes; at night its mean light) or the brightest 3 x 3
+    neighbourhood of each colour (mosaics, whose exposure is not known) stands in, with a warning.
+
+    Args:
+        state: the frame.
+        owner: named in warnings.
+        mode: ``sky`` or ``grey``; ``None`` is grey for colour planes and sky for a mosaic.
+        extinction_per_m: ``(B, 3)`` of the fog: as it tends to 0, grey tends to the sky's own light, so that thin fog
+            leaves a sky at the horizon as it is.
+    """
+    planes = state.cfa_index is None
+    light, seen = _horizon_sky(state, STRIDES_PX)
+    if is_exporting() or not bool(seen.all()):
+        # A sky may show between the thinned pixels only.
+        every, seen_at_all = _horizon_sky(state, (1, 1) if planes else (2, 2))
+        light, seen = torch.where(seen[:, None], light, every), seen | seen_at_all
+    grey = mode == "grey" or (mode is None and planes)
+    if grey:
+        neutral = _neutral(light)
+        own = 0.0 if extinction_per_m is None else own_air(extinction_per_m.to(light))
+        light = neutral + own * (light - neutral)
+    instead = _grey_without_sky(state) if planes else per_colour(_brightest(state), state)
+    if grey and not planes:
+        instead = instead.mean(1, keepdim=True).expand_as(light)
+    airlight = torch.where(seen[:, None], light, instead)
+    if not is_exporting() and state.signal.numel():
+        _warn(airlight, seen, owner, planes=planes)
+    return airlight
+
+
+def own_air(extinction_per_m: Tensor) -> Tensor:
+    """Share of the fog's light at a picture's horizon that is the picture's own, ``exp(-5 km alpha)``, as shaped."""
+    return torch.exp(-OWN_AIR_M * extinction_per_m)
+
+
+def _grey_without_sky(state: CameraState) -> Tensor:
+    """Stand-in for the airlight of a picture without a sky, ``(B, 3)``: a grey by day, the mean light at night."""
+    mean = (frame_mean(state) * state.signal.new_tensor(REC709)).sum(1, keepdim=True)
+    return torch.where(mean < NIGHT_BELOW, mean, DEFAULT_GREY).expand(-1, 3)
+
+
+def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> None:
+    if not bool(seen.all()):
+        day = bool((airlight[~seen].amax(1) >= NIGHT_BELOW).any())
+        stands_in = "the brightest spot" if not planes else f"a grey of {DEFAULT_GREY:g}" if day else "its mean light"
+        warnings.warn(
+            f"{type(owner).__name__}: no sky in the frame and no airlight given; {stands_in} stands in for it. Give "
+            "airlight=(red, green, blue), linear, in units of saturation.",
+            TorchweatherWarning,
+            stacklevel=4,
+        )
+    if bool((airlight.amax(1) < NIGHT_BELOW).any()):
+        warnings.warn(
+            f"{type(owner).__name__}: the sky, or a picture without one, is darker than {NIGHT_BELOW:g} of saturation; "
+            "night and artificial light are not modelled. Give airlight= if this is day.",
+            TorchweatherWarning,
+            stacklevel=4,
+        )
+
+
+def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Sky's light per colour ``(B, 3)``, weighted towards the horizon, from some rows and columns; and whether every
+    colour was seen, ``(B,)``."""
+    signal = _thinned(state, state.signal, steps_px)  # (B, 4 or 3, n)
+    if state.sky is None:
+        sky = torch.isinf(_thinned(state, state.depth_m, steps_px)).to(signal.dtype)
+    else:
+        sky = _thinned(state, state.sky, steps_px).to(signal.dtype)
+    weight = sky
+    if state.sine_elevation is not None:
+        weight = towards_horizon(sky, _thinned(state, state.sine_elevation, steps_px).to(signal.dtype))
+    weight = weight.expand(len(signal), weight.shape[1], -1)
+    seen = (sky > 0.5).any(-1).all(1).expand(len(signal))
+    light = (signal * weight).sum(-1) / weight.sum(-1).clamp_min(1e-12)
+    return per_colour(light.view(-1, 2, 2), state) if state.cfa_index is not None else light, seen
+
+
+def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
+    """Weight of each pixel for the airlight: its share of sky, falling by e for each 3 degrees above the lowest sky.
+
+    Args:
+        sky: ``(B, ...)`` share of sky.
+        sine_elevation: of the rays, broadcast against it.
+    """
+    sine = sine_elevation.clamp_min(0.0)
+    lowest = torch.where(sky > 0.5, sine, 2.0).flatten(1).amin(1).view(-1, *(1,) * (sky.ndim - 1))
+    return sky * torch.exp(((lowest - sine) / BAND_SINE).clamp_max(0.0))
+
+
+def _thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Tensor:
+    """Every so many rows and columns of each phase of a mosaic, ``(B, 4, n)``, or of each plane, ``(B, C, n)``."""
+    down, across = steps_px
+    if state.cfa_index is None:
+        return image[..., ::down, ::across].flatten(2)
+    return torch.stack([image[:, 0, y::down, x::across].flatten(1) for y in (0, 1) for x in (0, 1)], 1)
+
+
+def _neutral(light: Tensor) -> Tensor:
+    """Grey of the luminance of a horizon sky, ``(B, 3)``; by day of a blue one within `GREY_RANGE`."""
+    luminance = (light * light.new_tensor(REC709)).sum(1, keepdim=True)
+    brightest = light.amax(1, keepdim=True)
+    saturation = (brightest - light.amin(1, keepdim=True)) / brightest.clamp_min(1e-6)
+    lowest = GREY_RANGE[0] * (saturation / BLUE_SATURATION).clamp_max(1.0)
+    by_day = luminance.clamp_max(GREY_RANGE[1]).maximum(lowest)
+    return torch.where(luminance > DAYLIGHT_ABOVE, by_day, luminance).expand_as(light)
+
+
+def _brightest(state: CameraState) -> Tensor:
+    """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``."""
+    planes = torch.cat([state.signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
+    smooth = torch.nn.functional.avg_pool2d(planes, 3, stride=1, padding=1, count_include_pad=False)
+    return smooth.amax((-2, -1)).view(-1, 2, 2)
+
+
+def per_colour(cells: Tensor, state: CameraState) -> Tensor:
+    """Mean over the cells of each colour, ``(B, 2, 2)`` to ``(B, 3)``."""
+    cfa = state.cfa_index
+    assert cfa is not None
+    return torch.stack([(cells * (cfa == c)).sum((1, 2)) / (cfa == c).sum().clamp_min(1) for c in range(3)], 1)
+
+
+def frame_mean(state: CameraState) -> Tensor:
+    """Mean signal of each colour over the frame, ``(B, 3)``."""
+    if state.cfa_index is None:
+        return state.signal.mean((-2, -1))
+    signal = state.by_cells(state.signal)  # (B, 1, H/2, 2, W)
+    even, odd = signal[..., 0::2].mean((1, 2, 4)), signal[..., 1::2].mean((1, 2, 4))  # (B, 2)
+    return per_colour(torch.stack([even, odd], -1), state)
+
+
+def scaled_airlight(airlight: Tensor, state: CameraState) -> Tensor:
+    """Airlight ``(B, 3)`` in the light that the state says, up to saturation."""
+    return airlight if state.airlight_scale is None else (airlight * state.airlight_scale).clamp_max(1.0)
+
+
+def given_or_estimated(
+    given: Airlight, state: CameraState, owner: object, extinction_per_m: Tensor | None = None
+) -> Tensor:
+    """Airlight ``(B, 3)``: the given signals, or an estimate of the given mode for fog of an extinction."""
+    if given is None or isinstance(given, str):
+        return estimate_airlight(state, owner, given, extinction_per_m)
+    return state.signal.new_tensor(given).expand(state.batch, 3)

@@ -1,0 +1,267 @@
+"""Camera stages of a continuous medium and of the output: extinction with airlight, quantisation."""
+
+from __future__ import annotations
+
+import copy
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weather_from_dict
+from torchweather.camera.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
+from torchweather.camera.sensor import Camera
+from torchweather.camera.state import CameraState
+from torchweather.core.errors import TorchweatherWarning, check_one_of
+from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
+from torchweather.physics.d34 import table13
+from torchweather.pipeline.registry import register
+from torchweather.pipeline.stage import Stage
+from torchweather.pipeline.tiling import by_rows, is_exporting
+
+__all__ = ["ExtinctionAndAirlight", "Quantise"]
+
+MOR_LOW_M, MOR_HIGH_M, MOR_NODES = 5.0, 20000.0, 96
+REHEARSE_RANGE_M = (float(REHEARSE_MOR_M[0]), float(REHEARSE_MOR_M[-1]))
+OPAQUE = 80.0  # optical depth that leaves nothing to see; beyond it float32 turns subnormal and slow
+OPAQUE_TRANSMISSION = 2.0 * math.exp(-OPAQUE)  # reported as 0
+FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
+FADING_COLOUR = 1  # where one colour stands for all: green, or clear
+EXTINCTION_MODELS = ("mie", "koschmieder")
+
+
+@lru_cache(maxsize=32)
+def _fog_table(
+    size_distribution: str,
+    wavelengths_nm: tuple[float, ...],
+    temperature_c: float,
+    model: str,
+    contrast: float,
+    variant: str | None,
+) -> KnobTable:
+    fog = Fog(mor_m=math.inf, size_distribution=size_distribution, contrast=contrast, temperature_c=temperature_c)
+    if variant == "d3_4":
+        return _table13_table()
+
+    def extinction(mor_m: Tensor) -> Tensor:
+        if model == "koschmieder":
+            return extinction_from_mor(mor_m, contrast)[..., None].expand(*mor_m.shape, len(wavelengths_nm))
+        distribution = fog.distribution(mor_m)
+        bands = [extinction_per_m(distribution, w, temperature_c=temperature_c) for w in wavelengths_nm]
+        return torch.stack(bands, -1)
+
+    low, high = REHEARSE_RANGE_M if size_distribution == REHEARSE else (MOR_LOW_M, MOR_HIGH_M)
+    return KnobTable(extinction, low, high, MOR_NODES, zero_at_inf=True)
+
+
+def _table13_table() -> KnobTable:
+    """Extinction of D3.4's Table 13 as published, log-log interpolated between its visibilities."""
+    rows = {(row.visibility_m, row.colour): row.as_published for row in table13()}
+    visibilities = sorted({visibility for visibility, _ in rows})
+    log_v = torch.tensor([math.log(v) for v in visibilities], dtype=torch.float64)
+    values = torch.tensor(
+        [[math.log(rows[v, colour]) for colour in ("red", "green", "blue")] for v in visibilities], dtype=torch.float64
+    )
+
+    def extinction(mor_m: Tensor) -> Tensor:
+        x = mor_m.double().log()
+        cell = (x[..., None] >= log_v[1:-1]).sum(-1)
+        share = ((x - log_v[cell]) / (log_v[cell + 1] - log_v[cell]))[..., None]
+        return torch.exp(values[cell] * (1 - share) + values[cell + 1] * share)
+
+    return KnobTable(extinction, visibilities[0], visibilities[-1], MOR_NODES, zero_at_inf=True)
+
+
+def _warn_outside_table13(fog: Fog) -> None:
+    mor_m = torch.as_tensor(fog.mor_m).detach().reshape(-1)
+    outside = mor_m[mor_m.isfinite() & ((mor_m < 10) | (mor_m > 50))]
+    if outside.numel():
+        warnings.warn(
+            f"ExtinctionAndAirlight: mor_m = {outside[0].item():g} m lies outside 10..50 m, the fogs of D3.4 Table 13; "
+            'variant="d3_4" continues them as a power law.',
+            TorchweatherWarning,
+            stacklevel=4,
+        )
+
+
+@register
+class ExtinctionAndAirlight(Stage):
+    """Fog: the scene fades along the ray and the airlight takes its place.
+
+    ``I = I0 exp(-alpha l) + A (1 - exp(-alpha l))`` per colour, l the length of the ray, not the depth (``PHYSICS.md``
+    4.8), up to the top of the layer where the ray leaves it: the sky shows through thin fog (``PHYSICS.md`` 10.11).
+    Where a photograph's airlight is estimated, fog thinner than its own air leaves its sky as it is.
+
+    Identity: ``mor_m = inf``.
+
+    Args:
+        weather: the fog, or its dictionary.
+        wavelengths_nm: of the CFA's red, green (or clear) and blue.
+        airlight: linear signal of an infinitely deep fog per colour, saturation 1; ``sky`` or ``grey`` takes colour or
+            luminance of the sky above the horizon; ``None`` is grey for colour planes and sky for a mosaic.
+        extinction: ``mie`` (Mie theory over the fog's own distribution) or ``koschmieder`` (ln(1/contrast)/MOR).
+        variant: ``d3_4`` takes the extinction of the deliverable's Table 13 as published.
+    """
+
+    default_name: ClassVar[str] = "extinction_and_airlight"
+
+    def __init__(
+        self,
+        weather: Fog | Mapping[str, Any],
+        wavelengths_nm: Sequence[float],
+        airlight: Sequence[float] | float | str | None = None,
+        extinction: str = "mie",
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        fog = weather if isinstance(weather, Fog) else weather_from_dict(weather)
+        if not isinstance(fog, Fog):
+            raise TypeError(f"ExtinctionAndAirlight: weather must be Fog; got {type(fog).__name__}.")
+        check_one_of("extinction", extinction, EXTINCTION_MODELS, owner=self)
+        if variant == "d3_4":
+            _warn_outside_table13(fog)
+        self.weather = fog
+        self.wavelengths_nm = tuple(float(w) for w in wavelengths_nm)
+        self.extinction_model, self.variant = extinction, variant
+        self.given_airlight = airlight_argument(airlight, self)
+        # A copy: .to(dtype) or load_state_dict of one stage must not reach the cached table of all others.
+        self.table = copy.deepcopy(
+            _fog_table(fog.size_distribution, self.wavelengths_nm, fog.temperature_c, extinction, fog.contrast, variant)
+        )
+        self.register_buffer("mor_m", torch.as_tensor(fog.mor_m, dtype=torch.float32))
+        self.mor_m: Tensor
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {
+            "weather": self.weather.to_dict(),
+            "wavelengths_nm": list(self.wavelengths_nm),
+            "airlight": list(self.given_airlight) if isinstance(self.given_airlight, tuple) else self.given_airlight,
+            "extinction": self.extinction_model,
+            "variant": self.variant,
+        }
+
+    def extinction_per_m(self, batch: int) -> Tensor:
+        """Extinction per colour along the ray, 1/m, ``(B, 3)``."""
+        per_band: Tensor = self.table.to(self.mor_m.device)(self.mor_m.reshape(-1))
+        return per_band.expand(batch, 3)
+
+    def airlight(self, state: CameraState) -> Tensor:
+        """Airlight per colour, ``(B, 3)``: given, or estimated from the frame."""
+        return given_or_estimated(self.given_airlight, state, self, self.extinction_per_m(state.batch))
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor], out: Tensor | None = None) -> CameraState:
+        """The foggy frame."""
+        extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
+        airlight = scaled_airlight(self.airlight(state), state)
+        if state.extinction_scale is not None:
+            extinction = extinction * state.extinction_scale
+        density = state.fog_density
+        if state.patches is not None and self.weather.patch_log_std != 0.0:
+            banks = state.patches.banks(self.weather)
+            azimuth_rad, level = ground_rays(state)
+            patchy = banks.mean_to(azimuth_rad, level * state.depth_m.clamp_max(FARTHEST_M)).to(state.signal.dtype)
+            density = patchy if density is None else density * patchy
+            state = replace(state, fog_density=density)
+        alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
+
+        # Zero extinction times infinite depth is zero, and so is its gradient.
+        clip = is_exporting() or extinction.requires_grad or density is not None or bool((extinction == 0).any())
+
+        estimated = state.cfa_index is None and not isinstance(self.given_airlight, tuple)
+        own = state.per_pixel(own_air(extinction)) if estimated else None
+
+        def let_through(ray_m: Tensor, rows: tuple[Any, ...]) -> Tensor:
+            clear = state.by_cells(ray_m if density is None else ray_m * density[rows]) * alpha_rows
+            return clear.clamp_min_(-OPAQUE).exp_()
+
+        def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
+            rows = (..., slice(first, last), slice(None))
+            depth_m = state.depth_m[rows].clamp_max(FARTHEST_M) if clip else state.depth_m[rows]
+            clear = let_through(state.fog_path_m(depth_m, slice(first, last)), rows)
+            if state.sky is not None and state.ray_in_layer_m is not None:
+                # The share of the pixel that is sky is seen through all of the layer (PHYSICS.md 10.11).
+                above = let_through(state.ray_in_layer_m[rows], rows)
+                clear = torch.lerp(clear, above, state.by_cells(state.sky[rows]).to(clear.dtype))
+            if own is not None:
+                # Air as thin as the picture's own adds the light that each pixel of its sky has already.
+                sky = torch.isinf(state.depth_m[rows]) if state.sky is None else state.sky[rows]
+                clear = 1.0 - (1.0 - clear) * (1.0 - state.by_cells(sky.to(clear.dtype)) * own)
+            if state.near_mask is not None:
+                clear = torch.lerp(clear, torch.ones_like(clear), state.by_cells(state.near_mask[rows]).to(clear.dtype))
+            # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.
+            ends = light_rows.expand_as(clear), state.by_cells(state.signal[rows])
+            if into is not None and not clear.requires_grad and state.cfa_index is not None:
+                torch.lerp(*ends, clear, out=state.by_cells(into))
+                seen = into
+            else:
+                seen = torch.lerp(*ends, clear).flatten(2, 3)
+            if not state.keep_truth:
+                return (seen,)
+            return seen, torch.nn.functional.threshold(clear, OPAQUE_TRANSMISSION, 0.0).flatten(2, 3)
+
+        results = by_rows(band, state.signal.shape, state.signal, out)
+        transmission = results[1] if state.keep_truth else None
+        return replace(
+            state, signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
+        )
+
+
+def rays(state: CameraState) -> tuple[Tensor, Tensor]:
+    """x and y of every pixel's ray, scaled to z = 1, in the camera's frame, ``(1 or B, 1, H, W)`` each."""
+    assert state.camera is not None
+    height, width = state.signal.shape[-2:]
+    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(state.signal).unbind(-1))
+    column = torch.arange(width, device=fx.device).to(fx.dtype)
+    row = torch.arange(height, device=fx.device).to(fx.dtype)[:, None]
+    x, y = ((column - cx) / fx).expand(-1, 1, height, width), ((row - cy) / fy).expand(-1, 1, height, width)
+    return state.camera.undistort(x, y)
+
+
+def ground_rays(state: CameraState) -> tuple[Tensor, Tensor]:
+    """Azimuth of every pixel's ray, and metres over ground per metre of depth, ``(1 or B, 1, H, W)`` each."""
+    assert state.camera is not None
+    return over_ground(state.camera, *rays(state))
+
+
+def over_ground(camera: Camera, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Azimuth (from forward to left), and metres over ground per metre of depth, of rays (x, y, 1)."""
+    # The columns of the rotation are the vehicle's axes in the camera's frame.
+    (fx, lx, _), (fy, ly, _), (fz, lz, _) = camera.camera_from_vehicle()
+    forward, left = fx * x + fy * y + fz, lx * x + ly * y + lz
+    return torch.atan2(left, forward), (forward.square() + left.square()).sqrt()
+
+
+@register
+class Quantise(Stage):
+    """The converter: clip to [0, 1] and round to a step.
+
+    Identity: ``levels = 0``.
+
+    Args:
+        levels: number of steps from black to saturation, 4095 for 12 bits; 0 does nothing.
+    """
+
+    default_name: ClassVar[str] = "quantise"
+
+    def __init__(self, levels: int = 0) -> None:
+        super().__init__()
+        self.register_buffer("levels", torch.tensor(float(levels)))
+        self.levels: Tensor
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"levels": int(self.levels)}
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        """The rounded frame."""
+        if not is_exporting() and float(self.levels) == 0:
+            return state
+        steps = self.levels.clamp_min(1)
+        rounded = torch.round(state.signal.clamp(0, 1) * steps) / steps
+        return replace(state, signal=torch.where(self.levels > 0, rounded, state.signal))

@@ -1,0 +1,1 @@
+"""Drops and flakes in front of a camera."""

@@ -1,0 +1,208 @@
+"""Haze: the optical depth of particles too faint or too many to be drawn one by one.
+
+A depth-shell shot-noise field. Its mean and variance are those of the particles between the near limit and the
+scene, exactly; each shell of depth has its own noise map, correlated as its streaks are; the marginal is
+log-normal, so it is positive and skewed like shot noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchweather.camera.state import CameraState
+from torchweather.pipeline.tiling import is_exporting
+
+if TYPE_CHECKING:
+    from torchweather.camera.particles.population import AtRate, Population
+
+__all__ = ["haze_depth"]
+
+LEAST = 1e-16  # optical depth and variance below which the haze does not fluctuate
+FLOOR = 1e-30
+RAY_NODES = 4  # lengths of ray per depth between which the haze's fading is interpolated
+
+
+def haze_depth(
+    population: Population,
+    state: CameraState,
+    noise: Mapping[str, Tensor],
+    tables: AtRate,
+    first: int,
+    last: int,
+    fog_per_m: Tensor | None = None,
+) -> tuple[Tensor, Tensor | None]:
+    """Optical depth of a population's haze in the rows ``first..last`` of the frame.
+
+    Args:
+        population: the particles.
+        state: the frame.
+        noise: the stage's noise.
+        tables: the population's tables at each sample's rate.
+        first, last: rows.
+        fog_per_m: ``(B,)`` fog extinction.
+
+    Returns:
+        Optical depth ``(B, 1, rows, W)`` and, with fog, the same weighted with the fog's transmission.
+    """
+    t = population.tables
+    b, _, _, width = state.signal.shape
+    rows = (..., slice(first, last), slice(None))
+    intrinsics = state.intrinsics.float()
+    focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
+    depth_m = state.depth_m[rows].float().clamp(1e-6, population.far_m)
+    if is_exporting():
+        focal, depth_m = focal.expand(b), depth_m.expand(b, 1, last - first, width)
+    # What all samples have in common, such as one depth map and one rate, is looked up once.
+    scale = focal.view(-1, 1, 1, 1)
+    if state.particle_reach_m is not None:
+        depth_m = torch.minimum(depth_m, state.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
+    foot = depth_m / scale
+    read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
+    mean, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
+
+    fields = noise[f"{population.weather.kind}_haze"].to(state.signal.device)  # (B, J, H, W)
+    smooth = _streaky(fields, tables, first, last, steep=population.haze_steep, slope=population.haze_slope)
+    deviation = _deviation(population, tables, variance, smooth, scale)
+    uniform = mean
+    if tables.path_density is not None:
+        denser = tables.path_density[rows]
+        mean, variance, deviation = mean * denser, variance * denser, deviation * denser.clamp_min(0.0).sqrt()
+    # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
+    there = (mean > LEAST) & (variance > LEAST)
+    variance = torch.where(there, variance, torch.ones_like(variance))
+    centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
+    spread = torch.log1p(variance / centre.square())
+    optical = centre * torch.exp(torch.sqrt(spread / variance) * deviation - 0.5 * spread)
+    optical = torch.where(there, optical, mean)
+    if fog_per_m is None:
+        return optical, None
+    ray = state.ray_per_depth[rows].float().expand(b, 1, last - first, width)
+    longest = state.ray_per_depth.flatten().amax(0).float()
+    clear = _mean_clear(population, tables, read, ray, longest, focal, fog_per_m)
+    return optical, optical * clear * scale / uniform.clamp_min(FLOOR)
+
+
+def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
+    """Interpolates tables ``(1 or B, nodes)`` at fractional node numbers ``(1 or B, 1, rows, W)``, the ends held."""
+    cell = node.detach().floor().clamp(0, nodes - 2)
+    share = (node - cell).clamp(0.0, 1.0)
+    place = cell.long()
+
+    def read(table: Tensor) -> Tensor:
+        flat, at = table.reshape(-1), place
+        if is_exporting() or len(table) > 1:
+            at = at + (torch.arange(table.shape[0], device=node.device) * nodes).view(-1, 1, 1, 1)
+        low, high = (flat.index_select(0, one.reshape(-1)).view(at.shape) for one in (at, at + 1))
+        return low + share * (high - low)
+
+    return read
+
+
+def _deviation(population: Population, tables: AtRate, variance: Tensor, smooth: Tensor, scale: Tensor) -> Tensor:
+    """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
+    total = torch.zeros_like(variance)
+    for number, shell in enumerate(population.tables.haze):
+        low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
+        high = tables.haze_variance[:, shell.last_node].view(-1, 1, 1, 1) * scale
+        inside = torch.minimum(variance, high) - low
+        positive = inside > 0
+        root = torch.sqrt(torch.where(positive, inside, torch.ones_like(inside)))
+        total = total + torch.where(positive, root, torch.zeros_like(root)) * smooth[:, number : number + 1]
+    return total
+
+
+def _mean_clear(
+    population: Population,
+    tables: AtRate,
+    read: Callable[[Tensor], Tensor],
+    ray: Tensor,
+    longest: Tensor,
+    focal: Tensor,
+    fog_per_m: Tensor,
+) -> Tensor:
+    """Haze per focal length weighted with the fog's transmission along the ray to it, ``(B, 1, rows, W)``.
+
+    Summed over depth for a few lengths of ray per depth, and interpolated between them.
+    """
+    t = population.tables
+    steps = tables.haze_depth[:, 1:] - tables.haze_depth[:, :-1]
+    middle = torch.arange(steps.shape[1], device=steps.device) + 0.5
+    middle_m = torch.exp(t.log_footprint_low + t.log_footprint_step * middle) * focal[:, None]
+    place = (ray - 1) / (longest - 1).clamp_min(1e-6) * (RAY_NODES - 1)
+    total = torch.zeros_like(ray)
+    for node in range(RAY_NODES):
+        length_m = middle_m * (1 + (longest - 1) * node / (RAY_NODES - 1))
+        clear = torch.cumsum(steps * torch.exp(-fog_per_m[:, None] * length_m), 1)
+        near = (1 - (place - node).abs()).clamp_min(0)
+        total = total + near * read(torch.nn.functional.pad(clear, (1, 0)))
+    return total
+
+
+def _streaky(noise: Tensor, tables: AtRate, first: int, last: int, *, steep: bool, slope: float) -> Tensor:
+    """White noise ``(B, J, H, W)`` with the correlation of each shell's streaks, rows ``first..last``.
+
+    Streaks run along the rows' direction (down the image) where ``steep``, else along the columns', and drift aside
+    by ``slope`` pixels per step. The maps repeat at the frame's edges.
+    """
+    along, across = tables.kernel_along, tables.kernel_across
+    taps = along.shape[-1] // 2
+    lean = math.ceil(taps * abs(slope))
+    if steep:
+        band = _row_window(noise, first - taps, last + taps)
+        return _along_columns(_along_rows(band, along, slope), across, 0.0)
+    band = _row_window(noise, first - taps - lean, last + taps + lean)
+    return _along_columns(_along_rows(band, across, 0.0), along, slope)
+
+
+def _along_rows(band: Tensor, kernel: Tensor, slope: float) -> Tensor:
+    """Weighted sum over neighbouring rows; the band loses ``taps`` rows at each end."""
+    taps = kernel.shape[-1] // 2
+    rows = band.shape[-2] - 2 * taps
+    total = band.new_zeros(())
+    for tap in range(-taps, taps + 1):
+        part = band[..., taps + tap : taps + tap + rows, :]
+        if slope:
+            part = _blend(tap * slope, lambda shift, part=part: torch.roll(part, -shift, -1))  # type: ignore[misc]
+        total = part * kernel[:, :, tap + taps, None, None] + total
+    return total
+
+
+def _along_columns(band: Tensor, kernel: Tensor, slope: float) -> Tensor:
+    """Weighted sum over neighbouring columns; with a slope, the band loses the rows of its lean at each end."""
+    taps = kernel.shape[-1] // 2
+    lean = math.ceil(taps * abs(slope))
+    rows = band.shape[-2] - 2 * lean
+    total = band.new_zeros(())
+    for tap in range(-taps, taps + 1):
+        part = torch.roll(band, -tap, -1)
+        if slope:
+            part = _blend(tap * slope, lambda shift, part=part: part[..., lean + shift : lean + shift + rows, :])  # type: ignore[misc]
+        total = part * kernel[:, :, tap + taps, None, None] + total
+    return total
+
+
+def _blend(shift: float, shifted: Callable[[int], Tensor]) -> Tensor:
+    """Noise shifted by a fraction of a pixel: weights of equal energy, so that its variance stays."""
+    whole = math.floor(shift)
+    share = shift - whole
+    if share == 0:
+        return shifted(whole)
+    energy = math.hypot(1 - share, share)
+    return shifted(whole) * ((1 - share) / energy) + shifted(whole + 1) * (share / energy)
+
+
+def _row_window(image: Tensor, first: int, last: int) -> Tensor:
+    """Rows ``first..last`` of an image that repeats downwards."""
+    height = image.shape[-2]
+    if not is_exporting() and first >= 0 and last <= height:
+        return image[..., first:last, :]
+    index = torch.arange(first, last, device=image.device)
+    if is_exporting():  # ONNX has no remainder by a size; the window is shorter than two images
+        index = torch.where(index < 0, index + height, index)
+        return image.index_select(-2, torch.where(index >= height, index - height, index))
+    return image.index_select(-2, index % height)

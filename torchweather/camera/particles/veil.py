@@ -1,0 +1,301 @@
+"""ParticleVeil: rain drops and snow flakes in the viewing frustum of a camera."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.atmosphere.weather import Rain, Snow, weather_from_dict
+from torchweather.camera.airlight import Airlight, airlight_argument, frame_mean, given_or_estimated, scaled_airlight
+from torchweather.camera.fog import FADING_COLOUR
+from torchweather.camera.particles.haze import haze_depth
+from torchweather.camera.particles.population import AtRate, Population
+from torchweather.camera.particles.sequence import next_frame
+from torchweather.camera.sensor import Camera
+from torchweather.camera.state import CameraState
+from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.random import Variate
+from torchweather.core.threads import one_thread_an_operation
+from torchweather.pipeline.registry import register
+from torchweather.pipeline.stage import Stage
+from torchweather.pipeline.tiling import by_rows, is_exporting
+
+__all__ = ["REFLECTED_SHARE", "ParticleVeil"]
+
+REFLECTED_SHARE = 0.06  # of the light of a drop comes from its outside: Garg & Nayar 2007, PHYSICS.md 4.1
+DROP_VIEWS = ("frame", "upper")
+FAINTEST = 1e-20  # optical depth below which a colour does not matter
+
+
+@register
+class ParticleVeil(Stage):
+    """Rain or snow between camera and scene, drawn particle by particle where it can be seen.
+
+    Every pixel's particles cover the share ``M = 1 - prod(1 - m)`` of its exposure, ``m`` the covered share of each
+    one that is nearer than the scene. The pixel becomes ``(1 - M) I + M C`` with C the particles' colour:
+    ``0.94`` of the scene's mean and ``0.06`` of the sky for drops, the albedo times the sky for flakes, per CFA colour
+    and linear in light (``PHYSICS.md`` 4.1-4.7). Particles seen through fog fade into the airlight.
+
+    Particles whose mark peaks above ``cut`` are rendered one by one; all others enter through the exact mean and
+    variance of their optical depth with the correlation of their streaks.
+
+    Identity: rate 0.
+
+    Args:
+        weathers: rain, snow or both, or their dictionaries.
+        camera: the camera, or its dictionary.
+        near_m, far_m: limits of the particles along the axis; beyond ``far_m`` the air is clear.
+        cut: peak coverage above which a particle is drawn one by one.
+        crowding: listed particles per pixel and e-fold of depth; where there are more, none is seen by itself and
+            the smallest count as haze.
+        ego_speed_m_per_s: of the vehicle, forward.
+        ambient: linear signal of the sky per colour; ``None`` estimates it from the frame.
+        drop_view: what a drop shows: the mean of the whole ``frame`` or of its ``upper`` three fifths.
+        rate_capacity_mm_per_h: highest rate that one draw serves; ``None`` is 100 mm/h for rain and 10 mm/h for
+            snow, or the weather's own rate where that is higher.
+        variant: ``d3_4`` takes D3.4's blend weight (1 + d)/(v t) in place of the covered share.
+    """
+
+    default_name: ClassVar[str] = "particle_veil"
+
+    def __init__(
+        self,
+        weathers: Sequence[Rain | Snow | Mapping[str, Any]],
+        camera: Camera | Mapping[str, Any],
+        near_m: float = 0.5,
+        far_m: float = 200.0,
+        cut: float = 1 / 1024,
+        crowding: float = 0.25,
+        ego_speed_m_per_s: float = 0.0,
+        ambient: Sequence[float] | float | str | None = None,
+        drop_view: str = "frame",
+        rate_capacity_mm_per_h: float | None = None,
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.camera = camera if isinstance(camera, Camera) else Camera.from_dict(camera)
+        check_positive("near_m", near_m, unit="m", owner=self)
+        check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
+        check_finite("far_m", far_m, unit="m", owner=self)
+        if rate_capacity_mm_per_h is not None:
+            check_positive("rate_capacity_mm_per_h", rate_capacity_mm_per_h, unit="mm/h", owner=self)
+        check_between("cut", cut, 1e-6, 1.0, owner=self)
+        check_positive("crowding", crowding, unit="particles per pixel", owner=self)
+        check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
+        check_one_of("drop_view", drop_view, DROP_VIEWS, owner=self)
+        built = [w if isinstance(w, (Rain, Snow)) else weather_from_dict(w) for w in weathers]
+        self.options: dict[str, Any] = {
+            "near_m": near_m,
+            "far_m": far_m,
+            "cut": cut,
+            "crowding": crowding,
+            "ego_speed_m_per_s": ego_speed_m_per_s,
+            "ambient": list(ambient) if isinstance(ambient, (list, tuple)) else ambient,
+            "drop_view": drop_view,
+            "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
+            "variant": variant,
+        }
+        self.drop_view = drop_view
+        self.given_ambient: Airlight = airlight_argument(ambient, self)
+        self.populations = torch.nn.ModuleList()
+        for weather in sorted(built, key=lambda part: part.kind):
+            if not isinstance(weather, (Rain, Snow)):
+                raise TypeError(f"ParticleVeil: weathers must be Rain or Snow; got {type(weather).__name__}.")
+            self.populations.append(
+                Population(
+                    weather,
+                    self.camera,
+                    near_m=near_m,
+                    far_m=far_m,
+                    cut=cut,
+                    crowding=crowding,
+                    ego_speed_m_per_s=ego_speed_m_per_s,
+                    rate_capacity_mm_per_h=rate_capacity_mm_per_h,
+                    published_blend=variant == "d3_4",
+                )
+            )
+
+    def at_ego_speed(self, ego_speed_m_per_s: float) -> ParticleVeil:
+        """The same particles seen from the vehicle at another, smaller speed; it takes the noise of this one.
+
+        Args:
+            ego_speed_m_per_s: forward; its magnitude is at most that of the constructor's.
+        """
+        fastest = abs(float(self.options["ego_speed_m_per_s"]))
+        check_between("ego_speed_m_per_s", ego_speed_m_per_s, -fastest, fastest, unit="m/s", owner=self)
+        other = copy.copy(self)
+        other._modules = dict(self._modules)
+        other.populations = torch.nn.ModuleList(part.at_ego_speed(ego_speed_m_per_s) for part in self.parts)
+        return other
+
+    @property
+    def parts(self) -> list[Population]:
+        """The populations, one for each kind of particle."""
+        return list(self.populations)  # type: ignore[arg-type]
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {
+            "weathers": [part.weather.to_dict() for part in self.parts],
+            "camera": self.camera.to_dict(),
+            **self.options,
+        }
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Points of every listed shell and the noise maps of the haze, for each kind of particle."""
+        return tuple(variate for part in self.parts for variate in part.variates())
+
+    def next_frame(
+        self,
+        noise: Mapping[str, Tensor],
+        size: tuple[int, int],
+        interval_s: float,
+        seeds: Sequence[int],
+        name: str,
+        frame: int,
+    ) -> dict[str, Tensor]:
+        """Noise ``(B, ...)`` of the next frame of a sequence; see ``torchweather.camera.particles.sequence``."""
+        samples = []
+        for row, seed in enumerate(seeds):
+            own = {key: value[row] for key, value in noise.items()}
+            samples.append(
+                {
+                    key: value
+                    for part in self.parts
+                    for key, value in next_frame(part, own, size, interval_s, seed, name, frame).items()
+                }
+            )
+        return {key: torch.stack([sample[key] for sample in samples]) for key in samples[0]}
+
+    def ambient(self, state: CameraState) -> Tensor:
+        """Signal of the sky per colour, ``(B, 3)``."""
+        if not isinstance(self.given_ambient, tuple) and state.airlight is not None:
+            return state.airlight  # the fog's stage has scaled it
+        return scaled_airlight(given_or_estimated(self.given_ambient, state, self), state)
+
+    def _colours(self, state: CameraState) -> list[Tensor]:
+        ambient = self.ambient(state)
+        colours = []
+        for part in self.parts:
+            if isinstance(part.weather, Snow):
+                colours.append(part.weather.albedo * ambient)
+            else:
+                colours.append((1 - REFLECTED_SHARE) * self._seen_through(state) + REFLECTED_SHARE * ambient)
+        return colours
+
+    def _seen_through(self, state: CameraState) -> Tensor:
+        if self.drop_view == "frame":
+            return frame_mean(state)
+        # Whole row pairs of the upper three fifths; sym_max, so that a graph of any height counts anew.
+        rows = torch.sym_max(2, state.signal.shape[-2] * 3 // 5 // 2 * 2)  # type: ignore[no-untyped-call]
+        return frame_mean(replace(state, signal=state.signal[..., :rows, :]))
+
+    def behind(self, state: CameraState, particle_mask: Tensor) -> CameraState:
+        """The frame behind particles of one kind, without fog, whose share of the exposure is known.
+
+        Args:
+            state: the frame.
+            particle_mask: ``(B, 1, H, W)``, as ``forward`` gives it.
+        """
+        if len(self.parts) != 1 or state.fog_extinction_per_m is not None:
+            raise ValueError("ParticleVeil.behind: one kind of particles, and no fog, has one colour; use forward.")
+        colour, contrast = state.per_pixel(self._colours(state)[0]), state.particle_contrast
+        mask = state.by_cells(particle_mask)
+        weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
+        signal = torch.lerp(state.by_cells(state.signal), colour, weight).flatten(2, 3)
+        if contrast is not None:
+            signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
+        return replace(state, signal=signal, particle_mask=particle_mask if state.keep_truth else None)
+
+    def optical_depth(self, state: CameraState, noise: Mapping[str, Tensor]) -> Tensor:
+        """Optical depth of all particles in front of the scene, ``(B, 1, H, W)``; ``forward`` covers 1 less its exp.
+
+        Args:
+            state: the frame, whose signal does not matter.
+            noise: as for ``forward``.
+        """
+        one = state.one_plane
+        total, shape = torch.zeros_like(one), one.shape
+        with one_thread_an_operation():
+            for part in self.parts:
+                part.check_rate()
+                table = part.in_air(state)
+                sharp, _ = part.listed_depth(state, noise, table)
+
+                def band(
+                    first: int, last: int, into: Tensor | None, part: Population = part, table: AtRate = table
+                ) -> tuple[Tensor]:
+                    return (haze_depth(part, state, noise, table, first, last)[0].expand(shape[0], -1, -1, -1),)
+
+                (haze,) = by_rows(band, shape, one, apart=True)
+                total += sharp.add_(haze)
+        return total
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        """The frame behind its particles."""
+        if is_exporting():
+            return self._render(state, noise)
+        with one_thread_an_operation():
+            return self._render(state, noise)
+
+    def _render(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        if state.signal.numel() == 0:
+            return replace(state, particle_mask=state.one_plane if state.keep_truth else None)
+        before = state
+        if state.sky is not None:
+            # Particles reach to the far limit in front of the sky. A pixel that is mostly sky shows those, not the few
+            # in front of the leaf that it has in part: where the share comes near 1, nothing jumps.
+            state = replace(state, depth_m=torch.where(state.sky > 0.5, torch.inf, state.depth_m))
+        for part in self.parts:
+            part.check_rate()
+        colours = [state.per_pixel(colour) for colour in self._colours(state)]
+        tables = [part.in_air(state) for part in self.parts]
+        contrast = state.particle_contrast
+        fog = state.fog_extinction_per_m
+        fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()
+        listed = [
+            part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
+        ]
+
+        def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
+            rows = (..., slice(first, last), slice(None))
+            depths, lights = [], []
+            for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
+                haze, haze_faded = haze_depth(part, state, noise, table, first, last, fog_per_m)
+                depths.append(state.by_cells(sharp[rows] + haze))
+                if sharp_faded is not None and haze_faded is not None:
+                    faded = state.by_cells(sharp_faded[rows] + haze_faded)
+                    colour = self._through_fog(state, colour, faded, depths[-1])
+                lights.append(colour)
+            total = sum(depths[1:], depths[0])
+            mask = -torch.expm1(-total).to(state.signal.dtype)
+            if state.near_mask is not None:  # nothing falls between the lens and the own vehicle
+                mask = mask * (1.0 - state.by_cells(state.near_mask[rows]).to(mask.dtype))
+            if len(lights) == 1:
+                light = lights[0].to(mask.dtype)
+            else:
+                light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
+            weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
+            signal = torch.lerp(state.by_cells(state.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
+            if contrast is not None:  # more than the whole way to the particles' colour may leave what there is
+                signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
+            return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
+
+        results = by_rows(band, state.signal.shape, state.signal, apart=True)
+        return replace(before, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
+
+    def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:
+        """Colour of particles seen through fog: their light fades, the airlight takes its place."""
+        # Both are set by the fog's stage.
+        assert state.airlight is not None
+        assert state.fog_extinction_per_m is not None
+        clear = (faded / optical.clamp_min(FAINTEST)).clamp(FAINTEST, 1.0)
+        reference = state.fog_extinction_per_m[:, FADING_COLOUR, None]
+        ratio = torch.where(reference > 0, state.fog_extinction_per_m / reference.clamp_min(FAINTEST), 1.0)
+        airlight = state.per_pixel(state.airlight)
+        return airlight + clear ** state.per_pixel(ratio) * (colour - airlight)

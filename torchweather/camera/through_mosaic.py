@@ -1,0 +1,87 @@
+"""RGB images by way of the mosaic that the camera would have recorded: sampled, weathered raw, demosaiced."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchweather.camera.bayer import mosaic
+from torchweather.camera.demosaic import demosaic
+from torchweather.camera.depth import SceneDepth
+from torchweather.camera.rgb_planes import linear_planes
+from torchweather.camera.sensor import Camera
+from torchweather.camera.tone import compand, expand, quantise, srgb_encode
+
+__all__ = ["image_of_mosaic", "mosaic_of_image", "padded", "padded_scene", "padded_size"]
+
+SMALLEST_PX = 4  # a mosaic needs two 2 x 2 cells in each direction to be demosaiced
+
+
+def mosaic_of_image(rgb: Tensor, camera: Camera) -> Tensor:
+    """The camera's raw float frame ``(..., 1, H', W')`` of an sRGB image, of the padded size."""
+    linear = linear_planes(rgb)
+    frame = mosaic(padded(linear, *padded_size(*rgb.shape[-2:])), camera.bayer_pattern)
+    return compand(frame, camera.response_knots) if camera.response_knots else frame
+
+
+def image_of_mosaic(before: Tensor | None, after: Tensor, rgb: Tensor, camera: Camera, method: str) -> Tensor:
+    """The image of the weather's mosaic; images whose mosaic did not change from before keep the input's own bits.
+
+    Args:
+        before: the mosaic without weather; ``None`` demosaics every image.
+        after: the mosaic in weather, raw.
+        rgb: the image that came in.
+        camera: pattern and companding of the mosaic.
+        method: of demosaicing.
+    """
+    height, width = rgb.shape[-2:]
+    linear = expand(after, camera.response_knots) if camera.response_knots else after
+    seen = srgb_encode(demosaic(linear, camera.bayer_pattern, method)[..., :height, :width])
+    unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before
+    changed = unlike.flatten(-3).any(-1)[..., None, None, None]
+    if rgb.is_floating_point():
+        return torch.where(changed, seen.to(rgb.dtype), rgb)
+    # uint16 knows few operations: choose in int32.
+    full = float(torch.iinfo(rgb.dtype).max)
+    return torch.where(changed, quantise(seen, torch.int32, 0.0, full), rgb.to(torch.int32)).to(rgb.dtype)
+
+
+def padded_size(height: int, width: int) -> tuple[int, int]:
+    """The next even size of at least two cells.
+
+    Example:
+        >>> padded_size(375, 1242), padded_size(1, 1)
+        ((376, 1242), (4, 4))
+    """
+    return max(SMALLEST_PX, math.ceil(height / 2) * 2), max(SMALLEST_PX, math.ceil(width / 2) * 2)
+
+
+def padded(image: Tensor, height: int, width: int) -> Tensor:
+    """``(..., H, W)`` enlarged at the bottom and right by reflection; a single row or column is repeated.
+
+    Example:
+        >>> padded(torch.tensor([[1, 2, 3]]), 2, 4)
+        tensor([[1, 2, 3, 2],
+                [1, 2, 3, 2]])
+    """
+    for axis, size in ((-2, height), (-1, width)):
+        present = image.shape[axis]
+        if size != present:
+            index = torch.arange(size, device=image.device)
+            mirrored = torch.where(index < present, index, (2 * (present - 1) - index).clamp_min(0))
+            image = image.index_select(axis, mirrored)
+    return image
+
+
+def padded_scene(scene: SceneDepth, height: int, width: int) -> SceneDepth:
+    """The scene of the padded image."""
+    larger: dict[str, Any] = {
+        name: padded(value, height, width)
+        for name in ("depth_m", "sky", "near_mask")
+        if (value := getattr(scene, name)) is not None
+    }
+    return replace(scene, **larger)

@@ -1,0 +1,280 @@
+"""The beams of a cloud: those with a return, those without, where each starts and how far it goes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchweather.core.errors import owner_name
+from torchweather.lidar.cloud_frame import points_in_sensor_frame
+from torchweather.lidar.scan import recover_ring
+from torchweather.lidar.sensor import Lidar, unit_directions
+from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends, ways_above_ground
+from torchweather.lidar.sweep.beam_heights import beam_heights_m
+from torchweather.lidar.sweep.completion import complete_scan as completed
+from torchweather.lidar.sweep.echo_pairs import first_rows, holds_pairs
+from torchweather.lidar.sweep.own_vehicle import OwnVehicle, OwnVehicleMask, rows_in_box
+from torchweather.lidar.sweep.sweep_rings import sweep_rings
+from torchweather.pipeline.tiling import is_exporting
+
+__all__ = ["COMPLETE_SCAN", "BeamFinder", "Beams", "beams_of"]
+
+COMPLETE_SCAN = (False, True, "sky")
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The beams of a cloud.
+
+    Args:
+        points: ``(B, N, C)`` in at least float32, from where the beams start; N with the beams that were appended.
+        empty_direction: ``(1 or B, N, 3)`` unit vectors for rows without return, or ``None``.
+        end_m: ``(B, N)`` way of each beam to its end, ``inf`` for those with a return (less for a return below the
+            ground); ``None``: the maximum range.
+        end: ``(B, N)`` int8, `BeamEnd` of each row; ``None`` in an exported graph.
+        height_m: ``(1 or B, N)`` at which the beams start over the sensor's origin, or ``None`` for 0.
+        first_row: ``(B, N)`` int64 first row of each row's beam where a file holds several echoes a beam, or ``None``.
+        scan: how beams without return were treated, in words.
+        appended: rows at the end that are not in the input.
+        on_own: ``(B, N)`` bool, returns that lie on the own vehicle; ``None`` where it is not known.
+    """
+
+    points: Tensor
+    empty_direction: Tensor | None
+    end_m: Tensor | None
+    end: Tensor | None
+    height_m: Tensor | None
+    first_row: Tensor | None
+    scan: str
+    appended: int
+    on_own: Tensor | None = None
+
+
+class BeamFinder:
+    """`beams_of` for one transform, with the last cloud's beams kept: a draw and the call after it find them once."""
+
+    def __init__(self) -> None:
+        self._cloud: Tensor | None = None
+        self._asked: tuple[Lidar, bool | str, bool, OwnVehicle | None] | None = None
+        self._beams: Beams | None = None
+
+    def __call__(
+        self,
+        points: Tensor,
+        sensor: Lidar,
+        directions: Tensor | None,
+        *,
+        complete_scan: bool | str,
+        at_scene: bool,
+        own_vehicle: OwnVehicle | None,
+        owner: object,
+    ) -> Beams:
+        """As `beams_of`, of a cloud ``(..., N, C)`` in its own frame."""
+        keeps = bool(complete_scan) and directions is None and not points.requires_grad
+        if keeps and self._beams is not None and self._asked == (sensor, complete_scan, at_scene, own_vehicle):
+            # By value: a buffer that somebody writes anew is another cloud.
+            kept = self._cloud
+            alike = kept is not None and (kept.dtype, kept.device) == (points.dtype, points.device)
+            if alike and kept is not None and torch.equal(kept, points):
+                return self._beams
+        local = points_in_sensor_frame(points, sensor)
+        beams = beams_of(
+            local,
+            sensor,
+            directions,
+            complete_scan=complete_scan,
+            at_scene=at_scene,
+            own_vehicle=own_vehicle,
+            owner=owner,
+        )
+        if keeps:
+            self._beams, self._cloud = beams, points.detach().clone()
+            self._asked = sensor, complete_scan, at_scene, own_vehicle
+        return beams
+
+    def __deepcopy__(self, memo: dict[int, object]) -> BeamFinder:
+        return BeamFinder()
+
+    def __reduce__(self) -> tuple[type[BeamFinder], tuple[()]]:
+        return BeamFinder, ()
+
+
+def beams_of(
+    points: Tensor,
+    sensor: Lidar,
+    directions: Tensor | None,
+    *,
+    complete_scan: bool | str,
+    at_scene: bool = True,
+    own_vehicle: OwnVehicle | None = None,
+    owner: object,
+) -> Beams:
+    """Flatten the batch, and find the direction and the end of beams without return.
+
+    Args:
+        points: ``(..., N, C)`` in the sensor's frame.
+        sensor: the LiDAR.
+        directions: ``(N, 3)`` or ``(..., N, 3)`` of every row, or ``None``.
+        complete_scan: append the beams that the scan pattern lacks; ``"sky"`` only those that end in the sky.
+        at_scene: find where beams without return end; else they go to the maximum range.
+        own_vehicle: mask or box of it; names the returns that lie on it.
+        owner: for messages.
+    """
+    count, columns = points.shape[-2:]
+    batch = math.prod(points.shape[:-2])
+    flat = points.reshape(batch, count, columns)
+    if flat.dtype not in (torch.float32, torch.float64):
+        flat = flat.float()
+    beams = _beams_of(points, flat, sensor, directions, complete_scan, at_scene, own_vehicle, owner)
+    if own_vehicle is None or beams.on_own is not None:
+        return beams
+    if isinstance(own_vehicle, OwnVehicleMask):
+        on_own = torch.stack([_on_mask(cloud.detach(), sensor, own_vehicle) for cloud in flat])
+    else:
+        squared_m2 = flat[..., :3].square().sum(-1)
+        on_own = (squared_m2 > 0) & (squared_m2 >= sensor.min_range_m**2) & rows_in_box(flat[..., :3], own_vehicle)
+    return replace(beams, on_own=torch.nn.functional.pad(on_own, (0, beams.appended)))
+
+
+def _beams_of(
+    points: Tensor,
+    flat: Tensor,
+    sensor: Lidar,
+    directions: Tensor | None,
+    complete_scan: bool | str,
+    at_scene: bool,
+    own_vehicle: OwnVehicle | None,
+    owner: object,
+) -> Beams:
+    if directions is not None:
+        if complete_scan:
+            raise ValueError(
+                f"{owner_name(owner)}: complete_scan is for clouds without directions; give one or the other."
+            )
+        along = _fitting(unit_directions(directions, owner=owner), points, owner).to(flat)
+        height_m = beam_heights_m(flat, sensor)
+        words = "directions given for every row"
+        beams = Beams(_lowered(flat, height_m), along, None, None, height_m, None, words, 0)
+        return beams if is_exporting() or not at_scene else _with_ends(beams, sensor)
+    if complete_scan:
+        mask = own_vehicle if isinstance(own_vehicle, OwnVehicleMask) else None
+        beams = _completed(flat, sensor, mask, sky_alone=complete_scan == "sky")
+        if at_scene or beams.end_m is None:
+            return beams
+        there = (beams.empty_direction != 0).any(-1) if beams.empty_direction is not None else beams.end_m > 0
+        return replace(beams, end_m=torch.where(there, sensor.max_range_m, beams.end_m))
+    height_m = beam_heights_m(flat, sensor)
+    words = "the rows that exist; a row without return has no direction and stays empty"
+    beams = Beams(_lowered(flat, height_m), None, None, None, height_m, None, words, 0)
+    if is_exporting():
+        return beams
+    beams = replace(beams, first_row=_pairs(beams.points, sensor))
+    there = (flat[..., :3] != 0).any(-1)
+    return replace(beams, end=torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8))
+
+
+def _lowered(flat: Tensor, height_m: Tensor | None) -> Tensor:
+    """The cloud from where its beams start; rows at the origin hold no return and stay there."""
+    if height_m is None:
+        return flat
+    x, y, z, *more = flat.unbind(-1)
+    there = (x != 0) | (y != 0) | (z != 0)
+    return torch.stack([x, y, torch.where(there, z - height_m.to(z), z), *more], -1)
+
+
+def _fitting(directions: Tensor, points: Tensor, owner: object) -> Tensor:
+    count = points.shape[-2]
+    batch = points.shape[:-2]
+    if directions.shape[-2] != count:
+        raise ValueError(
+            f"{owner_name(owner)}: directions must have one row for each of the {count} points; got "
+            f"{tuple(directions.shape)}. An organised cloud keeps a row for every beam, range 0 where none returned."
+        )
+    if directions.ndim == 2:
+        return directions[None]
+    if directions.shape[:-2] != batch:
+        raise ValueError(
+            f"{owner_name(owner)}: directions {tuple(directions.shape)} must lead with the batch shape {tuple(batch)}."
+        )
+    return directions.reshape(-1, count, 3)
+
+
+def _with_ends(beams: Beams, sensor: Lidar) -> Beams:
+    """The beams of an organised cloud with the ends of those without return."""
+    points, along = beams.points, beams.empty_direction
+    assert along is not None
+    returns = (points[..., :3].square().sum(-1) > sensor.min_range_m**2) & (points[..., :3] != 0).any(-1)
+    end_m = torch.full(returns.shape, torch.inf, dtype=points.dtype)
+    end = torch.full(returns.shape, int(BeamEnd.RETURN), dtype=torch.int8)
+    for sample, hit in enumerate(returns.cpu()):
+        if bool(hit.all()):
+            continue
+        direction = along[min(sample, len(along) - 1)].detach().cpu()[~hit]
+        known = (direction != 0).any(-1)
+        xyz = points[sample, :, :3].detach().cpu()[hit].numpy()
+        step_deg = 360.0 / sensor.columns if sensor.columns else 0.2
+        found = beam_ends(xyz, direction.numpy(), sensor.max_range_m, step_deg=step_deg)
+        end_m[sample, hit] = torch.from_numpy(ways_above_ground(xyz, found.ground, 0.0)).to(end_m)
+        end_m[sample, ~hit] = torch.where(known, torch.from_numpy(found.distance_m), 0.0).to(end_m)
+        end[sample, ~hit] = torch.where(known, torch.from_numpy(found.end), int(BeamEnd.UNKNOWN)).to(torch.int8)
+    return replace(beams, end_m=end_m.to(points), end=end.to(points.device))
+
+
+def _on_mask(cloud: Tensor, sensor: Lidar, mask: OwnVehicleMask) -> Tensor:
+    held = mask.holds(cloud[:, :3].cpu().numpy(), sweep_rings(cloud, sensor).ring.cpu().numpy())
+    return torch.from_numpy(held).to(cloud.device)
+
+
+def _completed(flat: Tensor, sensor: Lidar, mask: OwnVehicleMask | None, *, sky_alone: bool) -> Beams:
+    """Append the beams that the scan pattern has and the cloud lacks; samples that lack fewer get rows of zeros."""
+    batch, count, columns = flat.shape
+    sweeps = [completed(cloud.detach(), sensor, sky_alone=sky_alone, own_vehicle=mask) for cloud in flat]
+    most = max((len(sweep.direction) for sweep in sweeps), default=0)
+    rows = flat.new_zeros(batch, most, columns)
+    direction = flat.new_zeros(batch, count + most, 3)
+    end_m = flat.new_zeros(batch, count + most)
+    end = torch.full((batch, count + most), int(BeamEnd.UNKNOWN), dtype=torch.int8, device=flat.device)
+    heights = any(sweep.height_m is not None for sweep in sweeps)
+    height_m = flat.new_zeros(batch, count + most) if heights else None
+    for sample, sweep in enumerate(sweeps):
+        own = slice(count, count + len(sweep.direction))
+        direction[sample, own] = sweep.direction.to(flat)
+        end_m[sample, :count] = sweep.row_way_m
+        end_m[sample, own] = sweep.end_m.to(flat)
+        end[sample, :count] = sweep.row_end
+        end[sample, own] = sweep.end
+        rows[sample, : len(sweep.direction)] = sweep.rows.to(flat)
+        if height_m is not None and sweep.height_m is not None and sweep.row_height_m is not None:
+            height_m[sample, :count] = sweep.row_height_m
+            height_m[sample, own] = sweep.height_m
+    first_row = None
+    if any(sweep.first_row is not None for sweep in sweeps):
+        own_rows = torch.arange(count + most, device=flat.device)
+        first_row = own_rows.repeat(batch, 1)
+        for sample, sweep in enumerate(sweeps):
+            if sweep.first_row is not None:
+                first_row[sample, :count] = sweep.first_row
+    words = "; ".join(dict.fromkeys(sweep.words for sweep in sweeps))
+    points = torch.cat([_lowered(flat, None if height_m is None else height_m[:, :count]), rows], 1)
+    on_own = None
+    if mask is not None:
+        own_rows_of = [sweep.row_own for sweep in sweeps if sweep.row_own is not None]
+        on_own = torch.nn.functional.pad(torch.stack(own_rows_of), (0, most)) if own_rows_of else None
+    return Beams(points, direction, end_m, end, height_m, first_row, words, most, on_own)
+
+
+def _pairs(points: Tensor, sensor: Lidar) -> Tensor | None:
+    """First row of each row's beam ``(B, N)``, where there are more returns than the sensor has beams."""
+    rings, columns = sensor.elevations_deg, sensor.columns
+    if rings is None or columns is None or not holds_pairs(points.shape[1], len(rings), columns):
+        return None
+    found = []
+    for cloud in points.detach():
+        ring = recover_ring(cloud, replace(sensor, origin_heights_m=None)) if sensor.ring_column is None else None
+        number = cloud[:, sensor.ring_column or 0].long() if ring is None else ring
+        rows = first_rows(cloud[:, :3].double().cpu().numpy(), number.cpu().numpy(), 360.0 / columns)
+        found.append(torch.from_numpy(rows).to(points.device))
+    return torch.stack(found)

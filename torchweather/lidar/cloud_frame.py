@@ -1,0 +1,107 @@
+"""The frame of a cloud and that of the sensor that took it: where the sensor stands and which way it looks.
+
+A cloud may lie in the frame of the vehicle (Waymo: the origin is the rear axle) while a LiDAR's beams start at the
+sensor. ``Lidar.origin_m`` and ``Lidar.rotation`` say where:
+
+``p_cloud = rotation @ p_sensor + origin_m``; the columns of the rotation are the sensor's x, y, z in the cloud's frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchweather.lidar.pose import Rotation
+from torchweather.lidar.sensor import Lidar
+
+__all__ = ["points_in_cloud_frame", "points_in_sensor_frame"]
+
+
+def is_apart(lidar: Lidar) -> bool:
+    """Tell whether the sensor's frame differs from the cloud's."""
+    return lidar.rotation is not None or any(lidar.origin_m)
+
+
+def points_in_sensor_frame(points: Tensor, lidar: Lidar) -> Tensor:
+    """A cloud in the sensor's frame; rows at the cloud's origin hold no return and stay there.
+
+    Args:
+        points: ``(..., N, 3 or more)`` in the cloud's frame: x, y, z in metres, further columns.
+        lidar: with ``origin_m`` and ``rotation``.
+
+    Returns:
+        ``(..., N, 3 or more)``, the further columns as they are; ``points`` itself where the frames are the same.
+
+    Example:
+        >>> from torchweather.sensors import Lidar
+        >>> lidar = Lidar(905.0, origin_m=(1.0, 0.0, 2.0))
+        >>> points_in_sensor_frame(torch.tensor([[11.0, 5.0, 0.0, 9.0], [0.0, 0.0, 0.0, 0.0]]), lidar)
+        tensor([[10.,  5., -2.,  9.],
+                [ 0.,  0.,  0.,  0.]])
+    """
+    if not is_apart(lidar):
+        return points
+    here = points[..., :3]
+    wide = here if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() else here.double()
+    local = wide - wide.new_tensor(lidar.origin_m)
+    if lidar.rotation is not None:
+        local = local @ wide.new_tensor(lidar.rotation)
+    local = torch.where((here == 0).all(-1, keepdim=True), torch.zeros_like(here), local.to(here))
+    return torch.cat([local, points[..., 3:]], -1)
+
+
+def points_in_cloud_frame(
+    values: Tensor, local: Tensor, given: Tensor, lidar: Lidar, height_m: Tensor | None = None
+) -> Tensor:
+    """A result in the cloud's frame; rows that nothing moved have the bits that they came with.
+
+    Args:
+        values: ``(..., N, C)`` in the sensor's frame, from where each beam starts.
+        local: ``(..., N, C)`` the cloud that went in, likewise; rows of 0 where it was completed.
+        given: ``(..., M, C)`` the same as it came, M <= N, in the cloud's frame.
+        lidar: with ``origin_m`` and ``rotation``.
+        height_m: ``(..., N)`` at which the beams start over the sensor's origin; ``None`` is 0.
+
+    Returns:
+        ``(..., N, C)`` in the dtype of ``values``; rows of 0 (lost) stay so.
+    """
+    if not is_apart(lidar) and height_m is None:
+        return values
+    here = values[..., :3]
+    wide = here if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() else here.double()
+    if height_m is not None:
+        x, y, z = wide.unbind(-1)
+        wide = torch.stack([x, y, z + height_m.to(wide)], -1)
+    if lidar.rotation is not None:
+        wide = wide @ wide.new_tensor(lidar.rotation).T
+    moved = (wide + wide.new_tensor(lidar.origin_m)).to(here)
+    more = values.shape[-2] - given.shape[-2]
+    came = torch.nn.functional.pad(given[..., :3].to(here), (0, 0, 0, more))
+    nothing = (here == 0).all(-1, keepdim=True)
+    untouched = (here == local[..., :3]).all(-1, keepdim=True)
+    moved = torch.where(nothing, torch.zeros_like(here), moved)
+    return torch.cat([torch.where(untouched, came, moved), values[..., 3:]], -1)
+
+
+def directions_in_sensor_frame(directions: Tensor | None, lidar: Lidar) -> Tensor | None:
+    """Directions ``(..., N, 3)`` of the cloud's frame in the sensor's."""
+    if directions is None or lidar.rotation is None:
+        return directions
+    return directions @ directions.new_tensor(lidar.rotation)
+
+
+def pose_words(origin_m: Sequence[float], rotation: Rotation | None) -> str:
+    """Where a sensor stands, in words.
+
+    Example:
+        >>> pose_words((1.43, 0.0, 2.18), None)
+        '(1.43, 0.00, 2.18) m'
+    """
+    place = f"({', '.join(f'{value:.2f}' for value in origin_m)}) m"
+    if rotation is None:
+        return place
+    turned_deg = math.degrees(math.acos(max(-1.0, min(1.0, (sum(rotation[k][k] for k in range(3)) - 1.0) / 2.0))))
+    return f"{place}, turned by {turned_deg:.1f} degrees"

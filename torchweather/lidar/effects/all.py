@@ -1,0 +1,91 @@
+"""The effects of LiDAR, in the order of the catalogue."""
+
+from __future__ import annotations
+
+from torchweather.lidar.effects.air import (
+    LidarBeamDivergence,
+    LidarExtinctionScale,
+    LidarLimitedExtent,
+    LidarParticleBackscatter,
+    LidarPatchyWeather,
+    LidarSectorLoss,
+    LidarSpray,
+    LidarStaticStructure,
+    LidarWetTarget,
+    LidarWindowLoss,
+)
+from torchweather.lidar.effects.receiver import (
+    LidarBlindZone,
+    LidarCrosstalk,
+    LidarIntensityCompression,
+    LidarIsolatedReturnFilter,
+    LidarLastReturn,
+    LidarRangeBias,
+    LidarRangeNoise,
+    LidarRangeStretch,
+    LidarRingGain,
+    LidarThresholdShift,
+)
+from torchweather.lidar.effects.structure import (
+    LidarParticleDensityAzimuth,
+    LidarParticleDensityElevation,
+    LidarParticleSizes,
+    LidarSharedParticles,
+)
+from torchweather.pipeline.effect import EFFECTS, register_effect
+
+__all__ = [
+    "EFFECTS",
+    "LidarBeamDivergence",
+    "LidarBlindZone",
+    "LidarCrosstalk",
+    "LidarExtinctionScale",
+    "LidarIntensityCompression",
+    "LidarIsolatedReturnFilter",
+    "LidarLastReturn",
+    "LidarLimitedExtent",
+    "LidarParticleBackscatter",
+    "LidarParticleDensityAzimuth",
+    "LidarParticleDensityElevation",
+    "LidarParticleSizes",
+    "LidarPatchyWeather",
+    "LidarRangeBias",
+    "LidarRangeNoise",
+    "LidarRangeStretch",
+    "LidarRingGain",
+    "LidarSectorLoss",
+    "LidarSharedParticles",
+    "LidarSpray",
+    "LidarStaticStructure",
+    "LidarThresholdShift",
+    "LidarWetTarget",
+    "LidarWindowLoss",
+]
+
+for _effect in (
+    LidarBeamDivergence,
+    LidarIsolatedReturnFilter,
+    LidarThresholdShift,
+    LidarWindowLoss,
+    LidarExtinctionScale,
+    LidarWetTarget,
+    LidarBlindZone,
+    LidarRangeNoise,
+    LidarRangeBias,
+    LidarLimitedExtent,
+    LidarLastReturn,
+    LidarStaticStructure,
+    LidarIntensityCompression,
+    LidarRangeStretch,
+    LidarCrosstalk,
+    LidarParticleBackscatter,
+    LidarSectorLoss,
+    LidarPatchyWeather,
+    LidarSpray,
+    LidarRingGain,
+    LidarParticleDensityAzimuth,
+    LidarParticleDensityElevation,
+    LidarParticleSizes,
+    LidarSharedParticles,
+):
+    register_effect(_effect)

@@ -1,0 +1,1 @@
+"""Returns of drops, flakes and fog in a beam."""

@@ -1,0 +1,235 @@
+"""BeamParticles: how many drops or flakes of a beam return more than a given signal, as a function of range.
+
+``Lambda(e, R) = int A_b(r) N_>(D_e(r)) dr`` up to R. A particle of diameter D at range r returns, over the system
+constant, ``g(r) min(1, (D / D_b(r))^2)``, where g is the signal of one that fills the beam; ``D_e(r)`` is the diameter
+that returns e, and N_> the number of larger particles per m^3.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.atmosphere.density_field import BanksAlongBeams, of_beams
+from torchweather.atmosphere.weather import Rain, Snow
+from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.random import Variate
+from torchweather.lidar.beam import Beam, RangeGrid
+from torchweather.lidar.returns.strongest import expected_number
+from torchweather.lidar.sensor import Lidar
+from torchweather.physics import KnobTable, axial_q_back, melted_diameter_mm, rain_q_back, water_refractive_index
+
+__all__ = ["SIZE_KNOTS_MM", "BeamParticles", "RATE_HIGH_MM_PER_H", "RATE_LOW_MM_PER_H", "RATE_NODES"]
+
+RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES = 1e-3, 300.0, 64
+DIAMETER_NODES = 512
+SIGNAL_NODES = 65  # cells by powers of two: the search in strongest.py halves them
+FAINTEST = 1e-3  # of the threshold: particles below it are not drawn
+SMALLEST_MM = 1e-2  # measured bins may begin at 0; below this nothing is seen
+FEW_PER_M3 = 1e-9  # number that counts as none: a beam holds 10 m^3 at most
+SIZE_KNOTS_MM = (1.0, 2.0, 4.0, 8.0)  # outlines at which the number of particles may be another (``between``)
+SHARE_MORE = 1e-4  # probability that a beam holds more visible particles than are drawn
+MOST_PARTICLES = 64
+# D3.4 as published (PHYSICS.md 5, 8): a cylinder of radius 4.75 mm, drops of 0.5-6 mm, evenly from 10 % of the object's
+# range to it, seen where D > 0.584 mm x R[m] (what 10 fs and 3.28 photons mean together).
+PUBLISHED_RADIUS_M = 4.75e-3
+PUBLISHED_DOMAIN_MM = (0.5, 6.0)
+PUBLISHED_START = 0.1
+PUBLISHED_SEEN_M_PER_M = 0.584e-3
+
+
+class BeamParticles(nn.Module):
+    """Rain drops or snow flakes in a LiDAR's beams; used by ``ParticleReturns``.
+
+    Args:
+        weather: the precipitation.
+        sensor: the LiDAR.
+        q_back: backscatter efficiency of a particle; ``None`` is 0.2 for drops (0.06 at 1550 nm) and a Lambertian disk
+            of the flake's albedo; ``"glints"`` the lower bound for drops, front and rear glint of 1 mm spheres.
+        published: D3.4's beam, drops and detection limit.
+    """
+
+    rate_mm_per_h: Tensor
+    q_back: Tensor
+
+    def __init__(self, weather: Rain | Snow, sensor: Lidar, *, q_back: float | str | None, published: bool) -> None:
+        super().__init__()
+        self.weather, self.kind, self.published = weather, weather.kind, published
+        self.grid = (
+            RangeGrid(1e-3, sensor.max_range_m, 1.0)  # D3.4 knows no near-range response
+            if published
+            else RangeGrid.of(sensor)
+        )
+        self.register_buffer("rate_mm_per_h", torch.as_tensor(weather.rate_mm_per_h, dtype=torch.float32))
+        self.register_buffer("q_back", torch.tensor(_q_back(weather, sensor, q_back), dtype=torch.float32))
+        self._set_tails()
+        self._set_signals(sensor)
+        self.echoes = 1 if sensor.return_mode == "strongest" else self._echoes(Beam(sensor))
+
+    def _set_tails(self) -> None:
+        """N_> over ln(outline's diameter), as a function of the rate."""
+        some = self.weather.distribution(torch.tensor([RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H]))
+        counted_low = max(some.diameter_min_mm, SMALLEST_MM)
+        counted_high = min(some.diameter_max_mm, some.span_mm()[1])
+        if self.published:
+            counted_low, counted_high = PUBLISHED_DOMAIN_MM
+        ends = self.weather.physical_diameter_mm(torch.tensor([counted_low, counted_high], dtype=torch.float64))
+        self.smallest_m, self.largest_m = (float(end) * 1e-3 for end in ends)
+        steps = torch.arange(DIAMETER_NODES, dtype=torch.float64) / (DIAMETER_NODES - 1)
+        outline = 1e3 * self.smallest_m * torch.exp(steps * math.log(self.largest_m / self.smallest_m))
+        counted = melted_diameter_mm(outline) if self.weather.particle == "melted-flake" else outline
+
+        def tail(rate: Tensor) -> Tensor:
+            distribution = self.weather.distribution(rate)
+            whole = distribution.tail_per_m3(counted)
+            return (whole - distribution.tail_per_m3(counted[-1:])).clamp_min(0.0) + FEW_PER_M3
+
+        self.tail = KnobTable(tail, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+
+    def _set_signals(self, sensor: Lidar) -> None:
+        """Nodes of the signal, uniform in its logarithm, from far below the threshold to the brightest particle."""
+        with torch.no_grad():
+            full, diameter_m, _ = self._seen(Beam(sensor), torch.zeros(1))
+            brightest = float((full * (self.largest_m / diameter_m).clamp_max(1.0) ** 2).max())
+        threshold = sensor.threshold_per_m2_sr
+        self.log_low = math.log(FAINTEST * threshold)
+        self.log_step = (math.log(2.0 * max(brightest, threshold)) - self.log_low) / (SIGNAL_NODES - 1)
+
+    def _seen(
+        self, beam: Beam, extinction_per_m: Tensor, air: BanksAlongBeams | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Signal of a particle that fills the beam ``(B, cells, G)``; the beam's diameter, area ``(1 or B, ...)``."""
+        range_m = self.grid.quadrature_m
+        clear = torch.exp(-2.0 * extinction_per_m[:, None, None] * (range_m if air is None else air.way_m(range_m)))
+        if self.published:
+            # A drop as wide as the beam; the same law D^2 / R^2, fixed at the published limit.
+            diameter_m = torch.full_like(range_m, 2.0 * PUBLISHED_RADIUS_M)
+            full = beam.threshold * (diameter_m / (PUBLISHED_SEEN_M_PER_M * range_m)).square()
+            full = full.expand(extinction_per_m.shape[0], *range_m.shape)
+            area = 0.25 * math.pi * diameter_m.square() / (1.0 - PUBLISHED_START)
+            return full, diameter_m[None], area[None]
+        brightness_per_sr = self.q_back / (4.0 * math.pi)
+        full = brightness_per_sr * beam.near_response(range_m) * clear / range_m.square()
+        shape = (-1, *range_m.shape)
+        return full, beam.diameter_m(range_m).reshape(shape), beam.area_m2(range_m).reshape(shape)
+
+    def between(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
+    ) -> Tensor:
+        """Expected number of particles from one node of the signal to the next up to each node of range, ``(B, E, P)``.
+
+        Args:
+            beam: the sensor's.
+            extinction_per_m: ``(B,)`` of all weather together.
+            density_scale: ``(B,)`` particles over those of the rate; ``None`` is 1.
+            air: patches along each of the B beams; ``None`` is the same everywhere.
+            sizes: ``(B, knots)`` number of particles at ``SIZE_KNOTS_MM`` over that of the rate; ``None`` is 1.
+        """
+        batch = extinction_per_m.shape[0]
+        full, diameter_m, area_m2 = self._seen(beam, extinction_per_m, air)
+        signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES, device=full.device))
+        ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
+        log_diameter = 0.5 * torch.log(ratio) + torch.log(diameter_m)[:, None]
+        step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
+        position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1.0)
+        node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
+        tails = self._tails(batch)
+        if sizes is not None:
+            tails = self._of_sizes(tails, sizes.to(tails))
+        if density_scale is not None:
+            tails = tails * density_scale.to(tails)[:, None]
+        flat = node.flatten(1)
+        per_m3 = torch.lerp(tails.gather(1, flat), tails.gather(1, flat + 1), (position - node).flatten(1))
+        per_m = torch.where(ratio < 1.0, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2[:, None]
+        if air is not None:
+            per_m = per_m * air.density_at(self.grid.quadrature_m)[:, None]
+        next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
+        return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
+
+    def _tails(self, batch: int) -> Tensor:
+        """N_>, m^-3, at the nodes of diameter, ``(B, D)``."""
+        tails: Tensor = self.tail(self.rate_mm_per_h.reshape(-1))
+        return of_beams((tails - FEW_PER_M3).clamp_min(0.0), batch)
+
+    def _of_sizes(self, tails: Tensor, factors: Tensor) -> Tensor:
+        """N_> ``(B, D)`` with the number of each size times a factor, linear in ln D between the knots ``(B, knots)``.
+
+        A sample whose factors are all 1 keeps its bits.
+        """
+        step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
+        middle = math.log(1e3 * self.smallest_m) + step * (torch.arange(DIAMETER_NODES - 1, device=tails.device) + 0.5)
+        place = ((middle.to(tails) - math.log(SIZE_KNOTS_MM[0])) / math.log(2.0)).clamp(0.0, len(SIZE_KNOTS_MM) - 1.0)
+        knot = place.floor().clamp_max(len(SIZE_KNOTS_MM) - 2)
+        low = knot.to(torch.int64)
+        factor = torch.lerp(factors[:, low], factors[:, low + 1], place - knot)  # (B, D - 1)
+        cells = (tails[:, :-1] - tails[:, 1:]) * factor
+        more = torch.cat([cells.flip(1).cumsum(1).flip(1), torch.zeros_like(tails[:, :1])], 1) + tails[:, -1:]
+        return torch.where((factors == 1.0).all(1, keepdim=True), tails + (more - more.detach()), more)
+
+    def expected_above(self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, reach_m: Tensor) -> Tensor:
+        """Lambda(e, R): expected number of particles before ``reach_m`` above ``signal``, ``(B, N)``."""
+        row = ((torch.log(signal.clamp_min(1e-30)) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
+        return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
+
+    def places(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
+    ) -> None:
+        """Where particles of a signal are follows from ``between``."""
+
+    def start(self, reach_m: Tensor) -> Tensor | None:
+        """Place on the grid from which particles count; ``None`` is its first node."""
+        return self.grid.position(PUBLISHED_START * reach_m) if self.published else None
+
+    def signal_at(self, row: Tensor, beam: Beam) -> Tensor:
+        """Signal at a place on the axis of signals."""
+        return torch.exp(self.log_low + self.log_step * row)
+
+    def parameters_of_table(self) -> tuple[Tensor, ...]:
+        """What ``between`` depends on besides the beam and the extinction, as far as it can change."""
+        return self.rate_mm_per_h, self.q_back
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Arrivals (the E of ``strongest.py``, as ``1 - exp(-E)``) and places of the strongest of each beam."""
+        shape = (self.echoes, "N")
+        return Variate(f"{self.kind}_arrival", "uniform", shape), Variate(f"{self.kind}_place", "uniform", shape)
+
+    def _echoes(self, beam: Beam) -> int:
+        """How many particles a beam needs so that more are above threshold with a probability below ``SHARE_MORE``."""
+        with torch.no_grad():
+            rate = self.rate_mm_per_h.reshape(-1)
+            clear = torch.zeros(rate.numel())
+            reach = torch.full((rate.numel(), 1), self.grid.far_m)
+            mean = float(self.expected_above(beam, beam.threshold.expand_as(reach), clear, reach).max())
+        term = share = math.exp(-mean)
+        for number in range(1, MOST_PARTICLES):
+            if 1.0 - share < SHARE_MORE:
+                return max(1, number - 1)
+            term *= mean / number
+            share += term
+        return MOST_PARTICLES
+
+
+def _q_back(weather: Rain | Snow, sensor: Lidar, given: float | str | None) -> float:
+    if isinstance(given, str):
+        check_one_of("q_back", given, ("glints",), owner="BeamParticles")
+        if isinstance(weather, Snow):
+            raise ValueError('BeamParticles: q_back="glints" is for drops; a flake has an albedo (Snow(albedo=...)).')
+        index = water_refractive_index(sensor.wavelength_nm, weather.temperature_c)
+        return float(axial_q_back(index, diameter_mm=1.0, wavelength_nm=sensor.wavelength_nm))
+    if given is not None:
+        check_positive("q_back", given, owner="BeamParticles")
+        return float(given)
+    # A Lambertian disk of albedo rho returns rho / pi per steradian, which is Q_back / (4 pi).
+    return 4.0 * weather.albedo if isinstance(weather, Snow) else rain_q_back(sensor.wavelength_nm)

@@ -1,0 +1,303 @@
+r"""SoftReturn: the return of fog in a LiDAR's beams, a continuous medium whose signal is counted in photons.
+
+The receiver sees the pulse spread over the fog in front of it,
+
+    S(r) = beta (c/2) int_0^{2 tau} sin^2(pi t / 2 tau) f(r + c tau/2 - c t/2) dt,   f(r) = xi(r) exp(-2 alpha r) / r^2,
+
+with tau the pulse width (FWHM); r is counted so that a hard target stands at its own range. The photons of S within one
+pulse length l = c tau/2 are Poisson distributed. The receiver's response is the pulse itself, so that this noise is
+correlated as sin^2 with itself, over about a pulse length. The reading of a beam is the largest value of the waveform.
+
+Let F(e; S) = Phi(z) be the distribution of a value, z that of a standard normal one of the same rank. A value e is
+exceeded where the noise first crosses z(e, r) upwards. With lambda the mean square slope of the noise and w the slope
+of z over its root, Rice's formula gives the rate of crossings at which none was before,
+
+    sqrt(lambda) M(z) [h(w) + max(-w, 0)],   M(z) = phi(z) / Phi(z),   h(w) = phi(w) - |w| (1 - Phi(|w|)),
+
+and the second term, of a waveform that rises through e by itself, integrates to -ln F, so that
+
+    P(largest before R <= e) = exp(-Lambda(e, R)),   Lambda(e, R) = -ln F(e; max S) + sqrt(lambda) int_0^R M h(w) dr.
+
+So the strongest return of fog is drawn from a table of Lambda just as the strongest particle is. The largest value lies
+where the noise has the slope of z: at r with a density that goes as phi(w) dM/de.
+
+References:
+    PHYSICS.md 5.3 (photons), 5.8 (waveform). Rice 1945, Bell Syst. Tech. J. 24; Cramer and Leadbetter 1967, Stationary
+    and Related Stochastic Processes, 13.2 (crossings of a curve).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import torch
+from scipy.special import ndtri_exp
+from torch import Tensor, nn
+
+from torchweather.atmosphere.density_field import BanksAlongBeams, of_beams
+from torchweather.atmosphere.fog_optics import FogOptics, mor_range_m
+from torchweather.atmosphere.weather import Fog
+from torchweather.core.errors import check_one_of
+from torchweather.core.random import Variate
+from torchweather.lidar.beam import Beam, RangeGrid
+from torchweather.lidar.returns.strongest import expected_number, table_at
+from torchweather.lidar.sensor import Lidar
+
+__all__ = ["SoftReturn"]
+
+BACKSCATTERS = ("mie", "hahner")
+HAHNER_BETA_MOR_PER_SR = 0.046  # Rasshofer 2011, Hahner 2021: beta = 0.046 / MOR, a lidar ratio of 65 sr
+PULSE_NODES = 16  # of each of two parts
+COUNT_NODES = 129  # cells by powers of two: the search in strongest.py halves them
+FEWEST_PHOTONS = 0.1  # of those at the threshold: a reading below it is not drawn
+PHOTON_LOW, PHOTON_HIGH, PHOTON_NODES = 1e-2, 1e5, 2048
+NEVER = 1e-30  # -ln F of a reading that never occurs, so that logarithms stay finite
+NO_PHOTONS = 1e-20
+
+# Mean square slope of white noise filtered with sin^2(pi r / 2 l), over its variance, times l^2.
+SLOPE_SQUARE = math.pi**2 / 3.0
+# Weight of "where the waveform rises" among the places, for a reach so short that its noise decides nothing.
+RISING = 1e-3
+
+
+@lru_cache(maxsize=8)
+def _count_tables(roots: tuple[float, float]) -> tuple[Tensor, Tensor]:
+    """ln(-ln F) and ln M at the nodes, ``(COUNT_NODES, PHOTON_NODES)`` each, over the ln of the expected photons.
+
+    ``F(n; mu) = Q(n + 1/2, mu)``: the Poisson distribution continued between the integers with the mean kept.
+    """
+    reading = torch.linspace(roots[0], roots[1], COUNT_NODES, dtype=torch.float64)[:, None] ** 2 + 0.5
+    mean = torch.logspace(math.log10(PHOTON_LOW), math.log10(PHOTON_HIGH), PHOTON_NODES, dtype=torch.float64)
+    above, below = torch.special.gammainc(reading, mean), torch.special.gammaincc(reading, mean)
+    # Far in the tail, where Q underflows: Q(a, mu) = mu^(a-1) exp(-mu) / Gamma(a).
+    far = mean - (reading - 1) * mean.log() + torch.lgamma(reading)
+    minus_log = torch.where(above < 0.5, -torch.log1p(-above.clamp_max(0.5)), -below.clamp_min(1e-280).log())
+    minus_log = torch.where(below < 1e-270, far, minus_log).clamp_min(NEVER)
+    rank = torch.from_numpy(ndtri_exp(-minus_log.numpy()))
+    log_mills = -0.5 * rank.square() - 0.5 * math.log(2.0 * math.pi) - torch.special.log_ndtr(rank)
+    return minus_log.log().float(), log_mills.float()
+
+
+class SoftReturn(nn.Module):
+    """The return of fog in a LiDAR's beams, one a beam; used by ``ParticleReturns``.
+
+    Args:
+        weather: the fog.
+        sensor: the LiDAR.
+        backscatter: ``mie`` (Mie theory over the fog's own distribution at the laser's wavelength) or ``hahner``
+            (0.046 / MOR, with the visible MOR).
+    """
+
+    mor_m: Tensor
+    never_table: Tensor
+    mills_table: Tensor
+    pulse_length_m: Tensor
+    photons_at_threshold: Tensor
+    pulse_place: Tensor
+    pulse_weight: Tensor
+
+    echoes = 1
+    kind = "fog"
+
+    def __init__(self, weather: Fog, sensor: Lidar, *, backscatter: str = "mie") -> None:
+        super().__init__()
+        check_one_of("fog_backscatter", backscatter, BACKSCATTERS, owner=self)
+        self.weather, self.backscatter = weather, backscatter
+        self.grid = RangeGrid.of(sensor)
+        self.optics = FogOptics(weather, float(sensor.wavelength_nm))
+        place, weight = np.polynomial.legendre.leggauss(PULSE_NODES)
+        for name, value in (
+            ("mor_m", weather.mor_m),
+            ("pulse_length_m", sensor.pulse_length_m),
+            ("photons_at_threshold", sensor.photons_at_threshold),
+        ):
+            self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
+        self.register_buffer("pulse_place", torch.from_numpy(place).float(), persistent=False)
+        self.register_buffer("pulse_weight", torch.from_numpy(weight).float(), persistent=False)
+        self._set_readings(sensor)
+
+    def _set_readings(self, sensor: Lidar) -> None:
+        """Nodes of the reading, uniform in its square root, which has the same photon noise everywhere."""
+        with torch.no_grad():
+            low, high = mor_range_m(self.weather)
+            mor_m = torch.logspace(math.log10(low), math.log10(high), 32)
+            beam = Beam(sensor)
+            # Extinction at its least, the geometric optics of Koschmieder's law.
+            most = self._waveform(beam, mor_m, 2.9 / mor_m, self.grid.quadrature_m)[0].max() / beam.threshold
+        photons = sensor.photons_at_threshold
+        brightest = float(most) * photons
+        self.root_low = math.sqrt(FEWEST_PHOTONS * photons)
+        self.root_high = max(math.sqrt(brightest) + 3.0, 2.0 * math.sqrt(photons) + 3.0)
+        self.root_step = (self.root_high - self.root_low) / (COUNT_NODES - 1)
+        never, mills = _count_tables((self.root_low, self.root_high))
+        self.register_buffer("never_table", never, persistent=False)
+        self.register_buffer("mills_table", mills, persistent=False)
+
+    def backscatter_per_m_sr(self, mor_m: Tensor) -> Tensor:
+        """beta, 1/(m sr), of the shape of ``mor_m``."""
+        if self.backscatter == "hahner":
+            return HAHNER_BETA_MOR_PER_SR / mor_m
+        return self.optics.backscatter_per_m_sr(mor_m)
+
+    def signal(self, beam: Beam, extinction_per_m: Tensor, range_m: Tensor) -> Tensor:
+        """Expected soft return S over the system constant, ``(B, ...)``, at ranges ``(...)``, 1/(m^2 sr)."""
+        return self._waveform(beam, self.mor_m.reshape(-1), extinction_per_m, range_m)[0]
+
+    def _waveform(
+        self,
+        beam: Beam,
+        mor_m: Tensor,
+        extinction_per_m: Tensor,
+        range_m: Tensor,
+        air: BanksAlongBeams | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """S and its change per metre: the pulse begins and ends with nothing, so that only its shape moves."""
+        # Where in the fog the light comes from, (..., 2 PULSE_NODES): the part of the pulse that meets the rising
+        # response and that which meets the full one. f is smooth in each: S has no ripples however short the rise.
+        behind_m = range_m + self.pulse_length_m
+        begin_m = torch.maximum(range_m - self.pulse_length_m, beam.near_start_m).clamp_min(1e-3)
+        begin_m = torch.minimum(begin_m, behind_m)
+        full_m = torch.minimum(torch.maximum(beam.near_full_m, begin_m), behind_m)
+        place = 0.5 * (1.0 + self.pulse_place)
+        lengths_m = torch.stack([full_m - begin_m, behind_m - full_m], -1)[..., None]
+        source_m = torch.stack([begin_m, full_m], -1)[..., None] + lengths_m * place
+        weight = 0.5 * self.pulse_weight * lengths_m / self.pulse_length_m
+        phase = (range_m[..., None, None] - source_m) * (math.pi / self.pulse_length_m)
+        source_m = source_m.flatten(-2)
+        extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
+        way_m = source_m if air is None else air.way_m(source_m)
+        response = beam.near_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * way_m)
+        if air is not None:
+            response = response * air.density_at(source_m)
+        beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
+        pulse = (weight * (0.5 + 0.5 * phase.cos())).flatten(-2)
+        changing = (weight * (-0.5 * math.pi / self.pulse_length_m) * phase.sin()).flatten(-2)
+        return beta * (response * pulse).sum(-1), beta * (response * changing).sum(-1)
+
+    def between(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
+    ) -> Tensor:
+        """Lambda from one node of the reading to the next up to each node of range, ``(B, E, P)``.
+
+        Args:
+            beam: the sensor's.
+            extinction_per_m: ``(B,)`` of all weather together.
+            density_scale: ``(B,)`` droplets over those of the visibility; ``None`` is 1.
+            air: patches along each of the B beams; ``None`` is the same everywhere.
+            sizes: of particles that are seen one by one; droplets are not.
+        """
+        photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
+        steep = slope.abs()
+        chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
+        per_m = self._read(self.mills_table, photons) * chance.clamp_min(0.0)[:, None]
+        crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
+        return self._risen(photons) + crossed
+
+    def places(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
+    ) -> Tensor:
+        """Weight of the places up to each node of range for a reading between two nodes, ``(B, E, P)``."""
+        photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
+        alike = torch.exp(-0.5 * slope.square())
+        weight = self.grid.integrated(_apart(self._read(self.mills_table, photons) * alike[:, None]))
+        return weight + RISING * self._risen(photons)
+
+    def _photons(
+        self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None, air: BanksAlongBeams | None
+    ) -> tuple[Tensor, Tensor]:
+        """Expected photons of a value at the nodes of the quadrature, and w there, ``(B, cells, G)`` each.
+
+        dz/dr is that of -2 sqrt(photons), whose noise is of 1 everywhere.
+        """
+        mor_m = self.mor_m.reshape(-1)
+        if air is not None:
+            mor_m = of_beams(mor_m, extinction_per_m.shape[0])
+        signal, per_m = self._waveform(beam, mor_m, extinction_per_m, self.grid.quadrature_m, air)
+        scale = self.photons_at_threshold / beam.threshold
+        if density_scale is not None:
+            scale = scale * density_scale.to(signal)[:, None, None]
+        photons = (signal * scale).clamp_min(NO_PHOTONS)
+        return photons, per_m * scale / photons.sqrt() * (-self.pulse_length_m / math.sqrt(SLOPE_SQUARE))
+
+    def _risen(self, photons: Tensor) -> Tensor:
+        """-ln F of the largest expected value, from one node of the reading to the next, up to each node of range."""
+        flat = photons.flatten(1)
+        # The waveform rises once and falls once.
+        peak = flat.detach().argmax(1, keepdim=True)
+        behind = torch.arange(flat.shape[1], device=flat.device) > peak
+        largest = torch.where(behind, flat.gather(1, peak), flat).reshape(photons.shape)[..., -1]  # (B, cells)
+        never = _apart(self._read(self.never_table, largest))
+        return torch.cat([torch.zeros_like(never[..., :1]), never], -1)
+
+    def _read(self, table: Tensor, photons: Tensor) -> Tensor:
+        """Exponential of a table at the nodes of the reading and at expected photons ``(B, ...)``: ``(B, E, ...)``."""
+        step = math.log(PHOTON_HIGH / PHOTON_LOW) / (PHOTON_NODES - 1)
+        position = (photons.log() - math.log(PHOTON_LOW)) / step
+        node = position.detach().floor().clamp(0, PHOTON_NODES - 2).to(torch.int64)
+        flat = node.reshape(-1)
+        table = table.to(position.dtype)
+        # Below the table both are powers of the mean: the first cell goes on.
+        found = torch.lerp(table[:, flat], table[:, flat + 1], (position - node).reshape(-1))
+        return torch.exp(found).reshape(COUNT_NODES, *photons.shape).transpose(0, 1)
+
+    def expected_above(self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, reach_m: Tensor) -> Tensor:
+        """Lambda(e, R) with ``exp(-Lambda)`` the probability that no reading exceeds ``signal``, ``(B, N)``."""
+        row = self._row(beam, signal)
+        return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
+
+    def chance_before(
+        self, beam: Beam, signal: Tensor, extinction_per_m: Tensor, apart_m: float, reach_m: Tensor
+    ) -> Tensor:
+        """Probability of a reading above ``signal`` that lies ``apart_m`` or more before ``reach_m``.
+
+        ``(B, N)``; summed over the readings between two nodes, for a reach at each node of range.
+        """
+        above = self.between(beam, extinction_per_m).flip(1).cumsum(1).flip(1)  # (B, E, P)
+        none = torch.exp(-above)
+        read = torch.cat([none[:, 1:], torch.ones_like(none[:, :1])], 1) - none
+        places = self.places(beam, extinction_per_m)
+        reach = torch.arange(self.grid.nodes).to(places)
+        near = self.grid.position((self.grid.range_m(reach) - apart_m).clamp_min(self.grid.near_m))
+        node = near.floor().clamp_max(self.grid.nodes - 2).to(torch.int64)
+        before = torch.lerp(places[..., node], places[..., node + 1], near - node)
+        chance = (read * before / places.clamp_min(NEVER)).flip(1).cumsum(1).flip(1)
+        return table_at(chance, self._row(beam, signal), self.grid.position(reach_m))
+
+    def _row(self, beam: Beam, signal: Tensor) -> Tensor:
+        """Place of a signal on the axis of readings."""
+        photons = (signal / beam.threshold * self.photons_at_threshold).clamp_min(1e-12)
+        return ((torch.sqrt(photons) - self.root_low) / self.root_step).clamp(0.0, COUNT_NODES - 1)
+
+    def start(self, reach_m: Tensor) -> Tensor | None:
+        """Place on the grid where the fog begins; ``None`` is its first node."""
+        return None
+
+    def signal_at(self, row: Tensor, beam: Beam) -> Tensor:
+        """Signal at a place on the axis of readings."""
+        photons = (self.root_low + self.root_step * row).square()
+        return photons * (beam.threshold / self.photons_at_threshold)
+
+    def parameters_of_table(self) -> tuple[Tensor, ...]:
+        """What ``between`` depends on besides the beam and the extinction, as far as it can change."""
+        return self.mor_m, self.pulse_length_m, self.photons_at_threshold
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Arrival and place of the strongest reading of each beam."""
+        return Variate("fog_arrival", "uniform", (1, "N")), Variate("fog_place", "uniform", (1, "N"))
+
+
+def _apart(at: Tensor) -> Tensor:
+    """What lies between one node of the reading and the next, dimension 1; the last: above it."""
+    return (at - torch.cat([at[:, 1:], torch.zeros_like(at[:, :1])], 1)).clamp_min(0.0)

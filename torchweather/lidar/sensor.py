@@ -1,0 +1,235 @@
+"""Lidar: beam, link budget, near-range response, return mode and intensity unit of a scanning LiDAR.
+
+Frame: x forward, y left, z up; azimuth from x to y, elevation up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.lidar.pose import checked_origin, checked_rotation, split_pose
+from torchweather.pipeline.sensor import Sensor
+
+__all__ = ["INTENSITY_UNITS", "RETURN_MODES", "Lidar"]
+
+RETURN_MODES = ("strongest", "last", "first", "dual")
+INTENSITY_UNITS = ("reflectivity", "reflectivity_percent", "uint8_linear", "uint8_calibrated", "photons", "none")
+SPEED_OF_LIGHT_M_PER_S = 299_792_458.0
+# Reflectivity of the target to which `range_at_10_percent_m` refers.
+CALIBRATION_REFLECTIVITY = 0.1
+# Near-range response of Hahner 2022: full overlap at 1 m. No recording shows the fog returns that follow from it
+# (PHYSICS.md 5.3).
+HAHNER_OVERLAP_M = (0.9, 1.0)
+
+
+@dataclass(frozen=True)
+class Lidar(Sensor):
+    """A scanning LiDAR.
+
+    Args:
+        wavelength_nm: laser wavelength.
+        exit_diameter_mm: beam diameter at the exit window.
+        divergence_mrad: full angle of the beam (FWHM); the beam is a cone of diameter d0 + theta R.
+        pulse_width_ns: pulse width (FWHM).
+        range_at_10_percent_m: range at which a 10 % Lambertian target is just detected; it calibrates the link.
+        near_start_m, near_full_m, near_power: near-range response of the receiver (overlap, defocus, gain),
+            ``xi(R) = clip((R - near_start) / (near_full - near_start), 0, 1) ** near_power``. It decides most of what
+            fog and snow look like.
+        min_range_m, max_range_m: nothing nearer is a return (rows of a cloud that lie there hold none), no particle
+            farther is reported; a beam without return is simulated to ``max_range_m``.
+        photons_at_threshold: photons of a signal at the detection threshold, for photon noise and the unit ``photons``.
+        range_resolution_m, range_noise_m: rounding and standard deviation of the range of a particle's return (the
+            input's own returns have theirs already).
+        return_mode: ``strongest``, ``last``, ``first``, or ``dual`` (strongest and last).
+        margin_db: a return in the input was detected: its signal is at least the threshold times an exponentially
+            distributed margin of this mean, dB.
+        echo_separation_m: echoes closer than this merge; ``None`` is half the pulse length, c tau / 2.
+        intensity_unit: of the fourth column: ``reflectivity`` (1 = Lambertian white), ``reflectivity_percent``,
+            ``uint8_linear`` (255 = 1), ``uint8_calibrated`` (0-100 percent, above retroreflective), ``photons``, or
+            ``none`` (a column without meaning; every return counts as ``assumed_reflectivity``).
+        assumed_reflectivity: reflectivity of every target where the unit is ``none``.
+        zero_intensity: intensity that a value of 0 stands for, in the unit: a sensor that counts in steps rounds
+            ``[0, step)`` down to it. ``None`` is half a step where the data have one (integers of 8 bits, multiples of
+            0.01), else 0.
+        elevations_deg: elevation of each ring, in the order of the sensor's ring numbers; ``None`` is unknown.
+        columns: firings of each ring per turn.
+        azimuth_offsets_deg: azimuth of each ring relative to its column; ``None`` is 0.
+        origin_heights_m: height of each ring's laser over the cloud's origin; ``None`` is 0.
+        ring_column: column of the cloud that holds the ring, 4 or more; ``None`` recovers it from the elevation where
+            it is needed.
+        origin_m: x, y, z of the sensor in the cloud's frame; (0, 0, 0) where the cloud is in the sensor's own. Weather
+            is computed in the sensor's frame and written back in the cloud's (``lidar/cloud_frame.py``).
+        rotation: ``(3, 3)`` whose columns are the sensor's x, y and z in the cloud's frame; ``None`` is the identity.
+            ``with_pose`` takes both from a matrix.
+        directions: ``(N, 3)`` direction of every row of an organised cloud in the cloud's frame, so that beams without
+            return can be simulated too; not compared by ``==``.
+
+    Example:
+        >>> lidar = Lidar.preset("ouster-os1-128", return_mode="dual")
+        >>> round(lidar.echo_separation, 2), f"{lidar.threshold_per_m2_sr:.2e}"
+        (1.5, '1.99e-05')
+    """
+
+    kind: ClassVar[str] = "lidar"
+
+    wavelength_nm: float
+    exit_diameter_mm: float = 10.0
+    divergence_mrad: float = 2.0
+    pulse_width_ns: float = 10.0
+    range_at_10_percent_m: float = 50.0
+    near_start_m: float = 2.0
+    near_full_m: float = 10.0
+    near_power: float = 1.0
+    min_range_m: float = 0.0
+    max_range_m: float = 120.0
+    photons_at_threshold: float = 10.0
+    range_resolution_m: float = 0.0
+    range_noise_m: float = 0.0
+    return_mode: str = "strongest"
+    margin_db: float = 1.0
+    echo_separation_m: float | None = None
+    intensity_unit: str = "reflectivity"
+    assumed_reflectivity: float = 0.1
+    zero_intensity: float | None = None
+    elevations_deg: tuple[float, ...] | None = None
+    columns: int | None = None
+    azimuth_offsets_deg: tuple[float, ...] | None = None
+    origin_heights_m: tuple[float, ...] | None = None
+    ring_column: int | None = None
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[tuple[float, float, float], ...] | None = None
+    directions: Tensor | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_between("wavelength_nm", self.wavelength_nm, 300.0, 2500.0, unit="nm", owner=self)
+        for name, unit in (
+            ("exit_diameter_mm", "mm"),
+            ("divergence_mrad", "mrad"),
+            ("pulse_width_ns", "ns"),
+            ("range_at_10_percent_m", "m"),
+            ("near_power", ""),
+            ("max_range_m", "m"),
+            ("photons_at_threshold", ""),
+            ("margin_db", "dB"),
+            ("assumed_reflectivity", ""),
+        ):
+            check_positive(name, getattr(self, name), unit=unit, owner=self)
+            check_finite(name, getattr(self, name), unit=unit, owner=self)
+        for name in ("near_start_m", "min_range_m", "range_resolution_m", "range_noise_m"):
+            check_at_least(name, getattr(self, name), 0.0, unit="m", owner=self)
+            check_finite(name, getattr(self, name), unit="m", owner=self)
+        if self.echo_separation_m is not None:
+            check_at_least("echo_separation_m", self.echo_separation_m, 0.0, unit="m", owner=self)
+        if self.zero_intensity is not None:
+            check_at_least("zero_intensity", self.zero_intensity, 0.0, owner=self)
+            check_finite("zero_intensity", self.zero_intensity, owner=self)
+        check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)
+        check_one_of("intensity_unit", self.intensity_unit, INTENSITY_UNITS, owner=self)
+        self._check_ranges()
+        self._check_pattern()
+        object.__setattr__(self, "origin_m", checked_origin(self.origin_m))
+        object.__setattr__(self, "rotation", checked_rotation(self.rotation))
+        if self.directions is not None:
+            object.__setattr__(self, "directions", unit_directions(self.directions, owner=self))
+
+    def _check_ranges(self) -> None:
+        if not self.near_start_m < self.near_full_m:
+            raise ValueError(
+                "Lidar: near_full_m must exceed near_start_m (the receiver's response rises between them); got "
+                f"{self.near_full_m:g} and {self.near_start_m:g} m."
+            )
+        if not max(self.min_range_m, self.near_start_m) < self.max_range_m:
+            raise ValueError(
+                "Lidar: max_range_m must exceed min_range_m and near_start_m; got "
+                f"{self.max_range_m:g}, {self.min_range_m:g} and {self.near_start_m:g} m."
+            )
+
+    def _check_pattern(self) -> None:
+        for name, limit, unit in (
+            ("elevations_deg", 90.0, "degrees"),
+            ("azimuth_offsets_deg", 360.0, "degrees"),
+            ("origin_heights_m", 10.0, "m"),
+        ):
+            values = getattr(self, name)
+            if values is None:
+                continue
+            plain = tuple(float(value) for value in values)
+            object.__setattr__(self, name, plain)
+            for value in plain:
+                check_between(name, value, -limit, limit, unit=unit, owner=self)
+            if len(plain) != len(self.elevations_deg or ()):
+                raise ValueError(
+                    f"Lidar: {name} must have one value for each of the {len(self.elevations_deg or ())} "
+                    f"elevations_deg; got {len(plain)}."
+                )
+        if self.ring_column is not None:
+            check_at_least("ring_column", self.ring_column, 4, owner=self)
+        if self.columns is not None:
+            check_at_least("columns", self.columns, 1, owner=self)
+            object.__setattr__(self, "columns", int(self.columns))
+
+    @property
+    def bands(self) -> dict[str, float]:
+        """The laser line: its name and wavelength, nm."""
+        return {"laser": self.wavelength_nm}
+
+    @property
+    def pulse_length_m(self) -> float:
+        """Half the length of the pulse in space, c tau / 2: the range that one pulse width covers, metres."""
+        return 0.5 * SPEED_OF_LIGHT_M_PER_S * self.pulse_width_ns * 1e-9
+
+    @property
+    def echo_separation(self) -> float:
+        """Distance below which two echoes merge, metres."""
+        return self.pulse_length_m if self.echo_separation_m is None else self.echo_separation_m
+
+    @property
+    def threshold_per_m2_sr(self) -> float:
+        """Detection threshold over the system constant, ``X_thr = (0.1 / pi) / R10^2``, 1/(m^2 sr) (PHYSICS.md 5.3)."""
+        return CALIBRATION_REFLECTIVITY / math.pi / self.range_at_10_percent_m**2
+
+    def with_hahner_overlap(self) -> Lidar:
+        """The same sensor with the near-range response of Hahner 2022: none below 0.9 m, full from 1 m on."""
+        start, full = HAHNER_OVERLAP_M
+        return replace(self, near_start_m=start, near_full_m=full, near_power=1.0)
+
+    def with_pose(self, pose: Tensor | Sequence[Sequence[float]]) -> Lidar:
+        """The same sensor at a pose in the cloud's frame.
+
+        Args:
+            pose: ``T_cloud_from_sensor`` ``(4, 4)``, or its first three rows; metres.
+
+        Example:
+            >>> Lidar(905.0).with_pose([[1, 0, 0, 1.43], [0, 1, 0, 0], [0, 0, 1, 2.18], [0, 0, 0, 1]]).origin_m
+            (1.43, 0.0, 2.18)
+        """
+        origin_m, rotation = split_pose(pose)
+        return replace(self, origin_m=origin_m, rotation=rotation)
+
+    def near_response(self, range_m: Tensor) -> Tensor:
+        """Near-range response xi, 0 to 1, of the shape of ``range_m`` (metres)."""
+        ramp = (range_m - self.near_start_m) / (self.near_full_m - self.near_start_m)
+        response: Tensor = ramp.clamp(0.0, 1.0) ** self.near_power
+        return response
+
+
+def unit_directions(directions: Tensor, owner: object) -> Tensor:
+    """Directions ``(..., N, 3)``, checked and scaled to unit length."""
+    if not isinstance(directions, Tensor):
+        directions = torch.as_tensor(directions, dtype=torch.float32)
+    if directions.ndim < 2 or directions.shape[-1] != 3 or not directions.is_floating_point():
+        raise ValueError(
+            f"{type(owner).__name__}: directions must be floating point of shape (..., N, 3), x forward, y left, z up; "
+            f"got {directions.dtype}, {tuple(directions.shape)}."
+        )
+    length: Tensor = directions.norm(dim=-1, keepdim=True)
+    if not torch.compiler.is_compiling() and not bool((torch.isfinite(length) & (length > 0)).all()):
+        raise ValueError(f"{type(owner).__name__}: directions must be finite and none of them zero.")
+    return directions / length

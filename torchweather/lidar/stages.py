@@ -1,0 +1,699 @@
+"""LiDAR stages: to_energy, extinction, particle_returns, detection, to_points."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.atmosphere.density_field import SECTORS, Banks, PatchField, mean_density, mean_extra_m, sector_of
+from torchweather.atmosphere.fog_optics import FogOptics
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, weather_from_dict
+from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.random import Variate
+from torchweather.lidar.beam import Beam
+from torchweather.lidar.intensity import (
+    dimmed_intensity,
+    intensity_from_signal,
+    reflectivity_from_intensity,
+)
+from torchweather.lidar.returns.beam_particles import (
+    PUBLISHED_DOMAIN_MM,
+    RATE_HIGH_MM_PER_H,
+    RATE_LOW_MM_PER_H,
+    RATE_NODES,
+    BeamParticles,
+)
+from torchweather.lidar.returns.soft_return import SoftReturn
+from torchweather.lidar.returns.strongest import ReturnTable, strongest_before
+from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY, Lidar
+from torchweather.lidar.state import LidarState
+from torchweather.physics import Q_EFF, KnobTable, extinction_from_mor, extinction_per_m
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.pipeline.registry import register
+from torchweather.pipeline.stage import Stage
+from torchweather.pipeline.tiling import is_exporting
+
+__all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
+
+DB = math.log(10.0) / 10.0
+LEAST_RAMP = 1e-4  # of the near-range response, so that margins stay finite
+THINNEST = 1e-6  # density of a beam that counts as none
+NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
+OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
+
+
+def _sensor(sensor: Lidar | Mapping[str, Any]) -> Lidar:
+    return sensor if isinstance(sensor, Lidar) else Lidar.from_dict(sensor)
+
+
+def _config(sensor: Lidar) -> dict[str, Any]:
+    """Plain values of a sensor; the directions belong to the data, not to the stage."""
+    return replace(sensor, directions=None).to_dict()
+
+
+def _azimuth_and_level(state: LidarState) -> tuple[Tensor, Tensor]:
+    """Azimuth of each beam and the level part of its direction, ``(B, N)`` each."""
+    x, y, _ = state.direction.unbind(-1)
+    return torch.atan2(y, x), (x * x + y * y).sqrt()
+
+
+def exponential(uniform: Tensor) -> Tensor:
+    """Standard exponential variates from uniform ones, 0 to 16.6 in single precision."""
+    return -(1.0 - uniform).log()
+
+
+class _SensorStage(Stage):
+    """A stage that is made from the sensor alone."""
+
+    each_beam_alone = True
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"sensor": _config(self.sensor)}
+
+
+@register
+class ToEnergy(_SensorStage):
+    """Signal of each object in clear air, from its intensity.
+
+    ``X = (I / pi) xi(R) / R^2`` from a reflectivity, ``X = I / K`` from photons. A return in the input was detected, so
+    ``X >= X_thr 10^(m/10)`` with a margin m of exponential law (``PHYSICS.md`` 5.3). An intensity of 0 stands for
+    ``zero_intensity`` of the state.
+
+    Note:
+        Where the receiver's response rises, that a return was detected says how wrong the response is rather than how
+        faint the return: the mean margin there is that of the sensor over the ramp of the response, up to the signal of
+        a 10 % target in full response. So the chance to lose a faint return goes to 0 towards ``near_start_m``, nearer
+        than which none is lost (``Detection``).
+
+    Args:
+        sensor: the LiDAR, or its dictionary.
+    """
+
+    default_name: ClassVar[str] = "to_energy"
+    margin_db: Tensor
+    photons_at_threshold: Tensor
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        super().__init__(sensor)
+        self.beam = Beam(self.sensor)
+        self.register_buffer("margin_db", torch.tensor(self.sensor.margin_db))
+        self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
+
+    def variates(self) -> tuple[Variate, ...]:
+        """The margin of each beam, as the probability of a smaller one."""
+        return (Variate("margin", "uniform", ("N",)),)
+
+    def signal_of_intensity(self, intensity: Tensor, range_m: Tensor, zero_intensity: Tensor | None = None) -> Tensor:
+        """X of an object from its intensity, without the floor, ``(B, N)``; 0 for a beam without return.
+
+        Args:
+            intensity: ``(B, N)`` in the sensor's unit.
+            range_m: ``(B, N)``.
+            zero_intensity: ``(B, 1)`` intensity that a value of 0 stands for; ``None`` is 0.
+        """
+        unit = self.sensor.intensity_unit
+        if zero_intensity is not None:
+            intensity = torch.where(intensity == 0, zero_intensity.to(intensity), intensity)
+        if unit == "photons":
+            return intensity * (range_m > 0) * (self.beam.threshold / self.photons_at_threshold)
+        reflectivity = reflectivity_from_intensity(intensity, unit, self.sensor.assumed_reflectivity)
+        # At range 0 the receiver's response is 0.
+        return reflectivity * self.beam.near_response(range_m) / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2)
+
+    def margin_law(self, range_m: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and end of the margin, ln of a signal over the threshold, ``(B, N)`` each; an end only where it is near.
+
+        Args:
+            range_m: ``(B, N)``.
+        """
+        ramp = self.beam.near_ramp(range_m)
+        full = CALIBRATION_REFLECTIVITY / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2) / self.beam.threshold
+        end = torch.where(ramp < 1.0, full.log().clamp_min(0.0), torch.inf)
+        return DB * self.margin_db / ramp.clamp_min(LEAST_RAMP), end
+
+    def log_margin(self, range_m: Tensor, uniform: Tensor) -> Tensor:
+        """ln of the least signal of a return over the threshold, ``(B, N)``.
+
+        Args:
+            range_m: ``(B, N)``.
+            uniform: ``(B, N)`` the probability of a smaller one.
+        """
+        mean, end = self.margin_law(range_m)
+        drawn = exponential(uniform.to(range_m))
+        return torch.minimum(mean * drawn, torch.maximum(end, DB * self.margin_db * drawn))
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the objects' signals."""
+
+        range_m, margin = state.clear_range_m, noise["margin"]
+        seen = range_m > 0
+        floor = self.beam.threshold * torch.exp(self.log_margin(range_m, margin))
+        given = self.signal_of_intensity(state.points_in[..., 3], range_m, state.zero_intensity)
+        signal = torch.maximum(given, floor)
+        signal = torch.where(seen, signal, 0.0)
+        kind = torch.where(seen, OBJECT, LOST).to(torch.int8)
+        return replace(
+            state,
+            clear_signal=signal,
+            signal=signal[..., None],
+            range_m=range_m[..., None],
+            kind=kind[..., None],
+            threshold=self.beam.threshold,
+            sensor=self.sensor,
+        )
+
+
+@lru_cache(maxsize=64)
+def _falling_table(weather: Rain | Snow, wavelength_nm: float, published: bool) -> KnobTable:
+    """Full extinction of rain or snow, 1/m, over the rate (the weather's own counts for nothing)."""
+
+    def of_rate(rate: Tensor) -> Tensor:
+        distribution = weather.distribution(rate)
+        if published:
+            distribution = distribution.within(*PUBLISHED_DOMAIN_MM)
+        return extinction_per_m(distribution, wavelength_nm, temperature_c=weather.temperature_c)
+
+    return KnobTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+
+
+class _PartExtinction(nn.Module):
+    """Effective extinction of one weather: ``alpha q_eff / 2``."""
+
+    q_eff: Tensor
+
+    def __init__(self, weather: Weather, sensor: Lidar, q_eff: float, *, koschmieder: bool, published: bool) -> None:
+        super().__init__()
+        self.weather, self.koschmieder = weather, koschmieder
+        if isinstance(weather, Fog):
+            self.optics = FogOptics(weather, float(sensor.wavelength_nm))
+        elif isinstance(weather, (Rain, Snow)):
+            at_rest = replace(weather, rate_mm_per_h=0.0)
+            self.table = copy.deepcopy(_falling_table(at_rest, float(sensor.wavelength_nm), published))
+        self.register_buffer("q_eff", torch.tensor(float(q_eff)))
+        self.register_buffer(weather.knob_name, torch.as_tensor(weather.knob, dtype=torch.float32))
+
+    def forward(self) -> Tensor:
+        """1/m, of the knob's shape flattened."""
+        knob = getattr(self, self.weather.knob_name).reshape(-1)
+        full: Tensor
+        if not isinstance(self.weather, Fog):
+            full = self.table(knob)
+        elif self.koschmieder:
+            full = extinction_from_mor(knob, self.weather.contrast).to(knob)
+        else:
+            full = self.optics.extinction_per_m(knob)
+        return full * (0.5 * self.q_eff)
+
+
+@register
+class Extinction(Stage):
+    """The way through the weather and back: ``X exp(-2 alpha R)``, for every beam, with the extinctions added.
+
+    Identity: rates 0, visibility infinite.
+
+    Args:
+        weathers: or their dictionaries.
+        sensor: the LiDAR, or its dictionary.
+        q_eff: extinction efficiency that the sensor sees, 1 (blocking only) to 2 (the whole forward lobe is lost);
+            ``None`` is 1.1 for rain and snow, 2 for fog (``PHYSICS.md`` 3.2).
+        fog_extinction: ``mie``, or ``koschmieder`` (ln(1/contrast) / MOR at the laser's wavelength too).
+        variant: ``d3_4``: drops of 0.5-6 mm and half the extinction (the published pi/8).
+    """
+
+    default_name: ClassVar[str] = "extinction"
+    each_beam_alone = True
+
+    def __init__(
+        self,
+        weathers: Sequence[Weather | Mapping[str, Any]],
+        sensor: Lidar | Mapping[str, Any],
+        q_eff: float | None = None,
+        fog_extinction: str = "mie",
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        if q_eff is not None:
+            check_at_least("q_eff", q_eff, 0.0, owner=self)
+        check_one_of("fog_extinction", fog_extinction, ("mie", "koschmieder"), owner=self)
+        self.options = {"q_eff": q_eff, "fog_extinction": fog_extinction, "variant": variant}
+        built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]
+        published = variant == "d3_4"
+        self.parts = nn.ModuleDict()
+        for weather in sorted(built, key=lambda part: part.kind):
+            default = 1.0 if published else Q_EFF[weather.kind]
+            self.parts[weather.kind] = _PartExtinction(
+                weather,
+                self.sensor,
+                default if q_eff is None else q_eff,
+                koschmieder=fog_extinction == "koschmieder",
+                published=published,
+            )
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        weathers = [part.weather.to_dict() for part in self.parts.values()]  # type: ignore[union-attr,operator]
+        return {"weathers": weathers, "sensor": _config(self.sensor), **self.options}
+
+    def extinction_per_m(self, batch: int) -> Tensor:
+        """Effective extinction of all weather together, 1/m, ``(B,)``."""
+        parts = [part().expand(batch) for part in self.parts.values()]
+        return torch.stack(parts).sum(0)
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the objects' signals weakened."""
+        extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
+        if state.density_scale is not None:
+            extinction = extinction * state.density_scale.to(extinction)
+        if state.patches is not None:
+            state = self._through_patches(state, state.patches)
+        if state.beam_density is not None:
+            own = state.beam_density if state.path_density is None else state.path_density * state.beam_density
+            state = replace(state, path_density=own)
+        clear = torch.exp(-2.0 * extinction[:, None] * state.uniform_m)
+        return replace(state, signal=state.signal * clear[..., None], extinction_per_m=extinction)
+
+    def _through_patches(self, state: LidarState, patches: PatchField) -> LidarState:
+        """The state with the mean density on each beam's way: of several weathers, weighted by what each takes."""
+        parts: dict[str, _PartExtinction] = dict(self.parts.items())  # type: ignore[arg-type]
+        takes = [part().expand(state.batch).to(state.signal.dtype) for part in parts.values()]
+        extra_m = mean_extra_m(patches, [part.weather for part in parts.values()], takes)
+        azimuth_rad, level = _azimuth_and_level(state)
+        # Patches are columns: the mean on a way that rises is that on its shadow.
+        density = mean_density(extra_m, azimuth_rad, level * state.reach_m, patches.step_m)
+        return replace(state, extra_m=extra_m, path_density=density)
+
+
+@register
+class ParticleReturns(Stage):
+    """Returns of drops, flakes and fog in front of each object, or up to the maximum range where there is none.
+
+    The strongest particles of each beam are drawn exactly without listing them all (``lidar/returns/strongest.py``):
+    one where the sensor reports the strongest return, else so many that more are above threshold in one beam of 10,000.
+
+    Identity: rates 0, visibility infinite.
+
+    Args:
+        weathers: or their dictionaries.
+        sensor: the LiDAR, or its dictionary.
+        q_back: backscatter efficiency of drops, ``"glints"``, or ``None`` for the default (``BeamParticles``).
+        fog_backscatter: ``mie`` or ``hahner`` (``SoftReturn``).
+        variant: ``d3_4``: the published cylinder, drops and limit of detection; rain only.
+    """
+
+    default_name: ClassVar[str] = "particle_returns"
+    each_beam_alone = True
+
+    def __init__(
+        self,
+        weathers: Sequence[Weather | Mapping[str, Any]],
+        sensor: Lidar | Mapping[str, Any],
+        q_back: float | str | None = None,
+        fog_backscatter: str = "mie",
+        variant: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.sensor = _sensor(sensor)
+        self.beam = Beam(self.sensor)
+        self.options = {"q_back": q_back, "fog_backscatter": fog_backscatter, "variant": variant}
+        built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]
+        self.parts = nn.ModuleDict()
+        for weather in sorted(built, key=lambda part: part.kind):
+            part: nn.Module
+            if isinstance(weather, Fog):
+                part = SoftReturn(weather, self.sensor, backscatter=fog_backscatter)
+            elif isinstance(weather, (Rain, Snow)):
+                given = q_back if isinstance(weather, Rain) else None
+                part = BeamParticles(weather, self.sensor, q_back=given, published=variant == "d3_4")
+            else:
+                raise TypeError(f"ParticleReturns: weathers must be Rain, Fog or Snow; got {type(weather).__name__}.")
+            self.parts[weather.kind] = part
+        self._last_tables: dict[str, tuple[list[Tensor], ReturnTable]] = {}
+
+    @property
+    def kinds(self) -> dict[str, BeamParticles | SoftReturn]:
+        """What returns, by the kind of weather."""
+        return dict(self.parts.items())  # type: ignore[arg-type]
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        weathers = [part.weather.to_dict() for part in self.kinds.values()]
+        return {"weathers": weathers, "sensor": _config(self.sensor), **self.options}
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Arrival and place of the strongest returns of each kind."""
+        return tuple(variate for part in self.kinds.values() for variate in part.variates())
+
+    def extra_repr(self) -> str:
+        """How many returns of each kind a beam has at most."""
+        return ", ".join(f"{kind}_echoes={part.echoes}" for kind, part in self.kinds.items())
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with an echo more for each return that a beam may have."""
+        extinction = state.extinction_per_m
+        if extinction is None:
+            extinction = torch.zeros(state.batch, dtype=state.signal.dtype, device=state.signal.device)
+        ranges, signals = [state.range_m], [state.signal]
+        extinction = extinction.to(self.beam.threshold.dtype)
+        beam = self.beam if state.extra_divergence_rad is None else self.beam.widened(state.extra_divergence_rad)
+        for kind, part in self.kinds.items():
+            arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
+            drawn = self._drawn if state.patches is None else self._drawn_in_patches
+            range_m, signal = drawn(part, beam, extinction, arrival, place, state)
+            ranges.append(range_m.to(state.range_m.dtype))
+            signals.append(signal.to(state.signal.dtype))
+        kinds = [state.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
+        return replace(state, range_m=_joined(ranges), signal=_joined(signals), kind=_joined(kinds))
+
+    def _drawn(
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        arrival: Tensor,
+        place: Tensor,
+        state: LidarState,
+    ) -> tuple[Tensor, Tensor]:
+        """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
+        reach_m = state.reach_m.to(extinction.dtype)
+        reach, start = part.grid.position(reach_m), part.start(reach_m)
+        density, sizes = state.density_scale, state.size_factors
+        table = self._table(part, beam, extinction, density, sizes) if start is None else None
+        between = None if table is not None else part.between(beam, extinction, density, sizes=sizes)
+
+        def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            if table is not None:
+                return table.strongest_before(arrived, own_place, reach)
+            assert between is not None
+            return strongest_before(between, arrived, own_place, reach, start)
+
+        return _echoes(part, beam, reach_m, arrival, place, strongest, state.beam_density)
+
+    def _drawn_in_patches(
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        arrival: Tensor,
+        place: Tensor,
+        state: LidarState,
+    ) -> tuple[Tensor, Tensor]:
+        """As ``_drawn``, each beam in the air of its sector, level with the ground."""
+        assert state.patches is not None
+        banks = state.patches.banks(part.weather)
+        way_m = torch.zeros_like(banks.extra_m) if state.extra_m is None else state.extra_m  # of all weather together
+        air = Banks(banks.density.to(extinction), way_m.to(extinction), banks.step_m).of_sectors()
+
+        def each(values: Tensor | None) -> Tensor | None:
+            return None if values is None else values.repeat_interleave(SECTORS, 0)
+
+        if state.extra_divergence_rad is not None:
+            beam = self.beam.widened(state.extra_divergence_rad.repeat_interleave(SECTORS, 0))
+        own = (state.density_scale, air, state.size_factors)
+        of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(own[0]), own[1], each(own[2]))
+        between, places = part.between(*of_sectors), part.places(*of_sectors)
+        sector = sector_of(_azimuth_and_level(state)[0])
+        reach_m = state.reach_m.to(extinction.dtype)
+        reach = part.grid.position(reach_m)
+
+        def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            return strongest_before(between, arrived, own_place, reach, None, places, sector, SECTORS)
+
+        return _echoes(part, beam, reach_m, arrival, place, strongest, state.beam_density)
+
+    def _table(
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        density: Tensor | None,
+        sizes: Tensor | None = None,
+    ) -> ReturnTable:
+        """The table at this weather and sensor; the last one is kept while nothing it depends on has changed."""
+        inputs = [extinction, *part.parameters_of_table(), *beam.buffers()]
+        inputs += [value for value in (density, sizes) if value is not None]
+
+        def solved(own: Tensor) -> ReturnTable:
+            between = part.between(beam, own, density, sizes=sizes)
+            return ReturnTable.of(between, part.places(beam, own, density, sizes=sizes))
+
+        if is_exporting() or any(value.requires_grad for value in inputs):
+            return solved(extinction)
+        before, table = self._last_tables.get(part.kind, (None, None))
+        if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
+            shared = (
+                density is None
+                and sizes is None
+                and all(value.numel() == 1 for value in inputs[1:])
+                and _all_alike(extinction)
+            )
+            with torch.no_grad():
+                # One table serves all samples that are in the same weather.
+                table = solved(extinction[:1] if shared else extinction)
+            table = table.expanded(len(extinction)) if shared else table
+            self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
+        return table
+
+
+def _echoes(
+    part: BeamParticles | SoftReturn,
+    beam: Beam,
+    reach_m: Tensor,
+    arrival: Tensor,
+    place: Tensor,
+    strongest: Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]],
+    density: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Range and signal, ``(B, N, echoes)``, of the strongest, the next strongest and so on; 0 where there is none.
+
+    Args:
+        part: what returns.
+        beam: the sensor's.
+        reach_m: ``(B, N)`` up to which it counts.
+        arrival, place: ``(B, echoes, N)`` its variates.
+        strongest: solves for signal, range and whether there is one, as ``strongest_before`` gives them.
+        density: ``(B, N)`` of each beam over that of the weather; ``None`` is 1.
+    """
+    ranges, signals = [], []
+    arrived = torch.zeros_like(reach_m)
+    # d times as many particles: d Lambda = E. Fog is no list of particles; of it there is d times the light.
+    counted = isinstance(part, BeamParticles)
+    own = None if density is None else density.to(reach_m)
+    per_density = None if own is None or not counted else own.clamp_min(THINNEST).reciprocal()
+    for echo in range(part.echoes):
+        arrived = arrived + exponential(arrival[:, echo].to(reach_m))
+        reached = arrived if per_density is None else arrived * per_density
+        row, column, exists = strongest(reached, place[:, echo].to(reach_m))
+        signal = part.signal_at(row, beam) * exists
+        ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
+        signals.append(signal if own is None or counted else signal * own)
+    return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
+
+
+def _all_alike(values: Tensor) -> bool:
+    return len(values) > 0 and torch.equal(values, values[:1].expand_as(values))
+
+
+def _same(one: Tensor, other: Tensor) -> bool:
+    return one.device == other.device and one.dtype == other.dtype and torch.equal(one, other)
+
+
+def _joined(echoes: Sequence[Tensor]) -> Tensor:
+    """Echoes ``(B, N, E)`` of several kinds in one tensor, each echo by itself in memory."""
+    return torch.cat([echo.transpose(1, 2) for echo in echoes], 1).transpose(1, 2)
+
+
+@register
+class Detection(_SensorStage):
+    """What the receiver reports: echoes above threshold, merged where they are close, chosen by the return mode.
+
+    An echo within ``echo_separation_m`` of a stronger one is part of that one. An object nearer than ``near_start_m``
+    has nothing in front of it and is always reported, as it was in the input.
+
+    Identity: none; where nothing was weakened and nothing added, every object is reported.
+
+    Args:
+        sensor: the LiDAR, or its dictionary; its ``return_mode`` decides.
+    """
+
+    default_name: ClassVar[str] = "detection"
+
+    @property
+    def return_mode(self) -> str:
+        """Which of its echoes the sensor reports."""
+        return self.sensor.return_mode
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the reported echoes: one, or two of a dual-return sensor."""
+        threshold, clear_range_m = state.detected_from, state.clear_range_m
+        echoes = [
+            _Echoes(*parts)
+            for parts in zip(*(values.unbind(-1) for values in (state.range_m, state.signal, state.kind)), strict=True)
+        ]
+        zero = torch.zeros_like(clear_range_m)
+        # Strength decides; 0 is an echo that is not seen.
+        strengths = [torch.where(echo.signal >= threshold, echo.signal, 0.0) for echo in echoes]
+        # An object without any signal is one that an effect has taken away.
+        near = (clear_range_m > 0) & (clear_range_m < self.sensor.near_start_m) & (echoes[0].signal > 0)
+        strengths[0] = torch.where(near, torch.inf, strengths[0])
+        strongest = _best(strengths, echoes)
+        chosen = [strongest]
+        if self.return_mode != "strongest":
+            strengths = self._merged([echo.range_m for echo in echoes], strengths)
+            power = -1.0 if self.return_mode == "first" else 1.0
+            scores = [
+                torch.where(strength > 0, echo.range_m**power, zero)
+                for strength, echo in zip(strengths, echoes, strict=True)
+            ]
+            end = _best(scores, echoes)
+            chosen = [end]
+            if self.return_mode == "dual":
+                # One echo is reported once: a beam whose strongest echo is its last has no second return.
+                again = end.range_m == strongest.range_m
+                second = [torch.where(again, x, y) for x, y in zip(_nothing(end), end.parts, strict=True)]
+                chosen = [strongest, _Echoes(*second)]
+        columns = zip(*(echo.parts for echo in chosen), strict=True)
+        range_m, signal, kind = (torch.stack(values, 1).transpose(1, 2) for values in columns)
+        return replace(state, range_m=range_m, signal=signal, kind=kind)
+
+    def _merged(self, ranges: Sequence[Tensor], strengths: Sequence[Tensor]) -> list[Tensor]:
+        """Strengths with 0 for every echo that is part of a stronger one."""
+        apart = self.sensor.echo_separation
+        merged = []
+        for k, (range_m, strength) in enumerate(zip(ranges, strengths, strict=True)):
+            absorbed = torch.zeros_like(strength, dtype=torch.bool)
+            for other, (other_range, other_strength) in enumerate(zip(ranges, strengths, strict=True)):
+                if other != k:
+                    # Of two equal echoes the earlier in the list counts as the stronger.
+                    stronger = other_strength >= strength if other < k else other_strength > strength
+                    absorbed = absorbed | (stronger & ((other_range - range_m).abs() < apart))
+            merged.append(torch.where(absorbed, torch.zeros_like(strength), strength))
+        return merged
+
+
+@dataclass(frozen=True)
+class _Echoes:
+    """One echo of each beam."""
+
+    range_m: Tensor
+    signal: Tensor
+    kind: Tensor
+
+    @property
+    def parts(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.range_m, self.signal, self.kind
+
+
+def _nothing(like: _Echoes) -> tuple[Tensor, Tensor, Tensor]:
+    return torch.zeros_like(like.range_m), torch.zeros_like(like.signal), torch.full_like(like.kind, LOST)
+
+
+def _best(scores: Sequence[Tensor], echoes: Sequence[_Echoes]) -> _Echoes:
+    """The echo of the highest score in each beam, the first of equals; none where all scores are 0."""
+    best, found = scores[0], echoes[0].parts
+    for score, echo in zip(scores[1:], echoes[1:], strict=True):
+        better = score > best
+        found = tuple(torch.where(better, new, old) for new, old in zip(echo.parts, found, strict=True))  # type: ignore[assignment]
+        best = torch.maximum(best, score)
+    none = best <= 0
+    range_m, signal, kind = found
+    return _Echoes(
+        torch.where(none, 0.0, range_m), torch.where(none, 0.0, signal), torch.where(none, LOST, kind).to(torch.int8)
+    )
+
+
+@register
+class ToPoints(_SensorStage):
+    """Points of the reported echoes: along the beam, in the unit of the input's intensity.
+
+    What no stage touched comes out with the input's own bits. A particle's intensity is that of its equivalent
+    reflectivity ``pi X R^2``; its range gets the sensor's noise and resolution.
+
+    Identity: untouched echoes.
+
+    Args:
+        sensor: the LiDAR, or its dictionary.
+    """
+
+    default_name: ClassVar[str] = "to_points"
+    photons_at_threshold: Tensor
+    range_noise_m: Tensor
+
+    def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        super().__init__(sensor)
+        self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
+        self.register_buffer("range_noise_m", torch.tensor(float(self.sensor.range_noise_m)))
+        self.reported = 2 if self.sensor.return_mode == "dual" else 1
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Range noise of the reported echoes, where the sensor has any."""
+        if self.sensor.range_noise_m == 0:
+            return ()
+        return (Variate("range_noise", "normal", (self.reported, "N")),)
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the points that go out."""
+        drawn = noise.get("range_noise")
+        clouds = [
+            self._cloud(state, echo, None if drawn is None else drawn[:, echo])
+            for echo in range(state.range_m.shape[-1])
+        ]
+        return replace(state, points=clouds[0], second=clouds[1] if len(clouds) > 1 else None)
+
+    def _measured(self, range_m: Tensor, noise: Tensor | None) -> Tensor:
+        """Range of a particle as the sensor measures it."""
+        if noise is not None:
+            range_m = (range_m + self.range_noise_m * noise.to(range_m)).clamp_min(0.0)
+        step = self.sensor.range_resolution_m
+        return torch.round(range_m / step) * step if step > 0 else range_m
+
+    def measurement(self, state: LidarState, noise: Mapping[str, Tensor], echo: int = 0) -> tuple[Tensor, Tensor]:
+        """Range, metres, and intensity ``(B, N)`` of one reported echo; 0 and 0 where there is none.
+
+        What no stage touched has the input's own intensity.
+        """
+        drawn = noise.get("range_noise")
+        range_m, value, lost = self._out(state, None if drawn is None else drawn[:, echo], echo)
+        return torch.where(lost, 0.0, range_m), torch.where(lost, 0.0, value)
+
+    def _out(self, state: LidarState, noise: Tensor | None, echo: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Range and intensity of one reported echo, and where there is none, ``(B, N)`` each."""
+        clear = state.clear_range_m
+        range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
+        particle, lost = kind == PARTICLE, kind == LOST
+        range_m = torch.where(particle, self._measured(range_m, noise), range_m)
+        gain = signal / torch.where(clear > 0, state.clear_signal, 1.0)
+        unit, intensity, integral = self.sensor.intensity_unit, state.points_in[..., 3], state.integral
+        returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
+        value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
+        return range_m, value, lost
+
+    def _cloud(self, state: LidarState, echo: int, noise: Tensor | None) -> Tensor:
+        """Points ``(B, N, C)`` of one reported echo."""
+        points, clear = state.points_in, state.clear_range_m
+        range_m, value, lost = self._out(state, noise, echo)
+        seen = clear > 0
+        gone = lost & seen
+        # 1 for an object that stayed where it was, and for a beam that was empty and stayed so.
+        scale = torch.where(lost, 1.0, range_m / torch.where(seen, clear, 1.0))
+        columns = list(points[..., :3].unbind(-1))  # one by one: several times faster than under a mask of one column
+        if state.empty_direction is not None:
+            along = state.empty_direction.to(points).unbind(-1)
+            here = seen | lost
+            columns = [torch.where(here, own, given) for own, given in zip(columns, along, strict=True)]
+        columns = [torch.where(gone, 0.0, column * scale) for column in columns]
+        # A beam that was empty and stayed so keeps what it came with.
+        value = torch.where(gone, 0.0, torch.where(lost, points[..., 3], value))
+        return torch.stack([*columns, value, *points[..., 4:].unbind(-1)], -1)

@@ -1,0 +1,1 @@
+"""Sweeps as they are recorded: rings, beams without return and where they end, frames, sensors fitted to them."""

@@ -1,0 +1,62 @@
+"""Heights at which a LiDAR's beams start: the lasers of a Velodyne HDL-64E sit in two blocks, 8 cm apart."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchweather.lidar.laser_blocks import height_blocks
+from torchweather.lidar.sensor import Lidar
+
+__all__ = ["beam_heights_m"]
+
+
+def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) -> Tensor | None:
+    """Height at which the beam of every point starts.
+
+    Args:
+        points: ``(..., N, 3 or more)`` x, y, z in metres in the sensor's frame.
+        sensor: with ``origin_heights_m``, and ``elevations_deg`` where they differ.
+        ring: ``(..., N)`` ring of every point, below 0 for none; ``None`` takes the sensor's ``ring_column``, or the
+            ring that is nearest in elevation.
+
+    Returns:
+        ``(..., N)`` metres over the sensor's origin, 0 for points at the origin; ``None`` where every beam starts at
+        0.
+
+    Note:
+        Without rings, the height is that of the block whose nearest ring is nearer in elevation. It is exportable.
+
+    Example:
+        >>> lidar = Lidar(905.0, elevations_deg=(-10.0, 2.0), origin_heights_m=(0.1, 0.2))
+        >>> beam_heights_m(torch.tensor([[10.0, 0.0, -1.66], [10.0, 0.0, 0.55], [0.0, 0.0, 0.0]]), lidar)
+        tensor([0.1000, 0.2000, 0.0000])
+    """
+    heights = sensor.origin_heights_m
+    if heights is None or not any(heights):
+        return None
+    there = (points[..., :3] != 0).any(-1)
+    values = sorted(set(heights))
+    if len(values) == 1:
+        return torch.where(there, values[0], 0.0).to(points)
+    if ring is None and sensor.ring_column is not None:
+        ring = points[..., sensor.ring_column].long()
+    if ring is not None:
+        of_ring = points.new_tensor(heights)
+        known = there & (ring >= 0) & (ring < len(heights))
+        return torch.where(known, of_ring[ring.clamp(0, len(heights) - 1)], 0.0)
+    flat = points[..., :2].norm(dim=-1)
+    best = torch.full_like(flat, torch.inf)
+    found = torch.zeros_like(flat)
+    elevations = sensor.elevations_deg or ()
+    for members in height_blocks(heights):
+        middle = sum(heights[ring] for ring in members) / len(members)
+        order = sorted(members, key=lambda ring: elevations[ring])
+        rising = points.new_tensor([elevations[ring] for ring in order])
+        own = points.new_tensor([heights[ring] for ring in order])
+        elevation = torch.rad2deg(torch.atan2(points[..., 2] - middle, flat))
+        place = (elevation[..., None] > 0.5 * (rising[1:] + rising[:-1])).sum(-1)
+        distance = (elevation - rising[place]).abs()
+        found = torch.where(distance < best, own[place], found)
+        best = torch.minimum(distance, best)
+    return torch.where(there, found, 0.0)

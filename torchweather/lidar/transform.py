@@ -1,0 +1,642 @@
+"""LidarRain, LidarFog, LidarSnow: weather on the point cloud of a LiDAR."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchweather.atmosphere.density_field import PatchyAir, patchy_air
+from torchweather.atmosphere.weather import Weather, check_knobs
+from torchweather.core.errors import check_one_of
+from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
+from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
+from torchweather.lidar.clouds import check_points
+from torchweather.lidar.expected_detection import expected_detection
+from torchweather.lidar.frame_check import warn_of_frame
+from torchweather.lidar.intensity import are_integers, zero_intensity
+from torchweather.lidar.returns.soft_return import SoftReturn
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.stages import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
+from torchweather.lidar.state import LidarState
+from torchweather.lidar.sweep.beam_ends import BeamEnd
+from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask, checked_own_vehicle
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.pipeline.sensor_transform import WeatherTransform, options_of
+from torchweather.pipeline.tiling import is_exporting
+
+__all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
+
+VARIANTS = ("d3_4",)
+LOST_AS = ("zero", "nan", "drop")
+BEAM_ENDS = ("scene", "max_range")
+BEAMS_AT_ONCE = 1 << 19  # arrays of 2 MB
+Cloud = Tensor | list[Tensor]
+
+
+@dataclass(frozen=True)
+class LidarResult:
+    """What the weather did to a cloud. With ``lost="drop"`` the clouds of a batch are lists, one entry a sample.
+
+    Args:
+        points: ``(..., N, C)`` the cloud, in the columns and the dtype of the input.
+        kind: ``(..., N)`` int8, ``PointKind`` of each point: OBJECT 0, PARTICLE 1, LOST 2 (no return: lost, or empty
+            in the input).
+        source: ``(..., N)`` row of the input that the beam belongs to; -1 for a beam that ``complete_scan`` appended.
+        transmission: ``(..., N)`` two-way transmission of the weather to the object of each beam (to the maximum range
+            where there is none).
+        second: ``(..., N, C)`` second returns of a dual-return sensor (the last echo, where it is not the strongest);
+            ``None`` in the other modes.
+        second_source: ``(..., N)`` row of the input that the second return's beam belongs to, -1 where there is none.
+        second_kind: ``(..., N)`` ``PointKind`` of the second returns.
+        beam_end: ``(..., N)`` int8, ``lidar.BeamEnd`` of each beam: RETURN 0, and of those without a return SKY 1,
+            GROUND 2, OWN_VEHICLE 3, OBSTACLE 4, or UNKNOWN 5 where the direction is not known. Particles lie before it.
+        beam_end_counts: ``(..., 6)`` how many beams of the cloud, with appended ones, end at each ``BeamEnd``.
+        empty_beams: ``(...)`` rows without return in the input (with those that ``complete_scan`` appended).
+        floored_points: ``(...)`` returns whose intensity says less than the detection threshold; they were detected,
+            so they stand on it.
+        scan: how beams without return were treated, in words.
+        own_vehicle_points: ``(...)`` returns on the own vehicle, which no weather reaches; ``None`` where it is not
+            known (`LidarWeather`, ``own_vehicle``).
+    """
+
+    points: Cloud
+    kind: Cloud
+    source: Cloud
+    transmission: Cloud
+    second: Cloud | None
+    second_source: Cloud | None
+    second_kind: Cloud | None
+    beam_end: Cloud | None
+    beam_end_counts: Tensor | None
+    empty_beams: Tensor
+    floored_points: Tensor
+    scan: str
+    own_vehicle_points: Tensor | None = None
+
+
+class LidarWeather(WeatherTransform):
+    """Weather on LiDAR point clouds, organised or not.
+
+    The signal of each object follows from its intensity and weakens with the extinction of the weather, on the way out
+    and back. Drops, flakes and fog in the beam return light of their own; the receiver reports what its return mode
+    picks from everything above its threshold.
+
+    Args:
+        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them.
+        sensor: the LiDAR.
+        q_eff: extinction efficiency that the sensor sees; ``None`` is 1.1 for rain and snow and 2 for fog.
+        q_back: backscatter efficiency of raindrops; ``None`` is 0.2 (0.06 at 1550 nm), ``"glints"`` the lower bound
+            0.094; 0.6 is the upper end of what is plausible.
+        fog_extinction: ``mie`` or ``koschmieder`` (ln 20 / MOR at every wavelength).
+        fog_backscatter: ``mie`` or ``hahner`` (0.046 / MOR).
+        lost: lost points become ``zero`` rows (further columns stay), ``nan``, or are left out (``drop``).
+        complete_scan: infer the beams without return that an unorganised cloud lacks from the sensor's scan pattern,
+            and where they end: on the ground, the own vehicle, an obstacle, or in the sky. ``"sky"`` appends only those
+            that end in the sky.
+        beam_ends: where a beam without return ends whose direction is known. ``scene``: where the sweep says, on the
+            ground, the own vehicle, an obstacle, or in the sky (``torchweather.lidar.beam_ends``); ``max_range``: at
+            the sensor's maximum range, through whatever is there.
+        own_vehicle: the vehicle that carries the sensor. Returns on it are objects and come back bit for bit, with no
+            particle before them. Three forms. An `OwnVehicleMask` of a drive (``lidar.own_vehicle_mask``) or its
+            ``.npz`` file: a return is the vehicle's in a cell of its body within 0.15 m of the body's range, so a
+            person in front of it or beside it is not; ``complete_scan`` ends the beams that it blocks on it. A box of
+            the body: x from, x to, y from, y to, z from, z to, metres in the sensor's frame; every return inside is the
+            vehicle's, so measure the body and add nothing. ``None``: one sweep does not show which returns are the
+            vehicle's, so they are weathered as objects. Rows nearer than the sensor's ``min_range_m`` hold no return
+            in any case (nuScenes: 1 m).
+        variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
+            ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
+        effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
+        p: probability that a sample gets the weather; the others come back as they are.
+
+    Note:
+        Single scattering. The beam is uniform inside its cone. Rows without return are simulated only where their
+        direction is known: ``Lidar(directions=...)``, ``directions=`` at the call, or ``complete_scan``.
+
+    References:
+        PHYSICS.md 5.
+
+    Example:
+        >>> from torchweather.atmosphere.weather import Fog, Mixture, Rain
+        >>> lidar = LidarWeather(Mixture(Rain(10), Fog(mor_m=200)), Lidar.preset("velodyne-hdl-64e"))
+        >>> points = torch.tensor([[20.0, 0.0, 0.0, 120.0], [0.0, 80.0, 1.0, 9.0]])
+        >>> lidar(points).shape
+        torch.Size([2, 4])
+    """
+
+    takes_all: ClassVar[str] = "LidarWeather"
+
+    def __init__(
+        self,
+        weather: Weather,
+        sensor: Lidar,
+        *,
+        q_eff: float | None = None,
+        q_back: float | str | None = None,
+        fog_extinction: str = "mie",
+        fog_backscatter: str = "mie",
+        lost: str = "zero",
+        complete_scan: bool | str = False,
+        beam_ends: str = "scene",
+        own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None,
+        variant: str | None = None,
+        effects: Sequence[Effect | Mapping[str, Any]] = (),
+        p: float = 1.0,
+    ) -> None:
+        arguments = locals()
+        super().__init__()
+        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
+        self._check_weather(weather)
+        self._check_p(p)
+        self._check_sensor(sensor, Lidar, "ouster-os1-128")
+        self._check_variant(weather, variant)
+        check_one_of("lost", lost, LOST_AS, owner=self)
+        if complete_scan not in COMPLETE_SCAN:
+            raise ValueError(
+                f'{type(self).__name__}: complete_scan must be False, True or "sky"; got {complete_scan!r}.'
+            )
+        check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
+        self.beam_ends, self._find_beams = beam_ends, BeamFinder()
+        self.own_vehicle = checked_own_vehicle(own_vehicle, type(self).__name__)
+        if variant == "hahner":
+            fog_backscatter, fog_extinction = "hahner", "koschmieder"
+        self.weather, self.sensor = weather, sensor
+        weather = weather.densest()
+        self.lost, self.complete_scan = lost, complete_scan
+        published = "d3_4" if variant == "d3_4" else None
+        parts = weather.parts
+        air = patchy_air(weather)
+        if air and published:
+            raise ValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
+        plain = Chain(
+            {
+                **air,
+                "to_energy": ToEnergy(sensor),
+                "extinction": Extinction(parts, sensor, q_eff, fog_extinction, published),
+                "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published),
+                "detection": Detection(sensor),
+                "to_points": ToPoints(sensor),
+            }
+        )
+        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
+        self.chain = with_effects(plain, built)
+
+    def _check_variant(self, weather: Weather, variant: str | None) -> None:
+        name, kinds = type(self).__name__, [part.kind for part in weather.parts]
+        if variant is None:
+            return
+        check_one_of("variant", variant, (*VARIANTS, "hahner"), owner=self)
+        if variant == "d3_4" and kinds != ["rain"]:
+            raise ValueError(
+                f'{name}: variant="d3_4" exists for rain alone. The published fog and snow signals have no system '
+                "constant (a target reflectivity of 150, flakes 2.8e6 times brighter than the object, pulses of 10 fs) "
+                "and follow from no sensor. Use the default."
+            )
+        if variant == "hahner" and "fog" not in kinds:
+            raise ValueError(f'{name}: variant="hahner" is the backscatter of fog; this weather has none.')
+
+    # ---- what the weather is, readable -------------------------------------------------------------------------
+
+    @property
+    def extinction_per_m(self) -> Tensor:
+        """Effective extinction of all weather together, 1/m, one value for each value of the knob."""
+        stage = self._stage(Extinction)
+        values = [part() for part in stage.parts.values()]
+        most = max(value.numel() for value in values)
+        return torch.stack([value.expand(most) for value in values]).sum(0)
+
+    @property
+    def backscatter_per_m_sr(self) -> Tensor:
+        """Backscatter coefficient of fog, 1/(m sr); 0 without fog."""
+        fog = self._stage(ParticleReturns).kinds.get("fog")
+        if not isinstance(fog, SoftReturn):
+            return torch.zeros(1)
+        return fog.backscatter_per_m_sr(fog.mor_m.reshape(-1))
+
+    @property
+    def mor_m(self) -> Tensor:
+        """Visibility of the fog, m; infinity without fog."""
+        fog = self._stage(ParticleReturns).kinds.get("fog")
+        return fog.mor_m.reshape(-1) if isinstance(fog, SoftReturn) else torch.full((1,), math.inf)
+
+    def _stage(self, kind: type[Any]) -> Any:
+        for stage in self.chain.stages.values():
+            if isinstance(stage, kind):
+                return stage
+        raise ValueError(f"{type(self).__name__}: the chain has no {kind.__name__} stage.")
+
+    # ---- calls -------------------------------------------------------------------------------------------------
+
+    def forward(
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        directions: Tensor | None = None,
+        reach_m: Tensor | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+    ) -> Cloud:
+        """The cloud in the weather.
+
+        Args:
+            points: ``(..., N, 4 or more)``: x, y, z in metres, intensity in the sensor's unit, further columns.
+            noise: what ``draw`` gave; ``None`` draws anew.
+            directions: ``(N, 3)`` or ``(..., N, 3)`` direction of every row, for beams without return.
+            reach_m: ``(..., N)`` way of every beam without return to its end, metres; ``None``: as ``beam_ends`` says.
+                Rows with a return do not look at it.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
+
+        Returns:
+            The input's shape, columns and dtype; rows more with ``complete_scan``; a shorter cloud (a list of them for
+            a batch) with ``lost="drop"``.
+        """
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
+        beams, state = self._begin(points, directions, reach_m)
+        state = _own_vehicle_restored(self._through(state, noise, beams.first_row), beams)
+        assert state.points is not None
+        return self._outgoing(state.points, state.kind[..., 0], points, beams)
+
+    def run(
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        directions: Tensor | None = None,
+        reach_m: Tensor | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+    ) -> LidarResult:
+        """The cloud, and what happened to each of its points; arguments as ``forward``."""
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
+        beams, before = self._begin(points, directions, reach_m)
+        state = _own_vehicle_restored(self._through(before, noise, beams.first_row), beams)
+        assert state.points is not None
+        batch, count = state.kind.shape[:2]
+        rows = torch.arange(count, device=points.device)
+        source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
+        transmission = torch.ones_like(state.reach_m)
+        if state.extinction_per_m is not None:
+            # To the object where particles end before it: at the ground above a return from below it.
+            under = (before.clear_range_m > 0) & (before.reach_m < before.clear_range_m)
+            way_m = torch.where(under, before.clear_range_m, state.reach_m)
+            way_m = way_m if state.path_density is None else way_m * state.path_density
+            transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * way_m)
+        if beams.on_own is not None:
+            transmission = torch.where(beams.on_own, 1.0, transmission)
+        second = second_source = second_kind = None
+        if state.second is not None:
+            kind = state.kind[..., 1]
+            there = torch.where(kind == PointKind.LOST, -1, source)
+            second = self._outgoing(state.second, kind, points, beams)
+            second_source = self._outgoing(there, kind, points, beams)
+            second_kind = self._outgoing(kind, kind, points, beams)
+        kind = state.kind[..., 0]
+        lead = points.shape[:-2]
+        return LidarResult(
+            points=self._outgoing(state.points, kind, points, beams),
+            kind=self._outgoing(kind, kind, points, beams),
+            source=self._outgoing(source, kind, points, beams),
+            transmission=self._outgoing(transmission.to(points.dtype), kind, points, beams),
+            second=second,
+            second_source=second_source,
+            second_kind=second_kind,
+            beam_end=None if beams.end is None else self._outgoing(beams.end, kind, points, beams),
+            beam_end_counts=None if beams.end is None else _counts_of(beams).reshape(*lead, len(BeamEnd)),
+            empty_beams=(before.clear_range_m == 0).sum(-1).reshape(lead),
+            floored_points=self._floored(before).reshape(lead),
+            scan=beams.scan,
+            own_vehicle_points=None if beams.on_own is None else beams.on_own.sum(-1).reshape(lead),
+        )
+
+    def draw(
+        self, points: Tensor, generator: torch.Generator | None = None, seed: int | Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Noise for ``forward``; depends on the number of points alone, not on where they are.
+
+        Args:
+            points: ``(..., N, C)``; with ``complete_scan`` also the beams that they lack count.
+            generator: torch generator that gives one integer a sample; ``None`` is the global one.
+            seed: those integers themselves: a tensor of the batch shape, or the first of them.
+
+        Returns:
+            ``<stage>.<variate>`` to a tensor that leads with the batch shape.
+        """
+        check_points(points, self.sensor, self)
+        count = points.shape[-2]
+        if self.complete_scan:
+            beams = self._find_beams(
+                points,
+                self.sensor,
+                None,
+                complete_scan=self.complete_scan,
+                at_scene=self.beam_ends == "scene",
+                own_vehicle=self.own_vehicle,
+                owner=self,
+            )
+            count = beams.points.shape[-2]
+        return self.drawn(points.shape[:-2], {"N": count}, generator, seed)
+
+    def on_numpy(
+        self, points: NDArray[Any], seed: int | None = None, directions: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
+        """Numpy in, numpy out: the cloud of a simulator's sensor callback in the weather.
+
+        Args:
+            points: ``(N, 4 or more)``, floating point.
+            seed: the same seed gives the same weather; ``None`` draws from torch's global generator.
+            directions: ``(N, 3)`` for beams without return.
+
+        Returns:
+            A new array of the dtype of ``points``.
+
+        Example:
+            >>> from torchweather.atmosphere.weather import Snow
+            >>> lidar = LidarSnow(Snow(rate_mm_per_h=1), Lidar.preset("velodyne-hdl-64e"))
+            >>> lidar.on_numpy(np.array([[9.0, 1.0, 0.5, 40.0]], dtype=np.float32), seed=1).dtype
+            dtype('float32')
+        """
+        with torch.no_grad():
+            cloud = _from_numpy(points)
+            along = None if directions is None else _from_numpy(directions)
+            noise = self.draw(cloud, seed=seed)
+            out = self(cloud, noise, directions=along)
+        found: NDArray[Any] = out.numpy()
+        return found
+
+    def expected(self, points: Tensor, *, directions: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Expected signal of each object and the probability that the sensor reports it; smooth, nothing is drawn.
+
+        The signal is X of ``PHYSICS.md`` 5.3 in the weather, 1/(m^2 sr). A point is reported if it stays above
+        threshold and nothing in front beats it (``strongest``), is seen apart from it (``first``) or swallows it (all
+        but ``strongest``; of fog approximately). The step at the threshold is rounded by photon noise
+        (``lidar/expected_detection.py``).
+
+        Args:
+            points: as in ``forward``.
+            directions: likewise.
+
+        Returns:
+            ``(..., N)`` each; 0 for rows without return. Differentiable in rates, visibility and sensor parameters.
+        """
+        effects = [stage.id for stage in self.chain.stages.values() if isinstance(stage, Effect)]
+        effects += [name for name, stage in self.chain.stages.items() if isinstance(stage, PatchyAir)]
+        if effects:
+            raise ValueError(
+                f"{type(self).__name__}: expected knows the plain chain, without {', '.join(effects)}. Average draws "
+                "of run() instead."
+            )
+        beams, state = self._begin(points, directions)
+        stages = [self._stage(kind) for kind in (ToEnergy, Extinction, ParticleReturns, Detection)]
+        signal, reported = expected_detection(state, *stages)
+        if beams.on_own is not None:
+            clear = stages[0].signal_of_intensity(state.points_in[..., 3], state.clear_range_m, state.zero_intensity)
+            signal = torch.where(beams.on_own, clear.clamp_min(stages[0].beam.threshold), signal)
+            reported = torch.where(beams.on_own, 1.0, reported)
+        lead = points.shape[:-2]
+        return signal.reshape(*lead, signal.shape[-1]), reported.reshape(*lead, signal.shape[-1])
+
+    def state_of(self, points: Tensor, directions: Tensor | None = None) -> LidarState:
+        """What the chain takes: the beams of a cloud before any stage.
+
+        Args:
+            points, directions: as in ``forward``.
+        """
+        return self._begin(points, directions)[1]
+
+    # ---- the border --------------------------------------------------------------------------------------------
+
+    def _begin(
+        self, points: Tensor, directions: Tensor | None, way_m: Tensor | None = None
+    ) -> tuple[Beams, LidarState]:
+        check_points(points, self.sensor, self)
+        if directions is None and self.sensor.directions is None:
+            warn_of_frame(points, self.sensor, self)
+        check_knobs(self.weather, points.shape[:-2], owner=self)
+        along = self.sensor.directions if directions is None else directions
+        along = directions_in_sensor_frame(along, self.sensor)
+        # In the sensor's frame, from where each beam starts, until _outgoing.
+        at_scene = self.beam_ends == "scene" and way_m is None
+        beams = self._find_beams(
+            points,
+            self.sensor,
+            along,
+            complete_scan=self.complete_scan,
+            at_scene=at_scene,
+            own_vehicle=self.own_vehicle,
+            owner=self,
+        )
+        flat = beams.points
+        range_m = _range_m(flat, self.sensor.min_range_m)
+        reach_m = range_m
+        if beams.empty_direction is not None:
+            farthest: float | Tensor = self.sensor.max_range_m if beams.end_m is None else beams.end_m
+            if way_m is not None:
+                farthest = self._checked_way(way_m, points).to(range_m)
+            reach_m = torch.where(
+                range_m > 0, range_m if beams.end_m is None else beams.end_m.minimum(range_m), farthest
+            )
+        nothing = torch.zeros_like(range_m)[..., None]
+        state = LidarState(
+            points_in=flat,
+            empty_direction=beams.empty_direction,
+            clear_range_m=range_m,
+            clear_signal=nothing[..., 0],
+            range_m=range_m[..., None],
+            signal=nothing,
+            kind=nothing.to(torch.int8),
+            reach_m=reach_m,
+            threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
+            integral=are_integers(flat[..., 3], self.sensor.intensity_unit),
+            zero_intensity=zero_intensity(flat[..., 3], self.sensor.intensity_unit, self.sensor.zero_intensity),
+            grid=self._grid(flat.shape[1]),
+        )
+        return beams, state
+
+    def _checked_way(self, way_m: Tensor, points: Tensor) -> Tensor:
+        """Ways to the beams' ends ``(B, N)``."""
+        if way_m.shape != points.shape[:-1]:
+            raise ValueError(
+                f"{type(self).__name__}: reach_m must have shape {tuple(points.shape[:-1])}, a way in metres for every "
+                f"row; got {tuple(way_m.shape)}."
+            )
+        return way_m.reshape(-1, way_m.shape[-1])
+
+    def _grid(self, count: int) -> tuple[int, int] | None:
+        """Rows and columns where the cloud is the whole scan pattern."""
+        rings, columns = self.sensor.elevations_deg, self.sensor.columns
+        if rings is None or columns is None or len(rings) * columns != count:
+            return None
+        return len(rings), columns
+
+    def _through(
+        self, state: LidarState, noise: Mapping[str, Tensor] | None, first_row: Tensor | None = None
+    ) -> LidarState:
+        if noise is None:
+            drawn = self.chain.draw(state)
+            flat = {key: value.to(state.points_in.device) for key, value in drawn.items()}
+        else:
+            flat = {key: value.to(state.points_in.device) for key, value in self._flat_noise(noise, state).items()}
+        if first_row is not None:  # echoes of one beam meet the same particles
+            flat = {key: _of_first(value, first_row) for key, value in flat.items()}
+        if self._is_large(state):
+            return self._in_portions(state, flat)
+        found: LidarState = self.chain(state, flat)
+        return found
+
+    def _is_large(self, state: LidarState) -> bool:
+        """Whether the cloud is worked on in portions of its beams."""
+        batch, beams = state.clear_range_m.shape
+        if is_exporting() or batch * beams <= BEAMS_AT_ONCE or batch > beams:
+            return False
+        if not all(stage.each_beam_alone for stage in self.chain.stages.values()):
+            return False
+        learns = (state.points_in, *self.chain.buffers())
+        return not (torch.is_grad_enabled() and any(value.requires_grad for value in learns))
+
+    def _in_portions(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state after the chain, portion by portion: fresh memory for larger arrays costs more than the work."""
+        batch, beams = state.clear_range_m.shape
+        size = max(1, BEAMS_AT_ONCE // batch)
+        found = []
+        for start in range(0, beams, size):
+            part = slice(start, start + size)
+            found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
+        joined: dict[str, Any] = {}
+        for name in ("points", "second", "kind", "reach_m", "path_density"):
+            values = [getattr(part, name) for part in found]
+            joined[name] = None if values[0] is None else torch.cat(values, 1)
+        return replace(state, extinction_per_m=found[0].extinction_per_m, **joined)
+
+    def _floored(self, state: LidarState) -> Tensor:
+        stage = self._stage(ToEnergy)
+        signal = stage.signal_of_intensity(state.points_in[..., 3], state.clear_range_m, state.zero_intensity)
+        floored: Tensor = (state.clear_range_m > 0) & (signal < stage.beam.threshold)
+        return floored.sum(-1)
+
+    def _outgoing(self, values: Tensor, kind: Tensor, points: Tensor, beams: Beams) -> Cloud:
+        """Values ``(B, N, ...)`` of the beams as they leave: shape and dtype of the input, lost points as asked for."""
+        batch = points.shape[:-2]
+        if values.ndim == 3:  # the cloud itself
+            given = points.reshape(values.shape[0], *points.shape[-2:])
+            values = points_in_cloud_frame(values, beams.points, given, self.sensor, beams.height_m).to(points.dtype)
+            if self.lost == "nan":
+                had_return = _range_m(beams.points, self.sensor.min_range_m) > 0
+                gone = (kind == PointKind.LOST) & had_return
+                first = torch.arange(values.shape[-1], device=values.device) < 4
+                values = torch.where(gone[..., None] & first, torch.full_like(values, torch.nan), values)
+        if self.lost != "drop":
+            return values.reshape(*batch, *values.shape[1:])
+        kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
+        return kept if batch else kept[0]
+
+
+def _own_vehicle_restored(state: LidarState, beams: Beams) -> LidarState:
+    """The state after the chain, with returns on the own vehicle as they came: no second echo, no particle."""
+    if beams.on_own is None or state.points is None:
+        return state
+    own = beams.on_own
+    points = torch.where(own[..., None], state.points_in, state.points)
+    kind = state.kind.clone()
+    kind[..., 0] = torch.where(own, int(PointKind.OBJECT), kind[..., 0])
+    second = state.second
+    if second is not None:
+        first = torch.arange(second.shape[-1], device=second.device) < 4
+        second = torch.where(own[..., None], torch.where(first, 0.0, state.points_in), second)
+        kind[..., 1] = torch.where(own, int(PointKind.LOST), kind[..., 1])
+    return replace(state, points=points, kind=kind, second=second)
+
+
+def _counts_of(beams: Beams) -> Tensor:
+    """How many beams of each cloud end where, ``(B, 6)``; rows of padding are none."""
+    assert beams.end is not None
+    real = torch.ones_like(beams.end, dtype=torch.bool)
+    if beams.appended and beams.empty_direction is not None:
+        real[:, -beams.appended :] = (beams.empty_direction[:, -beams.appended :] != 0).any(-1)
+    return torch.stack([((beams.end == int(end)) & real).sum(-1) for end in BeamEnd], -1)
+
+
+def _range_m(points: Tensor, min_range_m: float) -> Tensor:
+    """Range of each row, 0 where it holds no return: at the origin, or nearer than the sensor measures."""
+    x, y, z = points[..., :3].unbind(-1)
+    range_m = (x * x + y * y + z * z).sqrt()
+    return torch.where(range_m < min_range_m, 0.0, range_m) if min_range_m > 0 else range_m
+
+
+def _of_first(noise: Tensor, first_row: Tensor) -> Tensor:
+    """Noise ``(B, ..., N)`` with that of each beam's first row for all its rows; other noise as it is."""
+    if noise.shape[-1] != first_row.shape[-1] or noise.shape[0] != first_row.shape[0]:
+        return noise
+    between = (1,) * (noise.ndim - 2)
+    return noise.gather(-1, first_row.view(len(first_row), *between, -1).expand_as(noise))
+
+
+def _from_numpy(array: NDArray[Any]) -> Tensor:
+    # A simulator's buffer may be read-only, which torch warns of: that one is copied.
+    return torch.from_numpy(np.require(array, requirements=("C", "W")))
+
+
+class LidarRain(LidarWeather):
+    """Rain on a LiDAR's point cloud: weaker returns, lost ones, and drops near the sensor.
+
+    Arguments as ``LidarWeather``.
+
+    Example:
+        >>> from torchweather.atmosphere.weather import Rain
+        >>> lidar = LidarRain(Rain(rate_mm_per_h=25), Lidar.preset("ouster-os1-128"))
+        >>> points = torch.tensor([[20.0, 0.0, 0.0, 40.0], [0.0, 60.0, 1.0, 9.0]])
+        >>> noise = lidar.draw(points, seed=7)
+        >>> torch.equal(lidar(points, noise), lidar(points, noise))
+        True
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("rain",)
+
+
+class LidarFog(LidarWeather):
+    """Fog on a LiDAR's point cloud: objects fade, and the fog itself returns a few metres ahead.
+
+    Arguments as ``LidarWeather``.
+
+    Example:
+        >>> from torchweather.atmosphere.weather import Fog
+        >>> lidar = LidarFog(Fog(mor_m=50), Lidar.preset("ouster-os1-128"))
+        >>> points = torch.tensor([[60.0, 0.0, 0.0, 40.0]])
+        >>> int(lidar.run(points, lidar.draw(points, seed=1)).kind)
+        1
+        >>> [round(float(v), 4) for v in (lidar.extinction_per_m, lidar.backscatter_per_m_sr, lidar.mor_m)]
+        [0.0633, 0.003, 50.0]
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("fog",)
+
+
+class LidarSnow(LidarWeather):
+    """Snow on a LiDAR's point cloud: flakes in the near range, weaker returns beyond.
+
+    Arguments as ``LidarWeather``.
+
+    Example:
+        >>> from torchweather.atmosphere.weather import Snow
+        >>> lidar = LidarSnow(Snow(rate_mm_per_h=2), Lidar.preset("velodyne-hdl-64e", return_mode="dual"))
+        >>> points = torch.tensor([[25.0, 0.0, 0.0, 10.0]]).expand(1000, 4)
+        >>> result = lidar.run(points, lidar.draw(points, seed=1))
+        >>> bool((result.kind == PointKind.PARTICLE).any()), result.second.shape
+        (True, torch.Size([1000, 4]))
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("snow",)

@@ -1,0 +1,1 @@
+"""Stages, effects and chains, and the transform that the sensors share."""

@@ -1,0 +1,69 @@
+"""A weather of its own for each sample of a call: rates drawn from their ranges, some samples left clear."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchweather.atmosphere.weather import Mixture, Weather
+from torchweather.core.errors import owner_name
+from torchweather.core.random import keyed_stream
+
+__all__ = ["CLEAR", "weather_at_call"]
+
+CLEAR = {"rate_mm_per_h": 0.0, "mor_m": math.inf}
+"""Value of each knob without weather."""
+
+
+def weather_at_call(weather: Weather, p: float, batch: Sequence[int], seeds: Sequence[int], owner: object) -> Weather:
+    """The weather of a call: a number, or a tensor of the batch shape, for each rate and visibility.
+
+    Args:
+        weather: with numbers, tensors or distributions.
+        p: probability that a sample gets weather.
+        batch: shape of the batch; ``()`` for one sample.
+        seeds: one integer for each sample, row-major.
+        owner: for messages.
+
+    Raises:
+        ValueError: a field that all samples of a batch share, such as a temperature, is to be drawn for each.
+
+    Example:
+        >>> from torchweather.atmosphere.weather import Rain
+        >>> weather_at_call(Rain(rate_mm_per_h=(1, 50)), 0.5, (4,), [1, 2, 3, 4], "example").rate_mm_per_h > 0
+        tensor([ True, False, False, False])
+    """
+    drawn = [weather.drawn(seed) for seed in seeds]
+    wet = [p >= 1.0 or float(keyed_stream(seed, "weather.p").random()) < p for seed in seeds]
+    parts = [
+        _part(part, [one.parts[place] for one in drawn], wet, batch, owner) for place, part in enumerate(weather.parts)
+    ]
+    return parts[0] if len(parts) == 1 else Mixture(*parts)
+
+
+def _part(part: Weather, drawn: Sequence[Weather], wet: Sequence[bool], batch: Sequence[int], owner: object) -> Weather:
+    name = part.knob_name
+    shared = [other for other in part.random if other != name]
+    if shared and len(drawn) > 1:
+        raise ValueError(
+            f"{owner_name(owner)}: {part.kind}.{shared[0]} is one value for all samples of a batch; got "
+            f"{part.random[shared[0]]!r}. Draw it before the batch is made (WeatherDataset, Compose), or give a number."
+        )
+    if not drawn:
+        return replace(part.densest(), **{name: torch.zeros(tuple(batch))})  # type: ignore[type-var]
+    given = [getattr(one, name) for one in drawn]
+    knob: Any
+    if not batch:
+        knob = given[0] if wet[0] else CLEAR[name]
+    elif isinstance(given[0], Tensor):  # one value, or one for each sample: the same in each draw
+        chosen = torch.tensor(wet, device=given[0].device).reshape(tuple(batch))
+        knob = torch.where(chosen, given[0].reshape(tuple(batch) if given[0].numel() > 1 else ()), CLEAR[name])
+    else:
+        values = [float(value) if one else CLEAR[name] for value, one in zip(given, wet, strict=True)]
+        knob = torch.tensor(values).reshape(tuple(batch))
+    return replace(drawn[0], **{name: knob})  # type: ignore[type-var]

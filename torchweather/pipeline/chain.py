@@ -1,0 +1,175 @@
+"""Chain: stages in order; drawn, run, extended, saved and loaded as one."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from torch import Tensor, nn
+
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.random import in_parallel, sample_seeds
+from torchweather.pipeline.registry import STAGES
+from torchweather.pipeline.stage import Stage, State
+
+__all__ = ["Chain"]
+
+FORMAT = "torchweather-chain/1"
+
+
+class Chain(nn.Module):
+    """Stages applied in order; a missing effect is a stage that is not in it.
+
+    Args:
+        stages: name to stage, in the order of application.
+
+    Example:
+        >>> from torchweather.stages import Quantise
+        >>> list(Chain({"quantise": Quantise()}).stages)
+        ['quantise']
+    """
+
+    def __init__(self, stages: Mapping[str, Stage]) -> None:
+        super().__init__()
+        self._stages = nn.ModuleDict(dict(stages))
+
+    @property
+    def stages(self) -> dict[str, Stage]:
+        """Name to stage, in order."""
+        return dict(self._stages.items())  # type: ignore[arg-type]
+
+    def insert(
+        self, stage: Stage, *, after: str | None = None, before: str | None = None, name: str | None = None
+    ) -> Chain:
+        """A new chain with ``stage`` put in; all other stages keep their random streams."""
+        anchor = after if after is not None else before
+        if (after is None) == (before is None):
+            raise ValueError("Chain.insert: give either after= or before=, the name of a stage of the chain.")
+        check_one_of("stage", anchor, self.stages, owner=self)
+        new_name = name or stage.default_name
+        if new_name in self.stages:
+            raise ValueError(f"Chain.insert: a stage named {new_name!r} is there already; give another name=.")
+        ordered: dict[str, Stage] = {}
+        for known, present in self.stages.items():
+            if known == before:
+                ordered[new_name] = stage
+            ordered[known] = present
+            if known == after:
+                ordered[new_name] = stage
+        return Chain(ordered)
+
+    def remove(self, name: str) -> Chain:
+        """A new chain without the named stage."""
+        check_one_of("stage", name, self.stages, owner=self)
+        return Chain({known: stage for known, stage in self.stages.items() if known != name})
+
+    def draw(
+        self, state: State, generator: torch.Generator | None = None, seed: int | Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Noise of all stages, ``<stage>.<variate>`` to ``(B, ...)``; takes one integer per sample."""
+        seeds = sample_seeds((state.batch,), generator, seed)
+
+        def drawn(name: str) -> dict[str, Tensor]:
+            found = self.stages[name].draw(state, seed=seeds, name=name)
+            return {f"{name}.{variate}": array for variate, array in found.items()}
+
+        shapes = [v.sample_shape(state.sizes) for stage in self.stages.values() for v in stage.variates()]
+        numbers = len(seeds) * sum(math.prod(shape) for shape in shapes)
+        return {key: array for part in in_parallel(drawn, list(self.stages), numbers) for key, array in part.items()}
+
+    def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
+        """The state after all stages."""
+        for name, stage in self._stages.items():
+            prefix = f"{name}."
+            own = {key.removeprefix(prefix): value for key, value in noise.items() if key.startswith(prefix)}
+            state = stage(state, own)
+        return state
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: the class and the arguments of every stage."""
+        return {
+            "format": FORMAT,
+            "stages": [
+                {"name": name, "stage": type(stage).__name__, **stage.config()} for name, stage in self.stages.items()
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], owner: str = "Chain") -> Chain:
+        """Rebuild a chain from ``to_dict``'s values."""
+        if not isinstance(values, Mapping) or values.get("format") != FORMAT:
+            raise TorchweatherError(f"{owner}: wanted a chain of format {FORMAT!r}; got {_format_of(values)!r}.")
+        stages: dict[str, Stage] = {}
+        for number, entry in enumerate(_entries(values, owner)):
+            arguments = dict(entry)
+            name, kind = arguments.pop("name", None), arguments.pop("stage", None)
+            if not isinstance(name, str) or name in stages:
+                raise TorchweatherError(
+                    f"{owner}: stages[{number}]: wanted a name of its own for each stage; got {name!r}."
+                )
+            if kind not in STAGES:
+                raise TorchweatherError(
+                    f"{owner}: stages[{number}]: stage must be one of {', '.join(STAGES)}; got {kind!r}."
+                    f"{nearest_name(kind, STAGES)}"
+                )
+            try:
+                stages[name] = STAGES[kind](**arguments)
+            except (TypeError, ValueError, KeyError, AttributeError) as error:
+                raise TorchweatherError(f"{owner}: stages[{number}] ({name}): {error}") from error
+        return cls(stages)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the chain as one zip of ``chain.yaml`` and ``state.npz``; nothing is pickled.
+
+        The file is written under a temporary name and then renamed.
+        """
+        target = Path(path)
+        state = io.BytesIO()
+        np.savez(state, **{key: value.detach().cpu().numpy() for key, value in self.state_dict().items()})
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+                archive.writestr("chain.yaml", yaml.safe_dump(self.to_dict(), sort_keys=False))
+                archive.writestr("state.npz", state.getvalue())
+            os.replace(temporary, target)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Chain:
+        """Read what ``save`` wrote."""
+        try:
+            with zipfile.ZipFile(path) as archive:
+                values = yaml.safe_load(archive.read("chain.yaml"))
+                with np.load(io.BytesIO(archive.read("state.npz")), allow_pickle=False) as arrays:
+                    state = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error, yaml.YAMLError) as error:
+            raise TorchweatherError(f"{path}: wanted a chain written by Chain.save; {error}.") from error
+        chain = cls.from_dict(values, owner=str(path))
+        try:
+            chain.load_state_dict(state)
+        except RuntimeError as error:
+            raise TorchweatherError(f"{path}: state.npz does not belong to chain.yaml: {error}") from error
+        return chain
+
+
+def _entries(values: Mapping[str, Any], owner: str) -> list[Mapping[str, Any]]:
+    entries = values.get("stages")
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise TorchweatherError(f"{owner}: stages must be a list of stages, each with name and stage; got {entries!r}.")
+    return entries
+
+
+def _format_of(values: Any) -> Any:
+    return values.get("format") if isinstance(values, Mapping) else type(values).__name__

@@ -1,0 +1,216 @@
+"""WeatherTransform: what the transforms of all sensors share: their checks, and noise in and out."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+
+from torchweather.atmosphere.weather import Weather
+from torchweather.core.errors import check_between
+from torchweather.core.random import flat_noise, sample_seeds
+from torchweather.pipeline.at_call import weather_at_call
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.sensor import Sensor
+from torchweather.pipeline.stage import State
+
+__all__ = ["Sizes", "WeatherTransform", "class_for", "options_of"]
+
+
+def options_of(transform: type[nn.Module]) -> dict[str, Any]:
+    """Keyword arguments that a kind of transform takes, and their defaults."""
+    parameters = inspect.signature(transform.__init__).parameters
+    return {
+        name: parameter.default
+        for name, parameter in parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    }
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Just enough of a state for drawing."""
+
+    batch: int
+    sizes: dict[str, int]
+
+
+class WeatherTransform(nn.Module):
+    """A chain of stages made from a weather and a sensor.
+
+    A subclass says which weathers it ``takes`` and under which name another class ``takes_all``. It may be built from a
+    weather that has yet to be drawn; ``Compose`` then draws one for each sample, and a call of its own refuses.
+    """
+
+    takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
+    takes_all: ClassVar[str] = ""
+    weather: Weather
+    chain: Chain
+    given: dict[str, Any]
+    """Keyword arguments of the constructor, with which it can be built for another weather."""
+    p: float = 1.0
+    """Probability that a sample gets the weather."""
+    _unchanged: bool = False
+
+    def with_weather(self, weather: Weather) -> WeatherTransform:
+        """The same transform for another weather; tables that both need are shared.
+
+        Args:
+            weather: of any kind; where this class does not take it, the result is of the class that takes all.
+
+        Raises:
+            ValueError: the chain was changed after the transform was built.
+
+        Example:
+            >>> import torchweather as tw
+            >>> rain = tw.LidarRain(tw.Rain(10), tw.Lidar.preset("velodyne-hdl-64e"), lost="nan")
+            >>> rain.with_weather(tw.Fog(mor_m=50)).lost
+            'nan'
+        """
+        self.refuse_changes()
+        return self._built_for(weather)
+
+    @property
+    def is_random(self) -> bool:
+        """True where a call draws a weather for each sample: a rate is a range, or ``p`` is below 1."""
+        return self.p < 1.0 or bool(self.weather.random)
+
+    def at_call(
+        self, batch: Sequence[int], seed: int | Tensor | None, generator: torch.Generator | None
+    ) -> tuple[Self, Tensor]:
+        """The transform with the weather of one call, and the integer of each sample.
+
+        Args:
+            batch: shape of the batch.
+            seed: the integers: a tensor of the batch shape, or one integer s for s, s + 1, ...
+            generator: gives one integer a sample; ``None`` is torch's global generator.
+        """
+        flat = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
+        seeds = sample_seeds(tuple(batch), generator, flat)
+        chosen = self
+        if self.is_random:
+            if not self._unchanged:
+                self.refuse_changes()
+                self._unchanged = True
+            weather = weather_at_call(self.weather, self.p, batch, seeds, self)
+            kind: Any = type(self)
+            chosen = kind(weather, self.own_sensor(), **{**self.given, "p": 1.0})
+            some = next(self.buffers(), None)
+            chosen = chosen if some is None else chosen.to(some.device)
+        return chosen, torch.tensor(seeds, dtype=torch.int64).reshape(tuple(batch))
+
+    def must_draw(
+        self, noise: Mapping[str, Tensor] | None, seed: int | Tensor | None, generator: torch.Generator | None
+    ) -> bool:
+        """Whether a call must draw by `at_call` first."""
+        if noise is None:
+            return seed is not None or generator is not None or self.is_random
+        if seed is not None or generator is not None:
+            raise ValueError(
+                f"{type(self).__name__}: noise is drawn already; seed and generator are for a call that draws it. "
+                "Pass noise, or one of the others."
+            )
+        return False
+
+    def _check_p(self, p: float) -> None:
+        check_between("p", p, 0.0, 1.0, owner=self)
+        self.p = float(p)
+
+    def own_sensor(self) -> Sensor:
+        """The sensor that the transform was built for."""
+        sensor = self.sensor
+        assert isinstance(sensor, Sensor)
+        return sensor
+
+    def refuse_changes(self) -> None:
+        """Raise where the chain was changed after the transform was built: it could not be built anew.
+
+        Raises:
+            ValueError: a stage, a parameter or a buffer is not what the constructor makes.
+        """
+        changed = _changed(self, self._built_for(self.weather))
+        if changed:
+            name = type(self).__name__
+            raise ValueError(f"{name}: {changed}; it cannot be built anew. Give changes as effects=[...].")
+
+    def _built_for(self, weather: Weather) -> WeatherTransform:
+        kind: Any = class_for(type(self), weather)
+        built: WeatherTransform = kind(weather, self.own_sensor(), **self.given)
+        return built
+
+    def _check_weather(self, weather: Weather) -> None:
+        name = type(self).__name__
+        if not isinstance(weather, Weather):
+            raise TypeError(
+                f"{name}: weather must be Rain, Fog, Snow or a Mixture, such as Rain(rate_mm_per_h=10); "
+                f"got {weather!r}."
+            )
+        wrong = [part.kind for part in weather.parts if part.kind not in self.takes]
+        if wrong:
+            raise TypeError(
+                f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. {self.takes_all} takes all."
+            )
+
+    def _check_sensor(self, sensor: object, wanted: type[Sensor], example: str) -> None:
+        if not isinstance(sensor, wanted):
+            raise TypeError(
+                f"{type(self).__name__}: {wanted.kind if wanted.kind == 'camera' else 'sensor'} must be a "
+                f"{wanted.__name__}, such as {wanted.__name__}.preset({example!r}); got {sensor!r}."
+            )
+
+    def drawn(
+        self,
+        batch: Sequence[int],
+        sizes: dict[str, int],
+        generator: torch.Generator | None,
+        seed: int | Tensor | None,
+    ) -> dict[str, Tensor]:
+        """Noise of the chain for named sizes, leading with the batch shape."""
+        flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
+        drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed)
+        return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+
+    def _flat_noise(self, noise: Mapping[str, Tensor], state: State) -> dict[str, Tensor]:
+        """The noise that the chain needs, ``(B, ...)``, checked against the sizes of the state."""
+        shapes = {
+            f"{name}.{variate.name}": variate.sample_shape(state.sizes)
+            for name, stage in self.chain.stages.items()
+            for variate in stage.variates()
+        }
+        return flat_noise(noise, shapes, state.batch, owner=self)
+
+
+def class_for(kind: type[WeatherTransform], weather: Weather) -> type[WeatherTransform]:
+    """The class; for a weather that it does not take, the nearest of its base classes that does."""
+    for base in kind.__mro__:
+        takes = getattr(base, "takes", ())
+        if all(part.kind in takes for part in weather.parts):
+            return base
+    raise TypeError(f"{kind.__name__}: no class takes {type(weather).__name__}.")
+
+
+def _changed(transform: Any, again: Any) -> str:
+    """In words, what of a transform's chain is not what its constructor makes; empty where it is the same."""
+    if list(again.chain.stages) != list(transform.chain.stages):
+        return (
+            f"the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
+            f"{', '.join(again.chain.stages)}"
+        )
+    if again.chain.to_dict() != transform.chain.to_dict():
+        return "a stage of the chain was changed after the transform was built"
+    was, now = transform.state_dict(), again.state_dict()
+    other = [name for name, value in now.items() if not _same(value, was[name])]
+    if other:
+        return f"{other[0].removeprefix('chain._stages.')} was changed after the transform was built"
+    return ""
+
+
+def _same(value: Tensor, was: Tensor) -> bool:
+    """Whether a buffer is what the constructor made it, wherever the transform was moved since."""
+    was = was.to(value)
+    return value.shape == was.shape and bool(((value == was) | (value.isnan() & was.isnan())).all())

@@ -1,0 +1,1 @@
+"""An FMCW radar from scatterers to points."""

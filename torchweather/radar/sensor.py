@@ -1,0 +1,246 @@
+"""Radar: a millimetre-wave FMCW radar; its carrier, link budget, chirps and antennas."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.physics import SPEED_OF_LIGHT_M_PER_S, radar_constant_db, thermal_noise_dbm
+from torchweather.pipeline.sensor import Sensor
+
+__all__ = ["POLARISATIONS", "Radar"]
+
+POLARISATIONS = ("h", "v")
+HALF_POWER_DB = 10.0 * math.log10(2.0)
+PATTERN_FLOOR_DB = 30.0  # generic: how far below its peak an element's pattern ends
+GRID = 1e-6  # positions of the antennas are compared to this many half wavelengths
+
+
+@dataclass(frozen=True)
+class Radar(Sensor):
+    """A millimetre-wave FMCW radar with transmitters that take turns (TDM-MIMO) and complex samples.
+
+    Args:
+        frequency_ghz: carrier, 1-1000.
+        polarisation: ``h`` or ``v``.
+        elevation_rad: elevation of the path through the rain (P.838 depends on it weakly).
+        transmit_power_dbm: of one transmitter.
+        antenna_gain_dbi: of one transmit or receive element at boresight.
+        azimuth_beamwidth_deg, elevation_beamwidth_deg: full width of an element's one-way pattern at half power.
+        loss_db: of the radar itself, both ways together.
+        noise_figure_db: of the receiver.
+        bandwidth_mhz: B, swept while sampling; the range resolution is c / 2B.
+        samples: of one chirp.
+        sample_rate_mhz: of complex samples; also the receiver's noise bandwidth.
+        chirp_period_us: T_c, from one chirp to the next, whichever transmitter sends it.
+        chirps: of each transmitter in a frame.
+        tx_half_wavelengths, rx_half_wavelengths: positions (left, up) of the elements, in half wavelengths.
+        noise_floor_db: noise of a detection list, in the unit of its power column; ``None`` is the link budget's, dBm:
+            thermal noise less the processing gain.
+        detection_snr_db: signal over the noise floor from which a target is detected.
+        margin_db: mean of the exponential law by which a listed point exceeds the threshold where its power column says
+            that it does not (it was detected, so it did).
+        compensated_to_m: range up to which the receiver weakens echoes with ``(R / compensated_to_m)^4``, so that like
+            targets look alike; the echoes of rain in recorded power maps follow it. 0: not at all.
+
+    Note:
+        The element's pattern is Gaussian in both angles, ``-12 dB (angle / width)^2``, and ends 30 dB below its peak.
+
+    References:
+        PHYSICS.md 6.2, 6.4, 6.8.
+
+    Example:
+        >>> radar = Radar.preset("awr1843-like")
+        >>> radar.virtual_channels, round(radar.range_resolution_m, 3), round(radar.max_speed_m_per_s, 2)
+        (12, 0.293, 8.11)
+    """
+
+    kind: ClassVar[str] = "radar"
+
+    frequency_ghz: float = 77.0
+    polarisation: str = "h"
+    elevation_rad: float = 0.0
+    transmit_power_dbm: float = 12.0
+    antenna_gain_dbi: float = 13.0
+    azimuth_beamwidth_deg: float = 65.0
+    elevation_beamwidth_deg: float = 25.0
+    loss_db: float = 0.0
+    noise_figure_db: float = 14.0
+    bandwidth_mhz: float = 1000.0
+    samples: int = 512
+    sample_rate_mhz: float = 12.5
+    chirp_period_us: float = 50.0
+    chirps: int = 128
+    tx_half_wavelengths: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    rx_half_wavelengths: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    noise_floor_db: float | None = None
+    detection_snr_db: float = 12.0
+    margin_db: float = 3.0
+    compensated_to_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_between("frequency_ghz", self.frequency_ghz, 1.0, 1000.0, unit="GHz", owner=self)
+        check_one_of("polarisation", self.polarisation, POLARISATIONS, owner=self)
+        check_between("elevation_rad", self.elevation_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
+        for name in ("transmit_power_dbm", "antenna_gain_dbi"):
+            check_between(name, getattr(self, name), -100.0, 100.0, unit=name.rsplit("_", 1)[1], owner=self)
+        for name in ("azimuth_beamwidth_deg", "elevation_beamwidth_deg"):
+            check_between(name, getattr(self, name), 0.01, 360.0, unit="degrees", owner=self)
+        for name in ("loss_db", "noise_figure_db", "margin_db"):
+            check_between(name, getattr(self, name), 0.0, 100.0, unit="dB", owner=self)
+        if self.noise_floor_db is not None:
+            check_between("noise_floor_db", self.noise_floor_db, -300.0, 300.0, unit="dB", owner=self)
+        check_between("compensated_to_m", self.compensated_to_m, 0.0, 10_000.0, unit="m", owner=self)
+        check_between("detection_snr_db", self.detection_snr_db, -100.0, 100.0, unit="dB", owner=self)
+        for name, unit in (("bandwidth_mhz", "MHz"), ("sample_rate_mhz", "MHz"), ("chirp_period_us", "us")):
+            check_positive(name, getattr(self, name), unit=unit, owner=self)
+        check_at_least("samples", self.samples, 2, owner=self, advice="One sample a chirp has no range.")
+        check_at_least("chirps", self.chirps, 1, owner=self)
+        for name in ("samples", "chirps"):
+            count = getattr(self, name)
+            if count != int(count):
+                raise ValueError(f"Radar: {name} must be a whole number; got {count!r}.")
+            object.__setattr__(self, name, int(count))
+        for name in ("tx_half_wavelengths", "rx_half_wavelengths"):
+            object.__setattr__(self, name, _positions(name, getattr(self, name)))
+        if self.active_time_s > self.chirp_period_s * (1 + 1e-9):
+            raise ValueError(
+                f"Radar: {self.samples} samples at {self.sample_rate_mhz:g} MHz take {1e6 * self.active_time_s:g} us, "
+                f"longer than the chirp period of {self.chirp_period_us:g} us. Give fewer samples, a higher "
+                "sample_rate_mhz or a longer chirp_period_us."
+            )
+
+    # ---- chirps ------------------------------------------------------------------------------------------------
+
+    @property
+    def wavelength_m(self) -> float:
+        """Of the carrier."""
+        return SPEED_OF_LIGHT_M_PER_S / (1e9 * self.frequency_ghz)
+
+    @property
+    def active_time_s(self) -> float:
+        """While a chirp is sampled."""
+        return self.samples / (1e6 * self.sample_rate_mhz)
+
+    @property
+    def slope_hz_per_s(self) -> float:
+        """S, of the chirp: bandwidth over active time."""
+        return 1e6 * self.bandwidth_mhz / self.active_time_s
+
+    @property
+    def chirp_period_s(self) -> float:
+        """T_c, from one chirp to the next."""
+        return 1e-6 * self.chirp_period_us
+
+    @property
+    def repetition_period_s(self) -> float:
+        """T_r, from one chirp of a transmitter to its next."""
+        return self.transmitters * self.chirp_period_s
+
+    @property
+    def frame_time_s(self) -> float:
+        """Of all chirps."""
+        return self.chirps * self.repetition_period_s
+
+    @property
+    def range_resolution_m(self) -> float:
+        """c / 2B, one bin of the range transform."""
+        return SPEED_OF_LIGHT_M_PER_S / (2e6 * self.bandwidth_mhz)
+
+    @property
+    def max_range_m(self) -> float:
+        """fs c / 2S: what lies beyond appears at a shorter range."""
+        return self.samples * self.range_resolution_m
+
+    @property
+    def speed_resolution_m_per_s(self) -> float:
+        """lambda / (2 N_c T_r), one bin of the Doppler transform."""
+        return self.wavelength_m / (2.0 * self.frame_time_s)
+
+    @property
+    def max_speed_m_per_s(self) -> float:
+        """lambda / (4 T_r), receding or approaching: what is faster appears at another speed."""
+        return self.wavelength_m / (4.0 * self.repetition_period_s)
+
+    @property
+    def range_doppler_cells(self) -> int:
+        """Cells of the range-Doppler map of a frame: samples times chirps."""
+        return self.samples * self.chirps
+
+    # ---- antennas ----------------------------------------------------------------------------------------------
+
+    @property
+    def transmitters(self) -> int:
+        """Number of transmitters."""
+        return len(self.tx_half_wavelengths)
+
+    @property
+    def receivers(self) -> int:
+        """Number of receivers."""
+        return len(self.rx_half_wavelengths)
+
+    @property
+    def virtual_channels(self) -> int:
+        """Pairs of a transmitter and a receiver."""
+        return self.transmitters * self.receivers
+
+    @cached_property
+    def virtual_half_wavelengths(self) -> Tensor:
+        """``(V, 2)`` positions (left, up) of the virtual elements; transmitter k and receiver r are row k N_rx + r."""
+        tx = torch.tensor(self.tx_half_wavelengths, dtype=torch.float64)
+        rx = torch.tensor(self.rx_half_wavelengths, dtype=torch.float64)
+        return (tx[:, None] + rx[None]).reshape(-1, 2)
+
+    def gain_dbi(self, azimuth_rad: Tensor, elevation_rad: Tensor) -> Tensor:
+        """Gain of one element, one way, in a direction.
+
+        Args:
+            azimuth_rad, elevation_rad: of the direction, any shape.
+        """
+        across = torch.rad2deg(azimuth_rad) / self.azimuth_beamwidth_deg
+        up = torch.rad2deg(elevation_rad) / self.elevation_beamwidth_deg
+        down_db = 4.0 * HALF_POWER_DB * (across.square() + up.square())
+        return self.antenna_gain_dbi - down_db.clamp_max(PATTERN_FLOOR_DB)
+
+    # ---- link budget -------------------------------------------------------------------------------------------
+
+    @property
+    def constant_db(self) -> float:
+        """Echo at boresight in dBm of 1 m^2 at 1 m."""
+        return float(
+            radar_constant_db(self.frequency_ghz, self.transmit_power_dbm, 2.0 * self.antenna_gain_dbi, self.loss_db)
+        )
+
+    @property
+    def noise_power_dbm(self) -> float:
+        """Thermal noise of one complex sample."""
+        return float(thermal_noise_dbm(1e6 * self.sample_rate_mhz, self.noise_figure_db))
+
+    @property
+    def processing_gain_db(self) -> float:
+        """Of the transforms over samples, chirps and channels, without windows."""
+        return 10.0 * math.log10(self.samples * self.chirps * self.virtual_channels)
+
+    @property
+    def floor_db(self) -> float:
+        """Noise floor of a detection list: ``noise_floor_db``, or the link budget's in dBm."""
+        return self.noise_power_dbm - self.processing_gain_db if self.noise_floor_db is None else self.noise_floor_db
+
+
+def _positions(name: str, values: object) -> tuple[tuple[float, float], ...]:
+    """Element positions as pairs of floats, each its own."""
+    try:
+        pairs = tuple((float(left), float(up)) for left, up in values)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        pairs = ()
+    if not pairs or not all(math.isfinite(value) for pair in pairs for value in pair):
+        raise ValueError(f"Radar: {name} must be pairs (left, up) in half wavelengths, one an element; got {values!r}.")
+    if len({(round(left / GRID), round(up / GRID)) for left, up in pairs}) < len(pairs):
+        raise ValueError(f"Radar: {name} must hold each position once; got {values!r}.")
+    return pairs

@@ -1,0 +1,400 @@
+"""RadarAttenuation: weather on the detections of a radar."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchweather.atmosphere.density_field import patchy_air
+from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
+from torchweather.core.errors import TorchweatherWarning, check_one_of
+from torchweather.lidar.clouds import FARTHEST_M
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.pipeline.sensor_transform import WeatherTransform, options_of
+from torchweather.pipeline.tiling import is_exporting
+from torchweather.radar.attenuation import PathAttenuation, WetRadome
+from torchweather.radar.clutter import VolumeClutter
+from torchweather.radar.sensor import Radar
+from torchweather.radar.stages import POWER, RadarDetection, ToRadarPoints
+from torchweather.radar.state import RadarState
+
+__all__ = ["RadarAttenuation", "RadarResult"]
+
+COLUMNS = 6
+COLUMNS_WANTED = "x, y, z in m, radial speed in m/s, power in dB, radar cross section in dBsm"
+LOST_AS = ("zero", "nan", "drop")
+# Fields of the state that effects may need and a list does not hold, and which sizes each has behind the batch's.
+KNOWN = {"target_class": "N", "frame_number": "", "past_rain_mm_per_h": "T", "past_rain_min": "T"}
+List = Tensor | list[Tensor]
+
+
+@dataclass(frozen=True)
+class RadarResult:
+    """What the weather did to a list of detections. With ``lost="drop"`` a batch gives lists, one entry a sample.
+
+    Args:
+        points: ``(..., N, C)`` the detections, in the columns and the dtype of the input; K rows more with clutter.
+        kind: ``(..., N)`` int8, ``PointKind`` of each: OBJECT 0, PARTICLE 1 (clutter), LOST 2 (no detection: lost, or
+            empty in the input).
+        source: ``(..., N)`` row of the input, -1 for clutter.
+        snr_db: ``(..., N)`` signal over the noise floor, also of what is lost; -inf where there is nothing.
+        attenuation_db: ``(..., N)`` two-way loss of path and cover together, and of what effects do to the power; 0 for
+            clutter.
+        floored_points: ``(...)`` detections whose power column says less than the detection threshold.
+    """
+
+    points: List
+    kind: List
+    source: List
+    snr_db: List
+    attenuation_db: List
+    floored_points: Tensor
+
+
+class RadarAttenuation(WeatherTransform):
+    """Weather on a radar's detections: each weaker by the way through it and back, and lost below the threshold.
+
+    Args:
+        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them.
+        sensor: the radar; its ``floor_db`` is in the unit of the power column.
+        rain_model: ``p838`` (ITU-R P.838-3, the default), ``dsd_mie`` (Mie over the rain's own drops) or ``d3_4``
+            (Sander 1975 as published).
+        fog_model: ``p840`` (ITU-R P.840, the default) or ``d3_4`` (340 times too strong at 77 GHz).
+        snow_model: ``dsd_mie`` (Mie over the snow's own flakes and melt fraction, the default) or ``d3_4``
+            (Norouziari 2018).
+        radome_loss_db: two-way loss of the wet cover, whatever the rate.
+        radome_film_db: two-way loss of a film of water at 1 mm/h of rain, which grows with the rate to the power
+            ``radome_film_exponent``.
+        radome_film_exponent: of the rate.
+        clutter: append detections of rain and snow themselves (see ``VolumeClutter``).
+        clutter_points: of each of rain and snow at most; where more cells exceed the threshold, a random share of them.
+        ego_speed_m_per_s: of the vehicle, forward; for the clutter's Doppler.
+        lost: lost detections become ``zero`` (x, y, z of 0; the rest stays), ``nan``, or are left out (``drop``).
+        variant: ``d3_4``: all three models as the deliverable published them.
+        effects: of ``stages.EFFECTS`` for radar, or their dictionaries; each goes to its place in the chain.
+        p: probability that a sample gets the weather; the others come back as they are.
+
+    Note:
+        Rows at the origin are no detections and stay as they are. The radar cross section column stays: it is the
+        target's. The noise floor does not change with the weather.
+
+    References:
+        PHYSICS.md 6.2, 6.5-6.8.
+
+    Example:
+        >>> radar = RadarAttenuation(Rain(rate_mm_per_h=25), Radar.preset("imaging-77ghz"))
+        >>> points = torch.tensor([[50.0, 0.0, 0.0, -3.0, -112.2, 10.0]])
+        >>> [round(v, 2) for v in radar(points)[0].tolist()]
+        [50.0, 0.0, 0.0, -3.0, -113.34, 10.0]
+    """
+
+    takes_all: ClassVar[str] = "RadarAttenuation"
+
+    def __init__(
+        self,
+        weather: Weather,
+        sensor: Radar,
+        *,
+        rain_model: str | None = None,
+        fog_model: str | None = None,
+        snow_model: str | None = None,
+        radome_loss_db: float = 0.0,
+        radome_film_db: float = 0.0,
+        radome_film_exponent: float = 1.0 / 3.0,
+        clutter: bool = False,
+        clutter_points: int = 64,
+        ego_speed_m_per_s: float = 0.0,
+        lost: str = "zero",
+        variant: str | None = None,
+        effects: Sequence[Effect | Mapping[str, Any]] = (),
+        p: float = 1.0,
+    ) -> None:
+        arguments = locals()
+        super().__init__()
+        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
+        self._check_weather(weather)
+        self._check_p(p)
+        self._check_sensor(sensor, Radar, "imaging-77ghz")
+        check_one_of("lost", lost, LOST_AS, owner=self)
+        if variant is not None:
+            check_one_of("variant", variant, ("d3_4",), owner=self)
+            given = [model for model in (rain_model, fog_model, snow_model) if model is not None]
+            if given:
+                raise ValueError(
+                    f"RadarAttenuation: variant={variant!r} says all three models; got {', '.join(given)} besides. "
+                    "Give one or the other."
+                )
+            rain_model = fog_model = snow_model = variant
+        self.weather, self.sensor, self.lost = weather, sensor, lost
+        weather = weather.densest()
+        self.ego_speed_m_per_s = float(ego_speed_m_per_s)
+        plain = Chain(
+            {
+                **patchy_air(weather, ego_speed_m_per_s),
+                "path_attenuation": PathAttenuation(
+                    weather.parts, sensor, rain_model or "p838", fog_model or "p840", snow_model or "dsd_mie"
+                ),
+                "radar_detection": RadarDetection(sensor),
+                "to_radar_points": ToRadarPoints(),
+            }
+        )
+        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
+        self.chain = with_effects(plain, built)
+        # The cover in front of the effects, which may append echoes; the clutter behind them, which may change it.
+        if radome_loss_db or radome_film_db:
+            rates = [part.knob for part in weather.parts if isinstance(part, Rain)]
+            cover = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
+            if cover.default_name in self.chain.stages:
+                raise ValueError(
+                    f"{type(self).__name__}: radome_loss_db and radome_film_db are what radar.wet_radome has as "
+                    "loss_db and film_db. Give one or the other."
+                )
+            self.chain = self.chain.insert(cover, after="path_attenuation")
+        for part in weather.parts:
+            if clutter and isinstance(part, (Rain, Snow)):
+                echo = VolumeClutter(part, sensor, capacity=clutter_points, ego_speed_m_per_s=ego_speed_m_per_s)
+                self.chain = self.chain.insert(echo, before="radar_detection", name=f"{part.kind}_clutter")
+
+    @property
+    def attenuation_db_per_km(self) -> Tensor:
+        """Of all weather together, one way, one value for each value of the knob."""
+        stage = self.chain.stages["path_attenuation"]
+        assert isinstance(stage, PathAttenuation)
+        return stage.attenuation_db_per_km(max(part().numel() for part in stage.parts.values()))
+
+    # ---- calls -------------------------------------------------------------------------------------------------
+
+    def forward(
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+        **known: Tensor,
+    ) -> List:
+        """The detections in the weather.
+
+        Args:
+            points: ``(..., N, 6 or more)``: x, y, z (m), radial speed (m/s), power (dB), radar cross section (dBsm),
+                further columns.
+            noise: what ``draw`` gave; ``None`` draws anew.
+            seed: for a call that draws: an integer s for the samples s, s + 1, ..., or a tensor of the batch shape.
+            generator: likewise, a torch generator that gives these integers.
+            known: what some effects need: ``target_class`` ``(N,)`` or ``(..., N)``, ``frame_number`` ``()`` or
+                ``(...)``, ``past_rain_mm_per_h`` and ``past_rain_min`` ``(T,)`` or ``(..., T)``.
+
+        Returns:
+            The input's shape, columns and dtype; rows more with ``clutter`` and with effects that list more; a shorter
+            list (of lists for a batch) with ``lost="drop"``.
+        """
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
+        state = self._through(self.state_of(points, **known), noise)
+        assert state.points is not None
+        return self._outgoing(self._marked(state.points, state, points), state, points)
+
+    def run(
+        self,
+        points: Tensor,
+        noise: Mapping[str, Tensor] | None = None,
+        *,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+        **known: Tensor,
+    ) -> RadarResult:
+        """The detections, and what happened to each of them; arguments as ``forward``."""
+        if self.must_draw(noise, seed, generator):
+            chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
+            return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
+        before = self.state_of(points, **known)
+        state = self._through(before, noise)
+        assert state.points is not None
+        assert state.snr_db is not None
+        batch, total = state.kind.shape
+        count = points.shape[-2]
+        rows = torch.arange(total, device=points.device)
+        source = torch.where(rows < count, rows, -1).expand(batch, total)
+        loss = torch.cat([0.0 - state.gain_db, state.gain_db.new_zeros(batch, total - count)], 1)
+        power, threshold = before.points_in[..., POWER], before.noise_floor_db + before.detection_snr_db
+        floored = (before.range_m > 0) & (power < threshold[:, None])
+        return RadarResult(
+            points=self._outgoing(self._marked(state.points, state, points), state, points),
+            kind=self._outgoing(state.kind, state, points),
+            source=self._outgoing(source, state, points),
+            snr_db=self._outgoing(state.snr_db.to(points.dtype), state, points),
+            attenuation_db=self._outgoing(loss.to(points.dtype), state, points),
+            floored_points=floored.sum(-1).reshape(points.shape[:-2]),
+        )
+
+    def draw(
+        self, points: Tensor, generator: torch.Generator | None = None, seed: int | Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Noise for ``forward``; depends on the number of points alone, not on where they are.
+
+        Args:
+            points: ``(..., N, C)``.
+            generator: torch generator that gives one integer a sample; ``None`` is the global one.
+            seed: those integers themselves: a tensor of the batch shape, or the first of them.
+
+        Returns:
+            ``<stage>.<variate>`` to a tensor that leads with the batch shape.
+        """
+        check_detections(points, self.sensor, self)
+        return self.drawn(points.shape[:-2], {"N": points.shape[-2]}, generator, seed)
+
+    def on_numpy(self, points: NDArray[Any], seed: int | None = None) -> NDArray[Any]:
+        """Numpy in, numpy out: the detections of a simulator's sensor callback in the weather.
+
+        Args:
+            points: ``(N, 6 or more)``, floating point.
+            seed: the same seed gives the same weather; ``None`` draws from torch's global generator.
+
+        Returns:
+            A new array of the dtype of ``points``.
+
+        Example:
+            >>> radar = RadarAttenuation(Rain(rate_mm_per_h=25), Radar.preset("imaging-77ghz"))
+            >>> radar.on_numpy(np.array([[50.0, 0, 0, 0, -112.2, 10]], dtype=np.float32), seed=1).dtype
+            dtype('float32')
+        """
+        with torch.no_grad():
+            detections = torch.from_numpy(np.require(points, requirements=("C", "W")))
+            found: NDArray[Any] = self(detections, self.draw(detections, seed=seed)).numpy()
+        return found
+
+    def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
+        """What the chain takes: the detections before any stage; arguments as ``forward``."""
+        check_detections(points, self.sensor, self)
+        check_knobs(self.weather, points.shape[:-2], owner=self)
+        flat = points.reshape(math.prod(points.shape[:-2]), *points.shape[-2:])
+        if flat.dtype not in (torch.float32, torch.float64):
+            flat = flat.float()
+        x, y, z = flat[..., :3].unbind(-1)
+        range_m = (x * x + y * y + z * z).sqrt()
+        nothing = torch.zeros_like(range_m)
+        per_sample = flat.new_zeros(flat.shape[0])  # len() would fix the batch of a graph
+        there = torch.full_like(range_m, int(PointKind.OBJECT), dtype=torch.int8)
+        return RadarState(
+            points_in=flat,
+            range_m=range_m,
+            gain_db=nothing,
+            kind=there.masked_fill(~(range_m > 0), int(PointKind.LOST)),
+            noise_floor_db=per_sample + self.sensor.floor_db,
+            detection_snr_db=flat.new_tensor(self.sensor.detection_snr_db),
+            attenuation_db_per_km=per_sample,
+            cover_loss_db=per_sample,
+            ego_speed_m_per_s=self.ego_speed_m_per_s,
+            **self._known(points, known),
+        )
+
+    # ---- the border --------------------------------------------------------------------------------------------
+
+    def _known(self, points: Tensor, known: Mapping[str, Tensor]) -> dict[str, Any]:
+        """What effects need besides, leading with the flattened batch."""
+        wrong = sorted(set(known) - set(KNOWN))
+        if wrong:
+            raise TypeError(
+                f"{type(self).__name__}: unexpected keyword {', '.join(wrong)}; besides points and noise it takes "
+                f"{', '.join(KNOWN)}."
+            )
+        batch, found = points.shape[:-2], {}
+        for name, value in known.items():
+            tensor = torch.as_tensor(value, device=points.device)
+            sizes = {"N": points.shape[-2:-1], "T": tensor.shape[-1:], "": ()}[KNOWN[name]]
+            found[name] = tensor.expand(*batch, *sizes).reshape(math.prod(batch), *sizes)
+        return found
+
+    def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None) -> RadarState:
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
+        found: RadarState = self.chain(state, {key: value.to(state.gain_db) for key, value in drawn.items()})
+        return found
+
+    def _marked(self, values: Tensor, state: RadarState, points: Tensor) -> Tensor:
+        """The list with what is lost as NaN, where asked for."""
+        if self.lost != "nan":
+            return values
+        clutter = state.kind[:, points.shape[-2] :]
+        had_detection = torch.cat([state.range_m > 0, torch.ones_like(clutter, dtype=torch.bool)], 1)
+        gone = (state.kind == PointKind.LOST) & had_detection
+        first = torch.arange(values.shape[-1], device=values.device) < COLUMNS
+        return torch.where(gone[..., None] & first, torch.nan, values)
+
+    def _outgoing(self, values: Tensor, state: RadarState, points: Tensor) -> List:
+        """Values ``(B, N, ...)`` as they leave: in the batch's shape, without what is lost if asked for."""
+        batch = points.shape[:-2]
+        if values.ndim == 3:
+            values = values.to(points.dtype)
+        if self.lost != "drop":
+            return values.reshape(*batch, *values.shape[1:])
+        kept = [value[there] for value, there in zip(values, state.kind != PointKind.LOST, strict=True)]
+        return kept if batch else kept[0]
+
+
+def check_detections(points: Tensor, sensor: Radar, owner: object) -> None:
+    """Refuse what is no list of detections ``(..., N, 6 or more)``; warn where powers contradict the noise floor."""
+    name = type(owner).__name__
+    if not isinstance(points, Tensor):
+        raise TypeError(
+            f"{name}: points must be a tensor (..., N, 6 or more); got {type(points).__name__}. For a numpy array call "
+            "on_numpy(points)."
+        )
+    if points.ndim < 2 or points.shape[-1] < COLUMNS:
+        raise ValueError(
+            f"{name}: points must have shape (..., N, 6 or more) = {COLUMNS_WANTED}; got {tuple(points.shape)}. A list "
+            "without powers gets them from the radar equation: torchweather.physics.received_power_dbm."
+        )
+    if not points.is_floating_point():
+        raise TypeError(f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float().")
+    if is_exporting() or not points.numel():
+        return
+    first = points.detach()[..., :COLUMNS]
+    # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
+    if not abs(float(first.sum())) < FARTHEST_M:
+        _refuse_absurd(first, name)
+    _warn_of_floor(first, sensor, name)
+
+
+def _refuse_absurd(points: Tensor, name: str) -> None:
+    bad = ~torch.isfinite(points)
+    if bool(bad.any()):
+        named = ("x", "y", "z", "speed", "power", "radar cross section")
+        columns = ", ".join(named[column] for column in range(COLUMNS) if bool(bad[..., column].any()))
+        raise ValueError(
+            f"{name}: points must be finite; got NaN or infinity in {int(bad.any(-1).sum())} rows ({columns}). Give a "
+            "row without detection the coordinates 0, 0, 0."
+        )
+    farthest_m = float(points[..., :3].abs().max())
+    if farthest_m >= FARTHEST_M:
+        raise ValueError(
+            f"{name}: coordinates must be metres; got {farthest_m:g}, too far for a detection. Give a row without "
+            "detection the coordinates 0, 0, 0."
+        )
+
+
+def _warn_of_floor(points: Tensor, sensor: Radar, name: str) -> None:
+    threshold = sensor.floor_db + sensor.detection_snr_db
+    weak = points[..., POWER] < threshold
+    if 2 * int(weak.sum()) <= weak.numel():
+        return
+    there = (points[..., :3] != 0).any(-1)
+    below, count = int((weak & there).sum()), int(there.sum())
+    if 2 * below > count:
+        warnings.warn(
+            f"{name}: {below} of {count} detections have powers below the detection threshold of {threshold:.4g} "
+            f"(floor {sensor.floor_db:.4g}, SNR {sensor.detection_snr_db:g} dB); they were detected, so the floor does "
+            "not belong to this power column. Set Radar(noise_floor_db=...) in its unit.",
+            TorchweatherWarning,
+            stacklevel=5,
+        )
