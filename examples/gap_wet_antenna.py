@@ -48,9 +48,10 @@ from links_against_p838 import (
 
 from torchweather.gap import GapReport, Study, find_gap
 from torchweather.physics import rain_attenuation_coefficients, wet_cover_series_db
-from torchweather.pipeline.effect import EFFECTS, Effect
+from torchweather.pipeline.effect import Effect
 from torchweather.radar.effects.all import RadarPathLossScale, RadarWetRadome
 from torchweather.report.gap_page import write_gap
+from torchweather.stages import EFFECTS
 
 SCORES = ("5-min RMSE", "hourly RMSE", "conditional bias")
 PATH_SCALE = RadarPathLossScale.id

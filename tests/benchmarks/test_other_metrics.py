@@ -11,7 +11,7 @@ from benchmarks.hidden.lidar.design import Size, draw_design, study_of
 from benchmarks.hidden.lidar.effects import CATALOGUE
 from benchmarks.hidden.lidar.other_metrics import METRICS, _Clear, _Facts, _Side, distances, other_metrics
 from torchweather.metrics.double_validation import double_validation
-from torchweather.pipeline.effect import effect_from_dict
+from torchweather.stages import effect_from_dict
 from torchweather.transforms import LidarWeather
 
 SIZE = Size(rings=24, columns=128, scenes=1, clear_frames=4, rates=3, frames=4)

@@ -9,7 +9,8 @@ import pytest
 
 from torchweather.gap.candidates import Line, lines
 from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
-from torchweather.pipeline.effect import EFFECTS, Effect
+from torchweather.pipeline.effect import Effect
+from torchweather.stages import EFFECTS
 
 PLACES = (-2.0, 0.5)
 NAMES = sorted(name for name in LIDAR_EFFECTS if name.startswith("lidar."))

@@ -30,9 +30,9 @@ from torchweather.gap.statistics import Group, Layout
 from torchweather.gap.unknown import log_chance, without_means
 from torchweather.lidar.effects.all import LidarRangeNoise, LidarWindowLoss
 from torchweather.lidar.effects.empirical import Empirical
-from torchweather.pipeline.effect import EFFECTS, Parameter
+from torchweather.pipeline.effect import Parameter
 from torchweather.sensors import Camera, Lidar
-from torchweather.stages import with_effects
+from torchweather.stages import EFFECTS, with_effects
 from torchweather.transforms import BayerRain, LidarWeather
 
 Floats = NDArray[np.float64]

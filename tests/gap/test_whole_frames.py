@@ -28,7 +28,7 @@ from torchweather.gap.whole_frames import (
     widened,
 )
 from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
-from torchweather.pipeline.effect import EFFECTS
+from torchweather.stages import EFFECTS
 
 RNG = np.random.default_rng
 LAYOUT = Layout(

@@ -12,9 +12,8 @@ from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.camera.depth import SceneDepth
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.image import mosaic, srgb_encode
-from torchweather.pipeline.effect import EFFECTS
 from torchweather.sensors import Camera
-from torchweather.stages import CameraState
+from torchweather.stages import EFFECTS, CameraState
 from torchweather.transforms import AsBayer, BayerFog, BayerWeather
 
 H, W = 48, 64

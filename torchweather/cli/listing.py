@@ -31,11 +31,11 @@ def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
     from torchweather.atmosphere.weather import REHEARSE, WEATHERS
     from torchweather.physics import FOG, RAIN, SNOW
-    from torchweather.pipeline.registry import STAGES
     from torchweather.recipes.pipelines import list_pipelines
     from torchweather.recipes.recipes import list_recipes
     from torchweather.recipes.suites import list_suites
     from torchweather.sensors import SENSOR_CLASSES
+    from torchweather.stages import STAGES
 
     return {
         "recipes": [

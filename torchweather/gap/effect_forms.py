@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from torchweather.pipeline.effect import EFFECTS, Effect, effect_from_dict
+from torchweather.pipeline.effect import Effect, effect_from_dict
+from torchweather.stages.catalogue import EFFECTS
 
 __all__ = [
     "A_PARAMETER",

@@ -42,7 +42,7 @@ from torchweather.gap.matched import Node, gains, pair_gains
 from torchweather.gap.screening import Screening, placed_nodes, screen, screening_entries
 from torchweather.gap.search import Fit, Search, Setting
 from torchweather.gap.untouched import fresh_gains, untouched
-from torchweather.pipeline.effect import EFFECTS
+from torchweather.stages.catalogue import EFFECTS
 
 __all__ = ["GapResult", "find_gap_with"]
 

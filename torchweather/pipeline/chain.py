@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.core.random import in_parallel, sample_seeds
-from torchweather.pipeline.registry import STAGES
+from torchweather.pipeline.registry import STAGES, load_catalogue
 from torchweather.pipeline.stage import Stage, State
 
 __all__ = ["Chain"]
@@ -109,6 +109,7 @@ class Chain(nn.Module):
         """Rebuild a chain from ``to_dict``'s values."""
         if not isinstance(values, Mapping) or values.get("format") != FORMAT:
             raise TorchweatherError(f"{owner}: wanted a chain of format {FORMAT!r}; got {_format_of(values)!r}.")
+        load_catalogue()
         stages: dict[str, Stage] = {}
         for number, entry in enumerate(_entries(values, owner)):
             arguments = dict(entry)

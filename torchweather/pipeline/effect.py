@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.core.errors import check_between, check_one_of
 from torchweather.pipeline.chain import Chain
-from torchweather.pipeline.registry import register
+from torchweather.pipeline.registry import load_catalogue, register
 from torchweather.pipeline.stage import Stage
 
 __all__ = ["CAMERA_PLACES", "EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
@@ -238,6 +238,7 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
     """
     if not isinstance(values, Mapping):
         raise TypeError(f"effect_from_dict: wanted a dictionary with effect and its parameters; got {values!r}.")
+    load_catalogue()
     arguments = dict(values)
     name = arguments.pop("effect", None)
     check_one_of("effect", name, EFFECTS, owner="effect_from_dict")

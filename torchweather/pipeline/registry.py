@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TypeVar
 
 from torchweather.pipeline.stage import Stage
 
-__all__ = ["STAGES", "register"]
+__all__ = ["STAGES", "load_catalogue", "register"]
 
 STAGES: dict[str, type[Stage]] = {}
+# Importing it registers the stages and effects of all sensors. It lies above this room and is found by its name, so
+# that a chain or an effect can be read from a file in a process that has loaded no sensor yet.
+CATALOGUE = "torchweather.stages"
+
+
+def load_catalogue() -> None:
+    """Register the stages and effects of all sensors."""
+    importlib.import_module(CATALOGUE)
+
+
 T = TypeVar("T", bound=type[Stage])
 
 
