@@ -1,1 +1,1 @@
-"""Effects that a camera may have."""
+"""Effects that a camera may have; ``all`` registers them in the order of the catalogue."""

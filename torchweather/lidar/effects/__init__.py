@@ -1,1 +1,1 @@
-"""Effects that a lidar may have."""
+"""Effects that a LiDAR may have; ``all`` registers them in the order of the catalogue."""

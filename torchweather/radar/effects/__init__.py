@@ -1,1 +1,1 @@
-"""Effects that a radar may have."""
+"""Effects that a radar may have; ``all`` registers them in the order of the catalogue."""
