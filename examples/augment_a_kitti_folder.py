@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 
 import torchweather as tw
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.datasets.augment import Manifest
 from torchweather.image import develop
 from torchweather.io import Boxes, write_image, write_kitti_boxes, write_points

@@ -22,7 +22,7 @@ from metrics_against_detector import clear_batches
 from parts.car_detector import STRIDE, Detector, Frame, centres, frame, trained
 from torch import Tensor, nn
 
-from torchweather.cli.main import main as torchweather
+from torchweather.cli import main as torchweather
 from torchweather.image import quantise
 from torchweather.io import write_image
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 import torchweather
 from torchweather.atmosphere.weather import Fog, Rain, parse_weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.explain import explain
 from torchweather.image import ConstantDepth, quantise
 from torchweather.io import read_image, write_image
@@ -73,7 +73,7 @@ heavy = [name for name in ("torch", "numpy", "yaml", "matplotlib", "onnxruntime"
 sys.exit(", ".join(heavy) or 0)
 """
 HELP = """
-from torchweather.cli.main import main
+from torchweather.cli import main
 try:
     main({argv})
 except SystemExit as end:

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from torchweather.cli import listing
-from torchweather.cli.main import main
+from torchweather.cli import listing, main
 from torchweather.core.errors import TorchweatherError
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.io import write_table
 
 LEVELS = [("rain", 1.0), ("rain", 10.0), ("rain", 50.0), ("fog", 500.0), ("fog", 100.0), ("fog", 30.0)]

@@ -13,7 +13,7 @@ import pytest
 
 from tests.gap import studies
 from tests.report.made_up_gaps import report
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.gap import find
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.study import Study

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from tests.gap.studies import H, W, study
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.gap.lidar import LidarFrames
 
 Capture = pytest.CaptureFixture[str]

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from tests.report.made_up_gaps import report
+from torchweather.cli import main
 from torchweather.cli.gap_demo import outcome
-from torchweather.cli.main import main
 from torchweather.gap import find, hidden_study
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.study import Study

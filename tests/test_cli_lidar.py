@@ -15,7 +15,7 @@ from torch import Tensor
 
 import torchweather.io as io
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.explain import explain
 from torchweather.io import PointCloud, PointLabels, read_labels, read_points, write_labels, write_points
 from torchweather.io.ouster import OusterFrame

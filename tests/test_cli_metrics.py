@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.cli.output import spelled
 from torchweather.image import mosaic, normalise, quantise
 from torchweather.io import read_image, read_points, write_image, write_points

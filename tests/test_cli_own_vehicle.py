@@ -13,7 +13,7 @@ import torch
 from tests.lidar.own_car_drive import SENSOR, hidden, mirror, sweep
 from tests.recordings import recording
 from torchweather.atmosphere.weather import Fog
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.io import read_points, write_points
 from torchweather.lidar import own_vehicle_mask
 from torchweather.lidar.sweep.drive_sweeps import MOST_SWEEPS, evenly_chosen

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.cli.preview import severities
 from torchweather.io import read_image, write_image, write_points
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Rain, parse_weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.io import (
     RADAR_COLUMNS,
     PointCloud,

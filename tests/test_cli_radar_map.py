@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from torchweather.atmosphere.weather import Rain
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.io import read_power_map, write_image
 from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import with_noise_scale

@@ -27,7 +27,7 @@ from tests.robustness.robustness_command import (
     with_declaration,
 )
 from torchweather.atmosphere.weather import Weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.evaluation.sweep import CameraSubject
 from torchweather.io import PointLabels, read_table, write_image, write_labels

@@ -13,7 +13,7 @@ import torch
 from tests.report.parsed_page import Page
 from tests.robustness.robustness_command import BOX, arguments, camera_data, camera_model, own_suite, with_declaration
 from torchweather.camera.depth import SceneDepth
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.core.errors import TorchweatherError
 from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.evaluation.sweep import CameraSubject

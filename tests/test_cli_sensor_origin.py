@@ -15,7 +15,7 @@ from torch import Tensor
 from tests.lidar.test_sensor_origin import WAYMO_M
 from tests.lidar.test_sensor_origin import cloud as sweep_at
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.io import read_points, write_points
 from torchweather.sensors import Lidar
 from torchweather.transforms import LidarWeather

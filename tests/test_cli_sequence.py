@@ -17,8 +17,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Snow
 from torchweather.camera.depth import SceneDepth
-from torchweather.cli import sequence_frames
-from torchweather.cli.main import main
+from torchweather.cli import main, sequence_frames
 from torchweather.cli.sequence_frames import MANIFEST
 from torchweather.io import read_image, write_image
 from torchweather.sensors import Camera

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.image import FlatGround
 from torchweather.io import read_points, read_table, write_image, write_points
 from torchweather.metrics import Region, cloud_scores
@@ -179,7 +179,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(run: Any, tmp_path: Path, argv
 
 def test_help_does_not_load_torch() -> None:
     code = (
-        "import sys\nfrom torchweather.cli.main import main\n"
+        "import sys\nfrom torchweather.cli import main\n"
         "try:\n    main(['sweep', '--help'])\nexcept SystemExit:\n    pass\nsys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False, capture_output=True).returncode == 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from torchweather.atmosphere.weather import Fog, Rain
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.gap import embedded_study as embedded
 from torchweather.gap.embedded_study import embedded_study
 from torchweather.gap.study import Study

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Fog
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.image import quantise
 from torchweather.io import write_image, write_points
 from torchweather.report import photo_demo
@@ -59,7 +59,7 @@ def rgb_image(height: int = 24, width: int = 32) -> Tensor:
 
 
 def test_help_does_not_load_torch() -> None:
-    body = "import sys\nfrom torchweather.cli.main import main\n"
+    body = "import sys\nfrom torchweather.cli import main\n"
     body += "try:\n    main(['view', '-h'])\nexcept SystemExit:\n    pass\n"
     check = "sys.exit(', '.join(n for n in ('torch', 'numpy', 'matplotlib', 'rerun') if n in sys.modules) or 0)"
     done = subprocess.run([sys.executable, "-c", body + check], capture_output=True, text=True, check=False)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import pytest
 
-from torchweather.cli.main import build_parser
+from torchweather.cli.program import build_parser
 from torchweather.stages import STAGES
 
 ROOT = Path(__file__).parents[1]

@@ -53,7 +53,7 @@ FACADES = frozenset({"augment", "distributions", "errors", "random", "robustness
 
 def files() -> list[Path]:
     found = [path for path in sorted(PACKAGE.rglob("*.py")) if "_recipes" not in path.parts]
-    return [path for path in found if path.parent != PACKAGE or path.stem not in FACADES]
+    return [path for path in found if path.relative_to(PACKAGE).parts[0].removesuffix(".py") not in FACADES]
 
 
 def part_of(path: Path) -> str:

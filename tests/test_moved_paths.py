@@ -17,6 +17,15 @@ MOVED = [
     ("torchweather.transforms.recipes", "load_recipe", "torchweather.recipes.recipes"),
     ("torchweather.transforms.pipelines", "load_pipeline", "torchweather.recipes.pipelines"),
     ("torchweather.transforms.suites", "read_suite", "torchweather.recipes.suites"),
+    ("torchweather.stages.effects_lidar", "LidarWindowLoss", "torchweather.lidar.effects.all"),
+    ("torchweather.stages.effects_camera", "CameraExposureGain", "torchweather.camera.effects.all"),
+    ("torchweather.stages.effects_radar", "RadarWetRadome", "torchweather.radar.effects.all"),
+    ("torchweather.stages.patchy_air", "PatchField", "torchweather.atmosphere.density_field"),
+    ("torchweather.stages.particle_veil", "ParticleVeil", "torchweather.camera.particles.veil"),
+    ("torchweather.stages.empirical", "Empirical", "torchweather.lidar.effects.empirical"),
+    ("torchweather.stages.effects", "Effect", "torchweather.pipeline.effect"),
+    ("torchweather.sensors.scan", "recover_ring", "torchweather.lidar.scan"),
+    ("torchweather.robustness.decoders", "decode_boxes", "torchweather.evaluation.robustness.decoders"),
     ("torchweather.transforms", "Compose", "torchweather.compose"),
 ]
 

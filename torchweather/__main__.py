@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchweather.cli.main import main
+from torchweather.cli import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

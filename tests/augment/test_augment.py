@@ -17,7 +17,7 @@ import torchweather
 import torchweather.datasets.augment.work as work
 from tests.augment.data_sets import BOTH, BOXES, FOG, MANIFEST, cloud, folder, image, kitti, nuscenes, recipe, tree
 from torchweather.camera.depth import CompletedDepth
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.random import sample_seed
 from torchweather.datasets.augment import Manifest, Row, Summary, augment

@@ -26,9 +26,9 @@ from torchweather.camera.depth import (
     scene_of,
 )
 from torchweather.camera.depth.network import DepthNetwork
+from torchweather.cli import main
 from torchweather.cli.frames import add_depth_arguments
 from torchweather.cli.frames import depth_source as from_arguments
-from torchweather.cli.main import main
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_image, read_kitti_calibration, read_points, write_image
 from torchweather.io.depth_clouds import calibration_file, cloud_file, frame_camera_name

@@ -11,7 +11,7 @@ import torch
 import yaml
 from scan_sweep import COLUMNS, ELEVATIONS_DEG, HEIGHTS_M, sweep
 
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.io import write_points
 from torchweather.lidar import fit_near_response, fit_pattern
 from torchweather.sensors import Lidar

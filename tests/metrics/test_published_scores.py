@@ -10,7 +10,7 @@ from importlib import resources
 
 import pytest
 
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.metrics import d34
 from torchweather.metrics.d34 import (
     Inconsistency,
@@ -140,7 +140,7 @@ def test_the_command_as_text(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_help_loads_no_torch() -> None:
     code = (
-        "import sys\nfrom torchweather.cli.main import main\n"
+        "import sys\nfrom torchweather.cli import main\n"
         "try:\n    main(['d34', '--help'])\nexcept SystemExit as left:\n    assert left.code == 0\n"
         "assert not {'torch', 'numpy'} & set(sys.modules)"
     )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from tests.oracles import load
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
-from torchweather.cli.main import main
+from torchweather.cli import main
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.physics import received_power_dbm
 from torchweather.sensors import Camera, Lidar, Radar

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-CLI = "torchweather.cli.main"
+CLI = "torchweather.cli.program"
 
 MUTANTS = (
     Mutant(

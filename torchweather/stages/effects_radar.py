@@ -1,0 +1,5 @@
+"""Moved to ``torchweather.radar.effects.all``; this path goes with the next release."""
+
+from torchweather.core.moved import moved
+
+__getattr__ = moved(__name__, "torchweather.radar.effects.all")
