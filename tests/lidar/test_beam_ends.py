@@ -9,7 +9,7 @@ from street_sweep import CAR, COLUMNS, MAX_RANGE_M, SENSOR_M, street
 
 from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends
 from torchweather.lidar.sweep.ground import fit_ground
-from torchweather.lidar.sweep.sweep_raster import SweepRaster, _long_runs
+from torchweather.lidar.sweep.sweep_raster import SweepRaster, long_runs
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.03, -0.03])
@@ -135,4 +135,4 @@ def test_regions_are_wide_connected_and_whole_across_the_seam() -> None:
 @pytest.mark.parametrize("width", [1, 2, 5])
 def test_long_runs_are_a_morphological_opening(width: int) -> None:
     mask = np.random.default_rng(4).random((6, 90)) < 0.7
-    assert np.array_equal(_long_runs(mask, width), binary_opening(mask, np.ones((1, width), bool)))
+    assert np.array_equal(long_runs(mask, width), binary_opening(mask, np.ones((1, width), bool)))

@@ -118,10 +118,10 @@ def test_a_mask_is_written_and_read(mask: OwnVehicleMask, tmp_path: Path) -> Non
 
 
 def test_what_is_no_own_vehicle_is_refused() -> None:
-    assert checked_own_vehicle([-2, 2, -1, 1, -1.6, 0], "LidarSnow") == (-2.0, 2.0, -1.0, 1.0, -1.6, 0.0)
+    assert checked_own_vehicle([-2, 2, -1, 1, -1.6, 0], SENSOR, "LidarSnow") == (-2.0, 2.0, -1.0, 1.0, -1.6, 0.0)
     for wrong in ((2, -2, -1, 1, -1.6, 0), (1, 2, 3), True, ("a",) * 6):
         with pytest.raises(ValueError, match="LidarSnow: own_vehicle: expected a mask"):
-            checked_own_vehicle(wrong, "LidarSnow")
+            checked_own_vehicle(wrong, SENSOR, "LidarSnow")
 
 
 @pytest.mark.real_data

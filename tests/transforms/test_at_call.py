@@ -163,6 +163,15 @@ def test_a_chain_that_was_changed_is_not_built_anew() -> None:
         transform(camera_effect_scene.frame(), seed=1)
 
 
+def test_a_change_after_the_first_call_is_noticed_too() -> None:
+    transform = camera(FIXED, p=0.5)
+    transform(camera_effect_scene.frame(), seed=1)
+    with torch.no_grad():
+        next(iter(transform.buffers())).add_(1.0)
+    with pytest.raises(ValueError, match="cannot be built anew"):
+        transform(camera_effect_scene.frame(), seed=1)
+
+
 def test_a_field_that_a_batch_shares_is_not_drawn_for_each_sample() -> None:
     banks = tw.Rain(rate_mm_per_h=10.0, patch_log_std=tw.Uniform(0.1, 0.5))
     with pytest.raises(ValueError, match=r"rain.patch_log_std is one value for all samples of a batch"):

@@ -140,6 +140,12 @@ def test_a_recipe_holds_a_box_or_a_file(mask: OwnVehicleMask, tmp_path: Path) ->
         save_recipe(LidarFog(Fog(mor_m=50.0), SEEN, own_vehicle=mask), tmp_path / "no.yaml", title="fog")
 
 
+def test_a_mask_of_another_sensor_is_refused(mask: OwnVehicleMask) -> None:
+    other = Lidar.preset("velodyne-vlp-16")
+    with pytest.raises(ValueError, match=rf"expected a mask of the sensor's 16 rings; got one of {len(mask.blocked)}"):
+        LidarSnow(Snow(1.0), other, own_vehicle=mask)
+
+
 @pytest.mark.real_data
 def test_nuscenes_own_car_is_neither_lost_nor_weathered() -> None:
     cloud = read_points(recording("kitti_nuscenes_demo/nuscenes/*.pcd.bin")).points

@@ -59,7 +59,7 @@ class Banks:
 
     Args:
         density: ``(B, AZIMUTHS + 1, NODES)``.
-        extra_m: ``(B, AZIMUTHS + 1, NODES)`` by how much longer a way through air of density 1 would be.
+        extra_m: ``(B, AZIMUTHS + 1, NODES)`` extra length of a way of equal optical depth in air of density 1.
         step_m: between ranges.
     """
 
@@ -91,7 +91,7 @@ class Banks:
 
 @dataclass(frozen=True)
 class BanksAlongBeams:
-    """Density along beams, and by how much it makes their way longer, ``(beams, NODES)`` each."""
+    """Density along beams and the extra length of their ways in air of density 1, ``(beams, NODES)`` each."""
 
     density: Tensor
     extra_m: Tensor

@@ -13,9 +13,9 @@ from typing import Any
 
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_image, write_image
-from torchweather.io.atomic import atomic_write
 from torchweather.io.speeds import read_timestamps
 from torchweather.io.video import VideoReader, VideoWriter, write_video
 

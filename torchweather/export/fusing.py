@@ -13,12 +13,12 @@ from torch import Tensor, nn
 
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerWeather
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.export.camera_graph import IMAGE_OUTPUTS
 from torchweather.export.graph import OPSET, traced_model
 from torchweather.export.joining import check_connection, inputs_of, join_models, signature_text
 from torchweather.export.metadata import set_properties
-from torchweather.io.atomic import atomic_write
 from torchweather.lidar.transform import LidarWeather
 from torchweather.radar.transform import RadarAttenuation
 

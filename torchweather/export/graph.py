@@ -14,12 +14,12 @@ import torch
 
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerWeather
+from torchweather.core.atomic import atomic_write
 from torchweather.export.camera_graph import traceable_camera
 from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.export.metadata import model_properties, set_properties
 from torchweather.export.radar_graph import traceable_map, traceable_radar
 from torchweather.export.traceable import Traceable
-from torchweather.io.atomic import atomic_write
 from torchweather.lidar.transform import LidarWeather
 from torchweather.radar import RangeDopplerMap
 from torchweather.radar.transform import RadarAttenuation

@@ -64,7 +64,7 @@ class Condition:
 
 @dataclass(frozen=True, eq=False)
 class StudyContent:
-    """All that a study holds; `Study` reads, checks and writes it.
+    """The content of a study. `Study` adds reading, checks and writing.
 
     Args:
         kind: ``lidar``, ``camera``, ``radar`` or ``link``.

@@ -4,9 +4,9 @@ and the samples of other training code.
 
 from __future__ import annotations
 
+from torchweather.core.atomic import atomic_folder, atomic_write
 from torchweather.io.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
 from torchweather.io.adc import ADC_AXES, ADC_QUADRATURES, AdcCube, read_adc, write_adc
-from torchweather.io.atomic import atomic_folder, atomic_write
 from torchweather.io.batches import (
     collate_indexed,
     collate_list,

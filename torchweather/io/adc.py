@@ -14,9 +14,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning, check_one_of
 from torchweather.io.arrays import read_archive, read_array, write_archive
-from torchweather.io.atomic import atomic_write
 
 __all__ = ["ADC_AXES", "ADC_QUADRATURES", "AdcCube", "read_adc", "write_adc"]
 

@@ -16,8 +16,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, nearest_name
-from torchweather.io.atomic import atomic_write
 
 __all__ = ["array_to_tensor", "read_archive", "read_array", "write_archive"]
 

@@ -17,9 +17,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.io.arrays import array_to_tensor, read_array
-from torchweather.io.atomic import atomic_write
 from torchweather.io.exif import BROKEN_PICTURE, ORIENTATION, exif_tags
 
 if TYPE_CHECKING:

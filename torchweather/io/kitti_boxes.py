@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
-from torchweather.io.atomic import atomic_write
 from torchweather.io.boxes import Boxes, checked_transform, turned_back, turned_yaw
 
 __all__ = ["read_kitti_boxes", "write_kitti_boxes"]

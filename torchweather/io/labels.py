@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, check_between
-from torchweather.io.atomic import atomic_write
 from torchweather.io.box_update import update_boxes
 from torchweather.pipeline.point_kind import PointKind
 

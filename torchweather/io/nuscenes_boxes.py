@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
-from torchweather.io.atomic import atomic_write
 from torchweather.io.box_visibility import BoxVisibility
 from torchweather.io.boxes import Boxes, checked_transform, turned_back, turned_yaw
 

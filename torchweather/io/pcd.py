@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, check_one_of
-from torchweather.io.atomic import atomic_write
 from torchweather.io.lzf import LZF_MAX_RATIO, lzf_compress, lzf_decompress
 from torchweather.io.number_text import column_text, parse_columns
 from torchweather.io.stored_points import (

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
-from torchweather.io.atomic import atomic_write
 from torchweather.io.stored_points import PointField, PointLayout, StoredPoints
 
 __all__ = ["FLOAT32_ROWS", "read_float32_file", "write_float32_file"]

@@ -12,9 +12,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_archive, read_array, write_archive
-from torchweather.io.atomic import atomic_write
 from torchweather.io.images import write_image
 from torchweather.io.map_layout import AXES, MapLayout, map_layout
 from torchweather.io.polar_png import read_polar_png

@@ -11,8 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, nearest_name
-from torchweather.io.atomic import atomic_write
 
 __all__ = ["TABLE_SUFFIXES", "read_table", "write_table"]
 

@@ -19,8 +19,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, check_positive
-from torchweather.io.atomic import atomic_write
 
 __all__ = ["VIDEO_SUFFIXES", "WRITTEN_SUFFIXES", "VideoFrame", "VideoReader", "VideoWriter", "write_video"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
-from torchweather.io.atomic import atomic_write
 from torchweather.io.stored_points import PointField, PointLayout, StoredPoints
 
 __all__ = ["VOD_COLUMNS", "read_vod_radar", "write_vod_radar"]

@@ -26,7 +26,7 @@ TURN_DEG = 360.0
 # A column of the scan may be off by less than half a step: a gap of 1.5 steps and more hides a beam.
 WRONG_STEP = 1.5
 HIDES_NONE = 1.4  # steps, less than 1.5 for rounding
-# Gaps of a cloud that are needed before its azimuth step is held against the sensor's.
+# Least number of gaps in a cloud for a comparison of its azimuth step with the sensor's.
 GAPS_TO_JUDGE = 100
 GAPS_TO_SORT = 10_000  # enough for its median and lowest tenth
 # Two returns of one beam share its azimuth; a gap below this share of a step lies inside one beam.

@@ -36,8 +36,8 @@ class LidarState:
         extinction_per_m: ``(B,)`` effective extinction of all weather together; ``None`` is clear air.
         density_scale: ``(B,)`` particles in the air over those that the weather says; ``None`` is 1.
         patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
-        extra_m: ``(B, ...)`` by how much longer the ways would be in uniform air, laid out as ``patches``; of all
-            weather together.
+        extra_m: ``(B, ...)`` extra length of the ways in uniform air of the same optical depth, laid out as
+            ``patches``; of all weather together.
         path_density: ``(B, N)`` mean density on each beam's way to ``reach_m`` over that of the weather; ``None`` is 1.
         beam_density: ``(B, N)`` particles along each beam over those of the weather; ``None`` is 1.
         size_factors: ``(B, knots)`` number of particles of each size over that of the weather, at the outlines

@@ -166,7 +166,7 @@ class LidarWeather(WeatherTransform):
             )
         check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
         self.beam_ends, self._find_beams = beam_ends, BeamFinder()
-        self.own_vehicle = checked_own_vehicle(own_vehicle, type(self).__name__)
+        self.own_vehicle = checked_own_vehicle(own_vehicle, sensor, type(self).__name__)
         if variant == "hahner":
             fog_backscatter, fog_extinction = "hahner", "koschmieder"
         self.weather, self.sensor = weather, sensor

@@ -5,11 +5,9 @@ from __future__ import annotations
 import io
 import math
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +15,7 @@ import torch
 import yaml
 from torch import Tensor, nn
 
+from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
 from torchweather.core.random import in_parallel, sample_seeds
 from torchweather.pipeline.registry import STAGES, load_catalogue
@@ -134,18 +133,11 @@ class Chain(nn.Module):
 
         The file is written under a temporary name and then renamed.
         """
-        target = Path(path)
         state = io.BytesIO()
         np.savez(state, **{key: value.detach().cpu().numpy() for key, value in self.state_dict().items()})
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-                archive.writestr("chain.yaml", yaml.safe_dump(self.to_dict(), sort_keys=False))
-                archive.writestr("state.npz", state.getvalue())
-            os.replace(temporary, target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with atomic_write(path) as unfinished, zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("chain.yaml", yaml.safe_dump(self.to_dict(), sort_keys=False))
+            archive.writestr("state.npz", state.getvalue())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Chain:

@@ -94,7 +94,7 @@ class Effect(Stage):
         scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
             many are on average.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
-        unsaid: quantities that it changes although no parameter says by how much, such as the brightness of a
+        unsaid: quantities that it changes by an amount that no parameter gives, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 
     Example:

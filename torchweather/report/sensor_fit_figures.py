@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchweather.io.atomic import atomic_write
+from torchweather.core.atomic import atomic_write
 from torchweather.lidar import NearResponseFit, PatternFit
 from torchweather.lidar.sensor import Lidar
 from torchweather.report.figures import MUTED, STYLE, plain_axes

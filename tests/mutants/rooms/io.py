@@ -124,7 +124,7 @@ MUTANTS = (
     Mutant(
         "write_is_not_atomic",
         "a file appears whole or not at all",
-        "torchweather.io.atomic",
+        "torchweather.core.atomic",
         "        yield unfinished\n        unfinished.replace(target)",
         "        yield target",
         ("tests/io/test_images.py::test_failed_write_of_a_new_file_leaves_none",),

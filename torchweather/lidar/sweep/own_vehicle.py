@@ -6,7 +6,6 @@ The vehicle is rigid and moves with the sensor. It is what stays the same while 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.atomic import atomic_write
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.ground import fit_ground
+from torchweather.lidar.sweep.sweep_raster import long_runs
 from torchweather.lidar.sweep.sweep_rings import sweep_rings
 
 __all__ = [
@@ -156,10 +157,13 @@ class OwnVehicleMask:
         return _columns(xyz, self.blocked.shape[1])
 
     def save(self, path: str | Path | BinaryIO) -> None:
-        """Write it to a ``.npz`` file."""
+        """Write it to a ``.npz`` file, whole or not at all."""
+        if isinstance(path, (str, Path)):
+            with atomic_write(path) as unfinished, unfinished.open("wb") as file:
+                self.save(file)
+            return
         values = {"blocked": self.blocked, "nearest_m": self.nearest_m, "farthest_m": self.farthest_m}
-        with Path(path).open("wb") if isinstance(path, (str, Path)) else nullcontext(path) as file:
-            np.savez_compressed(file, allow_pickle=False, **values, sweeps=self.sweeps, views=self.views)
+        np.savez_compressed(path, allow_pickle=False, **values, sweeps=self.sweeps, views=self.views)
 
     @classmethod
     def load(cls, path: str | Path | BinaryIO) -> OwnVehicleMask:
@@ -259,12 +263,20 @@ def rows_in_box(xyz: Tensor, box: Box) -> Tensor:
     return found
 
 
-def checked_own_vehicle(value: object, owner: str) -> OwnVehicle | None:
-    """The mask or the box that ``own_vehicle=`` of a transform says: a mask, its file, or six numbers."""
-    if value is None or isinstance(value, OwnVehicleMask):
-        return value
+def checked_own_vehicle(value: object, sensor: Lidar, owner: str) -> OwnVehicle | None:
+    """The mask or the box that ``own_vehicle=`` of a transform gives: a mask, its file, or six numbers."""
     if isinstance(value, (str, Path)):
-        return OwnVehicleMask.load(value)
+        value = OwnVehicleMask.load(value)
+    if isinstance(value, OwnVehicleMask):
+        rings, known = len(value.blocked), len(sensor.elevations_deg or ())
+        if rings != known:
+            raise ValueError(
+                f"{owner}: own_vehicle: expected a mask of the sensor's {known} rings; got one of {rings}: of another "
+                "sensor. Find it anew, own_vehicle_mask(clouds, sensor)."
+            )
+        return value
+    if value is None:
+        return None
     if isinstance(value, Sequence) and len(value) == 6:
         try:
             x0, x1, y0, y1, z0, z1 = (float(one) for one in value)
@@ -334,7 +346,7 @@ def _weights(ranges: Sequence[Numbers]) -> Numbers:
 
 def _blocked(ranges: Sequence[Numbers], weight: Numbers, views: float) -> Mask:
     """Cells of regions without return that the vehicle hides, ``(R, C)``."""
-    from scipy.ndimage import binary_opening, label
+    from scipy.ndimage import label
 
     shape = ranges[0].shape
     hits = np.zeros(shape)
@@ -352,7 +364,7 @@ def _blocked(ranges: Sequence[Numbers], weight: Numbers, views: float) -> Mask:
     columns = shape[1]
     twice = np.concatenate([empty[order]] * 2, 1)  # so that a region at the seam is whole
     width = max(2, round(_WIDTH_DEG * columns / TURN_DEG))
-    twice = binary_opening(twice, np.ones((1, width), bool))
+    twice = long_runs(twice, width)
     labels, count = label(twice, np.ones((3, 3)))
     held = np.zeros(count + 1, bool)
     held[np.unique(labels[ring_m[order] < _ROAD_M])] = True

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Neighbour", "SweepRaster"]
+__all__ = ["Neighbour", "SweepRaster", "long_runs"]
 
 Numbers = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
@@ -152,7 +152,7 @@ class SweepRaster:
         width = max(2, round(width_deg / self.step_deg))
         # Around the turn once and a half, so that a region at the seam is whole.
         half = self.columns // 2
-        seed = _long_runs(np.concatenate([seed, seed[:, :half]], 1), width)
+        seed = long_runs(np.concatenate([seed, seed[:, :half]], 1), width)
         seed[:, :half] |= seed[:, self.columns :]
         wanted = np.zeros(empty.shape, bool)
         wanted[self.row[reaching & below], self.column[reaching & below]] = True
@@ -166,7 +166,7 @@ class SweepRaster:
         return found
 
 
-def _long_runs(mask: Mask, width: int) -> Mask:
+def long_runs(mask: Mask, width: int) -> Mask:
     """Cells ``(rows, columns)`` in runs along the row of at least ``width`` columns."""
     edge = np.zeros((len(mask), 1), bool)
     padded = np.concatenate([edge, mask, edge], 1)
