@@ -43,8 +43,8 @@ class Sizes:
 class WeatherTransform(nn.Module):
     """A chain of stages made from a weather and a sensor.
 
-    A subclass says which weathers it ``takes`` and under which name another class ``takes_all``. It may be built from a
-    weather that has yet to be drawn; ``Compose`` then draws one for each sample, and a call of its own refuses.
+    A subclass lists the weathers that it ``takes``; a base class takes the others. It may be built from a weather that
+    has yet to be drawn: a call without noise draws one for each sample, and so does ``Compose``.
     """
 
     takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
