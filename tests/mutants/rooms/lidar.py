@@ -252,11 +252,11 @@ MUTANTS = (
         ("tests/transforms/test_lidar_own_vehicle.py::test_a_mask_of_another_sensor_is_refused",),
     ),
     Mutant(
-        "tilted_sweep_completed",
-        "a sweep in a tilted frame is refused",
-        "torchweather.lidar.sweep.quick_frame",
-        "return self.tilt_deg <= _TILT_DEG and beside_m <= _BESIDE_M",
-        "return beside_m <= _BESIDE_M",
+        "frame_of_the_sweep_not_judged",
+        "a sweep that is tilted or stands beside its sensor is refused",
+        "torchweather.lidar.sweep.sweep_check",
+        "            and self.frame.fits\n",
+        "",
         ("tests/lidar/test_unfit_sweeps.py::test_an_unfit_sweep_is_refused_with_the_cause",),
     ),
     Mutant(
