@@ -17,7 +17,17 @@ def failing(error: Exception) -> Any:
     return run
 
 
-@pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), AssertionError("a bug"), AttributeError("a bug")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        ZeroDivisionError("a bug"),
+        AssertionError("a bug"),
+        AttributeError("a bug"),
+        ValueError("a bug"),
+        TypeError("a bug"),
+        ImportError("a bug"),
+    ],
+)
 def test_a_bug_is_no_mistake_of_the_user(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listing, "run", failing(error))
     with pytest.raises(type(error), match="a bug"):

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import torchweather
 from torchweather.core.errors import (
+    InputTypeError,
+    MissingExtraError,
     TorchweatherError,
     TorchweatherWarning,
     check_at_least,
@@ -73,3 +78,25 @@ def test_an_empty_tensor_has_no_wrong_value() -> None:
 def test_library_errors_are_no_value_errors_and_warnings_can_be_filtered() -> None:
     assert not issubclass(TorchweatherError, ValueError)
     assert issubclass(TorchweatherWarning, UserWarning)
+
+
+def test_what_a_caller_can_mend_is_one_kind_of_error_and_python_s_own_kind_too() -> None:
+    with pytest.raises(TorchweatherError) as value:
+        check_positive("mor_m", 0, unit="m", owner=Gauge)
+    assert isinstance(value.value, ValueError)
+    assert issubclass(InputTypeError, TypeError)
+    assert issubclass(MissingExtraError, ImportError)
+    assert {InputTypeError, MissingExtraError} <= set(TorchweatherError.__subclasses__())
+
+
+def test_package_raises_no_plain_value_or_type_error() -> None:
+    """A plain ``ValueError`` is a defect, of which the command line shows the traceback."""
+    plain = {"ValueError", "TypeError", "ImportError", "RuntimeError", "Exception", "KeyError"}
+    found = []
+    for path in sorted(Path(torchweather.__file__).parent.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            call = node.exc if isinstance(node, ast.Raise) else None
+            raised = call.func if isinstance(call, ast.Call) else call
+            if isinstance(raised, ast.Name) and raised.id in plain:
+                found.append(f"{path.name}:{node.lineno}: {raised.id}")
+    assert not found

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weather
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sensor import Lidar
 from torchweather.physics import (
     DB_PER_KM,
@@ -113,7 +114,7 @@ def explain(
 def _distribution(part: Weather) -> SizeDistribution:
     knob = part.knob
     if isinstance(knob, Tensor) and knob.numel() != 1:
-        raise ValueError(
+        raise InputValueError(
             f"explain: {part.knob_name} must be one number; got {knob.numel()} of them. Explain one sample at a time."
         )
     assert isinstance(part, (Rain, Fog, Snow))  # parse_weather and Mixture know no others
@@ -122,7 +123,7 @@ def _distribution(part: Weather) -> SizeDistribution:
 
 def _radar(radar: Radar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None) -> Radar:
     if wavelength_nm is not None:
-        raise ValueError("explain: wavelength_nm is for cameras and LiDARs; a radar takes frequency_ghz.")
+        raise InputValueError("explain: wavelength_nm is for cameras and LiDARs; a radar takes frequency_ghz.")
     wanted: dict[str, Any] = {"frequency_ghz": frequency_ghz, "polarisation": polarisation}
     return replace(radar, **{key: value for key, value in wanted.items() if value is not None})
 
@@ -131,7 +132,7 @@ def _bands(
     sensor: Camera | Lidar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None
 ) -> list[tuple[str, float]]:
     if frequency_ghz is not None or polarisation is not None:
-        raise ValueError(
+        raise InputValueError(
             f"explain: frequency_ghz and polarisation are for radars; a {sensor.kind} takes wavelength_nm."
         )
     if wavelength_nm is None:

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import PATCH_LENGTH_LOW_M, Weather, check_drawn
-from torchweather.core.errors import check_at_least, check_between
+from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -201,7 +201,7 @@ class PatchyAir(Stage):
         check_at_least("length_m", length_m, PATCH_LENGTH_LOW_M, unit="m", owner=self)
         self.length_m = float(length_m)
         if len(drift_m_per_s) != 2:
-            raise ValueError(f"PatchyAir: drift_m_per_s must be (forward, left) in m/s; got {drift_m_per_s!r}.")
+            raise InputValueError(f"PatchyAir: drift_m_per_s must be (forward, left) in m/s; got {drift_m_per_s!r}.")
         for speed in drift_m_per_s:
             check_between("drift_m_per_s", speed, -200.0, 200.0, unit="m/s", owner=self)
         self.drift_m_per_s = tuple(float(speed) for speed in drift_m_per_s)

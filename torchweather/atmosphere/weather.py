@@ -18,6 +18,8 @@ from torch import Tensor
 
 from torchweather.core.distributions import Distribution, Uniform, distribution_from
 from torchweather.core.errors import (
+    InputTypeError,
+    InputValueError,
     TorchweatherWarning,
     check_between,
     check_one_of,
@@ -127,7 +129,7 @@ class Weather:
         knob = getattr(self, self.knob_name)
         if isinstance(knob, (tuple, list)):
             if len(knob) != 2 or isinstance(knob, list):
-                raise ValueError(
+                raise InputValueError(
                     f"{type(self).__name__}: {self.knob_name} must be a number, a tensor, a pair (low, high) or a "
                     f"distribution such as LogUniform(1, 50); got {knob!r}."
                 )
@@ -169,7 +171,7 @@ class Weather:
             if key == "kind":
                 continue
             if key not in known:
-                raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
+                raise InputValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
             if key == cls.knob_name and isinstance(value, list):
                 value = torch.tensor(value)
             if isinstance(value, Mapping):
@@ -212,12 +214,12 @@ class _Precipitation(Weather):
         if isinstance(self.size_distribution, str):
             check_one_of("size_distribution", self.size_distribution, self.families, owner=self)
         elif self.size_distribution.particle not in self.particles:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: size_distribution must count {' or '.join(self.particles)}; got bins of "
                 f"{self.size_distribution.particle!r}. Set Binned(particle=...)."
             )
         if len(self.wind_m_per_s) != 3:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
                 f"got {self.wind_m_per_s!r}."
             )
@@ -382,7 +384,7 @@ class Fog(Weather):
         visibility_m: Given | None = None,
     ) -> None:
         if visibility_m is not None and not (isinstance(mor_m, float) and math.isinf(mor_m)):
-            raise ValueError(
+            raise InputValueError(
                 f"Fog: mor_m and visibility_m are one number, the visibility in metres; got mor_m={mor_m!r} and "
                 f"visibility_m={visibility_m!r}. Pass one of them."
             )
@@ -432,7 +434,7 @@ class Fog(Weather):
     def rehearse(cls, mor_m: int) -> Fog:
         """The measured REHEARSE fog of nominal visibility 10, 20, 30 or 50 m, unscaled (D3.4 Table 5)."""
         if mor_m not in REHEARSE_MOR_M:
-            raise ValueError(f"Fog.rehearse: mor_m must be one of 10, 20, 30, 50 m; got {mor_m!r}.")
+            raise InputValueError(f"Fog.rehearse: mor_m must be one of 10, 20, 30, 50 m; got {mor_m!r}.")
         return cls(mor_m=float(mor_m), size_distribution=REHEARSE)
 
     @classmethod
@@ -471,7 +473,7 @@ def check_drawn(weather: Weather, *, owner: object) -> None:
     """Raise where a weather has yet to be drawn."""
     for part in weather.parts:
         for name, one in part.random.items():
-            raise ValueError(
+            raise InputValueError(
                 f"{owner_name(owner)}: {name} must be a number here; got {one!r}. Draw one weather, "
                 "weather.drawn(seed); or call the transform without noise, or Compose, which draw one for each sample."
             )
@@ -483,7 +485,7 @@ def check_knobs(weather: Weather, batch: Sequence[int], *, owner: object) -> Non
     for part in weather.parts:
         knob = part.knob
         if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
-            raise ValueError(
+            raise InputValueError(
                 f"{owner_name(owner)}: {part.knob_name} must be one value or one for each sample, shape "
                 f"{tuple(batch)}; got shape {tuple(knob.shape)}."
             )
@@ -519,16 +521,16 @@ class Mixture(Weather):
         given = [one for some in weathers for one in (some if isinstance(some, (list, tuple)) else (some,))]
         for one in given:
             if not isinstance(one, Weather):
-                raise TypeError(
+                raise InputTypeError(
                     f"Mixture: expected weathers, such as Mixture(Rain(10), Fog(mor_m=200)); got {one!r} among them."
                 )
         flat = [part for weather in given for part in weather.parts]
         if not flat:
-            raise ValueError("Mixture: wanted at least one weather; got none.")
+            raise InputValueError("Mixture: wanted at least one weather; got none.")
         kinds = [part.kind for part in flat]
         for kind in set(kinds):
             if kinds.count(kind) > 1:
-                raise ValueError(
+                raise InputValueError(
                     f"Mixture: wanted each kind once; got {kinds.count(kind)} times {kind}. Add their rates (or their "
                     "extinctions, for fog) into one."
                 )
@@ -536,7 +538,9 @@ class Mixture(Weather):
         lengths = {part.kind: part.patch_length_m for part in self._parts if part.patch_log_std != 0.0}
         if len({repr(length) for length in lengths.values()}) > 1:
             said = ", ".join(f"{kind} {length!r}" for kind, length in lengths.items())
-            raise ValueError(f"Mixture: all patches are of one field and have one patch_length_m, in m; got {said}.")
+            raise InputValueError(
+                f"Mixture: all patches are of one field and have one patch_length_m, in m; got {said}."
+            )
 
     @property
     def parts(self) -> tuple[Weather, ...]:
@@ -616,7 +620,7 @@ def _parse_one(text: str) -> Weather:
     for argument in filter(None, arguments.split(",")):
         key, equals, value = argument.partition("=")
         if not equals:
-            raise ValueError(
+            raise InputValueError(
                 f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
             )
         values[ALIASES.get(key.strip(), key.strip())] = _plain(value.strip())

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.state import CameraState
-from torchweather.core.errors import TorchweatherWarning, owner_name
+from torchweather.core.errors import InputValueError, TorchweatherWarning, owner_name
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = [
@@ -57,14 +57,14 @@ def airlight_argument(value: Sequence[float] | float | str | None, owner: object
         return None
     if isinstance(value, str):
         if value not in AIRLIGHT_MODES:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner_name(owner)}: airlight must be one of {', '.join(AIRLIGHT_MODES)}, one number or (red, green, "
                 f"blue) in 0..1, linear; got {value!r}."
             )
         return value
     values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
     if len(values) != 3 or not all(0.0 <= v <= 1.0 for v in values):
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: airlight must be one number or (red, green, blue) in 0..1, linear, in units of "
             f"saturation; got {value!r}."
         )

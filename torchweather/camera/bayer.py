@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputValueError, check_one_of
 
 __all__ = [
     "PATTERNS",
@@ -183,7 +183,7 @@ def colour_means(
     if region is not None:
         top, bottom, left, right = region
         if not (0 <= top < bottom <= 1 and 0 <= left < right <= 1):
-            raise ValueError(
+            raise InputValueError(
                 "colour_means: region must be (top, bottom, left, right) as shares of the frame with "
                 f"0 <= top < bottom <= 1 and 0 <= left < right <= 1; got {region!r}."
             )
@@ -213,7 +213,7 @@ def check_even(bayer: Tensor, owner: str) -> None:
     _check_channels(bayer, 1, owner, "the mosaic", "one value per pixel")
     height, width = bayer.shape[-2:]
     if height % 2 or width % 2 or height == 0 or width == 0:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: height and width of a mosaic must be even (whole 2 x 2 cells); got {height} x {width}. "
             "Crop a row or a column, or pad by reflection."
         )
@@ -221,6 +221,6 @@ def check_even(bayer: Tensor, owner: str) -> None:
 
 def _check_channels(image: Tensor, channels: int, owner: str, name: str, meaning: str) -> None:
     if image.ndim < 3 or image.shape[-3] != channels:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: {name} must have shape (..., {channels}, H, W) = {meaning}; got {tuple(image.shape)}."
         )

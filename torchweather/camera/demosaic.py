@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from torchweather.camera.bayer import PATTERNS, RCCB_TO_RGB, cfa_colour_index, check_even
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.core.threads import side_by_side
 
 __all__ = ["METHODS", "demosaic"]
@@ -95,13 +95,13 @@ def demosaic(
     check_one_of("method", method, METHODS, owner="demosaic")
     check_even(bayer, "demosaic")
     if not bayer.is_floating_point():
-        raise TypeError(
+        raise InputTypeError(
             f"demosaic: the mosaic must be floating point, linear in light; got {bayer.dtype}. "
             "Use torchweather.image.normalise first."
         )
     *batch, _, height, width = bayer.shape
     if height < 4 or width < 4:
-        raise ValueError(f"demosaic: the mosaic must have 4 x 4 pixels or more; got {height} x {width}.")
+        raise InputValueError(f"demosaic: the mosaic must have 4 x 4 pixels or more; got {height} x {width}.")
     if matrix is None and pattern == "RCCB":
         matrix = torch.tensor(RCCB_TO_RGB, dtype=bayer.dtype, device=bayer.device)
     if out is not None:
@@ -186,11 +186,11 @@ def _malvar_kernel(pattern: str, matrix: Tensor | None, like: Tensor) -> Tensor:
 
 def _check_out(out: Tensor, shape: tuple[int, ...], like: Tensor) -> None:
     if tuple(out.shape) != shape or out.dtype != like.dtype or out.device != like.device or not out.is_contiguous():
-        raise ValueError(
+        raise InputValueError(
             f"demosaic: out must be contiguous with shape {shape}, {like.dtype} on {like.device}; "
             f"got {tuple(out.shape)}, {out.dtype} on {out.device}."
         )
     if torch.is_grad_enabled() and like.requires_grad:
-        raise ValueError(
+        raise InputValueError(
             "demosaic: out= cannot be used where a gradient is wanted. Leave it out, or use torch.no_grad()."
         )

@@ -17,7 +17,7 @@ from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weath
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
-from torchweather.core.errors import TorchweatherWarning, check_one_of
+from torchweather.core.errors import InputTypeError, TorchweatherWarning, check_one_of
 from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.pipeline.registry import register
@@ -121,7 +121,7 @@ class ExtinctionAndAirlight(Stage):
         super().__init__()
         fog = weather if isinstance(weather, Fog) else weather_from_dict(weather)
         if not isinstance(fog, Fog):
-            raise TypeError(f"ExtinctionAndAirlight: weather must be Fog; got {type(fog).__name__}.")
+            raise InputTypeError(f"ExtinctionAndAirlight: weather must be Fog; got {type(fog).__name__}.")
         check_one_of("extinction", extinction, EXTINCTION_MODELS, owner=self)
         if variant == "d3_4":
             _warn_outside_table13(fog)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import compand, expand, normalise, quantise
-from torchweather.core.errors import owner_name
+from torchweather.core.errors import InputTypeError, InputValueError, owner_name
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["check_bayer", "raw_from_linear", "raw_to_linear"]
@@ -32,22 +32,22 @@ def check_bayer(bayer: Tensor, camera: Camera, owner: object) -> None:
     """Raise unless ``bayer`` is a mosaic ``(..., 1, H, W)`` of the camera's size in a known dtype."""
     name = owner_name(owner)
     if not isinstance(bayer, Tensor):
-        raise TypeError(f"{name}: bayer must be a torch.Tensor (..., 1, H, W); got {type(bayer).__name__}.")
+        raise InputTypeError(f"{name}: bayer must be a torch.Tensor (..., 1, H, W); got {type(bayer).__name__}.")
     if bayer.ndim < 3 or bayer.shape[-3] != 1:
         hint = " For RGB images use AsBayer(transform)." if bayer.ndim >= 3 and bayer.shape[-3] == 3 else ""
-        raise ValueError(f"{name}: bayer must have shape (..., 1, H, W); got {tuple(bayer.shape)}.{hint}")
+        raise InputValueError(f"{name}: bayer must have shape (..., 1, H, W); got {tuple(bayer.shape)}.{hint}")
     if not bayer.is_floating_point() and bayer.dtype not in INTEGER_DTYPES:
-        raise TypeError(f"{name}: bayer must be uint8, uint16 or float in 0..1; got {bayer.dtype}.")
+        raise InputTypeError(f"{name}: bayer must be uint8, uint16 or float in 0..1; got {bayer.dtype}.")
     height, width = bayer.shape[-2:]
     if is_exporting():
         return
     if height % 2 or width % 2:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: H and W of a Bayer mosaic must be even; got {height} x {width}. Crop the frame, or use "
             "AsBayer, which pads RGB images."
         )
     if (height, width) != (camera.height, camera.width):
-        raise ValueError(
+        raise InputValueError(
             f"{name}: the frame is {height} x {width} px, the camera {camera.height} x {camera.width}. Use "
             "camera.resized(width, height) for a scaled image or camera.cropped(top, left, height, width) for a window."
         )
@@ -63,13 +63,13 @@ def raw_to_linear(bayer: Tensor, camera: Camera, owner: object) -> Tensor:
         # Half a step of rounding is no contradiction.
         if not (high <= 1.0 + 1e-6 and low == low):
             raw_high = high * (white - black) + black
-            raise ValueError(
+            raise InputValueError(
                 f"{owner_name(owner)}: the frame contradicts its description: wanted values up to {white:g}"
                 f"{' (float frames run from 0 to 1)' if bayer.is_floating_point() else ''}, without NaN; got up to "
                 f"{raw_high:g}. Set Camera(bit_depth=..., white_level=...) or scale the frame."
             )
         if bayer.is_floating_point() and low < 0:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner_name(owner)}: float frames must lie in 0..1; got {low:g}. Subtract the black level and clip."
             )
     return expand(linear, camera.response_knots) if camera.response_knots else linear

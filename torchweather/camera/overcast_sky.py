@@ -12,6 +12,7 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Rain, Snow, weather_from_dict
 from torchweather.camera.airlight import REC709, Airlight, airlight_argument, given_or_estimated
 from torchweather.camera.state import CameraState
+from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 
@@ -50,7 +51,7 @@ class OvercastSky(Stage):
         self.weathers = [one if isinstance(one, (Rain, Snow)) else weather_from_dict(one) for one in weathers]
         for one in self.weathers:
             if not isinstance(one, (Rain, Snow)):
-                raise TypeError(f"OvercastSky: weathers must be Rain or Snow; got {type(one).__name__}.")
+                raise InputTypeError(f"OvercastSky: weathers must be Rain or Snow; got {type(one).__name__}.")
         self.given: Airlight = airlight_argument(airlight, self)
         rates = [torch.as_tensor(one.knob, dtype=torch.float32).reshape(-1) for one in self.weathers]
         total = rates[0]
@@ -67,7 +68,7 @@ class OvercastSky(Stage):
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The frame under its new sky."""
         if state.sine_elevation is None:
-            raise ValueError("OvercastSky: expected a state with the elevation of its rays; this one has none.")
+            raise InputValueError("OvercastSky: expected a state with the elevation of its rays; this one has none.")
         sky = torch.isinf(state.depth_m).to(state.signal.dtype) if state.sky is None else state.sky
         rate = self.rate_mm_per_h.to(state.signal)
         share = (rate / (rate + TRACE_MM_PER_H)).view(-1, 1, 1, 1) * sky

@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputTypeError, InputValueError
+
 __all__ = ["is_picture", "picture_tensor"]
 
 Back = Callable[[Tensor], Any]
@@ -43,16 +45,18 @@ def picture_tensor(picture: Any, owner: str) -> tuple[Tensor, Back]:
         if picture.ndim < 3 or picture.shape[-1] != 3:
             first = picture.ndim >= 3 and picture.shape[-3] == 3
             advice = " Channels come last in numpy: np.moveaxis(picture, -3, -1), or give a tensor." if first else ""
-            raise ValueError(f"{owner}: a numpy picture must be (..., H, W, 3); got {picture.shape}.{advice}")
+            raise InputValueError(f"{owner}: a numpy picture must be (..., H, W, 3); got {picture.shape}.{advice}")
         tensor = torch.from_numpy(np.ascontiguousarray(np.moveaxis(picture, -1, -3)))
         return tensor, lambda result: np.ascontiguousarray(np.moveaxis(result.cpu().numpy(), -3, -1))
     if _is_pil(picture):
         if picture.mode != "RGB":
-            raise ValueError(f"{owner}: a PIL image must be of mode RGB; got {picture.mode}. Use image.convert('RGB').")
+            raise InputValueError(
+                f"{owner}: a PIL image must be of mode RGB; got {picture.mode}. Use image.convert('RGB')."
+            )
         tensor = torch.from_numpy(np.array(picture)).movedim(-1, -3)
         from_array = sys.modules["PIL.Image"].fromarray
         return tensor, lambda result: from_array(np.ascontiguousarray(result.movedim(-3, -1).cpu().numpy()))
-    raise TypeError(
+    raise InputTypeError(
         f"{owner}: expected a picture: a tensor (..., 3, H, W), a numpy array (..., H, W, 3) or a PIL image; got "
         f"{type(picture).__name__}."
     )

@@ -22,7 +22,7 @@ from torchweather.camera.through_mosaic import (
     padded_size,
 )
 from torchweather.camera.transform import BayerWeather, CameraResult
-from torchweather.core.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.random import sizes_of
 
 __all__ = ["AsBayer", "RgbResult"]
@@ -87,13 +87,13 @@ class AsBayer(nn.Module):
     def __init__(self, transform: BayerWeather, *, through_mosaic: bool = False, method: str = "malvar") -> None:
         super().__init__()
         if not isinstance(transform, BayerWeather):
-            raise TypeError(
+            raise InputTypeError(
                 "AsBayer: transform must be a Bayer transform, such as BayerFog(Fog(mor_m=50), camera); got "
                 f"{type(transform).__name__}."
             )
         check_one_of("method", method, METHODS, owner=self)
         if method != METHODS[0] and not through_mosaic:
-            raise ValueError(
+            raise InputValueError(
                 f"AsBayer: method={method!r} demosaics, and there is no mosaic here. Give through_mosaic=True with it."
             )
         self.transform = transform
@@ -301,7 +301,7 @@ class AsBayer(nn.Module):
         height, width = rgb.shape[-2:]
         camera = self.transform.camera
         if (camera.height, camera.width) not in {(height, width), padded_size(height, width)}:
-            raise ValueError(
+            raise InputValueError(
                 f"AsBayer: the image is {height} x {width} px, the camera {camera.height} x {camera.width}. Use "
                 "camera.resized(width, height) for a scaled image or camera.cropped(top, left, height, width) for a "
                 "window."

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.tone import normalise, quantise, srgb_decode, srgb_encode
+from torchweather.core.errors import InputTypeError, InputValueError
 
 __all__ = ["check_rgb", "encoded_planes", "linear_planes"]
 
@@ -17,16 +18,16 @@ INTEGER_DTYPES = (torch.uint8, torch.uint16)
 def check_rgb(rgb: Any, owner: str) -> None:
     """Raise unless ``rgb`` is an image ``(..., 3, H, W)`` with pixels, uint8, uint16 or float in 0..1."""
     if not isinstance(rgb, Tensor):
-        raise TypeError(f"{owner}: rgb must be a torch.Tensor (..., 3, H, W); got {type(rgb).__name__}.")
+        raise InputTypeError(f"{owner}: rgb must be a torch.Tensor (..., 3, H, W); got {type(rgb).__name__}.")
     if rgb.ndim < 3 or rgb.shape[-3] != 3:
         raw = rgb.ndim >= 3 and rgb.shape[-3] == 1
         advice = " A raw mosaic goes to the Bayer transform itself." if raw else ""
-        raise ValueError(f"{owner}: rgb must have shape (..., 3, H, W); got {tuple(rgb.shape)}.{advice}")
+        raise InputValueError(f"{owner}: rgb must have shape (..., 3, H, W); got {tuple(rgb.shape)}.{advice}")
     height, width = rgb.shape[-2:]
     if height == 0 or width == 0:
-        raise ValueError(f"{owner}: rgb must have pixels; got {height} x {width}.")
+        raise InputValueError(f"{owner}: rgb must have pixels; got {height} x {width}.")
     if not rgb.is_floating_point() and rgb.dtype not in INTEGER_DTYPES:
-        raise TypeError(f"{owner}: rgb must be uint8, uint16 or float in 0..1; got {rgb.dtype}.")
+        raise InputTypeError(f"{owner}: rgb must be uint8, uint16 or float in 0..1; got {rgb.dtype}.")
 
 
 def check_rgb_values(rgb: Tensor, owner: str) -> None:
@@ -34,7 +35,7 @@ def check_rgb_values(rgb: Tensor, owner: str) -> None:
     if rgb.is_floating_point() and rgb.numel() and not torch.compiler.is_compiling():
         low, high = (float(v) for v in torch.aminmax(rgb.detach()))
         if not (low >= 0.0 and high <= 1.0):  # NaN fails both
-            raise ValueError(
+            raise InputValueError(
                 f"{owner}: float images must lie in 0..1, without NaN; got {low:g}..{high:g}. Divide by the full "
                 "scale (255 for 8 bits)."
             )

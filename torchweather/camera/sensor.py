@@ -16,7 +16,14 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.frame_sizes import size_change
-from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.errors import (
+    InputValueError,
+    check_at_least,
+    check_between,
+    check_finite,
+    check_one_of,
+    check_positive,
+)
 from torchweather.pipeline.sensor import Sensor
 
 __all__ = ["BAYER_PATTERNS", "Camera"]
@@ -108,7 +115,9 @@ class Camera(Sensor):
             check_finite(name, getattr(self, name), owner=self)
         check_at_least("black_level", self.black_level, 0.0, owner=self)
         if white <= self.black_level:
-            raise ValueError(f"Camera: white_level must exceed black_level; got {white:g} and {self.black_level:g}.")
+            raise InputValueError(
+                f"Camera: white_level must exceed black_level; got {white:g} and {self.black_level:g}."
+            )
         if self.f_number is not None:
             check_positive("f_number", self.f_number, owner=self)
             check_positive("focal_length_mm", self.focal_length_mm, unit="mm", owner=self)
@@ -121,7 +130,7 @@ class Camera(Sensor):
         points = tuple((float(linear), float(raw)) for linear, raw in knots)
         rising = all(a[0] < b[0] and a[1] < b[1] for a, b in pairwise(points))
         if len(points) < 2 or points[0] != (0.0, 0.0) or points[-1] != (1.0, 1.0) or not rising:
-            raise ValueError(
+            raise InputValueError(
                 "Camera: response_knots must be points (linear, raw) that both rise from (0, 0) to (1, 1); "
                 f"got {knots!r}."
             )
@@ -185,7 +194,7 @@ class Camera(Sensor):
     def cropped(self, top: int, left: int, height: int, width: int) -> Camera:
         """The camera that sees only a window of the image; even offsets keep the Bayer phase."""
         if top % 2 or left % 2:
-            raise ValueError(f"Camera: top and left must be even to keep the Bayer phase; got {top}, {left}.")
+            raise InputValueError(f"Camera: top and left must be even to keep the Bayer phase; got {top}, {left}.")
         cx, cy = self.principal_point_px
         return replace(self, width=width, height=height, cx=cx - left, cy=cy - top)
 

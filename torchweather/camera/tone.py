@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.camera.bayer import cfa_index, colour_means
 from torchweather.camera.demosaic import demosaic
-from torchweather.core.errors import check_between, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
 
 __all__ = [
     "colour_matrix",
@@ -300,7 +300,9 @@ def develop(
         gains = grey_world_gains(linear, pattern)
     factors = torch.as_tensor(gains, dtype=linear.dtype, device=linear.device) * exposure
     if factors.shape[-1:] != (3,):
-        raise ValueError(f"develop: gains must have shape (..., 3) = red, green, blue; got {tuple(factors.shape)}.")
+        raise InputValueError(
+            f"develop: gains must have shape (..., 3) = red, green, blue; got {tuple(factors.shape)}."
+        )
     index = cfa_index(linear.shape[-2], linear.shape[-1], pattern, linear.device)
     balanced = (linear * factors[..., index].unsqueeze(-3)).clamp_max(1.0)
     rgb = demosaic(balanced, pattern, method)
@@ -311,23 +313,23 @@ def develop(
 
 def _levels(dtype: torch.dtype, black: float, white: float | None, owner: str) -> tuple[float, float]:
     if not dtype.is_floating_point and dtype not in _FULL_SCALE:
-        raise TypeError(f"{owner}: raw data must be uint8, uint16, int16, int32 or float; got {dtype}.")
+        raise InputTypeError(f"{owner}: raw data must be uint8, uint16, int16, int32 or float; got {dtype}.")
     full = 1.0 if dtype.is_floating_point else _FULL_SCALE[dtype]
     white = full if white is None else float(white)
     if not (math.isfinite(black) and math.isfinite(white) and black < white):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: white_level must be above black_level, both in raw units; got black_level={black!r} and "
             f"white_level={white!r}."
         )
     if not dtype.is_floating_point and white > full:
-        raise ValueError(f"{owner}: white_level must fit {dtype} (at most {full:g}); got {white!r}.")
+        raise InputValueError(f"{owner}: white_level must fit {dtype} (at most {full:g}); got {white!r}.")
     return float(black), white
 
 
 def _checked_knots(knots: Sequence[tuple[float, float]], owner: str) -> list[tuple[float, float]]:
     pairs = [(float(light), float(code)) for light, code in knots]
     if len(pairs) < 2 or any(b[0] <= a[0] or b[1] <= a[1] for a, b in itertools.pairwise(pairs)):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: knots must be two or more (light, code) pairs, both strictly rising; got {list(knots)!r}."
         )
     return pairs

@@ -23,7 +23,7 @@ from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.rays import Rays, rays_of
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
-from torchweather.core.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.random import sample_seeds, sizes_of
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
@@ -348,7 +348,7 @@ class BayerWeather(WeatherTransform):
         check_at_least("frames", frames, 1, owner=self)
         check_positive("frame_interval_s", frame_interval_s, unit="s", owner=self)
         if ego_speeds_m_per_s is not None and len(ego_speeds_m_per_s) != frames:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: ego_speeds_m_per_s must hold one speed for each of {frames} frames; got "
                 f"{len(ego_speeds_m_per_s)}."
             )
@@ -441,7 +441,7 @@ class BayerWeather(WeatherTransform):
     def _normal(self, normal: Tensor, bayer: Tensor, linear: Tensor) -> Tensor:
         batch, (height, width) = bayer.shape[:-3], linear.shape[-2:]
         if not isinstance(normal, Tensor) or tuple(normal.shape[-3:]) != (3, height, width):
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: normal must be a tensor (..., 3, {height}, {width}) of unit normals in the "
                 f"vehicle's frame; got {tuple(normal.shape) if isinstance(normal, Tensor) else type(normal).__name__}."
             )
@@ -457,14 +457,14 @@ class BayerWeather(WeatherTransform):
             return depth
         if depth is None:
             if self.depth_source is None:
-                raise ValueError(
+                raise InputValueError(
                     f"{type(self).__name__}: no depth: give forward(bayer, depth) a map (..., 1, H, W) in metres, or "
                     "the constructor a source: depth=30.0, depth=FlatGround(), a map or a function of the image."
                 )
             dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
             return scene_of(self.depth_source, self.camera, height, width, image=image, dtype=dtype)
         if not isinstance(depth, Tensor):
-            raise TypeError(
+            raise InputTypeError(
                 f"{type(self).__name__}: depth must be a tensor (..., 1, H, W) in metres or a SceneDepth; got "
                 f"{type(depth).__name__}. A number or a depth source goes to the constructor."
             )
@@ -477,7 +477,7 @@ class BayerWeather(WeatherTransform):
         try:
             spread = share.expand(*batch, 1, height, width)
         except RuntimeError as error:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: {'depth' if name == 'depth_m' else name} {tuple(share.shape)} does not fit "
                 f"the frame {(*batch, linear.shape[1], height, width)}."
             ) from error
@@ -515,11 +515,13 @@ class BayerWeather(WeatherTransform):
     def _run_into(self, state: CameraState, out: Tensor) -> None:
         fog = self.chain.stages.get("extinction_and_airlight")
         if not isinstance(fog, ExtinctionAndAirlight) or len(self.chain.stages) != 2:
-            raise ValueError(f"{type(self).__name__}: out= is for fog alone.")
+            raise InputValueError(f"{type(self).__name__}: out= is for fog alone.")
         if self.camera.response_knots:
-            raise ValueError(f"{type(self).__name__}: out= takes linear light; this camera compands (response_knots).")
+            raise InputValueError(
+                f"{type(self).__name__}: out= takes linear light; this camera compands (response_knots)."
+            )
         if out.dtype != state.signal.dtype or out.numel() != state.signal.numel() or not out.is_contiguous():
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: out must be contiguous {state.signal.dtype} of {state.signal.numel()} "
                 f"elements; got {out.dtype}, {tuple(out.shape)}."
             )

@@ -10,6 +10,7 @@ from torchweather.cli.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.cli.detections import RADAR_ARGUMENTS, add_radar_arguments
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.cli.own_vehicle import add_own_vehicle
+from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.atmosphere.weather import Weather
@@ -102,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     elif recipe is not None:
         weather = recipe.build_weather()
     else:
-        raise ValueError("apply: give --weather, such as fog:mor=30, or --recipe (see torchweather list).")
+        raise InputValueError("apply: give --weather, such as fog:mor=30, or --recipe (see torchweather list).")
     kind, preset = _sensor(args, recipe)
     done, text = _process(args, weather, recipe, kind, preset)
     if args.json:
@@ -119,12 +120,12 @@ def _process(
     scenes = _scenes(args, kind)
     sequence = kind == "camera" and _is_sequence(args)
     if isinstance(args.ego_speed_m_per_s, Path) and not sequence:
-        raise ValueError(
+        raise InputValueError(
             f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
             "--sequence; give one number of m/s."
         )
     if sequence and args.preview:
-        raise ValueError("apply: --preview is of single frames; give some of them without --sequence.")
+        raise InputValueError("apply: --preview is of single frames; give some of them without --sequence.")
     if scenes:
         from torchweather.cli import apply_radar_scene
 
@@ -157,9 +158,11 @@ def _is_sequence(args: argparse.Namespace) -> bool:
     videos = [path for path in args.inputs if is_video(path)]
     if not args.sequence and not videos:
         if args.frame_rate_hz is not None:
-            raise ValueError("apply: --frame-rate-hz is for a video or --sequence.")
+            raise InputValueError("apply: --frame-rate-hz is for a video or --sequence.")
         if is_video(args.out):
-            raise ValueError(f"apply: {args.out} is a video; give --sequence if the inputs are frames of one drive.")
+            raise InputValueError(
+                f"apply: {args.out} is a video; give --sequence if the inputs are frames of one drive."
+            )
     return bool(args.sequence or videos)
 
 
@@ -175,12 +178,12 @@ def _scenes(args: argparse.Namespace, kind: str) -> list[str]:
     """Names of the embedded scenes among the inputs, which are all scenes or none."""
     scenes = [str(path) for path in args.inputs if str(path).startswith(SCENE)]
     if scenes and kind != "radar":
-        raise ValueError(
+        raise InputValueError(
             f"apply: {scenes[0]} is simulated for a radar; give --sensor radar:PRESET. torchweather demo shows the "
             "embedded scenes as a camera and a LiDAR see them."
         )
     if scenes and len(scenes) < len(args.inputs):
-        raise ValueError(f"apply: {scenes[0]} is a scene, other inputs are files; run apply for each.")
+        raise InputValueError(f"apply: {scenes[0]} is a scene, other inputs are files; run apply for each.")
     return [scene.removeprefix(SCENE) for scene in scenes]
 
 
@@ -190,18 +193,18 @@ def _sensor(args: argparse.Namespace, recipe: Recipe | None) -> tuple[str, str]:
         kind, preset = ("camera", "") if recipe is None else (recipe.sensor_kind, "")
         clouds = [path for path in args.inputs if path.suffix.lower() in CLOUDS_ONLY]
         if recipe is None and clouds:
-            raise ValueError(
+            raise InputValueError(
                 f"apply: {clouds[0]} is a point cloud; give --sensor lidar:PRESET or radar:PRESET (see torchweather "
                 "list)."
             )
     else:
         kind, _, preset = args.sensor.partition(":")
     if kind not in KINDS:
-        raise ValueError(f"apply: --sensor must be camera, lidar or radar, with :PRESET; got {args.sensor!r}.")
+        raise InputValueError(f"apply: --sensor must be camera, lidar or radar, with :PRESET; got {args.sensor!r}.")
     if recipe is not None and recipe.sensor_kind != kind:
-        raise ValueError(f"apply: recipe {recipe.name} is for a {recipe.sensor_kind}; got --sensor {args.sensor}.")
+        raise InputValueError(f"apply: recipe {recipe.name} is for a {recipe.sensor_kind}; got --sensor {args.sensor}.")
     for other in KINDS:
         for name in ARGUMENTS[other]:
             if name not in ARGUMENTS[kind] and getattr(args, name) not in (None, False):
-                raise ValueError(f"apply: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
+                raise InputValueError(f"apply: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
     return kind, preset

@@ -21,6 +21,7 @@ from torchweather.camera.transform import BayerWeather
 from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, gathered
 from torchweather.cli.output import note
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.io import read_image, write_image
 from torchweather.io.depth_sources import GROUND
 from torchweather.recipes.recipe import Recipe, camera_of
@@ -68,9 +69,9 @@ def _targets(frames: list[Path], out: Path) -> dict[Path, Path]:
     for frame in frames:
         target = out / frame.name
         if target in taken:
-            raise ValueError(f"apply: {taken[target]} and {frame} would both be written to {target}.")
+            raise InputValueError(f"apply: {taken[target]} and {frame} would both be written to {target}.")
         if target.resolve() == frame.resolve():
-            raise ValueError(f"apply: {frame} would be overwritten; give another folder to --out.")
+            raise InputValueError(f"apply: {frame} would be overwritten; give another folder to --out.")
         targets[frame] = taken[target] = target
     return targets
 
@@ -93,7 +94,7 @@ class _Work:
         self.samples += image.shape[:-3].numel()
         try:
             result, transform, scene = self._weathered(frame, image, info.kind == "rgb", seed)
-        except (ValueError, TypeError) as error:
+        except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{frame}: {error}") from error
         target.parent.mkdir(parents=True, exist_ok=True)
         write_image(target, result.rgb if info.kind == "rgb" else result.bayer)
@@ -171,7 +172,7 @@ def _check_range(image: Any, camera: Camera) -> None:
     if image.dtype == torch.uint16:
         highest = int(image.to(torch.int32).max())
         if highest > camera.saturation_level:
-            raise ValueError(
+            raise InputValueError(
                 f"the frame contradicts its camera: wanted raw values up to {camera.saturation_level:g} "
                 f"({camera.bit_depth} bits); got up to {highest}. Give --bit-depth or --white-level."
             )

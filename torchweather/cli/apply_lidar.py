@@ -30,6 +30,7 @@ from torchweather.cli.ouster_product import refuse_other_product
 from torchweather.cli.output import note
 from torchweather.cli.own_vehicle import own_vehicle_of, words_of
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.explain import explain
 from torchweather.io import PointCloud
 from torchweather.lidar.sensor import Lidar
@@ -49,7 +50,7 @@ MANY_FLOORED = 0.5
 def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
     """Read, weather and write every cloud; what was done, as plain values."""
     if args.labels_in is not None and args.labels != "label":
-        raise ValueError("apply: --labels-in carries labels on into new ones; give --labels label too.")
+        raise InputValueError("apply: --labels-in carries labels on into new ones; give --labels label too.")
     sensor, build = builder(args, weather, recipe, preset)
     if recipe is None and not preset:
         note(f"no preset: the sensor is lidar:{DEFAULT_PRESETS['lidar']}.", quiet=args.quiet)
@@ -129,7 +130,7 @@ class _Work:
             with torch.no_grad():
                 noise = transform.draw(clear.points, seed=seed)
                 result = transform.run(clear.points, noise, directions=frame.directions)
-        except (ValueError, TypeError) as error:
+        except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{frame.name}: {error}") from error
         self._say_what_stands_out(frame, hit, result)
         assert isinstance(result.points, Tensor)

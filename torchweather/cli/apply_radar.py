@@ -19,6 +19,7 @@ from torchweather.cli.detections import gathered_detections, radar_fields, radar
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.io import atomic_write, read_radar, write_radar
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.transform import RadarAttenuation, RadarResult
@@ -39,7 +40,7 @@ SOURCES = {
 def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
     """Read, weather and write every list of detections; what was done, as plain values."""
     if args.labels == "label":
-        raise ValueError("apply: --labels label is for a lidar; give --labels npz.")
+        raise InputValueError("apply: --labels label is for a lidar; give --labels npz.")
     transform = transform_of(args, weather, recipe, preset)
     if recipe is None and not preset:
         note(f"no preset: the sensor is radar:{DEFAULT_PRESETS['radar']}.", quiet=args.quiet)
@@ -78,7 +79,7 @@ def _one(transform: RadarAttenuation, file: Path, args: argparse.Namespace, seed
     try:
         with torch.no_grad():
             result = transform.run(clear.points, transform.draw(clear.points, seed=seed))
-    except (ValueError, TypeError) as error:
+    except (InputValueError, InputTypeError) as error:
         raise TorchweatherError(f"{file}: {error}") from error
     assert isinstance(result.points, Tensor)
     args.out.mkdir(parents=True, exist_ok=True)

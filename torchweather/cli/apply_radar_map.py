@@ -21,6 +21,7 @@ from torchweather.cli.detections import radar_fields
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.io import MAP_SUFFIXES, atomic_write, read_power_map, write_power_map
 from torchweather.radar.map_transform import RadarMapResult, RadarMapWeather
 from torchweather.radar.power_map import RadarPowerMap, map_cfar, map_detections, with_noise_scale
@@ -53,13 +54,13 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     """Read, weather and write every map; what was done, as plain values."""
     for argument, reason in REFUSED.items():
         if getattr(args, argument) not in (None, False):
-            raise ValueError(f"apply: --{argument.replace('_', '-')} has no meaning for a power map: {reason}.")
+            raise InputValueError(f"apply: --{argument.replace('_', '-')} has no meaning for a power map: {reason}.")
     if args.labels == "label":
-        raise ValueError("apply: --labels label is for a lidar; give --labels npz.")
+        raise InputValueError("apply: --labels label is for a lidar; give --labels npz.")
     files = [path for path in _files(args.inputs) if path.suffix.lower() in MAP_SUFFIXES]
     others = [path for path in args.inputs if path.is_file() and path.suffix.lower() not in MAP_SUFFIXES]
     if others or not files:
-        raise ValueError(
+        raise InputValueError(
             f"apply: {(others or args.inputs)[0]}: expected radar power maps ({', '.join(MAP_SUFFIXES)}). Run apply "
             "for maps and for lists of detections one after the other."
         )
@@ -121,7 +122,7 @@ class _Plan:
             transform = RadarMapWeather(self.weather, self.sensor, axes=clear.axes, scale=clear.scale, **self.options)
             with torch.no_grad():
                 result = transform.run(clear.values, transform.draw(clear.values, seed=seed))
-        except (ValueError, TypeError) as error:
+        except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{file}: {error}") from error
         wet = clear.with_values(result.values)
         self.args.out.mkdir(parents=True, exist_ok=True)

@@ -17,6 +17,7 @@ from torchweather.cli.detections import radar_options
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import check_one_of
+from torchweather.core.exceptions import InputValueError
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.io import RADAR_COLUMNS, RadarPoints, atomic_write, write_radar
 from torchweather.pipeline.point_kind import PointKind
@@ -54,7 +55,7 @@ def process(
         check_one_of("scene", name, SCENES, owner="apply")
     for argument, reason in REFUSED.items():
         if getattr(args, argument) not in (None, False):
-            raise ValueError(f"apply: --{argument.replace('_', '-')} has no meaning for a scene: {reason}.")
+            raise InputValueError(f"apply: --{argument.replace('_', '-')} has no meaning for a scene: {reason}.")
     radar = transform_of(args, weather, recipe, preset).sensor
     options = _options(args, recipe)
     sensor = f"radar:{preset or DEFAULT_PRESETS['radar']}"

@@ -21,6 +21,7 @@ from torchweather.cli.sequence_frames import (
 )
 from torchweather.cli.sequence_work import SequencePlan, SequenceWork
 from torchweather.core.errors import check_positive
+from torchweather.core.exceptions import InputValueError
 from torchweather.io.speeds import read_speeds
 from torchweather.io.video import CRF, VIDEO_SUFFIXES, WRITTEN_SUFFIXES
 from torchweather.recipes.recipe import Recipe, camera_of
@@ -106,20 +107,24 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
 def _frames_of(args: argparse.Namespace) -> FolderFrames | ClipFrames:
     videos = [path for path in args.inputs if is_video(path)]
     if videos and len(args.inputs) > 1:
-        raise ValueError(f"apply: expected one video at a time; got {len(args.inputs)} inputs. Run apply for each.")
+        raise InputValueError(
+            f"apply: expected one video at a time; got {len(args.inputs)} inputs. Run apply for each."
+        )
     if videos:
         return ClipFrames(videos[0])
     paths = gathered(args.inputs)
     names = [path.name for path in paths]
     if len(set(names)) < len(names):
-        raise ValueError("apply: two frames of the sequence have the same name; their results would have it as well.")
+        raise InputValueError(
+            "apply: two frames of the sequence have the same name; their results would have it as well."
+        )
     return FolderFrames(paths)
 
 
 def _rate(args: argparse.Namespace, frames: FolderFrames | ClipFrames) -> float:
     rate = frames.frame_rate_hz() if args.frame_rate_hz is None else args.frame_rate_hz
     if rate is None:
-        raise ValueError("apply: --sequence needs --frame-rate-hz, the number of frames a second.")
+        raise InputValueError("apply: --sequence needs --frame-rate-hz, the number of frames a second.")
     check_positive("--frame-rate-hz", rate, unit="Hz", owner="apply")
     return float(rate)
 
@@ -161,7 +166,7 @@ def _planned(
 def _depth_named(depth: str, args: argparse.Namespace, frames: FolderFrames | ClipFrames) -> dict[str, Any]:
     """The depth as part of the settings; files and folders by their content."""
     if Path(depth).is_dir() and not isinstance(frames, FolderFrames):
-        raise ValueError("apply: a folder of depth maps goes with a folder of frames; extract the video's frames.")
+        raise InputValueError("apply: a folder of depth maps goes with a folder of frames; extract the video's frames.")
     given = {name: getattr(args, name, None) for name in DEPTH_ARGUMENTS}
     digests = {}
     for path in (Path(depth), *(value for value in given.values() if isinstance(value, Path))):
@@ -176,21 +181,25 @@ def _result_of(
 ) -> FolderResult | VideoResult:
     if not is_video(args.out):
         if isinstance(frames, FolderFrames) and any(p.parent.resolve() == args.out.resolve() for p in frames.paths):
-            raise ValueError(f"apply: the frames in {args.out} would be overwritten; give another folder to --out.")
+            raise InputValueError(
+                f"apply: the frames in {args.out} would be overwritten; give another folder to --out."
+            )
         return FolderResult(args.out, settings)
     if args.out.suffix.lower() not in WRITTEN_SUFFIXES:
-        raise ValueError(f"apply: --out must be a folder or end in {', '.join(WRITTEN_SUFFIXES)}; got {args.out}.")
+        raise InputValueError(f"apply: --out must be a folder or end in {', '.join(WRITTEN_SUFFIXES)}; got {args.out}.")
     if args.out.is_dir():
-        raise ValueError(f"apply: {args.out} is a folder; expected a name for the video.")
+        raise InputValueError(f"apply: {args.out} is a folder; expected a name for the video.")
     if not frames.is_rgb:
-        raise ValueError("apply: raw mosaics do not go into a video, whose compression smears them; give a folder.")
+        raise InputValueError(
+            "apply: raw mosaics do not go into a video, whose compression smears them; give a folder."
+        )
     if any(side % 2 for side in frames.size):
         note("H.264 needs even sizes: the last row or column is doubled.", quiet=args.quiet)
     if isinstance(frames, FolderFrames):
         return VideoResult(args.out, frames.size, rate_hz, None, settings)
     video = frames.video
     if args.out.resolve() == video.path.resolve():
-        raise ValueError(f"apply: {args.out} would be overwritten; give another name to --out.")
+        raise InputValueError(f"apply: {args.out} would be overwritten; give another name to --out.")
     # The video keeps its own times, even where --frame-rate-hz says how fast the drive went in truth (slow motion).
     return VideoResult(args.out, frames.size, video.frame_rate_hz, video.time_base, settings)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.output import note
+from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.datasets.augment import Progress, Row, Summary
@@ -110,7 +111,7 @@ def _formats(endings: list[str]) -> dict[str, str]:
             kind for kind, known in (("camera", IMAGE_SUFFIXES), ("lidar", tuple(POINT_SUFFIXES))) if ending in known
         ]
         if not kinds:
-            raise ValueError(
+            raise InputValueError(
                 f"augment: --format must be one of {', '.join(dict.fromkeys([*IMAGE_SUFFIXES, *POINT_SUFFIXES]))}; got "
                 f"{given!r}."
             )

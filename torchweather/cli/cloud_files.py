@@ -13,6 +13,7 @@ from torch import Tensor
 from torchweather.cli.clouds import PCAP, CloudFrame, stem
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.exceptions import InputValueError
 from torchweather.io import PointCloud, PointLabels, atomic_write, merge_kind, read_labels, write_labels, write_points
 from torchweather.lidar.transform import LidarResult
 
@@ -40,7 +41,7 @@ class CloudFiles(ResultFiles):
         for path in inputs:
             name = stem(path)
             if name in seen:
-                raise ValueError(f"apply: {seen[name]} and {path} would both be written to {out / path.name}.")
+                raise InputValueError(f"apply: {seen[name]} and {path} would both be written to {out / path.name}.")
             seen[name] = path
             if path.suffix.lower() != PCAP:
                 self.free(out / path.name, str(path), keep=False)
@@ -89,7 +90,7 @@ class CloudFiles(ResultFiles):
             raise TorchweatherError(f"{frame.name}: --labels-in goes with files of one cloud each.")
         name = f"{stem(frame.path)[0]}.label"
         if (self.labels_in / name).resolve() == (self.out / name).resolve():
-            raise ValueError(f"apply: {self.labels_in / name} would be overwritten; give another folder to --out.")
+            raise InputValueError(f"apply: {self.labels_in / name} would be overwritten; give another folder to --out.")
         return read_labels(self.labels_in / name, rows)
 
 

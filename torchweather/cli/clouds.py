@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.core.exceptions import InputValueError
 from torchweather.core.file_names import stem
 
 if TYPE_CHECKING:
@@ -145,7 +146,7 @@ def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
     given = {name: getattr(args, name, None) for name in LIDAR_FIELDS}
     origin, pose = given.pop("sensor_origin"), given.pop("sensor_pose")
     if origin is not None and pose is not None:
-        raise ValueError("--sensor-origin and --sensor-pose both say where the sensor stands; give one of them.")
+        raise InputValueError("--sensor-origin and --sensor-pose both say where the sensor stands; give one of them.")
     if pose is not None:
         from torchweather.io import read_sensor_pose
         from torchweather.lidar.pose import split_pose
@@ -172,7 +173,7 @@ def add_complete_scan(group: argparse._ArgumentGroup) -> None:
 def complete_scan_of(args: argparse.Namespace) -> bool | str:
     """``complete_scan`` of the transform, from the arguments."""
     if args.sky_only and not args.complete_scan:
-        raise ValueError("--sky-only says which beams --complete-scan adds; give --complete-scan too.")
+        raise InputValueError("--sky-only says which beams --complete-scan adds; give --complete-scan too.")
     return "sky" if args.sky_only else bool(args.complete_scan)
 
 
@@ -212,15 +213,15 @@ def gathered_clouds(inputs: list[Path]) -> list[Path]:
             seen = [file for file in path.iterdir() if not file.name.startswith(".")]
             inside = sorted(file for file in seen if file.name.lower().endswith(known))
             if not inside:
-                raise ValueError(f"{path}: no point clouds; wanted {', '.join(known)}.")
+                raise InputValueError(f"{path}: no point clouds; wanted {', '.join(known)}.")
             found += inside
         elif not path.exists():
-            raise ValueError(f"{path}: no such file.")
+            raise InputValueError(f"{path}: no such file.")
         elif path.suffix.lower() == OSF:
-            raise ValueError(f"{path}: {OSF_HINT}")
+            raise InputValueError(f"{path}: {OSF_HINT}")
         elif not path.name.lower().endswith(known):
             image = " For images give --sensor camera:PRESET." if path.suffix.lower() in IMAGE_SUFFIXES else ""
-            raise ValueError(f"{path}: wanted a point cloud ({', '.join(known)}).{image}")
+            raise InputValueError(f"{path}: wanted a point cloud ({', '.join(known)}).{image}")
         else:
             found.append(path)
     return found

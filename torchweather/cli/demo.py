@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.frames import add_camera_arguments, add_depth_arguments
+from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.report.photo_demo import Photo
@@ -74,12 +75,12 @@ def _gathered(args: argparse.Namespace) -> list[Path]:
 
     frames = gathered(args.inputs)
     if args.sensor.partition(":")[0] != "camera":
-        raise ValueError(f"demo: --sensor must be a camera; got {args.sensor!r}.")
+        raise InputValueError(f"demo: --sensor must be a camera; got {args.sensor!r}.")
     if not frames and args.depth is not None:
-        raise ValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
+        raise InputValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
     for name in ("lidar", "radar"):
         if frames and getattr(args, name) is not None:
-            raise ValueError(f"demo: --{name} belongs to the embedded scene; frames show no point cloud.")
+            raise InputValueError(f"demo: --{name} belongs to the embedded scene; frames show no point cloud.")
     return frames
 
 
@@ -90,7 +91,7 @@ def _are_photographs(frames: list[Path]) -> bool:
     kinds = {path: read_image(path)[1].kind for path in frames}
     if len(set(kinds.values())) > 1:
         colour, raw = (next(path for path in frames if kinds[path] == kind) for kind in ("rgb", "mosaic"))
-        raise ValueError(
+        raise InputValueError(
             f"demo: {colour} is a colour image, {raw} a raw frame or a grey image; each has a page of its own. "
             "Run demo once for each."
         )

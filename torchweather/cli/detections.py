@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from torchweather.core.exceptions import InputValueError
+
 __all__ = [
     "RADAR_ARGUMENTS",
     "add_radar_arguments",
@@ -86,12 +88,12 @@ def gathered_detections(inputs: list[Path]) -> list[Path]:
         if path.is_dir():
             inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known and file.name[0] != ".")
             if not inside:
-                raise ValueError(f"{path}: no radar detections; wanted {', '.join(known)}.")
+                raise InputValueError(f"{path}: no radar detections; wanted {', '.join(known)}.")
             found += inside
         elif not path.exists():
-            raise ValueError(f"{path}: no such file.")
+            raise InputValueError(f"{path}: no such file.")
         elif path.suffix.lower() not in known:
-            raise ValueError(f"{path}: wanted radar detections ({', '.join(known)}).")
+            raise InputValueError(f"{path}: wanted radar detections ({', '.join(known)}).")
         else:
             found.append(path)
     return found

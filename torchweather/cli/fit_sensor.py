@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.core.exceptions import InputValueError
+
 if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
@@ -53,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.report.sensor_fit_figures import draw_sensor_fit
 
     if args.out.suffix.lower() not in YAML_SUFFIXES:
-        raise ValueError(f"fit-sensor: --out must be a sensor file, such as my.yaml; got {args.out}.")
+        raise InputValueError(f"fit-sensor: --out must be a sensor file, such as my.yaml; got {args.out}.")
     found = _gathered(args)
     pattern, near = combine_patterns(found.patterns), found.near_response()
     notes = [*pattern.notes, *(near.notes if near else ())]
@@ -184,10 +186,10 @@ def _sensor(args: argparse.Namespace, frame: CloudFrame) -> tuple[str, Lidar]:
 
     kind, _, preset = (args.sensor or "lidar").partition(":")
     if kind != "lidar":
-        raise ValueError(f"fit-sensor: --sensor must be lidar:PRESET; got {args.sensor!r}.")
+        raise InputValueError(f"fit-sensor: --sensor must be lidar:PRESET; got {args.sensor!r}.")
     preset = preset or preset_of_product(frame.product) or ""
     if not preset:
-        raise ValueError(
+        raise InputValueError(
             "fit-sensor: --sensor lidar:PRESET is needed: sweeps do not show wavelength, beam and link budget. Take "
             "the nearest preset of torchweather list, such as lidar:velodyne-hdl-64e."
         )

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.core.exceptions import InputValueError
+
 if TYPE_CHECKING:
     from torchweather.camera.sensor import Camera
     from torchweather.camera.sensor_fit import CameraFit
@@ -286,10 +288,10 @@ def gathered(inputs: list[Path]) -> list[Path]:
                 if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
             )
             if not inside:
-                raise ValueError(f"{path}: no images; wanted {', '.join(IMAGE_SUFFIXES)}.")
+                raise InputValueError(f"{path}: no images; wanted {', '.join(IMAGE_SUFFIXES)}.")
             frames += inside
         elif path.exists():
             frames.append(path)
         else:
-            raise ValueError(f"{path}: no such file.")
+            raise InputValueError(f"{path}: no such file.")
     return frames

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from torchweather.cli import gap_demo
+from torchweather.core.exceptions import InputValueError
 
 NAME = "gap"
 SUMMARY = "where simulation and measurement of a study disagree, and which effect is missing"
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
     effects = None if args.effects is None else [name.strip() for name in args.effects.split(",") if name.strip()]
     if effects is not None and not effects:
-        raise ValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")
+        raise InputValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")
     study = Study.read(args.study)
     report = find.find_gap(study, effects=effects, seed=args.seed or 0, say=lambda text: note(text, quiet=args.quiet))
     answer = write_gap(args.out, study, report, effects=effects)

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from torchweather.core.exceptions import InputValueError
+
 __all__ = ["outcome", "run"]
 
 STUDY, TRUTH = "study", "truth.json"
@@ -26,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.report.gap_page import write_gap
 
     if args.effects is not None:
-        raise ValueError("gap: --effects belongs to a study; the demo searches the whole catalogue.")
+        raise InputValueError("gap: --effects belongs to a study; the demo searches the whole catalogue.")
     seed = secrets.randbelow(SEEDS) if args.seed is None else args.seed
     hidden = drawn_study(seed)
     hidden.study.write(args.out / STUDY)

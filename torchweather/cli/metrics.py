@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from torchweather.cli.mistakes import is_mistake, one_line
 from torchweather.cli.regions import REGION_HELP
+from torchweather.core.exceptions import InputTypeError, InputValueError
 
 NAME = "metrics"
 SUMMARY = "scores of images and point clouds against a reference"
@@ -82,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.cli.pairs_of_files import pairs_of_files
 
     if args.json and args.csv:
-        raise ValueError("metrics: give --json or --csv, not both.")
+        raise InputValueError("metrics: give --json or --csv, not both.")
     sensor = _sensor(args.sensor)
     found = pairs_of_files(args.reference, args.distorted, sensor)
     scores = _scores(args, found.kind)
@@ -112,7 +113,7 @@ def _sensor(text: str | None) -> str | None:
         return None
     kind, _, preset = text.partition(":")
     if kind not in KIND_OF_SENSOR:
-        raise ValueError(f"metrics: --sensor must be camera, lidar or radar, with :PRESET; got {text!r}.")
+        raise InputValueError(f"metrics: --sensor must be camera, lidar or radar, with :PRESET; got {text!r}.")
     if preset:
         SENSOR_CLASSES[kind].preset(preset)  # an unknown name is refused here
     return kind
@@ -125,7 +126,7 @@ def _scores(args: argparse.Namespace, kind: str) -> Scores:
     for name in CLOUDS_ONLY if kind == IMAGES else IMAGES_ONLY:
         if getattr(args, name) is not None:
             other = "point clouds" if kind == IMAGES else "images"
-            raise ValueError(f"metrics: --{name.replace('_', '-')} is for {other}; the files are {kind}.")
+            raise InputValueError(f"metrics: --{name.replace('_', '-')} is for {other}; the files are {kind}.")
     names = _names(args.metrics)
     if kind == IMAGES:
         from torchweather.cli.score_images import ImageScores
@@ -141,7 +142,7 @@ def _names(text: str | None) -> list[str] | None:
         return None
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not names:
-        raise ValueError("metrics: --metrics must name scores joined by commas, such as psnr,ssim; got none.")
+        raise InputValueError("metrics: --metrics must name scores joined by commas, such as psnr,ssim; got none.")
     return names
 
 
@@ -150,7 +151,7 @@ def _row(scores: Scores, reference: Path, distorted: Path) -> Row:
 
     try:
         found = scores.score(reference, distorted)
-    except (ValueError, TypeError) as error:
+    except (InputValueError, InputTypeError) as error:
         raise TorchweatherError(f"{distorted}: {error}") from error
     return {"reference": str(reference), "distorted": str(distorted), **found}
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from torchweather.core.exceptions import TorchweatherError
+
 __all__ = ["is_mistake", "one_line"]
 
 
 def is_mistake(error: Exception) -> bool:
-    """Whether an error is the user's to mend and not the program's: a value, a type, a file, a missing extra."""
-    from torchweather.core.errors import TorchweatherError
+    """True for an error that the user can mend: what the library raises on purpose, and what the file system refuses.
 
-    return isinstance(error, (ValueError, TypeError, OSError, ImportError, TorchweatherError))
+    A plain ``ValueError`` or ``TypeError`` comes from a defect of the library; its traceback is shown.
+
+    Example:
+        >>> is_mistake(FileNotFoundError("depth.npy")), is_mistake(ValueError("math domain error"))
+        (True, False)
+    """
+    return isinstance(error, (TorchweatherError, OSError))
 
 
 def one_line(error: Exception) -> str:
-    """The message of an error without line breaks; a missing file by its name.
+    """Message of an error without line breaks; a missing file by its name.
 
     Example:
         >>> one_line(ValueError("wanted a,  got\\n b"))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import with_ones
 from torchweather.cli.output import note
+from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.io import PointCloud
@@ -64,12 +65,12 @@ def own_vehicle_of(
     first = next(clouds, None)
     try:
         if first is None:
-            raise ValueError("expected sweeps in files of their own; got recordings (.pcap).")
+            raise InputValueError("expected sweeps in files of their own; got recordings (.pcap).")
         points = (cloud.points for cloud in chain([first], clouds))
         found = own_vehicle_mask(points, _with_ring_column(sensor, first.columns))
     except ValueError as error:
         if chosen == DRIVE:
-            raise ValueError(f"--own-vehicle drive: {error}") from error
+            raise InputValueError(f"--own-vehicle drive: {error}") from error
         note(f"own vehicle: found in each sweep by itself ({error})", quiet=args.quiet)
         return None
     if chosen is None and not found.beams:

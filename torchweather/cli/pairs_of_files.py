@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torchweather.cli.clouds import stem
+from torchweather.core.exceptions import InputValueError
 
 __all__ = ["CLOUDS", "DETECTIONS", "IMAGES", "KIND_OF_SENSOR", "PairsOfFiles", "pairs_of_files"]
 
@@ -55,18 +56,18 @@ def pairs_of_files(reference: Path, distorted: Path, sensor: str | None = None) 
     """
     for path in (reference, distorted):
         if not path.exists():
-            raise ValueError(f"{path}: no such file or folder.")
+            raise InputValueError(f"{path}: no such file or folder.")
     if reference.is_dir() != distorted.is_dir():
-        raise ValueError(f"metrics: give two files or two folders; got {reference} and {distorted}.")
+        raise InputValueError(f"metrics: give two files or two folders; got {reference} and {distorted}.")
     if not reference.is_dir():
         for path in (reference, distorted):
             if not _ends(path, _endings(sensor)):
-                raise ValueError(f"{path}: wanted {_wanted(sensor)} ({', '.join(_endings(sensor))}).")
+                raise InputValueError(f"{path}: wanted {_wanted(sensor)} ({', '.join(_endings(sensor))}).")
         return PairsOfFiles(_kind([reference, distorted], sensor), ((reference, distorted),))
     first, second = (_inside(folder, sensor) for folder in (reference, distorted))
     pairs = _matched(first, second)
     if not pairs:
-        raise ValueError(
+        raise InputValueError(
             f"metrics: no file of {reference} ({_shown(first)}) has the name of one of {distorted} ({_shown(second)})."
         )
     taken = {path for pair in pairs for path in pair}
@@ -100,11 +101,13 @@ def _kind(files: list[Path], sensor: str | None) -> str:
     if known:
         image = next(path for path in files if kinds[path] == IMAGES)
         cloud = next(path for path in files if kinds[path] == CLOUDS)
-        raise ValueError(
+        raise InputValueError(
             f"metrics: {image} is an image, {cloud} a point cloud; give --sensor camera, lidar or radar, and files "
             "that belong together."
         )
-    raise ValueError(f"metrics: {files[0]} may be an image or a point cloud; give --sensor camera, lidar or radar.")
+    raise InputValueError(
+        f"metrics: {files[0]} may be an image or a point cloud; give --sensor camera, lidar or radar."
+    )
 
 
 def _kind_of(path: Path) -> str:
@@ -125,7 +128,7 @@ def _inside(folder: Path, sensor: str | None) -> list[Path]:
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
     found = sorted(path for path in files if _ends(path, _endings(sensor)))
     if not found:
-        raise ValueError(f"{folder}: holds no {_wanted(sensor)}; wanted {', '.join(_endings(sensor))}.")
+        raise InputValueError(f"{folder}: holds no {_wanted(sensor)}; wanted {', '.join(_endings(sensor))}.")
     return found
 
 

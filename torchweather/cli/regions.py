@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from torchweather.core.exceptions import InputValueError
+
 if TYPE_CHECKING:
     from torchweather.metrics import Region
 
@@ -31,7 +33,7 @@ def parse_region(text: str) -> Region:
     """
     from torchweather.metrics import Region
 
-    wrong = ValueError(f"--region must be like x=0:60,y=-20:20,z=-2:5 (metres); got {text!r}.")
+    wrong = InputValueError(f"--region must be like x=0:60,y=-20:20,z=-2:5 (metres); got {text!r}.")
     limits: dict[str, tuple[float, float]] = {}
     for part in text.split(","):
         axis, _, sides = part.strip().partition("=")

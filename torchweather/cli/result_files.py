@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from torchweather.core.exceptions import InputValueError
+
 __all__ = ["ResultFiles"]
 
 
@@ -24,8 +26,8 @@ class ResultFiles:
         """Refuse a name that is an input's or that another result has; keep it for ``source``."""
         resolved = target.resolve()
         if resolved in self.inputs:
-            raise ValueError(f"apply: {target} would be overwritten; give another folder to --out.")
+            raise InputValueError(f"apply: {target} would be overwritten; give another folder to --out.")
         if keep:
             if resolved in self.taken:
-                raise ValueError(f"apply: {self.taken[resolved]} and {source} would both be written to {target}.")
+                raise InputValueError(f"apply: {self.taken[resolved]} and {source} would both be written to {target}.")
             self.taken[resolved] = source

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from torchweather.cli.clouds import LIDAR_FIELDS, add_lidar_fields
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.cli.robustness_frames import RobustnessFrames, truth_file
+from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.evaluation.robustness import Declaration
@@ -101,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         raise TorchweatherError(draft_declaration(args.model, declared, truth_file(args)))
     declaration = read_declaration(declared)
     if args.out is None:
-        raise ValueError("robustness: --out is missing; give the folder for the tables and the page.")
+        raise InputValueError("robustness: --out is missing; give the folder for the tables and the page.")
     detector = OnnxDetector(args.model, declaration)
     source = _source(args.recipe or f"{declaration.sensor}/{SUITE_DEFAULT}", declaration)
     conditions = conditions_of(source)
@@ -202,7 +203,7 @@ def _source(name: str, declaration: Declaration) -> Suite | Recipe:
     path = find(own if own in names else name, "suite or recipe", SUITE, RECIPE)
     found: Suite | Recipe = read_suite(path) if format_of(path).startswith(SUITE) else read_recipe(path)
     if found.sensor_kind != declaration.sensor:
-        raise ValueError(
+        raise InputValueError(
             f"robustness: {found.name} is for a {found.sensor_kind}; the detector is for a {declaration.sensor}."
         )
     return found
@@ -214,11 +215,13 @@ def _checked_preset(args: argparse.Namespace, declaration: Declaration, source: 
 
     kind, _, preset = (args.sensor or declaration.sensor).partition(":")
     if kind != declaration.sensor:
-        raise ValueError(f"robustness: --sensor is a {kind}; the detector is for a {declaration.sensor}.")
+        raise InputValueError(f"robustness: --sensor is a {kind}; the detector is for a {declaration.sensor}.")
     for other, names in ARGUMENTS.items():
         for name in names:
             if other != kind and getattr(args, name) not in (None, False):
-                raise ValueError(f"robustness: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
+                raise InputValueError(
+                    f"robustness: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}."
+                )
     return preset or str(source.sensor.get("preset") or DEFAULT_PRESETS[kind])
 
 
@@ -230,5 +233,5 @@ def _thresholds(text: str) -> list[float]:
     except ValueError:
         found = []
     if not found or not all(0 < each <= 1 for each in found):
-        raise ValueError(f"robustness: --iou must be numbers in (0, 1] joined by commas, or coco; got {text!r}.")
+        raise InputValueError(f"robustness: --iou must be numbers in (0, 1] joined by commas, or coco; got {text!r}.")
     return found

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.core.exceptions import InputValueError
+
 if TYPE_CHECKING:
     from torchweather.evaluation.robustness import Declaration, LabelledFrame
     from torchweather.recipes.recipe import Recipe
@@ -42,14 +44,16 @@ class RobustnessFrames:
         from torchweather.evaluation.robustness.truth import LABEL_SUFFIXES, frame_truth
 
         if not args.data.is_dir():
-            raise ValueError(f"{args.data}: no such folder; wanted one with {FOLDERS[declaration.sensor][0]}/.")
+            raise InputValueError(f"{args.data}: no such folder; wanted one with {FOLDERS[declaration.sensor][0]}/.")
         inside = [args.data / name for name in FOLDERS[declaration.sensor] if (args.data / name).is_dir()]
         gather = gathered if declaration.sensor == "camera" else gathered_clouds
         self.files = gather([inside[0] if inside else args.data])
         self.stems = [stem_of(file) for file in self.files]
         twice = {stem for stem in self.stems if self.stems.count(stem) > 1}
         if twice:
-            raise ValueError(f"{args.data}: wanted files of different names; {', '.join(sorted(twice))} stands twice.")
+            raise InputValueError(
+                f"{args.data}: wanted files of different names; {', '.join(sorted(twice))} stands twice."
+            )
         self.declaration = declaration
         self.truths: Any = None
         if declaration.task == "boxes":
@@ -64,7 +68,7 @@ class RobustnessFrames:
                     (self.labels / f"{stem}{suffix}").is_file() for suffix in LABEL_SUFFIXES[declaration.sensor]
                 ):
                     wanted = ", ".join(LABEL_SUFFIXES[declaration.sensor])
-                    raise ValueError(f"{self.labels}: no ground truth for {stem}; wanted {stem} with {wanted}.")
+                    raise InputValueError(f"{self.labels}: no ground truth for {stem}; wanted {stem} with {wanted}.")
         if declaration.sensor == "camera" and args.depth is None and (args.data / "depth").is_dir():
             args.depth = str(args.data / "depth")
         self._refuse_guess(args)

@@ -26,6 +26,7 @@ from torchweather.camera.transform import BayerWeather
 from torchweather.cli.frames import depth_source
 from torchweather.cli.sequence_frames import ClipFrames, FolderFrames, Frame
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 
 __all__ = ["SequencePlan", "SequenceWork", "Survey"]
 
@@ -135,5 +136,5 @@ class SequenceWork:
         """The outcome; errors name the frame."""
         try:
             return act()
-        except (ValueError, TypeError) as error:
+        except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{self.frames.name}, {frame.name}: {error}") from error

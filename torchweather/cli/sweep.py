@@ -11,6 +11,7 @@ from torchweather.cli.clouds import LIDAR_FIELDS, add_complete_scan, add_force, 
 from torchweather.cli.detections import RADAR_FIELDS, add_radar_fields
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.cli.regions import REGION_HELP
+from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.evaluation.sweep import Subject
@@ -123,13 +124,13 @@ def _line(series: dict[str, Any]) -> str:
 def _check(args: argparse.Namespace, kind: str) -> None:
     """Refuse an unknown kind of sensor, and arguments of another kind."""
     if kind not in KINDS:
-        raise ValueError(f"sweep: --sensor must be camera, lidar or radar, with :PRESET; got {args.sensor!r}.")
+        raise InputValueError(f"sweep: --sensor must be camera, lidar or radar, with :PRESET; got {args.sensor!r}.")
     if args.seeds < 1:
-        raise ValueError(f"sweep: --seeds must be 1 or more; got {args.seeds}.")
+        raise InputValueError(f"sweep: --seeds must be 1 or more; got {args.seeds}.")
     for other in KINDS:
         for name in ARGUMENTS[other]:
             if name not in ARGUMENTS[kind] and getattr(args, name) not in (None, False):
-                raise ValueError(f"sweep: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
+                raise InputValueError(f"sweep: --{name.replace('_', '-')} is for a {other}; the sensor is a {kind}.")
 
 
 def _subjects(args: argparse.Namespace, kind: str, preset: str) -> tuple[list[Subject], str, list[str]]:
@@ -143,9 +144,9 @@ def _subjects(args: argparse.Namespace, kind: str, preset: str) -> tuple[list[Su
     scenes = [text for text in inputs if text.startswith(SCENE)]
     files = [Path(text) for text in inputs if not text.startswith(SCENE)]
     if scenes and args.depth is not None:
-        raise ValueError("sweep: --depth belongs to frames of one's own; an embedded scene knows its depth.")
+        raise InputValueError("sweep: --depth belongs to frames of one's own; an embedded scene knows its depth.")
     if args.size is not None and files:
-        raise ValueError("sweep: --size belongs to embedded scenes; files keep the size they have.")
+        raise InputValueError("sweep: --size belongs to embedded scenes; files keep the size they have.")
     make = sweep_inputs.MAKERS[kind](args, named, notes)
     subjects = [make.scene(text.removeprefix(SCENE)) for text in scenes]
     for path in files:

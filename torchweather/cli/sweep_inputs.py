@@ -23,6 +23,7 @@ from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, 
 from torchweather.cli.ouster_product import refuse_other_product
 from torchweather.cli.regions import parse_region
 from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.exceptions import InputValueError
 from torchweather.evaluation.sweep import CameraSubject, LidarSubject, RadarSceneSubject, RadarSubject, Subject
 from torchweather.io import read_image, read_radar
 from torchweather.io.depth_sources import GROUND
@@ -220,7 +221,7 @@ def _size(text: str) -> tuple[int, int]:
     except ValueError:
         found = (0, 0)
     if not x or min(found) < 2 or found[0] % 2 or found[1] % 2:
-        raise ValueError(
+        raise InputValueError(
             f"sweep: --size must be WIDTHxHEIGHT in even numbers of pixels, such as 968x732; got {text!r}."
         )
     return found

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchweather.core.exceptions import InputValueError
+
 if TYPE_CHECKING:
     from torchweather.gap.study import Study
 
@@ -41,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     self_check = args.study.startswith(SCENE)
     names = None if args.metrics is None else [name.strip() for name in args.metrics.split(",") if name.strip()]
     if names is not None and not names:
-        raise ValueError("validate: --metrics must name a score or more, such as psnr,ssim; got none.")
+        raise InputValueError("validate: --metrics must name a score or more, such as psnr,ssim; got none.")
     study = _study(args)
     shown = not args.quiet and sys.stderr.isatty()
     with tqdm(total=len(study.conditions), desc="conditions", disable=not shown, leave=False) as bar:
@@ -63,9 +65,9 @@ def _study(args: argparse.Namespace) -> Study:
 
     if not args.study.startswith(SCENE):
         if args.sensor is not None:
-            raise ValueError("validate: --sensor belongs to scene:NAME; a study folder names its sensor.")
+            raise InputValueError("validate: --sensor belongs to scene:NAME; a study folder names its sensor.")
         return Study.read(args.study)
     kind, _, preset = (args.sensor or "lidar").partition(":")
     if kind not in EMBEDDED_KINDS:
-        raise ValueError(f"validate: --sensor must be one of {', '.join(EMBEDDED_KINDS)}; got {kind!r}.")
+        raise InputValueError(f"validate: --sensor must be one of {', '.join(EMBEDDED_KINDS)}; got {kind!r}.")
     return embedded_study(kind, preset=preset or None, scene=args.study.removeprefix(SCENE), seed=args.seed)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import add_complete_scan, add_lidar_fields
+from torchweather.core.exceptions import InputTypeError, InputValueError
 
 if TYPE_CHECKING:
     from torchweather.cli.clouds import CloudFrame
@@ -107,7 +108,7 @@ def _weathered(args: argparse.Namespace, frame: CloudFrame, points: Any, transfo
             warnings.simplefilter("always")
             noise = transform.draw(points, seed=args.seed)
             result = transform.run(points, noise, directions=frame.directions)
-    except (ValueError, TypeError) as error:
+    except (InputValueError, InputTypeError) as error:
         raise TorchweatherError(f"{frame.name}: {error}") from error
     said = []
     for warning in caught:
@@ -128,9 +129,9 @@ def open_page(path: Path) -> None:
 def _check(args: argparse.Namespace) -> None:
     """Raise where the page would be no page, or the frame no frame."""
     if args.out.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"view: --out must be a page, such as page.html; got {args.out}.")
+        raise InputValueError(f"view: --out must be a page, such as page.html; got {args.out}.")
     if args.frame < 0:
-        raise ValueError(f"view: --frame must be 0 or more; got {args.frame}.")
+        raise InputValueError(f"view: --frame must be 0 or more; got {args.frame}.")
 
 
 def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, Any, str]:
@@ -143,9 +144,9 @@ def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, 
 
     kind, _, preset = (args.sensor or "lidar").partition(":")
     if kind != "lidar":
-        raise ValueError(f"view: --sensor must be lidar, with :PRESET; got {args.sensor!r}.")
+        raise InputValueError(f"view: --sensor must be lidar, with :PRESET; got {args.sensor!r}.")
     if args.input.is_dir():
-        raise ValueError(f"view: {args.input} is a folder; give one point cloud.")
+        raise InputValueError(f"view: {args.input} is a folder; give one point cloud.")
     (path,) = gathered_clouds([args.input])
     sensor, build = builder(args, weather, None, preset)
     frame = next(islice(clouds_in(path, args), args.frame, None), None)

@@ -20,7 +20,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.compose.plans import Plan, plan_of
 from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
 from torchweather.core.distributions import Choice
-from torchweather.core.errors import check_between, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
 from torchweather.radar.transform import KNOWN, RadarAttenuation
 
@@ -64,7 +64,7 @@ class Draw:
     def from_dict(cls, values: Mapping[str, Any]) -> Draw:
         """The inverse of ``to_dict``."""
         if set(values) != {"seed", "weather"}:
-            raise ValueError(f"Draw: wanted seed and weather; got {', '.join(map(str, values)) or 'nothing'}.")
+            raise InputValueError(f"Draw: wanted seed and weather; got {', '.join(map(str, values)) or 'nothing'}.")
         return cls(int(values["seed"]), values["weather"])
 
 
@@ -124,16 +124,16 @@ class Compose(nn.Module):
     ) -> None:
         super().__init__()
         if more or not isinstance(transforms, Mapping):
-            raise TypeError(_no_mapping(transforms, more))
+            raise InputTypeError(_no_mapping(transforms, more))
         check_between("p", p, 0.0, 1.0, owner=self)
         if (seed is not None) and sample_key is None:
-            raise ValueError(
+            raise InputValueError(
                 "Compose: seed needs sample_key, the key of what tells samples apart (a token, a file name, a number). "
                 "Without one, give a seed at each call, or wrap the data set: WeatherDataset(dataset, compose, seed)."
             )
         self.plans = {key: _plan(key, transform) for key, transform in transforms.items()}
         if not self.plans:
-            raise ValueError("Compose: wanted a transform for at least one key; got none.")
+            raise InputValueError("Compose: wanted a transform for at least one key; got none.")
         self.weather = _candidates(weather, transforms)
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
         self.mosaic_clear = bool(mosaic_clear)
@@ -146,7 +146,7 @@ class Compose(nn.Module):
             *(one for names in self.inputs.values() for one in names.values()),
         }
         if history in taken - {None}:
-            raise ValueError(f"Compose: history={history!r} is the key of something else; give it one of its own.")
+            raise InputValueError(f"Compose: history={history!r} is the key of something else; give it one of its own.")
         self._epoch = shared(torch.zeros((), dtype=torch.int64))
         self._built: OrderedDict[tuple[str, str, str], Any] = OrderedDict()
         for one in self.weather.values:  # so that what does not go together is said here, and tables are made once
@@ -210,7 +210,9 @@ class Compose(nn.Module):
             named = named.tolist()
         found = [named] if number is None else list(named) if isinstance(named, (list, tuple)) else [named]
         if len(found) != (1 if number is None else number) or not all(isinstance(one, (int, str)) for one in found):
-            raise ValueError(f"Compose: {self.sample_key!r} must hold a number or text for each sample; got {named!r}.")
+            raise InputValueError(
+                f"Compose: {self.sample_key!r} must hold a number or text for each sample; got {named!r}."
+            )
         return found
 
     # ---- applying ------------------------------------------------------------------------------------------------
@@ -250,9 +252,9 @@ class Compose(nn.Module):
             draw = self.draw(sample, seed=seed)
         draws = [draw] if isinstance(draw, Draw) else list(draw)
         if len(draws) != (1 if number is None else number):
-            raise ValueError(f"Compose: wanted a draw for each of {number or 1} samples; got {len(draws)}.")
+            raise InputValueError(f"Compose: wanted a draw for each of {number or 1} samples; got {len(draws)}.")
         if self.history is not None and self.history in sample:
-            raise ValueError(
+            raise InputValueError(
                 f"Compose: the sample holds {self.history!r} already, where history is to go. If it comes from another "
                 "Compose, the sample would get two weathers: give one Compose weather=Mixture(...). Else name another "
                 "key."
@@ -333,10 +335,10 @@ class Compose(nn.Module):
 
     def _value(self, sample: Sample, key: str) -> Any:
         if not isinstance(sample, Mapping):
-            raise TypeError(f"Compose: a sample must be a dictionary of named data; got {type(sample).__name__}.")
+            raise InputTypeError(f"Compose: a sample must be a dictionary of named data; got {type(sample).__name__}.")
         if key not in sample:
             names = [str(one) for one in sample]
-            raise ValueError(
+            raise InputValueError(
                 f"Compose: the sample lacks {key!r}; it has {', '.join(names) or 'nothing'}.{nearest_name(key, names)}"
             )
         return sample[key]
@@ -358,13 +360,13 @@ class Compose(nn.Module):
                 found[key] = len(value)
             else:
                 what = "(1, H, W) or (3, H, W)" if isinstance(self.plans[key].sensor, Camera) else f"of {single} sizes"
-                raise ValueError(
+                raise InputValueError(
                     f"Compose: {key!r} must have shape {what}, or one dimension more for a batch; got "
                     f"{tuple(value.shape)}."
                 )
         if len(set(found.values())) > 1:
             said = ", ".join(f"{key!r}: {'one sample' if n is None else f'{n} samples'}" for key, n in found.items())
-            raise ValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
+            raise InputValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
         return next(iter(found.values()))
 
     def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None, number: int) -> dict[str, Any]:
@@ -382,7 +384,7 @@ class Compose(nn.Module):
             if isinstance(value, list) or value.ndim > DIMENSIONS[argument]:
                 if element is None or len(value) != number:
                     wanted = "one sample" if element is None else f"one sample, or of each of the {number}"
-                    raise ValueError(
+                    raise InputValueError(
                         f"Compose: {where!r} ({argument} of {key!r}) must be of {wanted} ({DIMENSIONS[argument]} "
                         f"dimensions each); got {len(value)} of them."
                     )
@@ -393,14 +395,14 @@ class Compose(nn.Module):
     def _check_inputs(self) -> None:
         for key, names in self.inputs.items():
             if key not in self.plans:
-                raise ValueError(
+                raise InputValueError(
                     f"Compose: inputs names {key!r}, for which there is no transform; there are "
                     f"{', '.join(self.plans)}.{nearest_name(key, self.plans)}"
                 )
             known = _arguments(self.plans[key])
             for argument in names:
                 if argument not in known:
-                    raise ValueError(
+                    raise InputValueError(
                         f"Compose: inputs of {key!r}: unknown argument {argument!r}; known are "
                         f"{', '.join(known) or 'none'}.{nearest_name(argument, known)}"
                     )
@@ -420,21 +422,21 @@ def _no_mapping(given: Any, more: Sequence[object]) -> str:
 
 def _plan(key: str, transform: Any) -> Plan:
     if isinstance(transform, (list, tuple)):
-        raise ValueError(
+        raise InputValueError(
             f"Compose: {key!r} has {len(transform)} transforms; of two weathers the extinctions must add before any "
             "return is formed. Give one BayerWeather, LidarWeather or RadarAttenuation with weather=Mixture(...)."
         )
     if isinstance(transform, Compose):
-        raise ValueError(
+        raise InputValueError(
             f"Compose: {key!r} is a Compose; it takes whole samples. For several weathers at once give "
             "weather=Mixture(...)."
         )
     try:
         plan = plan_of(transform)
     except TypeError as error:
-        raise TypeError(f"Compose: {key!r}: {error}") from error
+        raise InputTypeError(f"Compose: {key!r}: {error}") from error
     if plan.options.get("p", 1.0) != 1.0:
-        raise ValueError(
+        raise InputValueError(
             f"Compose: {key!r} has p={plan.options['p']:g} of its own, and all sensors of a sample see one weather. "
             "Give p to Compose."
         )
@@ -456,7 +458,7 @@ def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
         first = next(iter(own.values()))
         if any(one.to_dict() != first.to_dict() for one in own.values()):
             said = ", ".join(f"{key!r}: {one!r}" for key, one in own.items())
-            raise ValueError(
+            raise InputValueError(
                 f"Compose: all sensors of a sample see one weather, and the transforms were built with several: {said}."
                 " Say which with weather=."
             )
@@ -464,7 +466,7 @@ def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
     choice = weather if isinstance(weather, Choice) else Choice([weather] if isinstance(weather, Weather) else weather)
     for one in choice.values:
         if one is not None and not isinstance(one, Weather):
-            raise TypeError(
+            raise InputTypeError(
                 f"Compose: weather must be Rain, Fog, Snow, a Mixture, or a list or Choice of them (None is clear air);"
                 f" got {one!r}."
             )
@@ -472,7 +474,7 @@ def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
             knob = getattr(part, part.knob_name)
             if isinstance(knob, Tensor) and (knob.requires_grad or knob.numel() != 1):
                 # A draw is plain values: a gradient would end there, and each sample has a weather of its own.
-                raise ValueError(
+                raise InputValueError(
                     f"Compose: {part.knob_name} must be a number or a distribution; got a tensor of shape "
                     f"{tuple(knob.shape)}{' that requires a gradient' if knob.requires_grad else ''}. Call the "
                     "transform itself with it."

@@ -12,6 +12,7 @@ from torchweather.atmosphere.weather import Weather
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather
+from torchweather.core.errors import InputTypeError
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarFog, LidarRain, LidarSnow, LidarWeather
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
@@ -81,7 +82,7 @@ def plan_of(transform: nn.Module) -> Plan:
     """
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, (BayerWeather, LidarWeather, RadarAttenuation, RadarMapWeather)):
-        raise TypeError(
+        raise InputTypeError(
             f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one "
             f"of a camera); got {type(transform).__name__}."
         )

@@ -20,7 +20,7 @@ from torchweather.camera.sensor_fit import fit_camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.compose import Compose
 from torchweather.core.distributions import Choice, Distribution, LogUniform
-from torchweather.core.errors import TorchweatherWarning, check_between
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_between
 from torchweather.core.random import sample_seed
 
 __all__ = ["RandomFog", "RandomRain", "RandomSnow", "RandomWeather"]
@@ -116,7 +116,7 @@ class RandomWeather(nn.Module):
             seeds = [None if seed is None else seed + number for number in range(len(picture))]
             depths = [None] * len(picture) if depth is None else list(depth)
             if len(depths) != len(picture):
-                raise ValueError(
+                raise InputValueError(
                     f"{type(self).__name__}: depth must hold a map for each of {len(picture)} pictures; got "
                     f"{len(depths)}."
                 )
@@ -130,7 +130,7 @@ class RandomWeather(nn.Module):
         """A picture, or a batch of one size."""
         rgb, back = picture_tensor(picture, type(self).__name__)
         if rgb.ndim < 3 or rgb.shape[-3] != 3:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: a picture must be (..., 3, H, W); got {tuple(rgb.shape)}. Grey pictures: "
                 "picture.expand(3, -1, -1)."
             )
@@ -161,7 +161,7 @@ class RandomWeather(nn.Module):
             return None
         found = torch.from_numpy(np.ascontiguousarray(depth)) if isinstance(depth, np.ndarray) else depth
         if not isinstance(found, Tensor):
-            raise TypeError(
+            raise InputTypeError(
                 f"{type(self).__name__}: depth must be a tensor or array of metres; got {type(depth).__name__}. A "
                 "number, a depth source or a function goes to the constructor."
             )
@@ -208,7 +208,7 @@ def _first(weathers: Choice | Sequence[Weather | None]) -> Weather:
     values = weathers.values if isinstance(weathers, Choice) else weathers
     found = next((one for one in values if isinstance(one, Weather)), None)
     if found is None:
-        raise ValueError(f"RandomWeather: weather must hold a Rain, Fog, Snow or Mixture; got {weathers!r}.")
+        raise InputValueError(f"RandomWeather: weather must hold a Rain, Fog, Snow or Mixture; got {weathers!r}.")
     return found
 
 

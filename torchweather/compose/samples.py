@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputTypeError
+
 __all__ = ["as_tensor", "data_of", "like", "like_batch", "shared"]
 
 
@@ -19,12 +21,12 @@ def as_tensor(value: Any, key: str) -> Any:
         try:
             return torch.from_numpy(value if value.flags.writeable and value.flags.c_contiguous else value.copy())
         except (TypeError, ValueError) as error:  # words, objects, another byte order
-            raise TypeError(f"Compose: {key!r} holds a numpy array that torch cannot take: {error}") from error
+            raise InputTypeError(f"Compose: {key!r} holds a numpy array that torch cannot take: {error}") from error
     if isinstance(value, (list, tuple)) and all(isinstance(one, (Tensor, np.ndarray)) for one in value):
         return [as_tensor(one, key) for one in value]
     if isinstance(value, (bool, int, float, np.generic)):
         return torch.as_tensor(value)
-    raise TypeError(
+    raise InputTypeError(
         f"Compose: {key!r} must hold a tensor, a numpy array, or a list of them; got {type(value).__name__}."
     )
 
@@ -34,7 +36,7 @@ def data_of(result: Any) -> Any:
     for name in ("bayer", "rgb", "points", "values"):
         if hasattr(result, name):
             return getattr(result, name)
-    raise TypeError(f"Compose: a result without data: {type(result).__name__}.")
+    raise InputTypeError(f"Compose: a result without data: {type(result).__name__}.")
 
 
 def like(value: Tensor, given: Any) -> Any:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchweather.core.errors import nearest_name
+from torchweather.core.errors import InputValueError, nearest_name
 
 __all__ = ["Choice", "Distribution", "LogUniform", "Uniform", "distribution_from"]
 
@@ -82,7 +82,7 @@ class LogUniform(Distribution):
     def __post_init__(self) -> None:
         _check_ends(self, self.low, self.high)
         if not self.low > 0:
-            raise ValueError(f"LogUniform: low must be above 0; got {self.low!r}. Uniform takes 0.")
+            raise InputValueError(f"LogUniform: low must be above 0; got {self.low!r}. Uniform takes 0.")
 
     def at(self, u: float) -> float:
         """``low (high / low)^u``."""
@@ -115,11 +115,11 @@ class Choice(Distribution):
 
     def __init__(self, values: Sequence[Any], weights: Sequence[float] | None = None) -> None:
         if isinstance(values, str) or not len(values):
-            raise ValueError(f"Choice: wanted a list of values, one or more; got {values!r}.")
+            raise InputValueError(f"Choice: wanted a list of values, one or more; got {values!r}.")
         if weights is not None:
             good = len(weights) == len(values) and all(math.isfinite(one) and one >= 0 for one in weights)
             if not good or not sum(weights) > 0:
-                raise ValueError(
+                raise InputValueError(
                     f"Choice: wanted a weight of 0 or more for each of {len(values)} values, not all 0; got "
                     f"{list(weights)!r}."
                 )
@@ -159,7 +159,7 @@ def distribution_from(values: Mapping[str, Any], *, owner: str) -> Distribution:
     known = (*KINDS, "choice")
     kind = next((key for key in values if key != "weights"), None)
     if kind not in known or not set(values) <= {kind, "weights"} or ("weights" in values and kind != "choice"):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: wanted a number or one of {', '.join(known)} (choice also with weights); got "
             f"{dict(values)!r}.{nearest_name(kind, known)}"
         )
@@ -167,7 +167,7 @@ def distribution_from(values: Mapping[str, Any], *, owner: str) -> Distribution:
     if kind == "choice":
         return Choice(given, values.get("weights"))
     if not isinstance(given, Sequence) or len(given) != 2:
-        raise ValueError(f"{owner}: {kind} must be [low, high]; got {given!r}.")
+        raise InputValueError(f"{owner}: {kind} must be [low, high]; got {given!r}.")
     return KINDS[kind](*given)
 
 
@@ -175,6 +175,6 @@ def _check_ends(owner: Distribution, low: float, high: float) -> None:
     name = type(owner).__name__
     for value in (low, high):
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ValueError(f"{name}: low and high must be finite numbers; got {low!r}, {high!r}.")
+            raise InputValueError(f"{name}: low and high must be finite numbers; got {low!r}, {high!r}.")
     if not low < high:
-        raise ValueError(f"{name}: low must be below high; got {low!r}, {high!r}.")
+        raise InputValueError(f"{name}: low must be below high; got {low!r}, {high!r}.")

@@ -1,6 +1,6 @@
-"""The library's errors, and the checks that speak with one voice.
+"""The library's exceptions, and the checks of numbers and names that raise them.
 
-Every message says who complains, what was wanted (with units), what came, and what to do.
+Each message names the owner, the expected value with its unit, the value that came, and the remedy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.exceptions import (
+    InputTypeError,
+    InputValueError,
+    MissingExtraError,
+    TorchweatherError,
+    TorchweatherWarning,
+)
+
 __all__ = [
+    "InputTypeError",
+    "InputValueError",
+    "MissingExtraError",
     "TorchweatherError",
     "TorchweatherWarning",
     "check_at_least",
@@ -24,20 +35,6 @@ __all__ = [
     "check_positive",
     "nearest_name",
 ]
-
-
-class TorchweatherError(Exception):
-    """A broken file, recipe or study; carries the path and, where one exists, the key.
-
-    Example:
-        >>> raise TorchweatherError("depth.npy: not a depth map")
-        Traceback (most recent call last):
-        torchweather.core.errors.TorchweatherError: depth.npy: not a depth map
-    """
-
-
-class TorchweatherWarning(UserWarning):
-    """A value outside the range in which a formula was measured, or data that contradict their description."""
 
 
 def owner_name(owner: object) -> str:
@@ -69,23 +66,23 @@ def _all(value: Any, holds: Any) -> bool:
 
 
 def check_finite(name: str, value: Any, *, unit: str = "", owner: object) -> None:
-    """Raise ``ValueError`` unless ``value`` (a number or a tensor) is finite."""
+    """Raise `InputValueError` unless ``value`` (a number or a tensor) is finite."""
     if not _all(value, torch.isfinite):
-        raise ValueError(f"{owner_name(owner)}: {name} must be a finite number{_in(unit)}; got {_shown(value)}.")
+        raise InputValueError(f"{owner_name(owner)}: {name} must be a finite number{_in(unit)}; got {_shown(value)}.")
 
 
 def check_at_least(name: str, value: Any, low: float, *, unit: str = "", owner: object, advice: str = "") -> None:
-    """Raise ``ValueError`` unless ``value`` (a number or a tensor) is at least ``low``; NaN is refused."""
+    """Raise `InputValueError` unless ``value`` (a number or a tensor) is at least ``low``; NaN is refused."""
     if not _all(value, lambda v: v >= low):
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: {name} must be {low:g}{_unit(unit)} or more; got {_shown(value)}.{_then(advice)}"
         )
 
 
 def check_positive(name: str, value: Any, *, unit: str = "", owner: object, advice: str = "") -> None:
-    """Raise ``ValueError`` unless ``value`` (a number or a tensor) is above zero; NaN is refused."""
+    """Raise `InputValueError` unless ``value`` (a number or a tensor) is above zero; NaN is refused."""
     if not _all(value, lambda v: v > 0):
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: {name} must be above 0{_unit(unit)}; got {_shown(value)}.{_then(advice)}"
         )
 
@@ -93,19 +90,19 @@ def check_positive(name: str, value: Any, *, unit: str = "", owner: object, advi
 def check_between(
     name: str, value: Any, low: float, high: float, *, unit: str = "", owner: object, advice: str = ""
 ) -> None:
-    """Raise ``ValueError`` unless ``low <= value <= high``; NaN is refused."""
+    """Raise `InputValueError` unless ``low <= value <= high``; NaN is refused."""
     if not _all(value, lambda v: (v >= low) & (v <= high)):
         limits = f"{low:g}..{'inf' if math.isinf(high) else format(high, 'g')}"
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: {name} must lie in {limits}{_unit(unit)}; got {_shown(value)}.{_then(advice)}"
         )
 
 
 def check_one_of(name: str, value: Any, allowed: Iterable[str], *, owner: object) -> None:
-    """Raise ``ValueError`` unless ``value`` is one of the ``allowed`` names; the nearest one is suggested."""
+    """Raise `InputValueError` unless ``value`` is one of the ``allowed`` names; the nearest one is suggested."""
     names = list(allowed)
     if value not in names:
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: {name} must be one of {', '.join(names)}; got {value!r}.{nearest_name(value, names)}"
         )
 

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.errors import InputTypeError, InputValueError
+
 # torch is imported where it is needed: the noise of an exported graph is drawn without it.
 if TYPE_CHECKING:
     import torch
@@ -209,21 +211,21 @@ def sample_seeds(
 
     number = math.prod(batch_shape)
     if seed is not None and generator is not None:
-        raise ValueError("draw: give either seed or generator, not both.")
+        raise InputValueError("draw: give either seed or generator, not both.")
     if isinstance(seed, torch.Tensor):
         if tuple(seed.shape) != tuple(batch_shape) and seed.numel() != 1:
-            raise ValueError(
+            raise InputValueError(
                 f"draw: seed must be one integer or a tensor of the batch shape {tuple(batch_shape)}; "
                 f"got shape {tuple(seed.shape)}."
             )
         if seed.is_floating_point() or seed.is_complex():
-            raise TypeError(f"draw: seed must hold integers; got dtype {seed.dtype}.")
+            raise InputTypeError(f"draw: seed must hold integers; got dtype {seed.dtype}.")
         if tuple(seed.shape) == tuple(batch_shape):
             return [int(value) for value in seed.reshape(-1).tolist()]
         seed = int(seed)
     if seed is not None:
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-            raise TypeError(f"draw: seed must be an integer or an integer tensor; got {seed!r}.")
+            raise InputTypeError(f"draw: seed must be an integer or an integer tensor; got {seed!r}.")
         return [int(seed) + row for row in range(number)]
     device = generator.device if generator is not None else "cpu"
     return [int(v) for v in torch.randint(0, 2**63 - 1, (number,), generator=generator, device=device).tolist()]
@@ -244,14 +246,14 @@ def flat_noise(
     flat = {}
     for key, shape in shapes.items():
         if key not in noise:
-            raise ValueError(
+            raise InputValueError(
                 f"{name}: the noise lacks {key}; use what draw() of this (or of one with the same weather and "
                 "sensor) gave."
             )
         value = noise[key]
         fits = tuple(value.shape[value.ndim - len(shape) :]) == shape
         if not fits or value.numel() != batch * math.prod(shape):
-            raise ValueError(
+            raise InputValueError(
                 f"{name}: noise {key!r} must hold {shape} for each of {batch} samples; got {tuple(value.shape)}. Draw "
                 "again for this data."
             )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate, draw_variates, sizes_of
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def draw_feed(
     of_clouds = any("N" in variate.shape for variate in variates.values())
     if variates and of_clouds != ("N" in sizes):
         wanted, given = ("points", "height and width") if of_clouds else ("height and width", "points")
-        raise ValueError(f"draw_feed: the noise of this graph is made from {wanted}; got {given}.")
+        raise InputValueError(f"draw_feed: the noise of this graph is made from {wanted}; got {given}.")
     seeds = [int(one) for one in seed] if isinstance(seed, Sequence) else [int(seed)]
     by_stage: dict[str, list[Variate]] = defaultdict(list)
     for key, variate in variates.items():
@@ -66,18 +67,18 @@ def _sizes(height: int | None, width: int | None, points: int | None, image: str
     """The named sizes of the data; ``image`` is ``bayer`` or ``rgb``, or ``None`` where the graph does not say."""
     if points is not None and height is None and width is None:
         if points < 0:
-            raise ValueError(f"draw_feed: points must be 0 or more; got {points}.")
+            raise InputValueError(f"draw_feed: points must be 0 or more; got {points}.")
         return {"N": points}
     if points is not None or height is None or width is None:
-        raise ValueError(
+        raise InputValueError(
             "draw_feed: give height and width of a camera's frame, or the points of a LiDAR's cloud or a radar's list."
         )
     if image == RGB:
         if height < 1 or width < 1:
-            raise ValueError(f"draw_feed: height and width must be 1 px or more; got {height} x {width}.")
+            raise InputValueError(f"draw_feed: height and width must be 1 px or more; got {height} x {width}.")
         return sizes_of(height, width, 3)
     if height < 2 or width < 2 or height % 2 or width % 2:
-        raise ValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
+        raise InputValueError(f"draw_feed: height and width must be even, 2 px or more; got {height} x {width}.")
     return sizes_of(height, width)
 
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerWeather
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, TorchweatherWarning
 from torchweather.export.camera_graph import IMAGE_OUTPUTS
 from torchweather.export.graph import OPSET, traced_model
 from torchweather.export.joining import check_connection, inputs_of, join_models, signature_text
@@ -97,14 +97,14 @@ def fuse(
     target = Path(path)
     main = next((name for kind, name in MAIN_OUTPUT.items() if isinstance(transform, kind)), None)
     if main is None:
-        raise TypeError(
+        raise InputTypeError(
             "fuse: transform must be a Bayer or LiDAR transform, AsBayer or RadarAttenuation; got "
             f"{type(transform).__name__}."
         )
     if not target.parent.is_dir():
         raise FileNotFoundError(f"fuse: {target.parent}: no such folder.")
     if between is not None and connect is not None and set(connect.values()) != {main}:
-        raise ValueError(f"fuse: between takes {main} alone; got connect={dict(connect)}.")
+        raise InputValueError(f"fuse: between takes {main} alone; got connect={dict(connect)}.")
     # Before the weather's export, which takes long.
     opened: Any = None if isinstance(detector, nn.Module) else _opened(detector)
     weather, traceable, properties = traced_model(
@@ -112,7 +112,7 @@ def fuse(
     )
     for name in keep:
         if name not in {each.name for each in weather.graph.output}:
-            raise ValueError(
+            raise InputValueError(
                 f"fuse: keep must name outputs of the weather, {signature_text(weather.graph.output)}; got {name!r}."
             )
     joined, source = weather, main
@@ -160,7 +160,7 @@ def _only_input(weather: Any, detector: Any, source: str) -> str:
     same = [each.name for each in inputs if each.name == source]
     if len(inputs) == 1 or same:
         return str((same or [inputs[0].name])[0])
-    raise ValueError(
+    raise InputValueError(
         f"fuse: the detector takes {signature_text(inputs)}, and the weather gives "
         f"{signature_text(weather.graph.output)}: give connect={{input of the detector: output of the weather}}."
     )

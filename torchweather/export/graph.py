@@ -15,6 +15,7 @@ import torch
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerWeather
 from torchweather.core.atomic import atomic_write
+from torchweather.core.errors import InputTypeError, InputValueError, MissingExtraError
 from torchweather.export.camera_graph import traceable_camera
 from torchweather.export.lidar_graph import traceable_lidar
 from torchweather.export.metadata import model_properties, set_properties
@@ -105,7 +106,7 @@ def to_onnx(
     target = Path(path)
     share = getattr(getattr(transform, "transform", transform), "p", 1.0)
     if share != 1.0:
-        raise ValueError(
+        raise InputValueError(
             f"to_onnx: a graph draws nothing and always has weather; got a transform with p={share:g}. Export one with "
             "p=1 and feed a rate of 0, or a visibility of infinity, to the samples that stay clear."
         )
@@ -136,13 +137,15 @@ def traced_model(
     import onnx
 
     if masks and not isinstance(transform, (BayerWeather, AsBayer)):
-        raise ValueError(
+        raise InputValueError(
             f"to_onnx: masks=True adds shares of a camera's pixels; {type(transform).__name__} has none. Leave it out."
         )
     fewest = next((number for kind, number in FEWEST_COLUMNS.items() if isinstance(transform, kind)), 0)
     columns = fewest if columns is None else columns
     if points < 2 or columns < fewest:
-        raise ValueError(f"to_onnx: points must be 2 or more and columns {fewest} or more; got {points} and {columns}.")
+        raise InputValueError(
+            f"to_onnx: points must be 2 or more and columns {fewest} or more; got {points} and {columns}."
+        )
     if isinstance(transform, LidarWeather):
         traceable = traceable_lidar(transform, points, columns, directions)
     elif isinstance(transform, RadarAttenuation):
@@ -162,20 +165,20 @@ def _check(transform: object, height: int, width: int) -> None:
         import onnx_ir  # noqa: F401  (comes with onnxscript)
         import onnxscript  # noqa: F401  (torch's exporter needs it)
     except ImportError as error:
-        raise ImportError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
+        raise MissingExtraError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
     if isinstance(transform, AsBayer):
         if height < 4 or width < 4:
-            raise ValueError(f"to_onnx: height and width must be 4 or more; got {height} x {width}.")
+            raise InputValueError(f"to_onnx: height and width must be 4 or more; got {height} x {width}.")
     elif height % 2 or width % 2 or height < 4 or width < 4:
-        raise ValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
+        raise InputValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
     if not isinstance(transform, (BayerWeather, AsBayer, LidarWeather, RadarAttenuation, RangeDopplerMap)):
-        raise TypeError(
+        raise InputTypeError(
             "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), AsBayer of one, a "
             "LiDAR transform, such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
             f"{type(transform).__name__}."
         )
     if isinstance(transform, AsBayer) and transform.through_mosaic:
-        raise ValueError(
+        raise InputValueError(
             "AsBayer.through_mosaic: a graph takes colour planes or a raw mosaic, and does not sample or demosaic; got "
             "True. Take its transform, whose graph takes the mosaic, or leave through_mosaic out."
         )

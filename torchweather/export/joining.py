@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 
 __all__ = ["check_connection", "inputs_of", "join_models", "raised_to", "signature_text"]
 
@@ -36,7 +36,7 @@ def check_connection(first: Any, second: Any, source: str, target: str, *, hint:
     )
     if source not in outputs or target not in inputs:
         missing = source if source not in outputs else target
-        raise ValueError(f"fuse: there is no {missing!r}: {both}.")
+        raise InputValueError(f"fuse: there is no {missing!r}: {both}.")
     out, into = outputs[source], inputs[target]
     given, wanted = _shape(out), _shape(into)
     fits = (
@@ -51,7 +51,7 @@ def check_connection(first: Any, second: Any, source: str, target: str, *, hint:
         )
     )
     if not fits or out.type.tensor_type.elem_type != into.type.tensor_type.elem_type:
-        raise ValueError(
+        raise InputValueError(
             f"fuse: {source} {_type(out)} {_shape_text(out)} does not fit {target} {_type(into)} {_shape_text(into)}: "
             f"{both}. {hint}"
         )

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Mixture
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate, draw_variates
 from torchweather.export.traceable import Traceable, knob_inputs
 from torchweather.lidar.stages import Extinction, ParticleReturns
@@ -31,17 +32,17 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
         directions: whether the graph takes the direction of every row; ``None``: if the transform's sensor has them.
     """
     if transform.lost == "drop":
-        raise ValueError(
+        raise InputValueError(
             f'to_onnx: {type(transform).__name__}(lost="drop") gives as many points as are left, which no graph can '
             'say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
         )
     if transform.complete_scan:
-        raise ValueError(
+        raise InputValueError(
             f"to_onnx: {type(transform).__name__}(complete_scan=True) appends as many beams as a cloud lacks, which no "
             "graph can say beforehand. Give the graph an organised cloud and its directions (directions=True)."
         )
     if transform.own_vehicle is not None:
-        raise ValueError(
+        raise InputValueError(
             f"to_onnx: {type(transform).__name__}(own_vehicle=...) names rows of each cloud, which the graph does not "
             "do. Build it without, and put the own vehicle's rows back behind the graph."
         )

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.camera.tone import develop
-from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_one_of, check_positive
 
 __all__ = ["ImageToDetector", "MosaicToImage"]
 
@@ -59,7 +59,7 @@ class ImageToDetector(nn.Module):
         check_positive("std", self.std, owner=self)
         for name, values in (("mean", self.mean), ("std", self.std)):
             if len(values) not in (1, 3):
-                raise ValueError(f"{type(self).__name__}: {name} must be one number or three; got {len(values)}.")
+                raise InputValueError(f"{type(self).__name__}: {name} must be one number or three; got {len(values)}.")
 
     def forward(self, image: Tensor) -> Tensor:
         """``(..., 3, H, W)`` sRGB in [0, 1] to ``(..., 3, H, W)`` or ``(..., H, W, 3)``."""

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Mixture
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import draw_variates
 from torchweather.export.traceable import Traceable, knob_inputs
 from torchweather.radar import RangeDopplerMap
@@ -33,7 +34,7 @@ def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> T
         columns: of every list.
     """
     if transform.lost == "drop":
-        raise ValueError(
+        raise InputValueError(
             f'to_onnx: {type(transform).__name__}(lost="drop") gives as many detections as are left, which no graph '
             'can say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
         )

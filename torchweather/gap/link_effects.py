@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchweather.core.errors import InputValueError
 from torchweather.gap.link_samples import LinkSamples
 from torchweather.physics import wet_cover_loss_db
 from torchweather.pipeline.effect import Effect
@@ -62,6 +63,8 @@ def attenuation_db(samples: LinkSamples, effects: Sequence[Effect], log_rain: fl
     total = path_db
     for effect in effects:
         if effect.id not in LINK_EFFECTS:
-            raise ValueError(f"attenuation_db: {effect.id} does nothing to a link; wanted {', '.join(LINK_EFFECTS)}.")
+            raise InputValueError(
+                f"attenuation_db: {effect.id} does nothing to a link; wanted {', '.join(LINK_EFFECTS)}."
+            )
         total = total + LINK_EFFECTS[effect.id](effect, samples, path_db)
     return total

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, overload
 
 import yaml
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError
 from torchweather.io import atomic_write
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.lidar.transform import LidarWeather
@@ -59,14 +59,14 @@ class Additions(Sequence[Effect]):
             ValueError: the effects are of another sensor, or there is no empirical stage.
         """
         if not isinstance(model, RecipeTransform):
-            raise TypeError(
+            raise InputTypeError(
                 "Additions.apply: wanted a LidarWeather, a BayerWeather or a RadarAttenuation; got "
                 f"{type(model).__name__}."
             )
         repaired = with_more_effects(model, self.effects)
         if empirical:
             if self.empirical is None or not isinstance(model, LidarWeather):
-                raise ValueError("Additions.apply: there is no empirical stage for it; leave empirical=False.")
+                raise InputValueError("Additions.apply: there is no empirical stage for it; leave empirical=False.")
             repaired.chain = repaired.chain.insert(self.empirical, before="to_points")
         return repaired
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 from torchweather.gap.conditions import Condition, StudyContent, StudyScene
 from torchweather.gap.content_hash import content_sha256
 from torchweather.gap.frames import Frame, Frames, FrameSource
@@ -182,7 +182,7 @@ class Study(StudyContent):
     def scene_of(self, condition: Condition) -> StudyScene:
         """The scene of a condition; links have none."""
         if condition.scene not in self.scenes:
-            raise ValueError(
+            raise InputValueError(
                 f"Study: the condition {condition.id!r} must belong to one of the scenes "
                 f"{', '.join(self.scenes) or '(a study of links has none)'}; got {condition.scene!r}."
             )

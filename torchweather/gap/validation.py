@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from torchweather import __version__
+from torchweather.core.errors import InputValueError
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.comparison import FAMILY_LEVEL, Comparison, Sample, judged
 from torchweather.gap.diagnosis import Finding, diagnose
@@ -197,7 +198,7 @@ def validate(
     left_out: Mapping[str, str] = {}
     if study.kind == "link":
         if names is not None:
-            raise ValueError(
+            raise InputValueError(
                 "validate: names is for frames; links are scored by their attenuation alone. Leave it out."
             )
         for condition in study.conditions:
@@ -265,7 +266,7 @@ class _Clear:
 def _clear(study: Study, scene: StudyScene, scores: FrameScores) -> _Clear:
     count = len(scene.clear)
     if count < 2:
-        raise ValueError(
+        raise InputValueError(
             f"validate: scene {scene.id} must have 2 clear frames or more (8 are advised), since each frame is scored "
             f"against another one; got {count}."
         )

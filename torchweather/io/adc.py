@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, TorchweatherWarning, check_one_of
+from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, check_one_of
 from torchweather.io.arrays import read_archive, read_array, write_archive
 
 __all__ = ["ADC_AXES", "ADC_QUADRATURES", "AdcCube", "read_adc", "write_adc"]
@@ -48,12 +48,12 @@ class AdcCube:
     def __post_init__(self) -> None:
         object.__setattr__(self, "layout", _checked_layout(self.layout, "AdcCube"))
         if self.cube.ndim != 3 or not self.cube.is_complex() or 0 in self.cube.shape:
-            raise ValueError(
+            raise InputValueError(
                 "AdcCube: cube must be complex of shape (V, N_c, N_s) = channels, chirps, samples, none of them 0; got "
                 f"{self.cube.dtype} {tuple(self.cube.shape)}."
             )
         if "channel" not in self.layout and self.cube.shape[0] > 1:
-            raise ValueError(
+            raise InputValueError(
                 f"AdcCube: layout must name the axis channel of {self.cube.shape[0]} channels; got "
                 f"{', '.join(self.layout)}."
             )
@@ -169,13 +169,13 @@ def write_adc(path: str | os.PathLike[str], frame: AdcCube | Tensor) -> None:
         with atomic_write(target) as unfinished, unfinished.open("wb") as file:
             np.lib.format.write_array(file, stored, allow_pickle=False)
     else:
-        raise ValueError(f"write_adc: path must end in .npz or .npy; got {target.name!r}.")
+        raise InputValueError(f"write_adc: path must end in .npz or .npy; got {target.name!r}.")
 
 
 def _checked_layout(layout: Sequence[str], owner: str) -> tuple[str, ...]:
     axes = tuple(layout)
     if sorted(axes) not in (sorted(ADC_AXES), ["chirp", "sample"]):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: layout must name the axes {', '.join(ADC_AXES)} (or chirp and sample) once each, in the order "
             f"of the file; got {', '.join(map(str, axes))}."
         )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.io.point_cloud import PointCloud
 
 __all__ = ["collate_indexed", "collate_list", "collate_padded", "join_indexed", "split_indexed", "split_padded"]
@@ -17,10 +18,10 @@ def collate_list(clouds: Sequence[PointCloud | Tensor]) -> list[Tensor]:
     points = [cloud.points if isinstance(cloud, PointCloud) else cloud for cloud in clouds]
     if not points or any(cloud.ndim != 2 or cloud.shape[1] != points[0].shape[1] for cloud in points):
         shapes = ", ".join(str(tuple(cloud.shape)) for cloud in points) or "none"
-        raise ValueError(f"collate: clouds must be (N, C) with one C, at least one of them; got {shapes}.")
+        raise InputValueError(f"collate: clouds must be (N, C) with one C, at least one of them; got {shapes}.")
     if len({(cloud.dtype, cloud.device) for cloud in points}) > 1:
         kinds = ", ".join(f"{cloud.dtype} on {cloud.device}" for cloud in points)
-        raise ValueError(f"collate: clouds must have one dtype and device; got {kinds}.")
+        raise InputValueError(f"collate: clouds must have one dtype and device; got {kinds}.")
     return points
 
 
@@ -45,7 +46,7 @@ def collate_padded(clouds: Sequence[PointCloud | Tensor]) -> tuple[Tensor, Tenso
 def split_padded(points: Tensor, mask: Tensor) -> list[Tensor]:
     """The clouds of `collate_padded`, ``(N_i, C)`` each, without the rows that pad."""
     if points.ndim != 3 or mask.shape != points.shape[:2] or mask.dtype != torch.bool:
-        raise ValueError(
+        raise InputValueError(
             f"split_padded: points must be (B, N, C) and mask (B, N) bool; got {tuple(points.shape)} and {mask.dtype} "
             f"{tuple(mask.shape)}."
         )
@@ -78,7 +79,9 @@ def split_indexed(points: Tensor, n_samples: int | None = None) -> list[Tensor]:
     highest = int(index.max()) + 1 if index.numel() else 0
     count = highest if n_samples is None else n_samples
     if highest > count:
-        raise ValueError(f"split_indexed: n_samples must be {highest} or more, the highest index + 1; got {n_samples}.")
+        raise InputValueError(
+            f"split_indexed: n_samples must be {highest} or more, the highest index + 1; got {n_samples}."
+        )
     order = torch.argsort(index, stable=True)
     lengths = torch.bincount(index, minlength=count).tolist()
     return list(torch.split(points[order, 1:], lengths)) if count else []
@@ -95,7 +98,7 @@ def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
     index = _sample_index(like, "join_indexed")
     lengths = torch.bincount(index, minlength=len(clouds)).tolist()
     if [cloud.shape[0] for cloud in clouds] != lengths:
-        raise ValueError(
+        raise InputValueError(
             f"join_indexed: clouds must have {lengths} rows, as the samples of like; got "
             f"{[cloud.shape[0] for cloud in clouds]}. Where points were dropped, take collate_indexed."
         )
@@ -109,13 +112,13 @@ def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
 
 def _sample_index(points: Tensor, owner: str) -> Tensor:
     if points.ndim != 2 or points.shape[1] < 2:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: points must be (N, 1 + C), the first column the sample's number; got {tuple(points.shape)}."
         )
     column = points[:, 0]
     index = column.long()
     if not bool(((index == column) & (column >= 0)).all()):
-        raise ValueError(f"{owner}: the first column must hold sample numbers 0, 1, ...; got other numbers.")
+        raise InputValueError(f"{owner}: the first column must hold sample numbers 0, 1, ...; got other numbers.")
     return index
 
 
@@ -123,4 +126,4 @@ def _check_index_fits(dtype: torch.dtype, samples: int) -> None:
     """Beyond 2 / eps a float skips whole numbers: two samples would become one."""
     highest = 2 / torch.finfo(dtype).eps if dtype.is_floating_point else torch.iinfo(dtype).max
     if samples - 1 > highest:
-        raise ValueError(f"collate_indexed: {samples} samples cannot be numbered in {dtype}; take a wider dtype.")
+        raise InputValueError(f"collate_indexed: {samples} samples cannot be numbered in {dtype}; take a wider dtype.")

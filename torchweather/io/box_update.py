@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.io.box_visibility import BoxVisibility, box_visibility
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.pipeline.point_kind import PointKind
@@ -94,7 +95,7 @@ def update_boxes(
         left_over = _in_cloud(boxes, result, result.transmission, points)
         found = {f"lidar_{key}": values for key, values in left_over.items()}
     else:
-        raise TypeError(
+        raise InputTypeError(
             "update_boxes: result must be what run() of a transform gives (LidarResult, RadarResult, CameraResult, "
             f"RgbResult); got {type(result).__name__}."
         )
@@ -116,7 +117,7 @@ def _in_cloud(
     parts = (after, kind, source, share)
     if not all(isinstance(part, Tensor) for part in parts) or kind.ndim != 1:  # type: ignore[union-attr]
         shape = f"a list of {len(after)} clouds" if isinstance(after, list) else tuple(after.shape)
-        raise ValueError(
+        raise InputValueError(
             f"update_boxes: result must be of one sample, points (N, C), because boxes differ between samples; got "
             f"{shape}. Call it for each sample of the batch."
         )
@@ -134,7 +135,7 @@ def _in_cloud(
 
 def _in_clear_air(boxes: Boxes, points: Tensor | None) -> dict[str, list[Any]]:
     if points is None:
-        raise ValueError("update_boxes: without a result points are wanted, the cloud (N, 3 or more); got none.")
+        raise InputValueError("update_boxes: without a result points are wanted, the cloud (N, 3 or more); got none.")
     count = points.shape[0]
     kind = torch.full((count,), int(PointKind.OBJECT), device=points.device)
     return _as_lists(box_visibility(boxes, points, points, kind, torch.ones(count, device=points.device)))
@@ -151,14 +152,14 @@ def _as_lists(seen: BoxVisibility) -> dict[str, list[Any]]:
 def _in_rectangles(boxes: Boxes, result: CameraResult | RgbResult, rectangles: Tensor | None) -> dict[str, list[Any]]:
     transmission, mask = result.transmission, result.particle_mask
     if transmission.ndim != 3:
-        raise ValueError(
+        raise InputValueError(
             "update_boxes: result must be of one image, transmission (1, H, W), because boxes differ between samples; "
             f"got {tuple(transmission.shape)}. Call it for each sample of the batch."
         )
     if rectangles is None:
         missing = [number for number, record in enumerate(boxes.records) if "bbox" not in record]
         if missing:
-            raise ValueError(
+            raise InputValueError(
                 "update_boxes: of a camera's result rectangles (M, 4) are wanted, left, top, right, bottom in pixels; "
                 f"got none, and record {missing[0]} has no bbox. Take rectangles=project_boxes(boxes, camera, "
                 "T_camera_from_lidar)."
@@ -166,7 +167,7 @@ def _in_rectangles(boxes: Boxes, result: CameraResult | RgbResult, rectangles: T
         rows = [[float(value) for value in record["bbox"]] for record in boxes.records]
         rectangles = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
     if rectangles.shape != (len(boxes), 4):
-        raise ValueError(
+        raise InputValueError(
             f"update_boxes: rectangles must be ({len(boxes)}, 4), left, top, right, bottom in pixels, one for each "
             f"box; got {tuple(rectangles.shape)}."
         )

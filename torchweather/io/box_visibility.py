@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.io.boxes import Boxes, points_in_boxes
 from torchweather.pipeline.point_kind import PointKind
 
@@ -67,22 +68,22 @@ def box_visibility(
     """
     rows, results = points_before.shape[0], result_points.shape[0]
     if points_before.ndim != 2 or result_points.ndim != 2 or min(points_before.shape[1], result_points.shape[1]) < 3:
-        raise ValueError(
+        raise InputValueError(
             "box_visibility: points must be (N, 3 or more), one cloud at a time (boxes differ between samples); got "
             f"{tuple(points_before.shape)} and {tuple(result_points.shape)}."
         )
     if kind.shape != (results,) or transmission.shape != (results,):
-        raise ValueError(
+        raise InputValueError(
             f"box_visibility: kind and transmission must have one value for each of the {results} result points; got "
             f"{tuple(kind.shape)} and {tuple(transmission.shape)}."
         )
     if (source is None and results != rows) or (source is not None and source.shape != (results,)):
-        raise ValueError(
+        raise InputValueError(
             f"box_visibility: source must say which of the {rows} rows each of the {results} result points comes from; "
             f"got {'None' if source is None else tuple(source.shape)}."
         )
     if source is not None and results and not bool(((source >= -1) & (source < rows)).all()):
-        raise ValueError(f"box_visibility: source must lie in -1..{rows - 1}.")
+        raise InputValueError(f"box_visibility: source must lie in -1..{rows - 1}.")
     device = points_before.device
     beam = torch.arange(rows, device=device) if source is None else source.to(device=device, dtype=torch.long)
     known = beam >= 0

@@ -10,6 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["Boxes", "points_in_boxes"]
 
 
@@ -45,13 +47,13 @@ class Boxes:
         count = len(self.names)
         shapes = (tuple(self.centre_m.shape), tuple(self.size_m.shape), tuple(self.yaw_rad.shape))
         if shapes != ((count, 3), (count, 3), (count,)) or len(self.records) != count:
-            raise ValueError(
+            raise InputValueError(
                 f"Boxes: centre_m and size_m must be (M, 3), yaw_rad (M,), for M = {count} names and records; got "
                 f"{shapes[0]}, {shapes[1]}, {shapes[2]} and {len(self.records)} records."
             )
         values = torch.cat((self.centre_m, self.size_m, self.yaw_rad[:, None]), dim=1)
         if not bool(torch.isfinite(values).all()) or not bool((self.size_m > 0).all()):
-            raise ValueError("Boxes: centres, sizes (m) and yaw (rad) must be finite, sizes above 0.")
+            raise InputValueError("Boxes: centres, sizes (m) and yaw (rad) must be finite, sizes above 0.")
 
     def __len__(self) -> int:
         return len(self.names)
@@ -120,7 +122,7 @@ def checked_transform(transform: Tensor, name: str, owner: str) -> Tensor:
     rotation = matrix[:3, :3] if matrix.shape == (4, 4) else torch.zeros(3, 3, dtype=torch.float64)
     # Calibration files print seven digits; 1e-3 tells a rotation from anything else.
     if not bool(((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs() < 1e-3).all()):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: {name} must be a rigid transform (4, 4), rotation and metres; got shape {tuple(matrix.shape)}."
         )
     return matrix

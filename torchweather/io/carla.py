@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_between, check_finite
+from torchweather.core.errors import InputValueError, check_between, check_finite
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
 from torchweather.physics.radar_equation import received_power_dbm
 from torchweather.radar.sensor import Radar
@@ -84,7 +84,7 @@ def image_from_carla(image: CarlaImage) -> Tensor:
 def image_to_carla(rgb: Tensor) -> npt.NDArray[np.uint8]:
     """BGRA bytes ``(H, W, 4)`` of an image ``(3, H, W)`` uint8, alpha 255; ``.tobytes()`` is CARLA's ``raw_data``."""
     if rgb.ndim != 3 or rgb.shape[0] != 3 or rgb.dtype != torch.uint8:
-        raise ValueError(f"image_to_carla: rgb must be (3, H, W) uint8; got {rgb.dtype} {tuple(rgb.shape)}.")
+        raise InputValueError(f"image_to_carla: rgb must be (3, H, W) uint8; got {rgb.dtype} {tuple(rgb.shape)}.")
     array: npt.NDArray[np.uint8] = rgb.detach().cpu().numpy().transpose(1, 2, 0)
     return np.dstack((array[..., ::-1], np.full(array.shape[:2], 255, np.uint8)))
 
@@ -109,7 +109,7 @@ def depth_to_carla(depth_m: Tensor) -> npt.NDArray[np.uint8]:
     plane.
     """
     if depth_m.ndim != 3 or depth_m.shape[0] != 1 or not bool((depth_m >= 0).all()):
-        raise ValueError(
+        raise InputValueError(
             f"depth_to_carla: depth_m must be (1, H, W) in metres, 0 or more, inf for sky; got {tuple(depth_m.shape)}"
             f"{' with NaN or negative values' if depth_m.ndim == 3 and depth_m.shape[0] == 1 else ''}."
         )
@@ -261,7 +261,7 @@ def pose_from_carla(transform: Any) -> Tensor:
     )
     found = torch.as_tensor(matrix, dtype=torch.float64)
     if found.shape != (4, 4):
-        raise ValueError(
+        raise InputValueError(
             "pose_from_carla: transform must be a carla.Transform or its matrix, (4, 4) in metres; got shape "
             f"{tuple(found.shape)}."
         )
@@ -277,7 +277,7 @@ def _bgra(image: CarlaImage, owner: str) -> npt.NDArray[np.uint8]:
     flat: npt.NDArray[np.uint8] = np.frombuffer(image.raw_data, np.uint8)
     wanted = 4 * image.width * image.height
     if flat.size != wanted or not wanted:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: raw_data must hold {image.width} x {image.height} pixels of 4 bytes (blue, green, red, alpha), "
             f"{wanted} bytes; got {flat.size}."
         )
@@ -288,20 +288,20 @@ def _rows(measurement: CarlaMeasurement, owner: str) -> npt.NDArray[np.float32]:
     """``(N, 4)`` floats with memory of their own: CARLA takes the buffer back after the callback."""
     size = memoryview(measurement.raw_data).nbytes
     if size % (4 * FLOATS_A_ROW):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: raw_data must hold rows of four 32-bit floats, a multiple of 16 bytes; got {size} bytes. Is it "
             "the buffer of another sensor (a semantic LiDAR has six values a point)?"
         )
     floats: npt.NDArray[np.float32] = np.frombuffer(measurement.raw_data, "<f4").astype(np.float32)
     if not bool(np.isfinite(floats).all()):
-        raise ValueError(f"{owner}: raw_data must hold finite numbers; got NaN or infinity.")
+        raise InputValueError(f"{owner}: raw_data must hold finite numbers; got NaN or infinity.")
     return floats.reshape(-1, FLOATS_A_ROW)
 
 
 def _found(points: Tensor, columns: int, owner: str) -> npt.NDArray[np.float64]:
     """The rows that are returns, float64."""
     if points.ndim != 2 or points.shape[1] < columns:
-        raise ValueError(f"{owner}: points must be (N, {columns} or more), one sample; got {tuple(points.shape)}.")
+        raise InputValueError(f"{owner}: points must be (N, {columns} or more), one sample; got {tuple(points.shape)}.")
     rows: npt.NDArray[np.float64] = points.detach().cpu().double().numpy()
     there = (rows[:, :3] != 0).any(axis=1) & np.isfinite(rows[:, :3]).all(axis=1)
     found: npt.NDArray[np.float64] = rows[there]

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 from torchweather.io.carla import (
     CAR_RCS_DBSM,
     depth_from_carla,
@@ -89,11 +89,11 @@ class CarlaRig:
         waiting_frames: int = 16,
     ) -> None:
         if not sensors:
-            raise ValueError("CarlaRig: sensors must name at least one, such as {'points': 'lidar'}; got none.")
+            raise InputValueError("CarlaRig: sensors must name at least one, such as {'points': 'lidar'}; got none.")
         for kind in sensors.values():
             check_one_of("sensors", kind, CARLA_SENSORS, owner=self)
         if "radar" in sensors.values() and radar is None:
-            raise ValueError(
+            raise InputValueError(
                 "CarlaRig: a radar needs its link budget, because CARLA gives no power; wanted radar=Radar(...), such "
                 "as Radar.preset('imaging-77ghz')."
             )

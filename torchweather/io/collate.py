@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, nearest_name
 from torchweather.io.batches import collate_indexed, collate_list, collate_padded
 from torchweather.io.point_cloud import PointCloud
 
@@ -49,7 +49,9 @@ class Collate:
     def __post_init__(self) -> None:
         check_one_of("clouds_as", self.clouds_as, CLOUDS_AS, owner=self)
         if isinstance(self.clouds, str):
-            raise TypeError(f"Collate: clouds must be a sequence of keys, ({self.clouds!r},); got {self.clouds!r}.")
+            raise InputTypeError(
+                f"Collate: clouds must be a sequence of keys, ({self.clouds!r},); got {self.clouds!r}."
+            )
         object.__setattr__(self, "clouds", tuple(self.clouds))
 
     def __call__(self, samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -62,12 +64,12 @@ class Collate:
             ValueError: no sample, keys that differ, shapes that differ under a key that is not one of ``clouds``.
         """
         if not samples:
-            raise ValueError("Collate: at least one sample is wanted; got none.")
+            raise InputValueError("Collate: at least one sample is wanted; got none.")
         first = samples[0]
         for number, sample in enumerate(samples):
             if sample.keys() != first.keys():
                 odd = sorted(map(str, sample.keys() ^ first.keys()))
-                raise ValueError(
+                raise InputValueError(
                     f"Collate: samples must have the same keys; {', '.join(odd)} is only in some (sample {number} "
                     f"differs from sample 0).{nearest_name(odd[0], set(map(str, first)) - set(odd))}"
                 )
@@ -81,12 +83,12 @@ class Collate:
             try:
                 if self.clouds_as == "padded":
                     if f"{key}_mask" in first:
-                        raise ValueError(f"the samples hold {key}_mask, the name of the mask.")
+                        raise InputValueError(f"the samples hold {key}_mask, the name of the mask.")
                     batch[key], batch[f"{key}_mask"] = collate_padded(rows)
                 else:
                     batch[key] = collate_list(rows) if self.clouds_as == "list" else collate_indexed(rows)
             except ValueError as error:
-                raise ValueError(f"Collate: {key!r}: {error}") from error
+                raise InputValueError(f"Collate: {key!r}: {error}") from error
         return batch
 
 
@@ -96,7 +98,7 @@ def _cloud(key: str, value: object) -> Tensor:
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value)
     if not isinstance(value, Tensor):
-        raise TypeError(f"Collate: {key!r} must be (N, C), a tensor, an array or a PointCloud; got {value!r}.")
+        raise InputTypeError(f"Collate: {key!r} must be (N, C), a tensor, an array or a PointCloud; got {value!r}.")
     return value
 
 
@@ -106,7 +108,7 @@ def _joined(key: str, values: list[Any]) -> Any:
     if all(isinstance(value, Tensor) for value in values):
         shapes = {tuple(value.shape) for value in values}
         if len(shapes) > 1:
-            raise ValueError(
+            raise InputValueError(
                 f"Collate: {key!r} must have one shape in all samples; got {', '.join(map(str, sorted(shapes)))}. "
                 f"Crop or resize images; where it is a cloud, name it: Collate(clouds=(..., {key!r}))."
             )

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.sparse import depth_from_disparity
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.depth_plausible import check_plausible
 from torchweather.io.images import read_image
@@ -82,10 +82,12 @@ def read_depth(
     source = Path(path)
     _check_encoding(source, encoding)
     if missing_m < 0:
-        raise ValueError(f"read_depth: missing_m must be 0 m or more, inf for sky, NaN for unknown; got {missing_m!r}.")
+        raise InputValueError(
+            f"read_depth: missing_m must be 0 m or more, inf for sky, NaN for unknown; got {missing_m!r}."
+        )
     if encoding in DISPARITY_ENCODINGS:
         if fx_px is None or baseline_m is None:
-            raise ValueError(
+            raise InputValueError(
                 f"read_depth: encoding {encoding!r} needs fx_px (pixels) and baseline_m (metres): depth = fx baseline "
                 "/ disparity. Take both from the stereo pair's calibration."
             )
@@ -117,7 +119,9 @@ def read_disparity(path: str | os.PathLike[str], encoding: str = "disparity") ->
     """
     source = Path(path)
     if encoding not in DISPARITY_ENCODINGS:
-        raise ValueError(f"read_disparity: encoding must be one of {', '.join(DISPARITY_ENCODINGS)}; got {encoding!r}.")
+        raise InputValueError(
+            f"read_disparity: encoding must be one of {', '.join(DISPARITY_ENCODINGS)}; got {encoding!r}."
+        )
     raw = _one_value_each(_stored(source, ("disparity", "disparity_px")), encoding, source)
     pixels = raw.to(torch.float64) * _STEPS[encoding]
     known = (pixels > 0) & torch.isfinite(pixels)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchweather.camera.depth import CompletedDepth, SceneDepth
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.calibration import CameraLidarCalibration
 from torchweather.io.kitti import read_kitti_calibration
 from torchweather.io.nuscenes import read_nuscenes_calibration
@@ -64,7 +64,7 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
     if calibration.is_file():
         return calibration
     if not calibration.is_dir():
-        raise ValueError(f"--calib must be a file or a folder; got {str(calibration)!r}, which does not exist.")
+        raise InputValueError(f"--calib must be a file or a folder; got {str(calibration)!r}, which does not exist.")
     stems = [frame.stem]
     taken = _NUSCENES.match(frame.stem)
     stems += [taken["log"], f"{taken['log']}_calib"] if taken else []
@@ -76,7 +76,7 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
     alone = [path for path in calibration.iterdir() if path.suffix.lower() in _CALIBRATIONS]
     if len(alone) == 1:
         return alone[0]
-    raise ValueError(
+    raise InputValueError(
         f"{calibration}: no calibration for {frame.name}; wanted {frame.stem} with {' or '.join(_CALIBRATIONS)}, or a "
         "single file for all frames."
     )
@@ -98,7 +98,7 @@ def cloud_source(cloud: Path, calibration: Path | None, frame: Path, *, name: st
         name: of the camera where a nuScenes file holds several. Default: as the frame's name says, else ``CAM_FRONT``.
     """
     if calibration is None:
-        raise ValueError(
+        raise InputValueError(
             f"{cloud} is a cloud of points: give the way from the LiDAR to the camera, --calib FILE or DIR (KITTI's "
             "object calibration, nuScenes' json)."
         )

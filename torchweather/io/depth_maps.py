@@ -22,7 +22,7 @@ from torchweather.camera.depth import (
 )
 from torchweather.camera.depth.source import SceneSource
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import TorchweatherError, check_one_of, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, check_positive
 from torchweather.io.depth import DISPARITY_ENCODINGS, read_depth, read_disparity
 from torchweather.io.depth_plausible import check_plausible
 
@@ -55,18 +55,18 @@ def map_source(
     check_one_of("along", along, ALONG, owner="map_source")
     if encoding in DISPARITY_ENCODINGS:
         if baseline_m is None:
-            raise ValueError(
+            raise InputValueError(
                 f"{path}: encoding {encoding!r} needs the baseline of the stereo pair: --baseline-m METRES "
                 "(0.54 for KITTI). The focal length is the camera's."
             )
         if along == "ray":
-            raise ValueError(f"{path}: a disparity gives depth along the axis; leave --depth-along ray out.")
+            raise InputValueError(f"{path}: a disparity gives depth along the axis; leave --depth-along ray out.")
         check_positive("baseline_m", baseline_m, unit="m", owner="map_source")
         disparity_px = read_disparity(path, encoding)
         _refuse_unknown(torch.isfinite(disparity_px), path, encoding)
         return ConvertedDepth(disparity_px, str(path), encoding=str(encoding), baseline_m=float(baseline_m))
     if baseline_m is not None:
-        raise ValueError(
+        raise InputValueError(
             f"{path}: --baseline-m belongs to --depth-encoding disparity or disparity_kitti; got "
             f"{encoding or 'float metres'}."
         )
@@ -163,7 +163,7 @@ class ConvertedDepth(SceneSource):
     ) -> SceneDepth:
         """The converted map's scene: as it is where it is whole, else completed."""
         if tuple(self.stored.shape[-2:]) != (height, width):
-            raise ValueError(
+            raise InputValueError(
                 f"{self.name}: the map must have the image's size, {height} x {width}; got {self.stored.shape[-2]} x "
                 f"{self.stored.shape[-1]}. Resize it by nearest neighbour; a disparity shrinks with the width."
             )

@@ -8,6 +8,7 @@ from pathlib import Path
 from torchweather.camera.depth import AUTO, ConstantDepth, DepthSource, FlatGround, ScenePrior
 from torchweather.camera.depth.completion_scene import CompletedSource
 from torchweather.camera.depth.network import DepthNetwork
+from torchweather.core.errors import InputValueError
 from torchweather.io.depth_clouds import cloud_file, cloud_source, is_cloud
 from torchweather.io.depth_maps import map_source
 
@@ -57,19 +58,19 @@ def depth_source(
     if model is None:
         for option, value in (("output", model_output), ("scale", model_scale), ("multiple-px", model_multiple_px)):
             if value is not None:
-                raise ValueError(f"--depth-model-{option} belongs to --depth-model ONNX; give the network.")
+                raise InputValueError(f"--depth-model-{option} belongs to --depth-model ONNX; give the network.")
         return _named(text, encoding, frame, along, baseline_m, calibration, camera_name)
     scale: str | CompletedSource = model_scale or "metric"
     if scale == "lidar":
         measured = _named(text, encoding, frame, along, None, calibration, camera_name)
         if not isinstance(measured, CompletedSource):
-            raise ValueError(
+            raise InputValueError(
                 "--depth-model-scale lidar needs measured points: --depth CLOUD with --calib FILE, or a map along the "
                 f"axis with unknown pixels; got --depth {text}."
             )
         scale = measured
     elif text not in (AUTO, GROUND):
-        raise ValueError(
+        raise InputValueError(
             f"--depth {text} and --depth-model {model} both give the depth; leave one out, or scale the network by the "
             "cloud or sparse map: --depth-model-scale lidar."
         )
@@ -104,7 +105,7 @@ def _named(
     if path.is_dir():
         path = _same_name(path, frame, calibrated)
     elif not path.exists():
-        raise ValueError(
+        raise InputValueError(
             f"--depth must be a file, a folder, a number of metres, {GROUND!r} or {AUTO!r}; got {text!r}, and no such "
             "file exists."
         )
@@ -119,7 +120,7 @@ def _only_maps(options: Mapping[str, object], got: str) -> None:
     for option, value in options.items():
         if value is not None:
             of = "LiDAR cloud" if option == "--calib" else "depth map"
-            raise ValueError(f"{option} belongs to a {of} in a file, named by --depth; got the depth of {got}.")
+            raise InputValueError(f"{option} belongs to a {of} in a file, named by --depth; got the depth of {got}.")
 
 
 def _without_file(text: str) -> DepthSource | None:
@@ -147,6 +148,6 @@ def _same_name(folder: Path, frame: Path, calibrated: bool) -> Path:
     if cloud is not None:
         return cloud
     clouds = " or a cloud of that name" if calibrated else ""
-    raise ValueError(
+    raise InputValueError(
         f"{folder}: no depth map for {frame.name}; wanted {frame.stem} with {', '.join(DEPTH_SUFFIXES)}{clouds}."
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.physics import rain_fall_speed_m_per_s
 
 __all__ = ["DropSpectrum", "spectrum_from_counts", "spectrum_from_drops"]
@@ -58,7 +59,7 @@ class DropSpectrum:
     def mean(self) -> DropSpectrum:
         """One spectrum, the mean over the intervals; the reported visibility is averaged as extinction, 1/V."""
         if len(self.time_s) == 0:
-            raise ValueError("DropSpectrum: the mean of no interval; choose at least one.")
+            raise InputValueError("DropSpectrum: the mean of no interval; choose at least one.")
         mor = self.reported_mor_m
         return replace(
             self,
@@ -154,7 +155,7 @@ def spectrum_from_drops(
         v.to(torch.float64).contiguous() for v in (diameter_mm, speed_m_per_s, area_mm2, time_s, edges_mm)
     )
     if time.numel() == 0:
-        raise ValueError("spectrum_from_drops: wanted one drop or more; got none.")
+        raise InputValueError("spectrum_from_drops: wanted one drop or more; got none.")
     start = torch.floor(time.min() / duration_s) * duration_s
     interval = torch.floor((time - start) / duration_s).long()
     intervals, classes = int(interval.max()) + 1, len(edges) - 1

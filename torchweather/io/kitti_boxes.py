@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.boxes import Boxes, checked_transform, turned_back, turned_yaw
 
 __all__ = ["read_kitti_boxes", "write_kitti_boxes"]
@@ -60,7 +60,7 @@ def read_kitti_boxes(path: str | os.PathLike[str], T_rectified_from_lidar: Tenso
         try:
             values = [float(word) for word in words[1:]]
             if len(values) not in (_NUMBERS, _NUMBERS + 1):
-                raise ValueError(f"{len(values)} numbers")
+                raise InputValueError(f"{len(values)} numbers")
             record: dict[str, Any] = {
                 "truncation": values[0],
                 "occlusion": int(values[1]),

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, check_between
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_between
 from torchweather.io.box_update import update_boxes
 from torchweather.pipeline.point_kind import PointKind
 
@@ -50,13 +50,13 @@ class PointLabels:
 
     def __post_init__(self) -> None:
         if self.classes.shape != self.instances.shape or not self.classes.ndim:
-            raise ValueError(
+            raise InputValueError(
                 "PointLabels: classes and instances must have one shape (..., N); got "
                 f"{tuple(self.classes.shape)} and {tuple(self.instances.shape)}."
             )
         for name, values in (("classes", self.classes), ("instances", self.instances)):
             if values.is_floating_point() or values.is_complex() or values.dtype == torch.bool:
-                raise TypeError(f"PointLabels: {name} must be whole numbers; got {values.dtype}.")
+                raise InputTypeError(f"PointLabels: {name} must be whole numbers; got {values.dtype}.")
             check_between(name, values.long(), 0, _HIGHEST, owner=self) if values.numel() else None
 
 
@@ -90,7 +90,7 @@ def read_labels(path: str | os.PathLike[str], n_points: int | None = None) -> Po
 def write_labels(path: str | os.PathLike[str], labels: PointLabels) -> None:
     """Write the labels of one cloud, ``(N,)``; the inverse of `read_labels`, bit for bit."""
     if labels.classes.ndim != 1:
-        raise ValueError(
+        raise InputValueError(
             f"write_labels: labels must be of one cloud, shape (N,); got {tuple(labels.classes.shape)}. Write each "
             "sample of a batch to its own file."
         )
@@ -130,7 +130,7 @@ def merge_kind(
     rows = labels.classes.shape[-1]
     shape = kind.shape if source is None else source.shape
     if kind.shape != shape or (source is None and kind.shape != labels.classes.shape):
-        raise ValueError(
+        raise InputValueError(
             f"merge_kind: kind must have the shape of {'labels' if source is None else 'source'}, "
             f"{tuple(labels.classes.shape if source is None else shape)}; got {tuple(kind.shape)}."
             f"{' Give source, where points were dropped or appended.' if source is None else ''}"
@@ -141,7 +141,7 @@ def merge_kind(
         index = source.to(device=classes.device, dtype=torch.long)
         none = index < 0
         if index.numel() and (int(index.min()) < -1 or int(index.max()) >= rows):
-            raise ValueError(f"merge_kind: source must lie in -1..{rows - 1}.")
+            raise InputValueError(f"merge_kind: source must lie in -1..{rows - 1}.")
         if rows:
             classes = classes.gather(-1, index.clamp_min(0))
             instances = instances.gather(-1, index.clamp_min(0))

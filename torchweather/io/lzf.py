@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["LZF_MAX_RATIO", "lzf_compress", "lzf_decompress"]
 
 # The stream: a control byte below 32 is followed by that many + 1 literal bytes; any other holds in its upper 3 bits a
@@ -52,16 +54,18 @@ def lzf_decompress(data: bytes, size: int) -> bytearray:
             position += 1
             start = len(out) - distance
             if start < 0:
-                raise ValueError(f"byte {position - 1} of the stream refers to {-start} bytes before its beginning")
+                raise InputValueError(
+                    f"byte {position - 1} of the stream refers to {-start} bytes before its beginning"
+                )
             if distance >= length:
                 out += out[start : start + length]
             else:  # The match overlaps what it writes: a pattern that repeats.
                 pattern = out[start:]
                 out += (pattern * (length // distance + 1))[:length]
     except IndexError as error:
-        raise ValueError("the stream ends within a match") from error
+        raise InputValueError("the stream ends within a match") from error
     if position != end or len(out) != size:
-        raise ValueError(f"the stream gives {len(out)} bytes instead of {size}")
+        raise InputValueError(f"the stream gives {len(out)} bytes instead of {size}")
     return out
 
 

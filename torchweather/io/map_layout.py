@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.radar.power_map import MAP_DIMENSIONS, MapAxes, PowerScale
 
 __all__ = ["MAP_LAYOUTS", "MapLayout", "map_layout"]
@@ -66,7 +66,7 @@ class MapLayout:
             given = getattr(self, name)
             if isinstance(given, Mapping):
                 if set(given) != {"first", "step"} or not all(isinstance(one, (int, float)) for one in given.values()):
-                    raise ValueError(
+                    raise InputValueError(
                         f"MapLayout: {name} must be a list of numbers, or first and step; got {dict(given)!r}."
                     )
             elif given is not None:

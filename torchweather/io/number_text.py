@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 
 __all__ = ["column_text", "parse_columns"]
 
@@ -113,7 +113,7 @@ def _loaded(lines: list[str], dtype: np.dtype[Any], delimiter: str | None, only:
         try:
             return np.loadtxt(lines, dtype=dtype, comments=None, delimiter=delimiter, ndmin=2, usecols=only)
         except Warning as warning:
-            raise ValueError(str(warning)) from warning
+            raise InputValueError(str(warning)) from warning
 
 
 def _integers(

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.box_visibility import BoxVisibility
 from torchweather.io.boxes import Boxes, checked_transform, turned_back, turned_yaw
 
@@ -53,7 +53,7 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
         try:
             parts = [[float(value) for value in entry[key]] for key in ("translation", "size", "rotation")]
             if [len(part) for part in parts] != [3, 3, 4]:
-                raise ValueError(f"{[len(part) for part in parts]} numbers")
+                raise InputValueError(f"{[len(part) for part in parts]} numbers")
         except (KeyError, TypeError, ValueError) as error:
             raise TorchweatherError(
                 f"annotation {number}: wanted translation (3), size (3: width, length, height) and rotation (4: w, x, "

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import MissingExtraError, TorchweatherError, check_one_of
 from torchweather.io.point_cloud import PointCloud
 
 __all__ = ["OSF", "OSF_HINT", "OUSTER_INTENSITIES", "OusterFrame", "read_ouster"]
@@ -95,7 +95,7 @@ def read_ouster(
     try:
         sdk = importlib.import_module("ouster.sdk")  # untyped, and there only with the extra
     except ImportError as error:
-        raise ImportError(_what_to_install(error)) from error
+        raise MissingExtraError(_what_to_install(error)) from error
     return _frames(sdk, source, description, intensity.upper(), incomplete)
 
 

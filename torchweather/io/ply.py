@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.io.number_text import column_text, parse_columns
 from torchweather.io.stored_points import (
     PointField,
@@ -147,7 +147,7 @@ def _parsed(raw: bytes, source: Path) -> _Header:
                     elements.append(_Element(name, int(count), ()))
                 case ["property", "list", count_type, item_type, name]:
                     if _TYPES[count_type][0] == "f":
-                        raise ValueError("the length of a list is a whole number")
+                        raise InputValueError("the length of a list is a whole number")
                     more = _Property(name, _ordered(item_type, encoding), _ordered(count_type, encoding))
                     elements[-1] = _with(elements[-1], more)
                 case ["property", item_type, name]:
@@ -155,7 +155,7 @@ def _parsed(raw: bytes, source: Path) -> _Header:
                 case [] | ["ply"] | ["comment", *_] | ["obj_info", *_] | ["end_header"]:
                     pass
                 case _:
-                    raise ValueError("no such line in PLY")
+                    raise InputValueError("no such line in PLY")
         except (KeyError, IndexError, ValueError) as error:
             raise TorchweatherError(
                 f"{source}: wanted lines format, element, property, comment in the PLY header; got {line.strip()!r} "

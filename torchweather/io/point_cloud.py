@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 from torchweather.io.stored_points import PointLayout, StoredPoints
 
 __all__ = ["INTENSITY_NAMES", "PointCloud", "cloud_from_stored", "exact_dtype", "flat_columns"]
@@ -50,22 +50,22 @@ class PointCloud:
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or not self.points.is_floating_point():
-            raise ValueError(
+            raise InputValueError(
                 "PointCloud: points must be floating point of shape (N, C); got "
                 f"{self.points.dtype} {tuple(self.points.shape)}. Split a batch first (split_indexed, split_padded)."
             )
         if len(self.columns) != self.points.shape[1] or len(set(self.columns)) != len(self.columns):
-            raise ValueError(
+            raise InputValueError(
                 f"PointCloud: columns must be {self.points.shape[1]} different names, one for each column of points; "
                 f"got {', '.join(self.columns)}."
             )
         if self.grid is not None and self.grid[0] * self.grid[1] != self.points.shape[0]:
-            raise ValueError(
+            raise InputValueError(
                 f"PointCloud: grid (H, W) must have a cell for each of the {self.points.shape[0]} points; got "
                 f"{self.grid[0]} x {self.grid[1]}."
             )
         if self.missing is not None and self.missing.shape != self.points.shape:
-            raise ValueError(
+            raise InputValueError(
                 f"PointCloud: missing must have the shape of points, {tuple(self.points.shape)}; got "
                 f"{tuple(self.missing.shape)}."
             )
@@ -78,7 +78,7 @@ class PointCloud:
     def column(self, name: str) -> Tensor:
         """The column of that name, ``(N,)``, in the dtype of ``points``."""
         if name not in self.columns:
-            raise ValueError(
+            raise InputValueError(
                 f"PointCloud: column must be one of {', '.join(self.columns)}; got {name!r}."
                 f"{nearest_name(name, self.columns)}"
             )
@@ -169,7 +169,7 @@ def exact_dtype(found: dict[str, npt.NDArray[Any]], wanted: torch.dtype | None, 
     """Float32 where it holds every number exactly, else float64."""
     if wanted is not None:
         if wanted not in (torch.float32, torch.float64):
-            raise ValueError(f"read_points: dtype must be torch.float32 or torch.float64; got {wanted}.")
+            raise InputValueError(f"read_points: dtype must be torch.float32 or torch.float64; got {wanted}.")
         return np.float32 if wanted == torch.float32 else np.float64
     kind: type[np.floating[Any]] = np.float32
     for name, array in found.items():

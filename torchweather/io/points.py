@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.io.csv_points import read_csv_points, write_csv_points
 from torchweather.io.npz_points import read_npz_points, write_npz_points
 from torchweather.io.pcd import read_pcd, write_pcd
@@ -128,7 +128,7 @@ def write_points(
     target = Path(path)
     kind = _format(target, format, "write_points")
     if encoding is not None and kind not in _ENCODINGS:
-        raise ValueError(f"write_points: encoding must be None for {kind}; got {encoding!r}.")
+        raise InputValueError(f"write_points: encoding must be None for {kind}; got {encoding!r}.")
     chosen = _chosen(cloud, columns)
     _WRITERS[kind](target, _stored(chosen, kind, encoding, target))
 
@@ -141,7 +141,7 @@ def _format(path: Path, format: str | None, owner: str) -> str:
     for suffix, known in POINT_SUFFIXES.items():
         if name.endswith(suffix):
             return known
-    raise ValueError(
+    raise InputValueError(
         f"{owner}: path must end in {', '.join(POINT_SUFFIXES)}; got {path.name!r}. Or name the format: "
         f"format='{POINT_FORMATS[0]}' ({', '.join(POINT_FORMATS)})."
     )
@@ -152,7 +152,7 @@ def _chosen(cloud: PointCloud | Tensor, columns: Sequence[str] | None) -> PointC
     if isinstance(cloud, Tensor):
         usual = ("x", "y", "z", "intensity", "ring")
         if columns is None and (cloud.ndim != 2 or not 4 <= cloud.shape[1] <= len(usual)):
-            raise ValueError(
+            raise InputValueError(
                 "write_points: a tensor must be (N, 4) or (N, 5) = x, y, z, intensity, ring; got "
                 f"{tuple(cloud.shape)}. Name other columns with columns=(...)."
             )
@@ -161,7 +161,9 @@ def _chosen(cloud: PointCloud | Tensor, columns: Sequence[str] | None) -> PointC
         return cloud
     indices = [cloud.columns.index(name) for name in columns if name in cloud.columns]
     if len(indices) != len(columns):
-        raise ValueError(f"write_points: columns must be among {', '.join(cloud.columns)}; got {', '.join(columns)}.")
+        raise InputValueError(
+            f"write_points: columns must be among {', '.join(cloud.columns)}; got {', '.join(columns)}."
+        )
     missing = None if cloud.missing is None else cloud.missing[:, indices]
     return PointCloud(cloud.points[:, indices], tuple(columns), cloud.grid, missing, cloud.layout)
 

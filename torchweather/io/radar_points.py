@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.io.csv_points import read_csv_points
 from torchweather.io.npz_points import read_npz_points
 from torchweather.io.nuscenes_radar import empty_sweep, is_nuscenes_radar
@@ -74,12 +74,12 @@ class RadarPoints:
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or self.points.shape[1] < 6 or self.points.dtype not in (torch.float32, torch.float64):
-            raise ValueError(
+            raise InputValueError(
                 "RadarPoints: points must be float32 or float64 of shape (N, 6 or more) = x, y, z in metres, speed in "
                 f"m/s, power in dBm, RCS in dBsm; got {self.points.dtype} {tuple(self.points.shape)}."
             )
         if len(self.columns) != self.points.shape[1] or len(set(self.columns)) != len(self.columns):
-            raise ValueError(
+            raise InputValueError(
                 f"RadarPoints: columns must be {self.points.shape[1]} different names, one for each column of points; "
                 f"got {', '.join(self.columns)}."
             )
@@ -245,7 +245,7 @@ def _format(path: Path, format: str | None, owner: str) -> str:
     suffix = path.suffix.lower().removeprefix(".")
     known = {SUFFIX_OF.get(name, name): name for name in RADAR_FORMATS}
     if suffix not in known:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: path must end in .{', .'.join(known)}; got {path.name!r}. Or name the format: "
             f"format='{RADAR_FORMATS[0]}'."
         )

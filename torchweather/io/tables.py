@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 
 __all__ = ["TABLE_SUFFIXES", "read_table", "write_table"]
 
@@ -157,7 +157,7 @@ def _plain(name: str, column: Sequence[Any]) -> list[Any]:
     """Values as Python's own numbers and text; numbers and text do not share a column."""
     values = [_plain_value(name, value) for value in column]
     if len({isinstance(value, str) for value in values if value is not None}) > 1:
-        raise ValueError(f"write_table: column {name} must hold numbers or text, not both.")
+        raise InputValueError(f"write_table: column {name} must hold numbers or text, not both.")
     if any(isinstance(value, float) for value in values):
         return [float(value) if isinstance(value, int) else value for value in values]
     return values
@@ -171,7 +171,7 @@ def _plain_value(name: str, value: Any) -> Any:
             return int(value)
         if isinstance(value, numbers.Real):
             return float(value)
-    raise ValueError(
+    raise InputValueError(
         f"write_table: column {name} must hold numbers, text or None; got {value!r} ({type(value).__name__})."
     )
 
@@ -180,7 +180,7 @@ def _check_columns(columns: Mapping[str, Sequence[Any]], where: str) -> None:
     _check_names(list(columns), where)
     for (first, one), (second, other) in pairwise(columns.items()):
         if len(one) != len(other):
-            raise ValueError(
+            raise InputValueError(
                 f"write_table: columns must be of one length; {first} has {len(one)} values, {second} {len(other)}."
             )
 

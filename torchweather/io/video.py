@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, check_positive
+from torchweather.core.errors import InputValueError, MissingExtraError, TorchweatherError, check_positive
 
 __all__ = ["VIDEO_SUFFIXES", "WRITTEN_SUFFIXES", "VideoFrame", "VideoReader", "VideoWriter", "write_video"]
 
@@ -163,7 +163,7 @@ class VideoWriter:
             pts: presentation time in units of the time base; ``None``: one frame interval behind the last one.
         """
         if rgb.dtype != torch.uint8 or tuple(rgb.shape) != (3, *self._size):
-            raise ValueError(
+            raise InputValueError(
                 f"VideoWriter.add: expected rgb (3, {self._size[0]}, {self._size[1]}) uint8; got {tuple(rgb.shape)} "
                 f"{rgb.dtype}."
             )
@@ -246,7 +246,7 @@ def write_video(
         writer = VideoWriter(container, stream, height, width)
         yield writer
         if not writer.written:
-            raise ValueError(f"write_video: expected one frame or more for {target}; got none.")
+            raise InputValueError(f"write_video: expected one frame or more for {target}; got none.")
         writer._finish()
 
 
@@ -286,5 +286,5 @@ def _pyav() -> Any:
         import av
         import av.error
     except ImportError as error:
-        raise ImportError("Videos need PyAV. Install it with: pip install 'torchweather[video]'") from error
+        raise MissingExtraError("Videos need PyAV. Install it with: pip install 'torchweather[video]'") from error
     return av

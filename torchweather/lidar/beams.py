@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import owner_name
+from torchweather.core.errors import InputValueError, owner_name
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.scan import recover_ring
 from torchweather.lidar.sensor import Lidar, unit_directions
@@ -151,7 +151,7 @@ def _beams_of(
 ) -> Beams:
     if directions is not None:
         if complete_scan:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner_name(owner)}: complete_scan is for clouds without directions; give one or the other."
             )
         along = _fitting(unit_directions(directions, owner=owner), points, owner).to(flat)
@@ -189,14 +189,14 @@ def _fitting(directions: Tensor, points: Tensor, owner: object) -> Tensor:
     count = points.shape[-2]
     batch = points.shape[:-2]
     if directions.shape[-2] != count:
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: directions must have one row for each of the {count} points; got "
             f"{tuple(directions.shape)}. An organised cloud keeps a row for every beam, range 0 where none returned."
         )
     if directions.ndim == 2:
         return directions[None]
     if directions.shape[:-2] != batch:
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: directions {tuple(directions.shape)} must lead with the batch shape {tuple(batch)}."
         )
     return directions.reshape(-1, count, 3)

@@ -7,7 +7,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherWarning, owner_name
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, owner_name
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.intensity import zero_intensity
 from torchweather.lidar.sensor import Lidar
@@ -48,22 +48,24 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
     """Refuse what is no point cloud ``(..., N, 4 or more)``; warn where intensities contradict the declared unit."""
     name = owner_name(owner)
     if not isinstance(points, Tensor):
-        raise TypeError(
+        raise InputTypeError(
             f"{name}: points must be a tensor (..., N, 4 or more); got {type(points).__name__}. For a numpy array call "
             "on_numpy(points)."
         )
     wanted = max(4, (sensor.ring_column or 0) + 1)
     if points.ndim < 2 or points.shape[-1] < 4:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: points must have shape (..., N, 4 or more) = {COLUMNS_WANTED}; got {tuple(points.shape)}. If "
             'your sensor gives no intensity, append a column of ones and set Lidar(intensity_unit="none").'
         )
     if points.shape[-1] < wanted:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: Lidar(ring_column={sensor.ring_column}) needs {wanted} columns; got {tuple(points.shape)}."
         )
     if not points.is_floating_point():
-        raise TypeError(f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float().")
+        raise InputTypeError(
+            f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float()."
+        )
     if is_exporting() or not points.numel():
         return
     # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
@@ -73,7 +75,7 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
     intensity = points.detach()[..., 3]
     low, high = (float(value) for value in torch.aminmax(intensity))
     if low < 0:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: intensities must be 0 or more ({sensor.intensity_unit}); got {low:g}. Clip or rescale the column."
         )
     _warn_of_unit(intensity, high, sensor, name)
@@ -84,13 +86,13 @@ def _refuse_absurd(points: Tensor, name: str) -> None:
     rows = bad.any(-1)
     if bool(rows.any()):
         columns = sorted({int(column) for column in bad.reshape(-1, points.shape[-1]).any(0).nonzero().flatten()})
-        raise ValueError(
+        raise InputValueError(
             f"{name}: points must be finite; got {int(rows.sum())} rows with NaN or infinity (columns {columns}). Give "
             "a beam without return the coordinates 0, 0, 0."
         )
     farthest_m = float(points[..., :3].abs().max())
     if farthest_m >= FARTHEST_M:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: coordinates must be metres; got {farthest_m:g}, too far for a return. Give a beam without return "
             "the coordinates 0, 0, 0."
         )

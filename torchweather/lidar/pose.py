@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["Origin", "Rotation", "checked_origin", "checked_rotation", "split_pose"]
 
 Rotation = tuple[tuple[float, float, float], ...]
@@ -31,7 +33,7 @@ def checked_origin(value: Any) -> Origin:
     """``origin_m`` as three numbers."""
     found = _matrix(value, 1, 3)
     if found is None:
-        raise ValueError(
+        raise InputValueError(
             f"Lidar.origin_m: expected x, y, z of the sensor in the cloud's frame, three finite numbers in metres; got "
             f"{value!r}. Pass e.g. origin_m=(1.43, 0.0, 2.18)."
         )
@@ -45,12 +47,12 @@ def checked_rotation(value: Any) -> Rotation | None:
         return None
     found = _matrix(value, 3, 3)
     if found is None or not torch.allclose(found @ found.T, torch.eye(3).double(), atol=ORTHOGONAL):
-        raise ValueError(
+        raise InputValueError(
             "Lidar.rotation: expected a rotation (3, 3) whose columns are the sensor's x, y, z in the cloud's frame; "
             f"got {value!r}. Pass the upper left 3 x 3 of T_cloud_from_sensor."
         )
     if float(torch.linalg.det(found)) < 0:
-        raise ValueError(
+        raise InputValueError(
             "Lidar.rotation: expected a right-handed rotation (determinant 1); got a reflection (determinant -1). "
             "Check that y is to the left and z up."
         )
@@ -70,12 +72,12 @@ def split_pose(pose: Tensor | Sequence[Sequence[float]]) -> tuple[Origin, Rotati
     """
     found = _matrix(pose, 4, 4)
     if found is not None and found[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise ValueError(
+        raise InputValueError(
             f"T_cloud_from_sensor: expected the last row 0, 0, 0, 1; got {found[3].tolist()}. Is the matrix transposed?"
         )
     found = _matrix(pose, 3, 4) if found is None else found[:3]
     if found is None:
-        raise ValueError(
+        raise InputValueError(
             "T_cloud_from_sensor: expected a pose (4, 4), or its first three rows (3, 4), of finite numbers, the "
             f"position in metres; got {pose!r}."
         )

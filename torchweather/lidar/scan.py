@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherWarning, check_at_least, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_positive
 from torchweather.lidar.laser_blocks import height_blocks
 from torchweather.lidar.sensor import Lidar
 
@@ -162,7 +162,7 @@ def estimate_elevations(points: Tensor, rings: int) -> tuple[Tensor, Tensor]:
     xyz = xyz[_has_return(xyz)]
     elevation = torch.rad2deg(torch.atan2(xyz[:, 2], xyz[:, :2].norm(dim=-1)))
     if len(elevation) < rings:
-        raise ValueError(f"estimate_elevations: {rings} rings need as many returns or more; got {len(elevation)}.")
+        raise InputValueError(f"estimate_elevations: {rings} rings need as many returns or more; got {len(elevation)}.")
     low = float(elevation.min())
     bins = math.ceil((float(elevation.max()) - low) / BIN_DEG) + 1
     cell = ((elevation - low) / BIN_DEG).long()
@@ -177,7 +177,7 @@ def estimate_elevations(points: Tensor, rings: int) -> tuple[Tensor, Tensor]:
     tried = [len(heaps) for heaps in found]
     run = _longest_run(tried, rings)
     if len(run) == 0 or factor ** (len(run) - 1) < STEADY:
-        raise ValueError(
+        raise InputValueError(
             f"estimate_elevations: the cloud does not show {rings} rings; it shows {min(tried)} to {max(tried)} heaps "
             "of elevations, by how finely one looks. Check the number and that the cloud is in the sensor's own frame, "
             "use more points, or give Lidar(elevations_deg=...) from the data sheet."
@@ -234,7 +234,7 @@ def empty_beams(
     """
     _check_points(points, "empty_beams")
     if points.ndim != 2:
-        raise ValueError(f"empty_beams: one cloud (N, 3 or more) at a time; got shape {tuple(points.shape)}.")
+        raise InputValueError(f"empty_beams: one cloud (N, 3 or more) at a time; got shape {tuple(points.shape)}.")
     check_positive("max_gap_deg", max_gap_deg, unit="degrees", owner="empty_beams")
     elevations, offsets, columns = _pattern(lidar, "empty_beams", points.device)
     if ring is None:
@@ -459,7 +459,7 @@ def _has_return(points: Tensor, nearest_m: float = 0.0) -> Tensor:
 
 def _elevations(lidar: Lidar, owner: str, device: torch.device | None) -> Tensor:
     if not lidar.elevations_deg:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: Lidar(elevations_deg=...) must be known, one elevation per ring in degrees; got "
             f"{lidar.elevations_deg}. Take a preset that has them, or estimate_elevations."
         )
@@ -470,7 +470,9 @@ def _pattern(lidar: Lidar, owner: str, device: torch.device | None) -> tuple[Ten
     """Elevations and azimuth offsets of the rings, degrees, and the number of columns."""
     elevations = _elevations(lidar, owner, device)
     if lidar.columns is None:
-        raise ValueError(f"{owner}: Lidar(columns=...) must be known, the firings of each ring per turn; got None.")
+        raise InputValueError(
+            f"{owner}: Lidar(columns=...) must be known, the firings of each ring per turn; got None."
+        )
     offsets = lidar.azimuth_offsets_deg or (0.0,) * len(elevations)
     return elevations, torch.tensor(offsets, dtype=torch.float64, device=device), lidar.columns
 
@@ -479,7 +481,7 @@ def _heights(heights_m: Sequence[float] | None, elevations: Tensor, owner: str) 
     if heights_m is None:
         return torch.zeros_like(elevations)
     if len(heights_m) != len(elevations):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: origin_heights_m must have one value in metres for each of the {len(elevations)} rings; got "
             f"{len(heights_m)}."
         )
@@ -488,7 +490,7 @@ def _heights(heights_m: Sequence[float] | None, elevations: Tensor, owner: str) 
 
 def _check_points(points: Tensor, owner: str) -> None:
     if points.ndim < 2 or points.shape[-1] < 3 or not points.is_floating_point():
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: points must be floating point of shape (..., N, 3 or more) = x, y, z in metres; got "
             f"{points.dtype}, {tuple(points.shape)}."
         )
@@ -496,9 +498,11 @@ def _check_points(points: Tensor, owner: str) -> None:
 
 def _check_ring(ring: Tensor, points: Tensor, rings: int) -> None:
     if ring.shape != points.shape[:1] or ring.is_floating_point():
-        raise ValueError(
+        raise InputValueError(
             f"empty_beams: ring must be integers of shape ({len(points)},), one per point; got {ring.dtype}, "
             f"{tuple(ring.shape)}."
         )
     if ring.numel() and int(ring.max()) >= rings:
-        raise ValueError(f"empty_beams: ring must lie below the {rings} rings of the sensor; got {int(ring.max())}.")
+        raise InputValueError(
+            f"empty_beams: ring must lie below the {rings} rings of the sensor; got {int(ring.max())}."
+        )

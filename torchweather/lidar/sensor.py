@@ -13,7 +13,14 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.errors import (
+    InputValueError,
+    check_at_least,
+    check_between,
+    check_finite,
+    check_one_of,
+    check_positive,
+)
 from torchweather.lidar.pose import checked_origin, checked_rotation, split_pose
 from torchweather.pipeline.sensor import Sensor
 
@@ -141,12 +148,12 @@ class Lidar(Sensor):
 
     def _check_ranges(self) -> None:
         if not self.near_start_m < self.near_full_m:
-            raise ValueError(
+            raise InputValueError(
                 "Lidar: near_full_m must exceed near_start_m (the receiver's response rises between them); got "
                 f"{self.near_full_m:g} and {self.near_start_m:g} m."
             )
         if not max(self.min_range_m, self.near_start_m) < self.max_range_m:
-            raise ValueError(
+            raise InputValueError(
                 "Lidar: max_range_m must exceed min_range_m and near_start_m; got "
                 f"{self.max_range_m:g}, {self.min_range_m:g} and {self.near_start_m:g} m."
             )
@@ -165,7 +172,7 @@ class Lidar(Sensor):
             for value in plain:
                 check_between(name, value, -limit, limit, unit=unit, owner=self)
             if len(plain) != len(self.elevations_deg or ()):
-                raise ValueError(
+                raise InputValueError(
                     f"Lidar: {name} must have one value for each of the {len(self.elevations_deg or ())} "
                     f"elevations_deg; got {len(plain)}."
                 )
@@ -225,11 +232,11 @@ def unit_directions(directions: Tensor, owner: object) -> Tensor:
     if not isinstance(directions, Tensor):
         directions = torch.as_tensor(directions, dtype=torch.float32)
     if directions.ndim < 2 or directions.shape[-1] != 3 or not directions.is_floating_point():
-        raise ValueError(
+        raise InputValueError(
             f"{type(owner).__name__}: directions must be floating point of shape (..., N, 3), x forward, y left, z up; "
             f"got {directions.dtype}, {tuple(directions.shape)}."
         )
     length: Tensor = directions.norm(dim=-1, keepdim=True)
     if not torch.compiler.is_compiling() and not bool((torch.isfinite(length) & (length > 0)).all()):
-        raise ValueError(f"{type(owner).__name__}: directions must be finite and none of them zero.")
+        raise InputValueError(f"{type(owner).__name__}: directions must be finite and none of them zero.")
     return directions / length

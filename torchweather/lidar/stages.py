@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torchweather.atmosphere.density_field import SECTORS, Banks, PatchField, mean_density, mean_extra_m, sector_of
 from torchweather.atmosphere.fog_optics import FogOptics
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, weather_from_dict
-from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.errors import InputTypeError, check_at_least, check_one_of
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam
 from torchweather.lidar.intensity import (
@@ -338,7 +338,9 @@ class ParticleReturns(Stage):
                 given = q_back if isinstance(weather, Rain) else None
                 part = BeamParticles(weather, self.sensor, q_back=given, published=variant == "d3_4")
             else:
-                raise TypeError(f"ParticleReturns: weathers must be Rain, Fog or Snow; got {type(weather).__name__}.")
+                raise InputTypeError(
+                    f"ParticleReturns: weathers must be Rain, Fog or Snow; got {type(weather).__name__}."
+                )
             self.parts[weather.kind] = part
         self._last_tables: dict[str, tuple[list[Tensor], ReturnTable]] = {}
 

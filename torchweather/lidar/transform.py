@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
 from torchweather.atmosphere.weather import Weather, check_knobs
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
@@ -161,7 +161,7 @@ class LidarWeather(WeatherTransform):
         self._check_variant(weather, variant)
         check_one_of("lost", lost, LOST_AS, owner=self)
         if complete_scan not in COMPLETE_SCAN:
-            raise ValueError(
+            raise InputValueError(
                 f'{type(self).__name__}: complete_scan must be False, True or "sky"; got {complete_scan!r}.'
             )
         check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
@@ -176,7 +176,7 @@ class LidarWeather(WeatherTransform):
         parts = weather.parts
         air = patchy_air(weather)
         if air and published:
-            raise ValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
+            raise InputValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
         plain = Chain(
             {
                 **air,
@@ -196,13 +196,13 @@ class LidarWeather(WeatherTransform):
             return
         check_one_of("variant", variant, (*VARIANTS, "hahner"), owner=self)
         if variant == "d3_4" and kinds != ["rain"]:
-            raise ValueError(
+            raise InputValueError(
                 f'{name}: variant="d3_4" exists for rain alone. The published fog and snow signals have no system '
                 "constant (a target reflectivity of 150, flakes 2.8e6 times brighter than the object, pulses of 10 fs) "
                 "and follow from no sensor. Use the default."
             )
         if variant == "hahner" and "fog" not in kinds:
-            raise ValueError(f'{name}: variant="hahner" is the backscatter of fog; this weather has none.')
+            raise InputValueError(f'{name}: variant="hahner" is the backscatter of fog; this weather has none.')
 
     # ---- what the weather is, readable -------------------------------------------------------------------------
 
@@ -232,7 +232,7 @@ class LidarWeather(WeatherTransform):
         for stage in self.chain.stages.values():
             if isinstance(stage, kind):
                 return stage
-        raise ValueError(f"{type(self).__name__}: the chain has no {kind.__name__} stage.")
+        raise InputValueError(f"{type(self).__name__}: the chain has no {kind.__name__} stage.")
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
@@ -396,7 +396,7 @@ class LidarWeather(WeatherTransform):
         effects = [stage.id for stage in self.chain.stages.values() if isinstance(stage, Effect)]
         effects += [name for name, stage in self.chain.stages.items() if isinstance(stage, PatchyAir)]
         if effects:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: expected knows the plain chain, without {', '.join(effects)}. Average draws "
                 "of run() instead."
             )
@@ -470,7 +470,7 @@ class LidarWeather(WeatherTransform):
     def _checked_way(self, way_m: Tensor, points: Tensor) -> Tensor:
         """Ways to the beams' ends ``(B, N)``."""
         if way_m.shape != points.shape[:-1]:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: reach_m must have shape {tuple(points.shape[:-1])}, a way in metres for every "
                 f"row; got {tuple(way_m.shape)}."
             )

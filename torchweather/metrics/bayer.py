@@ -11,7 +11,7 @@ from torch import Tensor
 from torchweather.camera.bayer import PATTERNS, cfa_index, check_even, split_planes
 from torchweather.camera.demosaic import demosaic
 from torchweather.camera.tone import srgb_encode
-from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, check_positive
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
 from torchweather.metrics.pairs import check_pair
 from torchweather.metrics.score import Collected, ScoreFacts
@@ -78,7 +78,7 @@ def bayer_scores(
     mosaics = _mosaic("distorted", distorted), _mosaic("reference", reference)
     pair = check_pair(*mosaics, data_range, channels=(1,), owner="bayer_scores")
     if data_range <= 1.0 and not (distorted.is_floating_point() and reference.is_floating_point()):
-        raise ValueError(
+        raise InputValueError(
             "bayer_scores: a mosaic of integers needs data_range, the value of white, such as 4095 of 12 bits; got "
             f"{data_range:g}."
         )
@@ -145,7 +145,7 @@ def _pictures(light: Tensor, pattern: str, scored_as: str, encoding: str, factor
 def _factors(gains: Tensor | Sequence[float], like: Tensor) -> Tensor:
     factors = torch.as_tensor(gains, dtype=like.dtype, device=like.device)
     if factors.shape != (3,):
-        raise ValueError(
+        raise InputValueError(
             f"bayer_scores: gains must be three factors, of red, green (or clear), blue; got shape "
             f"{tuple(factors.shape)}."
         )
@@ -156,9 +156,9 @@ def _factors(gains: Tensor | Sequence[float], like: Tensor) -> Tensor:
 def _mosaic(which: str, mosaic: Tensor) -> Tensor:
     """A mosaic of whole cells, in a type that torch finds the extremes of."""
     if not isinstance(mosaic, Tensor):
-        raise TypeError(f"bayer_scores: {which} must be a tensor (..., 1, H, W); got {type(mosaic).__name__}.")
+        raise InputTypeError(f"bayer_scores: {which} must be a tensor (..., 1, H, W); got {type(mosaic).__name__}.")
     if mosaic.ndim >= 3 and mosaic.shape[-3] == 3:
-        raise ValueError(
+        raise InputValueError(
             f"bayer_scores: {which} must be a mosaic (..., 1, H, W); got {tuple(mosaic.shape)}. Colour images are for "
             "image_scores."
         )

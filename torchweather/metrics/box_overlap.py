@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_finite
+from torchweather.core.errors import InputValueError, check_finite
 
 __all__ = ["bev_coverage", "bev_iou", "box_coverage", "box_iou"]
 
@@ -57,7 +57,7 @@ def _shared_in_image(first: Tensor, second: Tensor, owner: str) -> Tensor:
     for name, boxes in (("first", first), ("second", second)):
         _check(name, boxes, 4, "left, top, right, bottom", owner)
         if bool((boxes[:, 2:] < boxes[:, :2]).any()):
-            raise ValueError(
+            raise InputValueError(
                 f"{owner}: {name} must have left <= right and top <= bottom; got a box turned inside out. If yours are "
                 "x, y, width, height, add the corner."
             )
@@ -117,7 +117,7 @@ def _shared_on_ground(first: Tensor, second: Tensor, owner: str) -> Tensor:
     for name, boxes in (("first", first), ("second", second)):
         _check(name, boxes, 5, "x, y, length, width, yaw", owner)
         if bool((boxes[:, 2:4] < 0).any()):
-            raise ValueError(f"{owner}: {name} must have lengths and widths of 0 m or more; got a negative one.")
+            raise InputValueError(f"{owner}: {name} must have lengths and widths of 0 m or more; got a negative one.")
     if not len(first):
         return first.new_zeros(0, len(second))
     rows = max(PORTION // max(len(second), 1), 1)
@@ -127,7 +127,7 @@ def _shared_on_ground(first: Tensor, second: Tensor, owner: str) -> Tensor:
 def _check(name: str, boxes: Tensor, columns: int, names: str, owner: str) -> None:
     if not isinstance(boxes, Tensor) or boxes.ndim != 2 or boxes.shape[1] != columns or not boxes.is_floating_point():
         came = f"{tuple(boxes.shape)} {boxes.dtype}" if isinstance(boxes, Tensor) else type(boxes).__name__
-        raise ValueError(f"{owner}: {name} must be a floating-point tensor (N, {columns}): {names}; got {came}.")
+        raise InputValueError(f"{owner}: {name} must be a floating-point tensor (N, {columns}): {names}; got {came}.")
     check_finite(name, boxes, owner=owner)
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of, owner_name
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, owner_name
 from torchweather.metrics.clouds import CloudPair, Clouds, Region, cloud_pairs, in_batch_shape
 from torchweather.metrics.filters import root
 from torchweather.metrics.nearest import nearest_distances
@@ -200,7 +200,9 @@ def cloud_scores(
 
 def _chosen(names: Iterable[str], owner: object) -> tuple[str, ...]:
     if isinstance(names, str):
-        raise TypeError(f"{owner_name(owner)}: names must be a list of names such as ['hd']; got the text {names!r}.")
+        raise InputTypeError(
+            f"{owner_name(owner)}: names must be a list of names such as ['hd']; got the text {names!r}."
+        )
     chosen = tuple(dict.fromkeys(names))
     for name in chosen:
         check_one_of("names", name, ("sdm", *_OF_DISTANCES), owner=owner)
@@ -218,7 +220,7 @@ def _directed(points: tuple[Tensor, Tensor], direction: str, search: str) -> Dis
 def _index_rmse(pair: CloudPair, owner: object) -> Tensor:
     n, m = len(pair.distorted), len(pair.reference)
     if n != m:
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: correspondence='index' pairs row i with row i and needs clouds of one length; got "
             f"{n} and {m} rows. Keep lost points as rows (lost='zero' or 'nan'), or take correspondence='nearest'."
         )

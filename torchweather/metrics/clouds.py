@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import owner_name
+from torchweather.core.errors import InputTypeError, InputValueError, owner_name
 
 __all__ = ["CloudPair", "Clouds", "Region", "cloud_pairs", "in_batch_shape", "there"]
 
@@ -37,7 +37,7 @@ class Region:
     def __post_init__(self) -> None:
         for name, limits in (("x_m", self.x_m), ("y_m", self.y_m), ("z_m", self.z_m)):
             if len(limits) != 2 or not limits[0] < limits[1]:
-                raise ValueError(f"Region: {name} must be (lowest, highest) in m; got {limits!r}.")
+                raise InputValueError(f"Region: {name} must be (lowest, highest) in m; got {limits!r}.")
 
     def holds(self, points: Tensor) -> Tensor:
         """``(..., N)`` bool, which points ``(..., N, 3 or more)`` are inside."""
@@ -114,14 +114,14 @@ def cloud_pairs(
     first = _one_by_one("distorted", distorted, distorted_valid, name)
     second = _one_by_one("reference", reference, reference_valid, name)
     if _batch(distorted) != _batch(reference):
-        raise ValueError(
+        raise InputValueError(
             f"{name}: distorted and reference must be batches of one size; got {_described(distorted)} and "
             f"{_described(reference)}."
         )
     pairs = []
     for (p, p_valid), (r, r_valid) in zip(first, second, strict=True):
         if p.device != r.device:
-            raise ValueError(f"{name}: both clouds must be on one device; got {p.device} and {r.device}.")
+            raise InputValueError(f"{name}: both clouds must be on one device; got {p.device} and {r.device}.")
         kind = _kind(p, r)
         p, r = p[:, :3].to(kind), r[:, :3].to(kind)
         pair = CloudPair(p, r, there(p, p_valid, region), there(r, r_valid, region))
@@ -151,7 +151,7 @@ def _kind(distorted: Tensor, reference: Tensor) -> torch.dtype:
 def _check_reach(which: str, points: Tensor, mask: Tensor, name: str) -> None:
     far = mask & ~_WITHIN_REACH.holds(points.detach())
     if bool(far.any()):
-        raise ValueError(
+        raise InputValueError(
             f"{name}: coordinates of {which} must be within {FARTHEST_M:g} m; got "
             f"{float(points[far].detach().abs().max()):g} m. Lost points are rows of zeros or NaN; a region leaves out "
             "others."
@@ -167,29 +167,33 @@ def _one_by_one(which: str, clouds: Clouds, valid: Clouds | None, name: str) -> 
             masks = list(valid.reshape(flat.shape[:-1]).unbind())
         return list(zip(flat.unbind(), masks, strict=True))
     if isinstance(clouds, str | bytes) or not isinstance(clouds, Sequence):
-        raise TypeError(f"{name}: {which} must be a tensor (..., N, 3 or more) or a list; got {type(clouds).__name__}.")
+        raise InputTypeError(
+            f"{name}: {which} must be a tensor (..., N, 3 or more) or a list; got {type(clouds).__name__}."
+        )
     masks = [None] * len(clouds) if valid is None else [*valid]
     if len(masks) != len(clouds):
-        raise ValueError(f"{name}: {which}_valid must have one mask a cloud, {len(clouds)}; got {len(masks)}.")
+        raise InputValueError(f"{name}: {which}_valid must have one mask a cloud, {len(clouds)}; got {len(masks)}.")
     for cloud, mask in zip(clouds, masks, strict=True):
         _check(which, cloud, mask, name)
         if cloud.ndim != 2:
-            raise ValueError(f"{name}: clouds of a list must be (N, 3 or more); got {tuple(cloud.shape)} in {which}.")
+            raise InputValueError(
+                f"{name}: clouds of a list must be (N, 3 or more); got {tuple(cloud.shape)} in {which}."
+            )
     return list(zip(clouds, masks, strict=True))
 
 
 def _check(which: str, cloud: Tensor, valid: object, name: str) -> None:
     if not isinstance(cloud, Tensor):
-        raise TypeError(f"{name}: {which} must hold tensors (..., N, 3 or more); got {type(cloud).__name__}.")
+        raise InputTypeError(f"{name}: {which} must hold tensors (..., N, 3 or more); got {type(cloud).__name__}.")
     if cloud.is_complex() or cloud.dtype == torch.bool:
-        raise TypeError(f"{name}: {which} must hold real numbers; got {cloud.dtype}.")
+        raise InputTypeError(f"{name}: {which} must hold real numbers; got {cloud.dtype}.")
     if cloud.ndim < 2 or cloud.shape[-1] < 3:
-        raise ValueError(f"{name}: {which} must be (..., N, 3 or more) = x, y, z in m; got {tuple(cloud.shape)}.")
+        raise InputValueError(f"{name}: {which} must be (..., N, 3 or more) = x, y, z in m; got {tuple(cloud.shape)}.")
     if valid is None:
         return
     if not isinstance(valid, Tensor) or valid.dtype != torch.bool or valid.shape != cloud.shape[:-1]:
         came = f"{valid.dtype} {tuple(valid.shape)}" if isinstance(valid, Tensor) else type(valid).__name__
-        raise ValueError(f"{name}: {which}_valid must be bool {tuple(cloud.shape[:-1])}; got {came}.")
+        raise InputValueError(f"{name}: {which}_valid must be bool {tuple(cloud.shape[:-1])}; got {came}.")
 
 
 def _described(clouds: Clouds) -> str:

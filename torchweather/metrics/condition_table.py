@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.core.errors import nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, nearest_name
 
 __all__ = ["CONDITION_COLUMNS", "FEWEST", "Conditions", "join"]
 
@@ -56,7 +56,7 @@ def join(
     """Scores and performance by condition; the arguments are those of ``correlate``."""
     if "metric" in scores and "score" in scores:
         if not isinstance(performance, Mapping):
-            raise ValueError(
+            raise InputValueError(
                 "correlate: performance must be a table with condition columns, as the scores are one; got "
                 f"{type(performance).__name__}. Give {', '.join(CONDITION_COLUMNS[1:5])} and {performance_column}."
             )
@@ -71,7 +71,9 @@ def _side_by_side(
     scores: Table, performance: Table | Sequence[float], by: Sequence[str] | None, performance_column: str
 ) -> Conditions:
     if by is not None:
-        raise ValueError("correlate: by needs a table of scores with the columns metric and score; got metrics only.")
+        raise InputValueError(
+            "correlate: by needs a table of scores with the columns metric and score; got metrics only."
+        )
     table = performance if isinstance(performance, Mapping) else {performance_column: performance}
     _check_performance(table, performance_column)
     labels = {name: list(table[name]) for name in CONDITION_COLUMNS if name in table}
@@ -82,7 +84,7 @@ def _side_by_side(
     }
     for name, length in lengths.items():
         if length != len(measured):
-            raise ValueError(
+            raise InputValueError(
                 f"correlate: {name} must have one value a condition, {len(measured)} as the performance; got {length}."
             )
     keep = ~np.isnan(measured)
@@ -107,13 +109,15 @@ def _joined(scores: Table, performance: Table, by: Sequence[str] | None, perform
     _check_lengths("performance", performance)
     shared = [name for name in CONDITION_COLUMNS if name in scores and name in performance]
     if not shared:
-        raise ValueError(
+        raise InputValueError(
             f"correlate: scores and performance must share condition columns ({', '.join(CONDITION_COLUMNS)}); got "
             f"{', '.join(scores)} and {', '.join(performance)}."
         )
     chosen = [name for name in shared if name != "seed"] if by is None else list(by)
     if not chosen or not {*chosen} <= {*shared}:
-        raise ValueError(f"correlate: by must name columns that both tables have, {', '.join(shared)}; got {by!r}.")
+        raise InputValueError(
+            f"correlate: by must name columns that both tables have, {', '.join(shared)}; got {by!r}."
+        )
     measured = _by_key(performance, shared, _numbers(performance[performance_column], performance_column))
     values = _numbers(scores["score"], "score")
     scored: dict[str, dict[Key, list[float]]] = {}
@@ -126,7 +130,7 @@ def _joined(scores: Table, performance: Table, by: Sequence[str] | None, perform
     both = [key for key in measured if key in all_scored]
     if not both:
         first = (dict(zip(shared, next(iter(keys), ()), strict=False)) for keys in (all_scored, measured))
-        raise ValueError(
+        raise InputValueError(
             f"correlate: no condition stands in both tables; scores have {next(first)}, performance {next(first)}. "
             "Names and numbers must be equal."
         )
@@ -186,14 +190,14 @@ def _severities(scores: Table, chosen: Sequence[str], groups: Sequence[Key]) -> 
 def _checked(*, strength: Sequence[Any] | None, **fields: Any) -> Conditions:
     count = len(fields["performance"])
     if count < FEWEST:
-        raise ValueError(
+        raise InputValueError(
             f"correlate: needs {FEWEST} conditions or more with a performance; got {count}. Sweep more levels of the "
             "weather, or tell conditions apart by more columns (by)."
         )
     if not np.isfinite(fields["performance"]).all():
-        raise ValueError("correlate: performance must be finite; got infinity.")
+        raise InputValueError("correlate: performance must be finite; got infinity.")
     if not fields["scores"]:
-        raise ValueError("correlate: needs the scores of one metric or more; got none.")
+        raise InputValueError("correlate: needs the scores of one metric or more; got none.")
     labels = fields["labels"]
     kind = None
     if "weather" in labels:
@@ -220,7 +224,7 @@ def _levels(kind: Sequence[str] | None, strength: Sequence[Any] | None) -> Float
 
 def _check_performance(table: Table, column: str) -> None:
     if column not in table:
-        raise ValueError(
+        raise InputValueError(
             f"correlate: performance must have a column {column!r}; got {', '.join(table)}."
             f"{nearest_name(column, table)} Name yours by performance_column."
         )
@@ -229,7 +233,7 @@ def _check_performance(table: Table, column: str) -> None:
 def _check_lengths(which: str, table: Table) -> None:
     lengths = {name: len(column) for name, column in table.items()}
     if len({*lengths.values()}) > 1:
-        raise ValueError(f"correlate: columns of {which} must be of one length; got {lengths}.")
+        raise InputValueError(f"correlate: columns of {which} must be of one length; got {lengths}.")
 
 
 def _numbers(values: Iterable[Any], name: str) -> Floats:
@@ -238,8 +242,8 @@ def _numbers(values: Iterable[Any], name: str) -> Floats:
     for value in values:
         try:
             if isinstance(value, bool):
-                raise TypeError("a truth value")
+                raise InputTypeError("a truth value")
             found.append(math.nan if value is None else float(value))
         except (TypeError, ValueError) as error:
-            raise ValueError(f"correlate: {name} must hold numbers; got {value!r}.") from error
+            raise InputValueError(f"correlate: {name} must hold numbers; got {value!r}.") from error
     return np.array(found, dtype=np.float64)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.core.errors import check_between
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.metrics.coefficients import INTERVAL, Coefficient, coefficients, undefined, weighted_spearman
 from torchweather.metrics.condition_table import FEWEST, Conditions, join
 from torchweather.metrics.d34_claim import HIGHLY, ClaimCheck, check_claim
@@ -130,7 +130,7 @@ def correlate(
         [('ssim', 1, 1.0), ('gmsd', 2, -0.67)]
     """
     if resamples < 1:
-        raise ValueError(f"correlate: resamples must be 1 or more; got {resamples!r}.")
+        raise InputValueError(f"correlate: resamples must be 1 or more; got {resamples!r}.")
     check_between("highly", highly, 0.0, 1.0, owner="correlate")
     data = join(scores, performance, by, performance_column)
     number = len(data.performance)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.errors import InputValueError
 from torchweather.metrics.filters import gaussian_weights, root
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.steerable_pyramid import least_size, steerable_bands
@@ -62,7 +63,7 @@ def cw_ssim(
     """
     for name, number in (("level", level), ("orientations", orientations)):
         if number < 1:
-            raise ValueError(f"cw_ssim: {name} must be 1 or more; got {number!r}.")
+            raise InputValueError(f"cw_ssim: {name} must be 1 or more; got {number!r}.")
     pair = Pair(distorted, reference, data_range, minimum=least_size(level, BOX), owner="cw_ssim")
     return cw_ssim_of(pair, level=level, orientations=orientations, whole_grey=whole_grey)
 

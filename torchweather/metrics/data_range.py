@@ -8,6 +8,8 @@ import numbers
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputTypeError, InputValueError
+
 __all__ = ["SIDES", "check_values", "value_of_white"]
 
 SIDES = ("distorted", "reference")
@@ -26,13 +28,13 @@ DARK = EIGHT_BITS / 16.0
 def value_of_white(data_range: object, images: tuple[Tensor, Tensor], name: str) -> float:
     """The data range as a number above 0 that the types of both images can hold."""
     if isinstance(data_range, bool) or not isinstance(data_range, numbers.Real):
-        raise TypeError(f"{name}: data_range must be a number, the value of white; got {data_range!r}.")
+        raise InputTypeError(f"{name}: data_range must be a number, the value of white; got {data_range!r}.")
     white = float(data_range)
     if not 0.0 < white < math.inf:
-        raise ValueError(f"{name}: data_range must be above 0 and finite; got {data_range!r}.")
+        raise InputValueError(f"{name}: data_range must be above 0 and finite; got {data_range!r}.")
     for which, image in zip(SIDES, images, strict=True):
         if not image.is_floating_point() and torch.iinfo(image.dtype).max < white:
-            raise ValueError(
+            raise InputValueError(
                 f"{name}: data_range is {white:g}, but {which} is {image.dtype}, which ends at "
                 f"{torch.iinfo(image.dtype).max}. Set data_range to the value of white."
             )
@@ -59,7 +61,7 @@ def check_values(images: tuple[Tensor, Tensor], floating: bool, white: float, na
         of_each = image.amax((1, 2, 3))
         low, high = float(image.min()), float(of_each.max())
         if not (low >= -SLACK * white and high <= (1.0 + SLACK) * white):  # NaN too
-            raise ValueError(
+            raise InputValueError(
                 f"{name}: {which} must lie in 0..data_range = {white:g}; got {low:g}..{high:g}. Set data_range "
                 "to the value of white."
             )
@@ -67,7 +69,7 @@ def check_values(images: tuple[Tensor, Tensor], floating: bool, white: float, na
             _check_each(which, image, of_each, white, name)
         highest.append(high)
     if white >= FIFTEEN_BITS and floating and DARK < max(highest) <= EIGHT_BITS:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: data_range is {white:g}, but no value is above {max(highest):g}: images of 8 bits have "
             "data_range=255. If they are that dark, divide both images by data_range and leave it at 1."
         )
@@ -77,7 +79,7 @@ def _check_each(which: str, images: Tensor, highest: Tensor, white: float, name:
     faint = (highest > BLACK) & (highest <= 1.0 + SLACK)
     for place in faint.nonzero().flatten().tolist():
         if bool((images[place] != images[place].round()).any()):
-            raise ValueError(
+            raise InputValueError(
                 f"{name}: data_range is {white:g}, but no value is above {float(highest[place]):g} in image {place} of "
                 f"{which}: images in [0, 1] have data_range=1. (A wrong range adds 48 dB to the PSNR of such images.) "
                 "If it is that dark, divide both images by data_range and leave it at 1."

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, check_between, check_one_of
+from torchweather.core.errors import InputValueError, TorchweatherError, check_between, check_one_of
 from torchweather.metrics.box_overlap import bev_coverage, bev_iou, box_coverage, box_iou
 from torchweather.metrics.detection_curve import INTERPOLATIONS, MatchedBoxes
 from torchweather.metrics.detection_input import ImageBoxes, in_order
@@ -208,13 +208,13 @@ def _check_arguments(
 ) -> None:
     name = "average_precision"
     if len(detections) != len(truths):
-        raise ValueError(
+        raise InputValueError(
             f"{name}: detections and truths must have one entry an image; got {len(detections)} and {len(truths)}."
         )
     if not len(thresholds) or not len(ranges_m):
-        raise ValueError(f"{name}: thresholds and ranges_m must have one entry or more; got none.")
+        raise InputValueError(f"{name}: thresholds and ranges_m must have one entry or more; got none.")
     for threshold in thresholds:
         check_between("thresholds", threshold, 1e-9, 1.0, owner=name)
     for bounds in ranges_m:
         if len(bounds) != 2 or not 0 <= bounds[0] < bounds[1]:
-            raise ValueError(f"{name}: ranges_m must be pairs of distances in m, 0 <= low < high; got {bounds!r}.")
+            raise InputValueError(f"{name}: ranges_m must be pairs of distances in m, 0 <= low < high; got {bounds!r}.")

@@ -11,6 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["ImageBoxes", "in_order"]
 
 Floats = NDArray[np.float64]
@@ -24,7 +26,7 @@ class ImageBoxes:
         needed = ("boxes", "labels", "scores") if scored else ("boxes", "labels")
         if not isinstance(entry, Mapping) or not {*needed} <= {*entry} <= {*needed, *optional}:
             came = ", ".join(map(str, entry)) if isinstance(entry, Mapping) else type(entry).__name__
-            raise ValueError(
+            raise InputValueError(
                 f"average_precision: {where} must have {', '.join(needed)} (and may have {', '.join(optional)}); "
                 f"got {came or 'nothing'}."
             )
@@ -34,7 +36,7 @@ class ImageBoxes:
         boxes = torch.as_tensor(_numbers(entry["boxes"], f"{where}: boxes"))
         self.boxes = boxes if boxes.numel() or boxes.ndim > 1 else boxes.reshape(0, 4)
         if len(self.boxes) != count:
-            raise ValueError(
+            raise InputValueError(
                 f"average_precision: {where} must have one label a box; got {count} labels and {len(self.boxes)} boxes."
             )
         self.scores = self._column(entry, "scores", where) if scored else np.zeros(count)
@@ -44,7 +46,7 @@ class ImageBoxes:
     def _column(self, entry: Mapping[str, Any], key: str, where: str, *, unknown: bool = False) -> Floats:
         values = _numbers(entry[key], f"{where}: {key}", unknown=unknown)
         if values.shape != (len(self.labels),):
-            raise ValueError(
+            raise InputValueError(
                 f"average_precision: {where}: {key} must have one value a box, ({len(self.labels)},); "
                 f"got {values.shape}."
             )
@@ -56,7 +58,7 @@ class ImageBoxes:
         if self.boxes.ndim == 2 and self.boxes.shape[1] == 5:
             return np.asarray(self.boxes[:, :2].norm(dim=-1).numpy(), dtype=np.float64)
         if ranged and self.labels:
-            raise ValueError(
+            raise InputValueError(
                 f"average_precision: {where} must have range_m, distances in metres, for ranges_m; got none."
             )
         return np.full(len(self.labels), math.nan)
@@ -77,9 +79,9 @@ def _numbers(values: Any, where: str, *, unknown: bool = False) -> Floats:
     try:
         found: Floats = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"average_precision: {where} must be numbers of one shape; got {values!r}.") from error
+        raise InputValueError(f"average_precision: {where} must be numbers of one shape; got {values!r}.") from error
     if not (np.isfinite(found) | (np.isnan(found) & unknown)).all():
-        raise ValueError(f"average_precision: {where} must be finite; got NaN or infinity. Leave such boxes out.")
+        raise InputValueError(f"average_precision: {where} must be finite; got NaN or infinity. Leave such boxes out.")
     return found
 
 
@@ -90,4 +92,4 @@ def in_order(labels: set[Any]) -> list[Any]:
         return sorted(labels)
     except TypeError as error:
         kinds = ", ".join(sorted({type(label).__name__ for label in labels}))
-        raise ValueError(f"average_precision: labels must be all numbers or all text; got {kinds}.") from error
+        raise InputValueError(f"average_precision: labels must be all numbers or all text; got {kinds}.") from error

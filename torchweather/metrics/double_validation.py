@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_finite, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_one_of
 
 __all__ = ["CENTRES", "DoubleValidation", "double_validation"]
 
@@ -49,12 +49,12 @@ def double_validation(simulated: Tensor, measured: Tensor, *, centre: str = "med
     for which, sample in (("simulated", simulated), ("measured", measured)):
         if not isinstance(sample, Tensor) or sample.ndim < 1 or not sample.shape[-1]:
             came = tuple(sample.shape) if isinstance(sample, Tensor) else type(sample).__name__
-            raise ValueError(f"{name}: {which} must be a tensor (..., N) of one value or more; got {came}.")
+            raise InputValueError(f"{name}: {which} must be a tensor (..., N) of one value or more; got {came}.")
         if sample.is_complex() or sample.dtype == torch.bool:
-            raise TypeError(f"{name}: {which} must hold real numbers; got {sample.dtype}.")
+            raise InputTypeError(f"{name}: {which} must hold real numbers; got {sample.dtype}.")
         check_finite(which, sample, owner=name)
     if simulated.shape[:-1] != measured.shape[:-1]:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: both must have one batch shape; got {tuple(simulated.shape)} and {tuple(measured.shape)}."
         )
     # Narrower types end at 65504 (half) or keep no halves from 2^23 on (single).

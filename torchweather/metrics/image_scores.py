@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputTypeError, check_one_of
 from torchweather.metrics.cw_ssim import cw_ssim, cw_ssim_of
 from torchweather.metrics.dss import dss, dss_of
 from torchweather.metrics.fsim import fsim, fsim_of
@@ -93,7 +93,7 @@ def image_scores(
         ['gmsd', 'psnr']
     """
     if isinstance(names, str):
-        raise TypeError(f"image_scores: names must be a list of names such as ['ssim']; got the text {names!r}.")
+        raise InputTypeError(f"image_scores: names must be a list of names such as ['ssim']; got the text {names!r}.")
     chosen = list(IMAGE_SCORES) if names is None else list(names)
     for name in chosen:
         check_one_of("score", name, IMAGE_SCORES, owner="image_scores")

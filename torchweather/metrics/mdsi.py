@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.metrics.colour import mixed
 from torchweather.metrics.filters import automatic_factor, gradient_magnitude, power, root, subsampled
 from torchweather.metrics.gmsd import PREWITT
@@ -66,7 +67,7 @@ def mdsi(
         (0.0, True)
     """
     if combination not in ("sum", "product"):
-        raise ValueError(f"mdsi: combination must be 'sum' or 'product'; got {combination!r}.")
+        raise InputValueError(f"mdsi: combination must be 'sum' or 'product'; got {combination!r}.")
     pair = Pair(distorted, reference, data_range, minimum=SMALLEST, owner="mdsi")
     return mdsi_of(pair, combination=combination)
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from torchweather.core.errors import owner_name
+from torchweather.core.errors import InputTypeError, InputValueError, owner_name
 from torchweather.metrics.colour import luma
 from torchweather.metrics.data_range import SIDES, check_values, value_of_white
 from torchweather.metrics.filters import automatic_factor, averaged_down, subsampled
@@ -95,22 +95,22 @@ def check_pair(
     name = owner_name(owner)
     for which, image in zip(SIDES, (distorted, reference), strict=True):
         if not isinstance(image, Tensor):
-            raise TypeError(f"{name}: {which} must be a tensor (..., C, H, W); got {type(image).__name__}.")
+            raise InputTypeError(f"{name}: {which} must be a tensor (..., C, H, W); got {type(image).__name__}.")
         if image.is_complex() or image.dtype == torch.bool:
-            raise TypeError(f"{name}: {which} must hold real numbers; got {image.dtype}.")
+            raise InputTypeError(f"{name}: {which} must hold real numbers; got {image.dtype}.")
         if image.ndim < 3 or image.shape[-3] not in channels:
             wanted = " or ".join(str(number) for number in channels)
-            raise ValueError(
+            raise InputValueError(
                 f"{name}: {which} must be (..., C, H, W) with C = {wanted}; got {tuple(image.shape)}. Channels come "
                 "third from last."
             )
     if distorted.shape != reference.shape:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: both images must have one shape; got {tuple(distorted.shape)} and {tuple(reference.shape)}."
         )
     height, width = reference.shape[-2:]
     if min(height, width) < minimum:
-        raise ValueError(f"{name}: images must be {minimum} x {minimum} pixels or larger; got {height} x {width}.")
+        raise InputValueError(f"{name}: images must be {minimum} x {minimum} pixels or larger; got {height} x {width}.")
     white = value_of_white(data_range, (distorted, reference), name)
     kind = torch.float64 if torch.float64 in (distorted.dtype, reference.dtype) else torch.float32
     first, second = (image.reshape(-1, *image.shape[-3:]).to(kind) for image in (distorted, reference))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least
+from torchweather.core.errors import InputValueError, check_at_least
 from torchweather.metrics.clouds import Region, there
 
 __all__ = ["KINDS", "point_counts"]
@@ -43,16 +43,16 @@ def point_counts(
     name = "point_counts"
     if not isinstance(points, Tensor) or points.ndim < 2 or points.shape[-1] < 3:
         came = tuple(points.shape) if isinstance(points, Tensor) else type(points).__name__
-        raise ValueError(f"{name}: points must be a tensor (..., N, 3 or more) = x, y, z in m; got {came}.")
+        raise InputValueError(f"{name}: points must be a tensor (..., N, 3 or more) = x, y, z in m; got {came}.")
     for which, value in (("kind", kind), ("valid", valid)):
         if value is not None and value.shape != points.shape[:-1]:
-            raise ValueError(f"{name}: {which} must be {tuple(points.shape[:-1])}; got {tuple(value.shape)}.")
+            raise InputValueError(f"{name}: {which} must be {tuple(points.shape[:-1])}; got {tuple(value.shape)}.")
     found = there(points, valid, region)
     if kind is None:
         return found.sum(-1)
     check_at_least("kinds", kinds, 1, owner=name)
     if kind.is_floating_point() or bool(((kind < 0) | (kind >= kinds)).any()):
-        raise ValueError(f"{name}: kind must hold integers from 0 to {kinds - 1}.")
+        raise InputValueError(f"{name}: kind must hold integers from 0 to {kinds - 1}.")
     if region is None:  # lost beams too
         found = torch.ones_like(found) if valid is None else valid
     of_kind = kind[..., None] == torch.arange(kinds, device=kind.device)

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.errors import InputValueError
 from torchweather.metrics.cloud_scores import cloud_scores
 from torchweather.metrics.clouds import Clouds
 
@@ -54,7 +55,7 @@ class Collected(nn.Module):
 
     def _collected(self) -> Tensor:
         if not sum(len(scores) for scores in self._scores):
-            raise ValueError(
+            raise InputValueError(
                 f"{self._name}: no {self._of} was scored; call update(distorted, reference) before compute()."
             )
         return torch.cat(self._scores)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["SceneTrends", "Trend", "expected_trends"]
 
 DIRECTIONS = ("up", "down")
@@ -116,9 +118,9 @@ class _Bootstrap:
 
 def _check(tie_within: float, resamples: int) -> None:
     if not tie_within >= 0:
-        raise ValueError(f"expected_trends: tie_within must be 0 or more; got {tie_within!r}.")
+        raise InputValueError(f"expected_trends: tie_within must be 0 or more; got {tie_within!r}.")
     if resamples < 1:
-        raise ValueError(f"expected_trends: resamples must be 1 or more; got {resamples!r}.")
+        raise InputValueError(f"expected_trends: resamples must be 1 or more; got {resamples!r}.")
 
 
 def _scene(
@@ -131,7 +133,7 @@ def _scene(
 ) -> SceneTrends:
     counts = {len(levels) for levels in metrics.values()}
     if len(counts) > 1:
-        raise ValueError(
+        raise InputValueError(
             f"expected_trends: {scene}: every metric must have one entry per level; got {sorted(counts)} entries. Put "
             "None where a score is missing."
         )
@@ -139,7 +141,7 @@ def _scene(
     shown: list[NDArray[np.bool_] | None] = []
     for metric, levels in metrics.items():
         if direction.get(metric) not in DIRECTIONS:
-            raise ValueError(
+            raise InputValueError(
                 f"expected_trends: direction of {metric} must be 'up' (higher is better) or 'down'; got "
                 f"{direction.get(metric)!r}."
             )
@@ -160,7 +162,7 @@ def _frames(level: Any, where: str) -> Floats:
     """Scores ``(F,)`` of one level; NaN where there is none."""
     frames: Floats = np.atleast_1d(np.asarray(level, dtype=np.float64))
     if frames.ndim != 1:
-        raise ValueError(f"expected_trends: {where}: a level holds a number or scores (F,); got {frames.shape}.")
+        raise InputValueError(f"expected_trends: {where}: a level holds a number or scores (F,); got {frames.shape}.")
     return frames
 
 
@@ -185,7 +187,7 @@ def _trend(
     if len(there) > 1 and all(np.sum(~np.isnan(frames[place])) > 1 for place in there):
         if paired and len({len(frames[place]) for place in there}) > 1:
             sizes = [len(frames[place]) for place in there]
-            raise ValueError(f"expected_trends: {where}: paired levels need as many frames each; got {sizes}.")
+            raise InputValueError(f"expected_trends: {where}: paired levels need as many frames each; got {sizes}.")
         drawn = [bootstrap.means(frames[place], 0 if paired else place) for place in there]
         samples = np.all(_worse(np.stack(drawn, -1), tie_within), axis=-1)
     trend = Trend(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least, check_positive
+from torchweather.core.errors import InputValueError, check_at_least, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import Per, SizeDistribution
 
@@ -49,12 +49,12 @@ class Binned(SizeDistribution):
         edges = torch.as_tensor(edges_mm, dtype=torch.float64)
         density = torch.as_tensor(density_per_m3_mm, device=edges.device).to(torch.float64)
         if edges.ndim != 1 or density.ndim < 1 or edges.numel() != density.shape[-1] + 1 or edges.numel() < 2:
-            raise ValueError(
+            raise InputValueError(
                 f"Binned: edges_mm must have shape (K + 1,) for a density of shape (..., K); got "
                 f"{tuple(edges.shape)} and {tuple(density.shape)}."
             )
         if not bool((edges.diff() > 0).all()):
-            raise ValueError("Binned: edges_mm must rise from bin to bin; sort them and join bins of width 0.")
+            raise InputValueError("Binned: edges_mm must rise from bin to bin; sort them and join bins of width 0.")
         check_at_least("edges_mm", edges, 0.0, unit="mm", owner=self)
         check_at_least("density_per_m3_mm", density, 0.0, unit="m^-3 mm^-1", owner=self)
         if per_size == "radius":  # n(r) dr = N(D) dD with D = 2 r

@@ -9,7 +9,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_one_of, check_positive
 from torchweather.physics.extinction import extinction_per_m
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distributions import LogNormal, ModifiedGamma, SizeDistribution
@@ -87,7 +87,7 @@ def rehearse_fog(nominal_mor_m: int) -> LogNormal:
         0.132
     """
     if nominal_mor_m not in REHEARSE:
-        raise ValueError(f"rehearse_fog: nominal_mor_m must be one of 10, 20, 30, 50 m; got {nominal_mor_m!r}.")
+        raise InputValueError(f"rehearse_fog: nominal_mor_m must be one of 10, 20, 30, 50 m; got {nominal_mor_m!r}.")
     number, log_median, sigma = REHEARSE[int(nominal_mor_m)]
     return LogNormal(number, math.exp(log_median), sigma)
 

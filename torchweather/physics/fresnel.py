@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_positive
+from torchweather.core.errors import InputValueError, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
 __all__ = ["SphereBudget", "axial_q_back", "normal_reflectance", "sphere_budget"]
@@ -49,7 +49,9 @@ def sphere_budget(refractive_index: float, panels: int = 4096) -> SphereBudget:
         [0.066, 0.885, 0.04, 0.009, 164.986]
     """
     if not refractive_index > 1.0:
-        raise ValueError(f"sphere_budget: refractive_index must be a real number above 1; got {refractive_index!r}.")
+        raise InputValueError(
+            f"sphere_budget: refractive_index must be a real number above 1; got {refractive_index!r}."
+        )
     # sin^2 of the angle of incidence is uniform over the disk; its midpoint grid crowds towards grazing incidence,
     # where the reflectance rises steeply.
     t = (np.arange(panels) + 0.5) / panels

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from torchweather.core.errors import check_positive
+from torchweather.core.errors import InputValueError, check_positive
 
 __all__ = ["KnobTable"]
 
@@ -59,7 +59,9 @@ class KnobTable(nn.Module):
         super().__init__()
         check_positive("low", low, owner=self)
         if not (high > low and math.isfinite(high)) or n < 2:
-            raise ValueError(f"KnobTable: wanted low < high < inf and 2 nodes or more; got {low!r}, {high!r}, n={n!r}.")
+            raise InputValueError(
+                f"KnobTable: wanted low < high < inf and 2 nodes or more; got {low!r}, {high!r}, n={n!r}."
+            )
         self.low, self.high, self.n, self.log_values = float(low), float(high), int(n), log_values
         self.zero_at_zero, self.zero_at_inf = zero_at_zero, zero_at_inf
         self._step = math.log(high / low) / (n - 1)
@@ -67,9 +69,11 @@ class KnobTable(nn.Module):
             nodes = torch.exp(math.log(low) + torch.arange(n, dtype=torch.float64) * self._step)
             values = function(nodes).to(torch.float64)
             if values.ndim < 1 or values.shape[0] != n:
-                raise ValueError(f"KnobTable: function must give shape ({n}, ...); got {tuple(values.shape)}.")
+                raise InputValueError(f"KnobTable: function must give shape ({n}, ...); got {tuple(values.shape)}.")
             if not bool(torch.isfinite(values).all()):
-                raise ValueError(f"KnobTable: function gave values that are not finite between {low:g} and {high:g}.")
+                raise InputValueError(
+                    f"KnobTable: function gave values that are not finite between {low:g} and {high:g}."
+                )
             if log_values:
                 check_positive("function(knob)", values, owner=self, advice="Use log_values=False for values with 0.")
                 values = torch.log(values)

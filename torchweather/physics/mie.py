@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_between, check_positive
+from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity
 
 __all__ = ["MieEfficiencies", "mie_coefficients", "mie_efficiencies"]
@@ -106,7 +106,7 @@ def _checked(size_parameter: Any, refractive_index: Any, owner: str) -> tuple[Re
         check_between("size_parameter", torch.from_numpy(x.copy()), 0.0, SIZE_PARAMETER_MAX, owner=owner)
         check_positive("the real part of refractive_index", torch.from_numpy(m.real.copy()), owner=owner)
         if not bool((m.imag >= 0).all()):
-            raise ValueError(f"{owner}: refractive_index must be n + i k with k >= 0 (not n - i k); got k < 0.")
+            raise InputValueError(f"{owner}: refractive_index must be n + i k with k >= 0 (not n - i k); got k < 0.")
     return x, m, device
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.radar_scattering import particle_attenuation_db_per_km
 from torchweather.physics.rain_attenuation import rain_attenuation_p838_db_per_km
@@ -173,7 +173,7 @@ def snow_attenuation_db_per_km(
     if model == "d3_4":
         check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="snow_attenuation_db_per_km")
         if melt_fraction != 0.0:
-            raise ValueError(
+            raise InputValueError(
                 f"snow_attenuation_db_per_km: model='d3_4' is a fit to dry snow and needs melt_fraction = 0; got "
                 f"{melt_fraction!r}. Melting snow is in model='dsd_mie'."
             )

@@ -8,7 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_between
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.physics.efficiency_table import size_nodes_mm
 from torchweather.physics.extinction import integrated_per_m, support_mm
 from torchweather.physics.mie import MieEfficiencies, mie_efficiencies
@@ -184,7 +184,7 @@ def _table_of(
     low, high = support_mm(distribution, order=6.0)
     if distribution.particle == "drop":
         if melt_fraction != 0.0:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner}: melt_fraction must be 0 for a distribution of drops, which are liquid; got "
                 f"{melt_fraction!r}. It is for flakes."
             )

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.snow_geometry import (
     ICE_DENSITY_G_PER_CM3,
@@ -60,7 +60,7 @@ class SizeDistribution(ABC):
     def __post_init__(self) -> None:
         check_at_least("diameter_min_mm", self.diameter_min_mm, 0.0, unit="mm", owner=self)
         if not self.diameter_max_mm > self.diameter_min_mm:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: diameter_max_mm must be above diameter_min_mm = {self.diameter_min_mm:g} mm; "
                 f"got {self.diameter_max_mm!r}."
             )

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Mixture, Weather
-from torchweather.core.errors import owner_name
+from torchweather.core.errors import InputValueError, owner_name
 from torchweather.core.random import keyed_stream
 
 __all__ = ["CLEAR", "weather_at_call"]
@@ -50,7 +50,7 @@ def _part(part: Weather, drawn: Sequence[Weather], wet: Sequence[bool], batch: S
     name = part.knob_name
     shared = [other for other in part.random if other != name]
     if shared and len(drawn) > 1:
-        raise ValueError(
+        raise InputValueError(
             f"{owner_name(owner)}: {part.kind}.{shared[0]} is one value for all samples of a batch; got "
             f"{part.random[shared[0]]!r}. Draw it before the batch is made (WeatherDataset, Compose), or give a number."
         )

@@ -16,7 +16,7 @@ import yaml
 from torch import Tensor, nn
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.random import in_parallel, sample_seeds
 from torchweather.pipeline.registry import STAGES, load_catalogue
 from torchweather.pipeline.stage import Stage, State
@@ -53,11 +53,11 @@ class Chain(nn.Module):
         """A new chain with ``stage`` put in; all other stages keep their random streams."""
         anchor = after if after is not None else before
         if (after is None) == (before is None):
-            raise ValueError("Chain.insert: give either after= or before=, the name of a stage of the chain.")
+            raise InputValueError("Chain.insert: give either after= or before=, the name of a stage of the chain.")
         check_one_of("stage", anchor, self.stages, owner=self)
         new_name = name or stage.default_name
         if new_name in self.stages:
-            raise ValueError(f"Chain.insert: a stage named {new_name!r} is there already; give another name=.")
+            raise InputValueError(f"Chain.insert: a stage named {new_name!r} is there already; give another name=.")
         ordered: dict[str, Stage] = {}
         for known, present in self.stages.items():
             if known == before:

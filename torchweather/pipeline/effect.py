@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_between, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.registry import load_catalogue, register
 from torchweather.pipeline.stage import Stage
@@ -64,7 +64,7 @@ class Parameter:
         check_between(self.name, value, self.low, self.high, unit=unit, owner=owner)
         found = torch.as_tensor(value, dtype=torch.float32)
         if found.ndim > 1:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(owner).__name__}: {self.name} must be one number or one for each sample, (B,); got "
                 f"{tuple(found.shape)}."
             )
@@ -137,7 +137,7 @@ class Effect(Stage):
         unknown = sorted(set(values) - {parameter.name for parameter in self.arguments})
         if unknown:
             known = ", ".join(f"{parameter.name} ({parameter.unit})" for parameter in self.arguments)
-            raise TypeError(f"{type(self).__name__}: its parameters are {known}; got {', '.join(unknown)}.")
+            raise InputTypeError(f"{type(self).__name__}: its parameters are {known}; got {', '.join(unknown)}.")
         for parameter in self.arguments:
             value = values.get(parameter.name, parameter.value)
             self.register_buffer(parameter.name, parameter.tensor(value, owner=self))
@@ -174,7 +174,7 @@ class Effect(Stage):
         """The state after the effect."""
         missing = [name for name in self.needs if getattr(state, name) is None]
         if missing:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: wanted a state with {', '.join(missing)}; this one has none. "
                 f"{self.id} cannot be simulated without."
             )
@@ -223,7 +223,7 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
         'dB'
     """
     if effect.id in EFFECTS and EFFECTS[effect.id].__module__ != effect.__module__:
-        raise ValueError(f"register_effect: {effect.id!r} is there already; choose another id.")
+        raise InputValueError(f"register_effect: {effect.id!r} is there already; choose another id.")
     EFFECTS[effect.id] = effect
     return register(effect)
 
@@ -237,7 +237,7 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
         LidarWindowLoss(loss_db=3.0)
     """
     if not isinstance(values, Mapping):
-        raise TypeError(f"effect_from_dict: wanted a dictionary with effect and its parameters; got {values!r}.")
+        raise InputTypeError(f"effect_from_dict: wanted a dictionary with effect and its parameters; got {values!r}.")
     load_catalogue()
     arguments = dict(values)
     name = arguments.pop("effect", None)
@@ -264,7 +264,7 @@ def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:
     effects = list(effects)
     unknown = [type(effect).__name__ for effect in effects if effect.id not in EFFECTS]
     if unknown:
-        raise ValueError(
+        raise InputValueError(
             f"with_effects: {', '.join(unknown)} not in the catalogue, which gives the order; use register_effect."
         )
     order = list(EFFECTS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TypeVar
 
+from torchweather.core.errors import InputValueError
 from torchweather.pipeline.stage import Stage
 
 __all__ = ["STAGES", "load_catalogue", "register"]
@@ -32,6 +33,6 @@ def register(stage: T) -> T:
         True
     """
     if stage.__name__ in STAGES and STAGES[stage.__name__].__module__ != stage.__module__:
-        raise ValueError(f"register: a stage named {stage.__name__!r} exists already; choose another class name.")
+        raise InputValueError(f"register: a stage named {stage.__name__!r} exists already; choose another class name.")
     STAGES[stage.__name__] = stage
     return stage

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import yaml
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
 
 __all__ = ["Sensor"]
 
@@ -71,7 +71,7 @@ class Sensor:
         known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
         for key in values:
             if key not in known:
-                raise ValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
+                raise InputValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
         return cls(**values)
 
     @classmethod

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Weather
-from torchweather.core.errors import check_between
+from torchweather.core.errors import InputTypeError, InputValueError, check_between
 from torchweather.core.random import flat_noise, sample_seeds
 from torchweather.pipeline.at_call import weather_at_call
 from torchweather.pipeline.chain import Chain
@@ -112,7 +112,7 @@ class WeatherTransform(nn.Module):
         if noise is None:
             return seed is not None or generator is not None or self.is_random
         if seed is not None or generator is not None:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: noise is drawn already; seed and generator are for a call that draws it. "
                 "Pass noise, or one of the others."
             )
@@ -137,7 +137,7 @@ class WeatherTransform(nn.Module):
         changed = _changed(self, self._built_for(self.weather))
         if changed:
             name = type(self).__name__
-            raise ValueError(f"{name}: {changed}; it cannot be built anew. Give changes as effects=[...].")
+            raise InputValueError(f"{name}: {changed}; it cannot be built anew. Give changes as effects=[...].")
 
     def _built_for(self, weather: Weather) -> WeatherTransform:
         kind: Any = class_for(type(self), weather)
@@ -147,19 +147,19 @@ class WeatherTransform(nn.Module):
     def _check_weather(self, weather: Weather) -> None:
         name = type(self).__name__
         if not isinstance(weather, Weather):
-            raise TypeError(
+            raise InputTypeError(
                 f"{name}: weather must be Rain, Fog, Snow or a Mixture, such as Rain(rate_mm_per_h=10); "
                 f"got {weather!r}."
             )
         wrong = [part.kind for part in weather.parts if part.kind not in self.takes]
         if wrong:
-            raise TypeError(
+            raise InputTypeError(
                 f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. {self.takes_all} takes all."
             )
 
     def _check_sensor(self, sensor: object, wanted: type[Sensor], example: str) -> None:
         if not isinstance(sensor, wanted):
-            raise TypeError(
+            raise InputTypeError(
                 f"{type(self).__name__}: {wanted.kind if wanted.kind == 'camera' else 'sensor'} must be a "
                 f"{wanted.__name__}, such as {wanted.__name__}.preset({example!r}); got {sensor!r}."
             )
@@ -192,7 +192,7 @@ def class_for(kind: type[WeatherTransform], weather: Weather) -> type[WeatherTra
         takes = getattr(base, "takes", ())
         if all(part.kind in takes for part in weather.parts):
             return base
-    raise TypeError(f"{kind.__name__}: no class takes {type(weather).__name__}.")
+    raise InputTypeError(f"{kind.__name__}: no class takes {type(weather).__name__}.")
 
 
 def _changed(transform: Any, again: Any) -> str:

@@ -28,7 +28,7 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.density_field import mean_density
 from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_dict
-from torchweather.core.errors import check_at_least, check_between
+from torchweather.core.errors import InputTypeError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.lidar.returns.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
 from torchweather.physics import KnobTable, reflectivity_weighted_fall_speed
@@ -179,7 +179,7 @@ class VolumeClutter(Stage):
         self.sensor = radar_of(sensor)
         built = weather if isinstance(weather, Weather) else weather_from_dict(weather)
         if not isinstance(built, (Rain, Snow)):
-            raise TypeError(f"VolumeClutter: weather must be Rain or Snow; got {type(built).__name__}.")
+            raise InputTypeError(f"VolumeClutter: weather must be Rain or Snow; got {type(built).__name__}.")
         check_at_least("share", share, 0.0, owner=self)
         check_between("capacity", capacity, 1, 100_000, owner=self)
         check_between("near_m", near_m, 0.1, 0.9 * self.sensor.max_range_m, unit="m", owner=self)

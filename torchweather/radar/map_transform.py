@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
 from torchweather.pipeline.sensor_transform import WeatherTransform
@@ -140,7 +140,7 @@ class RadarMapWeather(WeatherTransform):
         self._check_sensor(sensor, Radar, "imaging-77ghz")
         for name, value, wanted in (("axes", axes, MapAxes), ("scale", scale, PowerScale)):
             if not isinstance(value, wanted):
-                raise TypeError(f"RadarMapWeather: {name} must be {wanted.__name__}; got {type(value).__name__}.")
+                raise InputTypeError(f"RadarMapWeather: {name} must be {wanted.__name__}; got {type(value).__name__}.")
         self.weather, self.sensor, self.axes, self.scale = weather, sensor, axes, scale
         self.ego_speed_m_per_s = float(ego_speed_m_per_s)
         dense = weather.densest()
@@ -243,7 +243,7 @@ class RadarMapWeather(WeatherTransform):
             seed: the same seed gives the same weather; ``None`` draws from torch's global generator.
         """
         if power_map.axes != self.axes or power_map.scale != self.scale:
-            raise ValueError(
+            raise InputValueError(
                 "RadarMapWeather.of_map: the map has other axes or another scale than the transform. Build one with "
                 "axes=power_map.axes, scale=power_map.scale."
             )
@@ -271,16 +271,18 @@ class RadarMapWeather(WeatherTransform):
     def _check_values(self, values: Tensor) -> None:
         shape, name = self.axes.shape, type(self).__name__
         if not isinstance(values, Tensor):
-            raise TypeError(f"{name}: values must be a tensor; got {type(values).__name__}.")
+            raise InputTypeError(f"{name}: values must be a tensor; got {type(values).__name__}.")
         if values.ndim < len(shape) or tuple(values.shape[values.ndim - len(shape) :]) != shape:
             named = ", ".join(f"{dim} {size}" for dim, size in zip(self.axes.dims, shape, strict=True))
-            raise ValueError(f"{name}: values must have shape (..., {named}); got {tuple(values.shape)}.")
+            raise InputValueError(f"{name}: values must have shape (..., {named}); got {tuple(values.shape)}.")
         self.scale.check(values)
         if values.is_floating_point() or values.is_complex():
             real = torch.view_as_real(values) if values.is_complex() else values
             bad = int(real.isnan().sum() if self.scale.kind == "db" else (~real.isfinite()).sum())
             if bad:
-                raise ValueError(f"{name}: values must be finite; got NaN or infinity in {bad} cells. Give no power 0.")
+                raise InputValueError(
+                    f"{name}: values must be finite; got NaN or infinity in {bad} cells. Give no power 0."
+                )
 
     def _through(self, values: Tensor, noise: Mapping[str, Tensor] | None) -> PowerMapState:
         self._check_values(values)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S, radar_constant_db, thermal_noise_dbm
 from torchweather.pipeline.sensor import Sensor
 
@@ -105,12 +105,12 @@ class Radar(Sensor):
         for name in ("samples", "chirps"):
             count = getattr(self, name)
             if count != int(count):
-                raise ValueError(f"Radar: {name} must be a whole number; got {count!r}.")
+                raise InputValueError(f"Radar: {name} must be a whole number; got {count!r}.")
             object.__setattr__(self, name, int(count))
         for name in ("tx_half_wavelengths", "rx_half_wavelengths"):
             object.__setattr__(self, name, _positions(name, getattr(self, name)))
         if self.active_time_s > self.chirp_period_s * (1 + 1e-9):
-            raise ValueError(
+            raise InputValueError(
                 f"Radar: {self.samples} samples at {self.sample_rate_mhz:g} MHz take {1e6 * self.active_time_s:g} us, "
                 f"longer than the chirp period of {self.chirp_period_us:g} us. Give fewer samples, a higher "
                 "sample_rate_mhz or a longer chirp_period_us."
@@ -240,7 +240,9 @@ def _positions(name: str, values: object) -> tuple[tuple[float, float], ...]:
     except (TypeError, ValueError):
         pairs = ()
     if not pairs or not all(math.isfinite(value) for pair in pairs for value in pair):
-        raise ValueError(f"Radar: {name} must be pairs (left, up) in half wavelengths, one an element; got {values!r}.")
+        raise InputValueError(
+            f"Radar: {name} must be pairs (left, up) in half wavelengths, one an element; got {values!r}."
+        )
     if len({(round(left / GRID), round(up / GRID)) for left, up in pairs}) < len(pairs):
-        raise ValueError(f"Radar: {name} must hold each position once; got {values!r}.")
+        raise InputValueError(f"Radar: {name} must hold each position once; got {values!r}.")
     return pairs

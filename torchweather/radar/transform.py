@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
-from torchweather.core.errors import TorchweatherWarning, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.lidar.clouds import FARTHEST_M
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
@@ -130,7 +130,7 @@ class RadarAttenuation(WeatherTransform):
             check_one_of("variant", variant, ("d3_4",), owner=self)
             given = [model for model in (rain_model, fog_model, snow_model) if model is not None]
             if given:
-                raise ValueError(
+                raise InputValueError(
                     f"RadarAttenuation: variant={variant!r} says all three models; got {', '.join(given)} besides. "
                     "Give one or the other."
                 )
@@ -155,7 +155,7 @@ class RadarAttenuation(WeatherTransform):
             rates = [part.knob for part in weather.parts if isinstance(part, Rain)]
             cover = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
             if cover.default_name in self.chain.stages:
-                raise ValueError(
+                raise InputValueError(
                     f"{type(self).__name__}: radome_loss_db and radome_film_db are what radar.wet_radome has as "
                     "loss_db and film_db. Give one or the other."
                 )
@@ -305,7 +305,7 @@ class RadarAttenuation(WeatherTransform):
         """What effects need besides, leading with the flattened batch."""
         wrong = sorted(set(known) - set(KNOWN))
         if wrong:
-            raise TypeError(
+            raise InputTypeError(
                 f"{type(self).__name__}: unexpected keyword {', '.join(wrong)}; besides points and noise it takes "
                 f"{', '.join(KNOWN)}."
             )
@@ -346,17 +346,19 @@ def check_detections(points: Tensor, sensor: Radar, owner: object) -> None:
     """Refuse what is no list of detections ``(..., N, 6 or more)``; warn where powers contradict the noise floor."""
     name = type(owner).__name__
     if not isinstance(points, Tensor):
-        raise TypeError(
+        raise InputTypeError(
             f"{name}: points must be a tensor (..., N, 6 or more); got {type(points).__name__}. For a numpy array call "
             "on_numpy(points)."
         )
     if points.ndim < 2 or points.shape[-1] < COLUMNS:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: points must have shape (..., N, 6 or more) = {COLUMNS_WANTED}; got {tuple(points.shape)}. A list "
             "without powers gets them from the radar equation: torchweather.physics.received_power_dbm."
         )
     if not points.is_floating_point():
-        raise TypeError(f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float().")
+        raise InputTypeError(
+            f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float()."
+        )
     if is_exporting() or not points.numel():
         return
     first = points.detach()[..., :COLUMNS]
@@ -371,13 +373,13 @@ def _refuse_absurd(points: Tensor, name: str) -> None:
     if bool(bad.any()):
         named = ("x", "y", "z", "speed", "power", "radar cross section")
         columns = ", ".join(named[column] for column in range(COLUMNS) if bool(bad[..., column].any()))
-        raise ValueError(
+        raise InputValueError(
             f"{name}: points must be finite; got NaN or infinity in {int(bad.any(-1).sum())} rows ({columns}). Give a "
             "row without detection the coordinates 0, 0, 0."
         )
     farthest_m = float(points[..., :3].abs().max())
     if farthest_m >= FARTHEST_M:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: coordinates must be metres; got {farthest_m:g}, too far for a detection. Give a row without "
             "detection the coordinates 0, 0, 0."
         )

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 import torchweather
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 
 __all__ = [
     "PIPELINE",
@@ -76,16 +76,18 @@ def find(name_or_path: str | os.PathLike[str], what: str = "recipe", *formats: s
             return found[0]
         if found:
             several = ", ".join(sorted(name_of(path) for path in found))
-            raise ValueError(f"torchweather: {what} {str(name_or_path)!r} could be {several}; give the whole name.")
+            raise InputValueError(
+                f"torchweather: {what} {str(name_or_path)!r} could be {several}; give the whole name."
+            )
         files |= own
     others = [name_of(path) for path in files_of(*({RECIPE, SUITE, PIPELINE} - set(formats or (RECIPE,))))]
     if str(name_or_path) in others:
         is_a = format_of(recipes_folder() / f"{name_or_path}.yaml").partition("/")[0].removeprefix("torchweather-")
-        raise ValueError(
+        raise InputValueError(
             f"torchweather: {str(name_or_path)!r} is a {is_a}, where a {what} is wanted (see torchweather list)."
         )
     short = [name.rpartition("/")[2] for name in files]
-    raise ValueError(
+    raise InputValueError(
         f"torchweather: {what} must be one of {', '.join(sorted(files))}, or a file ending in .yaml; got "
         f"{str(name_or_path)!r}.{nearest_name(str(name_or_path), [*files, *short])}"
     )
@@ -113,7 +115,7 @@ def write_yaml(values: Mapping[str, Any], path: str | os.PathLike[str], *, owner
     """Write plain values, whole or not at all."""
     target = Path(path)
     if target.suffix not in SUFFIXES:
-        raise ValueError(f"{owner}: the file must end in .yaml; got {target.name!r}.")
+        raise InputValueError(f"{owner}: the file must end in .yaml; got {target.name!r}.")
     handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:

@@ -13,6 +13,7 @@ from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrio
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import plan_of, sensor_of
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
 from torchweather.lidar.transform import LidarWeather
@@ -43,7 +44,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 def sensor_values(sensor: Camera | Lidar | Radar) -> dict[str, Any]:
     """A sensor as a recipe holds it: all its fields that are set."""
     if isinstance(sensor, Lidar) and sensor.directions is not None:
-        raise ValueError(
+        raise InputValueError(
             "save_recipe: directions belong to the data and not to a recipe. Save without them "
             "(dataclasses.replace(lidar, directions=None)) and give them at the call."
         )
@@ -56,7 +57,9 @@ def options_of(transform: RecipeTransform) -> dict[str, Any]:
     try:
         options = dict(plan_of(transform).options)
     except ValueError as error:
-        raise ValueError(f"save_recipe: {error} A recipe cannot hold that; use transform.chain.save(path).") from error
+        raise InputValueError(
+            f"save_recipe: {error} A recipe cannot hold that; use transform.chain.save(path)."
+        ) from error
     if options.get("depth") is not None:
         options["depth"] = _depth_option(as_depth_source(options["depth"]))
     if options.get("effects"):
@@ -75,11 +78,13 @@ def with_more_effects(transform: T, effects: Sequence[Effect]) -> T:
     kind = sensor_of(transform).kind
     strange = [effect.id for effect in effects if effect.id.partition(".")[0] != kind]
     if strange:
-        raise ValueError(f"with_more_effects: wanted effects of a {kind}; got {', '.join(strange)}.")
+        raise InputValueError(f"with_more_effects: wanted effects of a {kind}; got {', '.join(strange)}.")
     try:
         plan = plan_of(transform)
     except ValueError as error:
-        raise ValueError(f"with_more_effects: {error} Or use stages.with_effects(transform.chain, effects).") from error
+        raise InputValueError(
+            f"with_more_effects: {error} Or use stages.with_effects(transform.chain, effects)."
+        ) from error
     more = {**plan.options, "effects": [*plan.options.get("effects", ()), *effects]}
     again: T = replace(plan, options=more).build(transform.weather)
     return again
@@ -105,11 +110,13 @@ def _plain(name: str, value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, OwnVehicleMask):
-        raise ValueError(
+        raise InputValueError(
             "save_recipe: own_vehicle must be a box or a file; got an OwnVehicleMask. Write it with mask.save(path), "
             "then give own_vehicle=path."
         )
-    raise ValueError(f"save_recipe: {name} must be plain values; got {type(value).__name__}. A recipe cannot hold it.")
+    raise InputValueError(
+        f"save_recipe: {name} must be plain values; got {type(value).__name__}. A recipe cannot hold it."
+    )
 
 
 def _all_default(source: ScenePrior) -> bool:
@@ -124,7 +131,7 @@ def _depth_option(source: object) -> float | str:
         return GROUND
     if isinstance(source, ScenePrior) and _all_default(source):
         return AUTO
-    raise ValueError(
+    raise InputValueError(
         f"save_recipe: a recipe holds a depth in metres or flat ground at the camera's height and pitch; got "
         f"{type(source).__name__}. Build the transform without depth and give it at the call."
     )

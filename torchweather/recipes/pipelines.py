@@ -23,7 +23,7 @@ from torchweather.atmosphere.weather import Weather, parse_weather, weather_from
 from torchweather.camera.rgb import AsBayer
 from torchweather.compose.compose import Compose
 from torchweather.core.distributions import Choice
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.recipes.files import (
     PIPELINE,
     check_format,
@@ -91,7 +91,7 @@ class Pipeline:
                 continue
             refuse_overrides(change, overrides_of(recipe), f"pipeline {self.name}: transforms: {key!r}")
             if names.get(key, key) in built:
-                raise ValueError(
+                raise InputValueError(
                     f"keys: two transforms would go to {names.get(key, key)!r}; give each a key of its own."
                 )
             built[names.get(key, key)] = built_recipe(recipe, first, change)
@@ -221,7 +221,7 @@ def _choice(values: Mapping[str, Any]) -> Choice:
         return Choice([weather_from_dict(values)])
     refused = [key for key in values if key not in ("choice", "weights")]
     if refused or not isinstance(values["choice"], list):
-        raise ValueError(f"wanted choice, a list of weathers, and weights; got {', '.join(map(str, values))}.")
+        raise InputValueError(f"wanted choice, a list of weathers, and weights; got {', '.join(map(str, values))}.")
     return Choice([one if one is None else weather_from_dict(one) for one in values["choice"]], values.get("weights"))
 
 
@@ -241,4 +241,4 @@ def _first(choice: Choice) -> Weather:
         if one is not None:
             found: Weather = one
             return found
-    raise ValueError("wanted at least one weather that is not null (clear air).")
+    raise InputValueError("wanted at least one weather that is not null (clear air).")

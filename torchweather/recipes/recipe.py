@@ -28,7 +28,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import TRANSFORMS, TransformClass
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
@@ -164,7 +164,7 @@ def sensor_of_values(values: Mapping[str, Any], kind: str) -> Camera | Lidar | R
     fields = dict(values)
     given, preset = fields.pop("kind", None), fields.pop("preset", None)
     if given != kind:
-        raise ValueError(f"sensor.kind must be {kind}; got {given!r}.")
+        raise InputValueError(f"sensor.kind must be {kind}; got {given!r}.")
     # A list of YAML stands for a tuple of the dataclass.
     fields = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
     sensor = SENSOR_CLASSES[kind]
@@ -207,7 +207,7 @@ def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar | Radar:
         return sensor_of_values({"kind": kind, **base, **sensor}, kind)
     built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
     if not isinstance(built, SENSOR_CLASSES[kind]):
-        raise TypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
+        raise InputTypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
     return built
 
 
@@ -222,7 +222,7 @@ def refuse_overrides(given: Iterable[str], known: Iterable[str], owner: str) -> 
     names = list(known)
     for key in given:
         if key not in names:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner}: unknown override {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
             )
 

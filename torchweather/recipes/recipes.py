@@ -9,7 +9,7 @@ from torch import nn
 
 from torchweather.camera.rgb import AsBayer
 from torchweather.compose.plans import TRANSFORMS, sensor_of
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError
 from torchweather.recipes.files import (
     PIPELINE,
     RECIPE,
@@ -112,12 +112,12 @@ def save_recipe(transform: nn.Module, path: str | os.PathLike[str], *, title: st
     """
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, RecipeTransform) or type(inner).__name__ not in TRANSFORMS:
-        raise TypeError(
+        raise InputTypeError(
             f"save_recipe: transform must be one of {', '.join(TRANSFORMS)}, or AsBayer around one; got "
             f"{type(inner).__name__}."
         )
     if isinstance(transform, AsBayer) and transform.method != "malvar":
-        raise ValueError(f"save_recipe: a recipe demosaics with malvar; got method={transform.method!r}.")
+        raise InputValueError(f"save_recipe: a recipe demosaics with malvar; got method={transform.method!r}.")
     values: dict[str, Any] = {
         "format": FORMAT,
         "title": str(title),

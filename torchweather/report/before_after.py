@@ -15,7 +15,7 @@ from torchweather import __version__
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.depth.scene_depth import CONFIDENCES
 from torchweather.camera.tone import normalise, quantise, srgb_decode, srgb_encode
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.io import atomic_write
 from torchweather.report.page import html_page
 from torchweather.report.pictures import jpeg_uri, png_uri
@@ -63,13 +63,13 @@ class Comparison:
 
     def __post_init__(self) -> None:
         if not self.panels:
-            raise ValueError("Comparison: panels must hold one weather or more; got none.")
+            raise InputValueError("Comparison: panels must hold one weather or more; got none.")
         for name, picture in (("clear", self.clear), *((title, picture) for title, _, picture in self.panels)):
             if not isinstance(picture, Tensor) or picture.dtype != torch.uint8:
                 got = picture.dtype if isinstance(picture, Tensor) else type(picture).__name__
-                raise TypeError(f"Comparison: {name} must be a uint8 tensor (3, H, W), sRGB; got {got}.")
+                raise InputTypeError(f"Comparison: {name} must be a uint8 tensor (3, H, W), sRGB; got {got}.")
             if picture.ndim != 3 or picture.shape[0] != 3 or picture.shape != self.clear.shape:
-                raise ValueError(
+                raise InputValueError(
                     f"Comparison: {name} must have shape (3, H, W), all of one size; got {tuple(picture.shape)}, clear "
                     f"{tuple(self.clear.shape)}."
                 )

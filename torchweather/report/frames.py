@@ -19,7 +19,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import normalise, quantise, srgb_decode
 from torchweather.camera.transform import BayerWeather
-from torchweather.core.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning
 from torchweather.image.depth import FlatGround, as_depth_source
 from torchweather.io import read_image, write_image
 from torchweather.io.depth_maps import map_source
@@ -204,7 +204,7 @@ def user_frames(paths: Sequence[Path], depth: object, camera: Camera | None) -> 
     """``user_frame`` for each path; a list of depths is taken one by one."""
     depths = list(depth) if isinstance(depth, (list, tuple)) else [depth] * len(paths)
     if len(depths) != len(paths):
-        raise ValueError(
+        raise InputValueError(
             f"write_demo: wanted one depth, or one for each of the {len(paths)} images; got {len(depths)}."
         )
     return [

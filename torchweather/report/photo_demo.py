@@ -24,7 +24,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import normalise, quantise
 from torchweather.camera.transform import BayerWeather
-from torchweather.core.errors import TorchweatherWarning
+from torchweather.core.errors import InputValueError, TorchweatherWarning
 from torchweather.io import atomic_folder, write_image
 from torchweather.report.before_after import (
     LONGEST_PX,
@@ -94,9 +94,9 @@ def write_photo_demo(
         What ``summary.json`` holds.
     """
     if not photos:
-        raise ValueError("write_photo_demo: photos must hold one photograph or more; got none.")
+        raise InputValueError("write_photo_demo: photos must hold one photograph or more; got none.")
     if len(photos) > MOST_PHOTOS:
-        raise ValueError(
+        raise InputValueError(
             f"write_photo_demo: photos must hold {MOST_PHOTOS} photographs at most, since a page holds them all; got "
             f"{len(photos)}. Show fewer; torchweather apply takes whole folders."
         )
@@ -165,7 +165,7 @@ def _depth_of_photo(camera: Camera, image: Tensor) -> SceneDepth:
 def _prepared(photo: Photo) -> tuple[Tensor, Camera, SceneDepth]:
     """The photograph in 8 bits and in the page's size, with its camera and depth."""
     if photo.rgb.ndim != 3 or photo.rgb.shape[0] != 3:
-        raise ValueError(f"{photo.path}: wanted one RGB photograph (3, H, W); got {tuple(photo.rgb.shape)}.")
+        raise InputValueError(f"{photo.path}: wanted one RGB photograph (3, H, W); got {tuple(photo.rgb.shape)}.")
     whole = photo.rgb if photo.rgb.dtype == torch.uint8 else quantise(normalise(photo.rgb), torch.uint8)
     height, width = whole.shape[-2:]
     small = size_within(height, width, LONGEST_PX)

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from torchweather import __version__
 from torchweather.camera.depth import EXACT, least_sure
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.evaluation.sweep import (
     CameraSubject,
     Level,
@@ -82,7 +82,7 @@ def write_sweep(
     check_one_of("table", table, TABLES, owner="write_sweep")
     kinds = {subject.sensor for subject in subjects}
     if len(kinds) > 1:
-        raise ValueError(f"write_sweep: wanted subjects of one sensor; got {', '.join(sorted(kinds))}.")
+        raise InputValueError(f"write_sweep: wanted subjects of one sensor; got {', '.join(sorted(kinds))}.")
     started = time.perf_counter()
     total = sum(len(fits) for _, fits in plan(subjects, levels)) * len(seeds)
     with atomic_folder(Path(out_dir)) as staging:

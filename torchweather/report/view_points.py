@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult
@@ -99,7 +100,9 @@ def view_points(points: Tensor, result: LidarResult, sensor: Lidar) -> tuple[Vie
         ([0], [1])
     """
     if not isinstance(result.points, Tensor) or points.ndim != 2:
-        raise ValueError(f"view_points: points must be one cloud (N, C), without batch; got {tuple(points.shape)}.")
+        raise InputValueError(
+            f"view_points: points must be one cloud (N, C), without batch; got {tuple(points.shape)}."
+        )
     hit = has_return(points, sensor)
     # From here on about the sensor.
     points = points_in_sensor_frame(points, sensor)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import keyed_stream
 from torchweather.lidar.intensity import RETROREFLECTIVE_AT_255, WHITE
 from torchweather.lidar.scan import scan_directions
@@ -150,7 +151,7 @@ def _beams(lidar: Lidar, directions: Tensor | None) -> tuple[Tensor, tuple[int, 
         directions = lidar.directions if lidar.directions is not None else scan_directions(lidar)
     unit = unit_directions(directions, owner=lidar)
     if unit.ndim > 3:
-        raise ValueError(
+        raise InputValueError(
             "lidar_view: directions must be of shape (N, 3) or (rings, columns, 3), one scan at a time; "
             f"got {tuple(unit.shape)}."
         )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.scenes.primitives import Point
 
 __all__ = ["checked_pose"]
@@ -37,7 +38,7 @@ def checked_pose(
         if orthogonal and float(torch.linalg.det(turn)) > 0:
             return pose
     shown = {"lidar": "LiDAR"}.get(sensor, sensor)
-    raise ValueError(
+    raise InputValueError(
         f"{owner}: T_vehicle_from_{sensor} must be a finite (4, 4) matrix of a rotation (columns are the {shown}'s x, "
         f"y and z in the vehicle frame) and a position in metres, last row 0, 0, 0, 1; got {pose.tolist()}."
     )

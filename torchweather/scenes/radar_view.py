@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_between, check_finite
+from torchweather.core.errors import InputValueError, check_between, check_finite
 from torchweather.radar import Scatterers, car_scatterers, corner_scatterers
 from torchweather.radar.sensor import Radar
 from torchweather.scenes.object_boxes import object_boxes
@@ -94,7 +94,7 @@ class RadarView:
     def of(self, name: str) -> Tensor:
         """Which scatterers belong to an object or reflector of that name, ``(M,)`` bool."""
         if name not in self.names:
-            raise ValueError(f"RadarView: name must be one of {', '.join(self.names)}; got {name!r}.")
+            raise InputValueError(f"RadarView: name must be one of {', '.join(self.names)}; got {name!r}.")
         found: Tensor = self.object_id == self.names.index(name)
         return found
 
@@ -200,11 +200,11 @@ def _view(
 def _velocities(given: Mapping[str, Point], names: tuple[str, ...]) -> dict[str, Point]:
     for name, value in given.items():
         if name not in names:
-            raise ValueError(
+            raise InputValueError(
                 f"radar_view: velocity_m_per_s must name objects of the scene ({', '.join(names)}); got {name!r}."
             )
         if len(value) != 3:
-            raise ValueError(f"radar_view: velocity_m_per_s of {name} must be x, y, z in m/s; got {value!r}.")
+            raise InputValueError(f"radar_view: velocity_m_per_s of {name} must be x, y, z in m/s; got {value!r}.")
         check_finite(f"velocity_m_per_s of {name}", torch.tensor(value), unit="m/s", owner="radar_view")
     return dict(given)
 
@@ -230,7 +230,7 @@ def _heading_rad(car: SceneObject) -> float:
     for lamp in ("head_light", "tail_light"):
         at = [part.shape.bounding_sphere()[0] for part in car.parts if part.material == lamp]
         if not at:
-            raise ValueError(
+            raise InputValueError(
                 f"radar_view: car {car.name!r} must have parts of {lamp}, which tell its front from its rear."
             )
         middle[lamp] = [sum(point[axis] for point in at) / len(at) for axis in (0, 1)]

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchweather.camera.bayer import mosaic
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_at_least, check_positive
+from torchweather.core.errors import InputValueError, check_at_least, check_positive
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.scenes.lighting import DiffuseLight, SlabShade, SphereShade
@@ -162,7 +162,7 @@ class Scene:
         names = [thing.name for thing in self.objects]
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
-            raise ValueError(f"Scene: names of objects must be unique; got {', '.join(doubled)} more than once.")
+            raise InputValueError(f"Scene: names of objects must be unique; got {', '.join(doubled)} more than once.")
 
     def find(self, name: str) -> SceneObject:
         """The object of that name."""
@@ -172,7 +172,7 @@ class Scene:
         """Index of the object of that name, as ``Hit.object_id`` and ``SceneView.object_id`` hold it."""
         names = [thing.name for thing in self.objects]
         if name not in names:
-            raise ValueError(f"Scene: no object {name!r} in {self.name}; it has {', '.join(names)}.")
+            raise InputValueError(f"Scene: no object {name!r} in {self.name}; it has {', '.join(names)}.")
         return names.index(name)
 
     def cast(self, origin_m: Tensor | Sequence[float], direction: Tensor, *, pixel_angle_rad: float = 0.0) -> Hit:
@@ -194,7 +194,7 @@ class Scene:
             (1.5, 'ROAD')
         """
         if direction.ndim < 1 or direction.shape[-1] != 3 or not direction.is_floating_point():
-            raise ValueError(
+            raise InputValueError(
                 "Scene.cast: direction must be a float tensor of shape (..., 3) = x, y, z in the vehicle frame; "
                 f"got {direction.dtype} {tuple(direction.shape)}."
             )

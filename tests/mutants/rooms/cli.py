@@ -65,10 +65,18 @@ MUTANTS = (
     ),
     Mutant(
         "every_error_a_mistake",
-        "a user's mistake is a value, a type, a file or a missing extra",
+        "a user's mistake is what the library raises on purpose, or a file",
         "torchweather.cli.mistakes",
-        "return isinstance(error, (ValueError, TypeError, OSError, ImportError, TorchweatherError))",
+        "return isinstance(error, (TorchweatherError, OSError))",
         "return True",
+        ("tests/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
+    ),
+    Mutant(
+        "any_value_error_a_mistake",
+        "an unexpected ValueError is a defect of the package",
+        "torchweather.cli.mistakes",
+        "return isinstance(error, (TorchweatherError, OSError))",
+        "return isinstance(error, (TorchweatherError, OSError, ValueError))",
         ("tests/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
     ),
 )

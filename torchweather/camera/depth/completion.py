@@ -12,7 +12,7 @@ from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoin
 from torchweather.camera.depth.hidden_points import unseen_points
 from torchweather.camera.depth.projection import project_points
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_at_least
+from torchweather.core.errors import InputValueError, check_at_least
 
 __all__ = ["CompletedDepth"]
 
@@ -63,15 +63,15 @@ class CompletedDepth(CompletedSource):
     def __post_init__(self) -> None:
         points = torch.as_tensor(self.points_xyz)
         if points.ndim != 2 or points.shape[-1] < 3:
-            raise ValueError(
+            raise InputValueError(
                 "CompletedDepth: points_xyz must have shape (N, 3 or more) = x, y, z in metres; got "
                 f"{tuple(points.shape)}."
             )
         if not torch.isfinite(points[:, :3]).all():
-            raise ValueError("CompletedDepth: points_xyz must be finite; got NaN or inf. Drop those rows.")
+            raise InputValueError("CompletedDepth: points_xyz must be finite; got NaN or inf. Drop those rows.")
         transform = torch.as_tensor(self.T_camera_from_lidar, dtype=torch.float64, device="cpu")
         if transform.shape != (4, 4):
-            raise ValueError(f"CompletedDepth: T_camera_from_lidar must be 4 x 4; got {tuple(transform.shape)}.")
+            raise InputValueError(f"CompletedDepth: T_camera_from_lidar must be 4 x 4; got {tuple(transform.shape)}.")
         check_at_least("upper_edge_rad", self.upper_edge_rad, 0.0, unit="rad", owner=self)
         object.__setattr__(self, "points_xyz", points[:, :3].detach().to(device="cpu", dtype=torch.float64))
         object.__setattr__(self, "T_camera_from_lidar", transform)
@@ -88,7 +88,7 @@ class CompletedDepth(CompletedSource):
         column = column - beside
         in_picture = (np.rint(column) >= 0) & (np.rint(column) < width) & (np.rint(row) < height)
         if not (keep & in_picture).any():
-            raise ValueError(
+            raise InputValueError(
                 "CompletedDepth: no point of the cloud falls into the image, so no depth can be completed; check "
                 "T_camera_from_lidar (metres, into x right, y down, z along the axis) and the intrinsics."
             )

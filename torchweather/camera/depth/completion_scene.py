@@ -17,6 +17,7 @@ from torchweather.camera.depth.completion_core import Completion, complete
 from torchweather.camera.depth.scene_depth import COMPLETED, SceneDepth
 from torchweather.camera.depth.source import SceneSource
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputValueError
 
 __all__ = ["CompletedSource", "SeenPoints", "Sky", "at_upper_edge"]
 
@@ -95,7 +96,7 @@ class CompletedSource(SceneSource):
         leading = of_points
         if image is not None:
             if image.ndim < 3 or image.shape[-3] not in (1, 3) or tuple(image.shape[-2:]) != (height, width):
-                raise ValueError(
+                raise InputValueError(
                     f"{type(self).__name__}: image must have shape (..., 3 or 1, {height}, {width}); got "
                     f"{tuple(image.shape)}."
                 )

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import DepthSource, check_depth
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_at_least
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least
 
 AUTO = "auto"
 """Names the depth that is guessed from the picture."""
@@ -84,7 +84,7 @@ class DepthMap(DepthSource):
     ) -> Tensor:
         """The map; a shape other than the image's is refused."""
         if tuple(self.depth_m.shape[-2:]) != (height, width):
-            raise ValueError(
+            raise InputValueError(
                 f"DepthMap: depth must have the image's size, {height} x {width}; got "
                 f"{self.depth_m.shape[-2]} x {self.depth_m.shape[-1]}. Resize it by nearest neighbour: an average "
                 "across an edge is a depth where nothing is."
@@ -120,7 +120,7 @@ class DepthFromCallable(DepthSource):
     ) -> Tensor:
         """What the function gives, checked."""
         if image is None:
-            raise ValueError("DepthFromCallable: the image is needed; call the source with image=...")
+            raise InputValueError("DepthFromCallable: the image is needed; call the source with image=...")
         depth = torch.as_tensor(self.function(image))
         check_depth(depth, height, width, owner="DepthFromCallable")
         return depth.to(device=device, dtype=dtype)
@@ -149,7 +149,7 @@ def as_depth_source(depth: object) -> DepthSource:
         return ConstantDepth(float(depth)) if depth.ndim == 0 else DepthMap(depth)
     if callable(depth):
         return DepthFromCallable(depth)
-    raise TypeError(
+    raise InputTypeError(
         "depth must be a number of metres, a map (..., 1, H, W) in metres, a DepthSource such as FlatGround(), 'auto', "
         f"or a function from image to depth; got {type(depth).__name__}. Read files with torchweather.io.read_depth."
     )

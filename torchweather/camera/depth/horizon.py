@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.line_segments import LineSegments, find_segments, grey_levels
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputValueError
 
 __all__ = ["Horizon", "below_the_sky", "find_horizon", "horizon_of_camera"]
 
@@ -128,7 +129,7 @@ def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:
         principal point alone 7.2 px. A road that climbs or bends within view has no single horizon.
     """
     if rgb.ndim != 3:
-        raise ValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")
+        raise InputValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")
     height, width = rgb.shape[-2:]
     smaller = -(-width // _WIDEST_PX)
     grey = grey_levels(rgb.detach().cpu())

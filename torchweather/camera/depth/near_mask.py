@@ -9,6 +9,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["find_near_mask"]
 
 Array = npt.NDArray[np.floating[Any]]
@@ -56,7 +58,7 @@ def find_near_mask(rgb: Tensor) -> Tensor:
         tensor([0., 1.])
     """
     if rgb.ndim not in (3, 4) or rgb.shape[-3] not in (1, 3) or 0 in rgb.shape:
-        raise ValueError(
+        raise InputValueError(
             f"find_near_mask: expected a picture (3, H, W) or (1, H, W), or (N, C, H, W); got {tuple(rgb.shape)}."
         )
     if rgb.ndim == 4:

@@ -20,7 +20,7 @@ from torchweather.camera.depth.network_scale import check_metric, fit_to_ground,
 from torchweather.camera.depth.scene_depth import COMPLETED, GUESSED, SceneDepth
 from torchweather.camera.depth.source import SceneSource
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_one_of, check_positive
 
 __all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "DepthNetwork"]
 
@@ -109,30 +109,30 @@ class DepthNetwork(SceneSource):
         for name in ("mean", "std"):
             values = tuple(float(value) for value in getattr(self, name))
             if len(values) != 3 or not all(math.isfinite(value) for value in values):
-                raise ValueError(f"DepthNetwork: {name} must be three numbers, of R, G, B in 0..1; got {values}.")
+                raise InputValueError(f"DepthNetwork: {name} must be three numbers, of R, G, B in 0..1; got {values}.")
             object.__setattr__(self, name, values)
         if not all(value > 0 for value in self.std):
-            raise ValueError(
+            raise InputValueError(
                 f"DepthNetwork: std must be above 0; got {self.std}. Leave mean and std at 0 and 1 for none."
             )
         if isinstance(self.scale, CompletedSource):
             object.__setattr__(self, "confidence", COMPLETED)
         elif not isinstance(self.scale, str) or self.scale not in SCALES:
-            raise ValueError(
+            raise InputValueError(
                 f"DepthNetwork: scale must be {' or '.join(map(repr, SCALES))}, or the points as "
                 "CompletedDepth(points_xyz, T_camera_from_lidar) or CompletedDepthMap(depth_m); got "
                 f"{self.scale!r}."
             )
         metric_disparity = self.output == "disparity" and self.scale == "metric"
         if metric_disparity and self.baseline_m is None:
-            raise ValueError(
+            raise InputValueError(
                 "DepthNetwork: a metric disparity needs baseline_m, metres between the two lenses (--baseline-m); or "
                 "give scale='ground'."
             )
         if self.baseline_m is not None:
             check_positive("baseline_m", self.baseline_m, unit="m", owner=self)
             if not metric_disparity:
-                raise ValueError("DepthNetwork: baseline_m belongs to output='disparity' with scale='metric'.")
+                raise InputValueError("DepthNetwork: baseline_m belongs to output='disparity' with scale='metric'.")
         object.__setattr__(self, "providers", tuple(self.providers))
         self._graph()
 
@@ -161,7 +161,7 @@ class DepthNetwork(SceneSource):
             image: sRGB ``(3, H, W)``, uint8 or float 0..1.
         """
         if image is None or tuple(image.shape) != (3, height, width):
-            raise ValueError(
+            raise InputValueError(
                 f"DepthNetwork: expected one colour picture (3, {height}, {width}) as image; got "
                 f"{'none' if image is None else tuple(image.shape)}. Demosaic a raw frame first; call it for each "
                 "picture of a batch (scene_of does)."
@@ -201,7 +201,9 @@ class DepthNetwork(SceneSource):
         found = torch.from_numpy(graph.run(((scaled - mean) / std).numpy())).to(torch.float64)
         if self.output == "depth":
             if not bool((found > 0).any()):
-                raise ValueError(f"DepthNetwork: {self.path} gives no depth above 0. Is its output an inverse depth?")
+                raise InputValueError(
+                    f"DepthNetwork: {self.path} gives no depth above 0. Is its output an inverse depth?"
+                )
             # A network without a limit may give 0 or less: the nearest depth that it gives above 0 stands for those.
             found = 1.0 / found.clamp(min=float(found[found > 0].min()))
         elif self.output == "disparity" and self.baseline_m is not None:
@@ -262,10 +264,10 @@ class DepthNetwork(SceneSource):
         elif callable(given):
             found = torch.as_tensor(given(rgb))
         if found.shape[-2:] != rgb.shape[-2:] or found.numel() != rgb[0].numel():
-            raise ValueError(
+            raise InputValueError(
                 f"DepthNetwork: {name} must have the picture's size (1, {rgb.shape[-2]}, {rgb.shape[-1]}); got "
                 f"{tuple(found.shape)}."
             )
         if not bool((found >= 0).all() & (found <= 1).all()):
-            raise ValueError(f"DepthNetwork: {name} must be shares 0..1. Divide 8-bit masks by 255.")
+            raise InputValueError(f"DepthNetwork: {name} must be shares 0..1. Divide 8-bit masks by 255.")
         return found.reshape(rgb.shape[-2:]).to(torch.float64)

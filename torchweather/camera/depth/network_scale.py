@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from torchweather.camera.depth.completion_scene import CompletedSource
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputValueError
 
 __all__ = ["Alignment", "check_metric", "fit_to_ground", "fit_to_points", "points_in_picture"]
 
@@ -84,7 +85,7 @@ def fit_to_points(inverse: Array, depth_m: Array, *, with_shift: bool) -> Alignm
         ValueError: fewer than 50 points, or an output that does not rise towards the camera.
     """
     if len(inverse) < _LEAST_PIXELS:
-        raise ValueError(
+        raise InputValueError(
             f"DepthNetwork: the scale needs {_LEAST_PIXELS} measured points in the picture; got {len(inverse)}."
         )
     line = _least_absolute(inverse, 1.0 / depth_m, with_shift)
@@ -108,7 +109,7 @@ def fit_to_ground(inverse: Array, ground_m: Array, usable: Mask, *, with_shift: 
     """
     row, column = np.nonzero(usable & (ground_m < GROUND_FARTHEST_M))
     if len(row) < _LEAST_PIXELS:
-        raise ValueError(
+        raise InputValueError(
             f"DepthNetwork: no ground nearer than {GROUND_FARTHEST_M:g} m is in view ({len(row)} pixels), so it cannot "
             "give the scale. Check pitch and height of the camera, or scale by LiDAR points."
         )
@@ -145,14 +146,16 @@ def check_metric(inverse: Array, ground_m: Array, usable: Mask, path: str) -> No
     median = float(np.median(inverse[below] if below.any() else inverse))
     median_m = 1.0 / median if median > 0 else np.inf
     if not _NEAREST_MEDIAN_M <= median_m <= _FARTHEST_MEDIAN_M:
-        raise ValueError(
+        raise InputValueError(
             f"DepthNetwork: the output of {path} taken for metres gives the ground a median depth of {median_m:.3g} m. "
             f"{remedy}"
         )
     road = usable & (ground_m < GROUND_FARTHEST_M)
     x, y = inverse[road], 1.0 / ground_m[road]
     if len(x) >= _LEAST_PIXELS and x.std() > 0 and y.std() > 0 and np.corrcoef(x, y)[0, 1] < _REVERSED:
-        raise ValueError(f"DepthNetwork: the output of {path} makes the ground nearer towards the horizon. {remedy}")
+        raise InputValueError(
+            f"DepthNetwork: the output of {path} makes the ground nearer towards the horizon. {remedy}"
+        )
 
 
 def _best_line(x: Array, y: Array, with_shift: bool) -> tuple[float, float]:
@@ -197,7 +200,7 @@ def _weighted_line(x: Array, y: Array, weight: Array, with_shift: bool) -> tuple
 
 def _checked(line: tuple[float, float], x: Array, y: Array, name: str) -> Alignment:
     if not line[0] > 0 or not np.isfinite(line).all():
-        raise ValueError(
+        raise InputValueError(
             f"DepthNetwork: the network's output does not rise towards the camera on the {name}, as inverse depth "
             "does. Check output: 'depth', 'inverse_depth' or 'disparity' (--depth-model-output)."
         )

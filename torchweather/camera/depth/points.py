@@ -14,7 +14,7 @@ from torchweather.camera.depth.projection import project_points
 from torchweather.camera.depth.scene_depth import COMPLETED
 from torchweather.camera.depth.source import DepthSource
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 
 __all__ = ["DepthFromPoints"]
 
@@ -63,15 +63,15 @@ class DepthFromPoints(DepthSource):
     def __post_init__(self) -> None:
         points = torch.as_tensor(self.points_xyz)
         if points.ndim != 2 or points.shape[-1] < 3:
-            raise ValueError(
+            raise InputValueError(
                 "DepthFromPoints: points_xyz must have shape (N, 3 or more) = x, y, z in metres; "
                 f"got {tuple(points.shape)}."
             )
         if not torch.isfinite(points[:, :3]).all():
-            raise ValueError("DepthFromPoints: points_xyz must be finite; got NaN or inf. Drop those rows.")
+            raise InputValueError("DepthFromPoints: points_xyz must be finite; got NaN or inf. Drop those rows.")
         transform = torch.as_tensor(self.T_camera_from_lidar, dtype=torch.float64).to(points.device)
         if transform.shape != (4, 4):
-            raise ValueError(f"DepthFromPoints: T_camera_from_lidar must be 4 x 4; got {tuple(transform.shape)}.")
+            raise InputValueError(f"DepthFromPoints: T_camera_from_lidar must be 4 x 4; got {tuple(transform.shape)}.")
         check_one_of("fill", self.fill, ["linear", "nearest", "none"], owner=self)
         check_one_of("above", self.above, ["auto", "sky", "nearest"], owner=self)
         check_at_least("upper_edge_rad", self.upper_edge_rad, 0.0, unit="rad", owner=self)
@@ -96,7 +96,7 @@ class DepthFromPoints(DepthSource):
         nearest = nearest.scatter_reduce(0, pixel, depth[seen], "amin").view(height, width)
         if self.fill != "none":
             if not bool(seen.any()):
-                raise ValueError(
+                raise InputValueError(
                     "DepthFromPoints: no point of the cloud falls into the image, so no hole can be filled; check "
                     "T_camera_from_lidar (metres, into x right, y down, z along the axis) and the intrinsics."
                 )

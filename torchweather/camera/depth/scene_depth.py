@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputValueError, check_one_of
 
 __all__ = ["COMPLETED", "CONFIDENCES", "EXACT", "GUESSED", "MEASURED", "SceneDepth", "least_sure"]
 
@@ -55,7 +55,7 @@ class SceneDepth:
         for name in ("sky", "near_mask"):
             share = getattr(self, name)
             if share is not None and share.shape[-3:] != self.depth_m.shape[-3:]:
-                raise ValueError(
+                raise InputValueError(
                     f"SceneDepth: {name} must have the depth's size {tuple(self.depth_m.shape)}; got "
                     f"{tuple(share.shape)}."
                 )

@@ -22,7 +22,7 @@ from torchweather.camera.depth.street_walls import (
     view_of_street,
 )
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_one_of, check_positive
 
 __all__ = ["ScenePrior"]
 
@@ -85,7 +85,7 @@ class ScenePrior(SceneSource):
         if width is not None:
             sides = (width, width) if isinstance(width, (int, float)) else tuple(width)
             if len(sides) != 2:
-                raise ValueError(
+                raise InputValueError(
                     f"ScenePrior.street_half_width_m: expected metres, or (left, right) in metres; got {width!r}."
                 )
             for side in sides:
@@ -100,11 +100,11 @@ class ScenePrior(SceneSource):
         if self.boxes is not None:
             boxes = torch.as_tensor(self.boxes, dtype=torch.float32)
             if boxes.ndim != 2 or boxes.shape[-1] != 4:
-                raise ValueError(
+                raise InputValueError(
                     f"ScenePrior.boxes: expected (N, 4) = left, top, right, bottom in pixels; got {tuple(boxes.shape)}."
                 )
             if not bool(torch.isfinite(boxes).all() & (boxes[:, 2:] >= boxes[:, :2]).all()):
-                raise ValueError(
+                raise InputValueError(
                     "ScenePrior.boxes: expected left <= right and top <= bottom, finite, pixels; got others. "
                     "Convert (x, y, width, height) to (x, y, x + width, y + height)."
                 )
@@ -135,7 +135,7 @@ class ScenePrior(SceneSource):
             Without a picture: ground and walls from the camera alone, and no sky unless it is given.
         """
         if image is not None and (image.ndim != 3 or tuple(image.shape[-2:]) != (height, width)):
-            raise ValueError(
+            raise InputValueError(
                 f"ScenePrior: expected one image (3, {height}, {width}); got {tuple(image.shape)}. "
                 "Call it for each picture of a batch (scene_of does)."
             )
@@ -222,10 +222,12 @@ class ScenePrior(SceneSource):
         if share is None:
             return None
         if share.shape[-2:] != (height, width) or share.numel() != height * width:
-            raise ValueError(
+            raise InputValueError(
                 f"ScenePrior.{name}: expected the picture's size (1, {height}, {width}); got {tuple(share.shape)}."
             )
         share = share.reshape(height, width).to(device=device, dtype=torch.float32)
         if not bool((share >= 0).all() & (share <= 1).all()):
-            raise ValueError(f"ScenePrior.{name}: expected shares 0..1; got values outside. Divide 8-bit masks by 255.")
+            raise InputValueError(
+                f"ScenePrior.{name}: expected shares 0..1; got values outside. Divide 8-bit masks by 255."
+            )
         return share

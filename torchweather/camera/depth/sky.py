@@ -21,6 +21,7 @@ from torchweather.camera.depth.sky_border import sky_share
 from torchweather.camera.depth.sky_cells import Cells, Floats, Mask, cells_of, enlarged
 from torchweather.camera.depth.sky_growth import colour_model, grow
 from torchweather.camera.depth.sky_seeds import fills_the_frame, sky_seeds
+from torchweather.core.errors import InputTypeError, InputValueError
 
 __all__ = ["Sky", "find_sky", "sky_mask"]
 
@@ -199,19 +200,21 @@ def check_arguments(
     """Raise unless a photograph, its vanishing point and its LiDAR returns are as `sky_mask` says."""
     if not isinstance(rgb, Tensor) or not (rgb.dtype == torch.uint8 or rgb.is_floating_point()):
         kind = rgb.dtype if isinstance(rgb, Tensor) else type(rgb).__name__
-        raise TypeError(f"sky_mask.rgb: expected an sRGB tensor, uint8 or float in 0..1; got {kind}.")
+        raise InputTypeError(f"sky_mask.rgb: expected an sRGB tensor, uint8 or float in 0..1; got {kind}.")
     if rgb.ndim != 3 or rgb.shape[0] != 3 or not rgb.numel():
-        raise ValueError(
+        raise InputValueError(
             f"sky_mask.rgb: expected (3, H, W) or (B, 3, H, W), H and W at least 1; got {tuple(rgb.shape)}. "
             "Demosaic a raw frame first; repeat a grey one three times."
         )
     if rgb.is_floating_point() and not bool(torch.isfinite(rgb).all() & (rgb.amin() >= 0) & (rgb.amax() <= 1)):
-        raise ValueError("sky_mask.rgb: expected sRGB values in 0..1; divide by the greatest value that it can hold.")
+        raise InputValueError(
+            "sky_mask.rgb: expected sRGB values in 0..1; divide by the greatest value that it can hold."
+        )
     for name, value in (("horizon_row", horizon_row), ("vanishing_column", vanishing_column)):
         if value is not None and not math.isfinite(value):
-            raise ValueError(f"sky_mask.{name}: expected a finite number of pixels or None; got {value}.")
+            raise InputValueError(f"sky_mask.{name}: expected a finite number of pixels or None; got {value}.")
     if returns is not None and (returns.dtype != torch.bool or returns.shape != (1, *rgb.shape[-2:])):
-        raise ValueError(
+        raise InputValueError(
             f"sky_mask.returns: expected a bool tensor (1, {rgb.shape[-2]}, {rgb.shape[-1]}), True where a return "
             f"fell; got {returns.dtype} {tuple(returns.shape)}."
         )

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputTypeError, InputValueError
 
 __all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of"]
 
@@ -124,15 +125,15 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
     wanted = f"(..., 1, {'H' if height is None else height}, {'W' if width is None else width})"
     wrong_size = height is not None and width is not None and tuple(depth_m.shape[-2:]) != (height, width)
     if depth_m.ndim < 3 or depth_m.shape[-3] != 1 or wrong_size:
-        raise ValueError(f"{name}: depth must have shape {wanted}, metres; got {tuple(depth_m.shape)}.")
+        raise InputValueError(f"{name}: depth must have shape {wanted}, metres; got {tuple(depth_m.shape)}.")
     if not depth_m.is_floating_point():
-        raise TypeError(f"{name}: depth must be floating point, metres; got {depth_m.dtype}.")
+        raise InputTypeError(f"{name}: depth must be floating point, metres; got {depth_m.dtype}.")
     if torch.compiler.is_compiling():
         return
     # One pass without a temporary: the minimum of a map with NaN is NaN.
     if depth_m.numel() and not bool(depth_m.amin() >= 0):
         nan, negative = int(depth_m.isnan().sum()), int((depth_m < 0).sum())
-        raise ValueError(
+        raise InputValueError(
             f"{name}: depth must be 0 m or more along the optical axis, inf for sky; got {nan} NaN and {negative} "
             f"negative of {depth_m.numel()} pixels. Complete maps with unknown pixels: CompletedDepthMap(depth)."
         )

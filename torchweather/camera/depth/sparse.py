@@ -11,7 +11,7 @@ from torch import Tensor
 from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoints, Sky, at_upper_edge
 from torchweather.camera.depth.hidden_points import unseen_points
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import check_at_least, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_positive
 
 __all__ = ["CompletedDepthMap", "along_ray_to_axis", "depth_from_disparity"]
 
@@ -52,7 +52,7 @@ class CompletedDepthMap(CompletedSource):
         if depth_m.ndim == 2:
             depth_m = depth_m[None]
         if depth_m.ndim < 3 or depth_m.shape[-3] != 1:
-            raise ValueError(
+            raise InputValueError(
                 f"CompletedDepthMap: depth_m must have shape (H, W) or (..., 1, H, W), metres; got "
                 f"{tuple(depth_m.shape)}."
             )
@@ -60,7 +60,7 @@ class CompletedDepthMap(CompletedSource):
         depth_m = torch.where(depth_m > 0, depth_m, torch.nan)
         unknown = ~torch.isfinite(depth_m).flatten(-3).any(-1)
         if bool(unknown.any()):
-            raise ValueError(
+            raise InputValueError(
                 "CompletedDepthMap: depth_m must have a finite depth above 0 m in at least one pixel; the whole map is "
                 "unknown or sky. Check the encoding (KITTI: uint16 / 256), or use a source without measurements."
             )
@@ -70,7 +70,7 @@ class CompletedDepthMap(CompletedSource):
     def seen_points(self, camera: Camera, height: int, width: int) -> tuple[tuple[int, ...], list[SeenPoints]]:
         """Leading dimensions of the maps, and the points of each."""
         if tuple(self.depth_m.shape[-2:]) != (height, width):
-            raise ValueError(
+            raise InputValueError(
                 f"CompletedDepthMap: depth_m must have the image's size, {height} x {width}; got "
                 f"{self.depth_m.shape[-2]} x {self.depth_m.shape[-1]}."
             )
@@ -124,7 +124,7 @@ def along_ray_to_axis(depth_m: Tensor, camera: Camera) -> Tensor:
         tensor([3., 3.])
     """
     if not depth_m.is_floating_point():
-        raise TypeError(f"along_ray_to_axis: depth_m must be floating point, metres; got {depth_m.dtype}.")
+        raise InputTypeError(f"along_ray_to_axis: depth_m must be floating point, metres; got {depth_m.dtype}.")
     height, width = depth_m.shape[-2:]
     ray = camera.ray_directions(height, width, device=depth_m.device, dtype=torch.float64)
     along_axis: Tensor = depth_m / torch.linalg.vector_norm(ray, dim=0)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.state import CameraState
+from torchweather.core.errors import InputValueError
 from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.pipeline.tiling import is_exporting
 
@@ -153,6 +154,6 @@ class CameraRollingShutter(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Time from row to row."""
         if is_exporting():
-            raise ValueError(f"{self.id}: a graph's footprints have no room for longer streaks; leave it out.")
+            raise InputValueError(f"{self.id}: a graph's footprints have no room for longer streaks; leave it out.")
         row_s = per_sample(self, "row_time_s", state)
         return {"row_time_s": row_s if state.row_time_s is None else row_s + state.row_time_s}

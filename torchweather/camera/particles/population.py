@@ -21,6 +21,7 @@ from torchweather.camera.particles.streaks import Marks, add_listed, add_static
 from torchweather.camera.particles.tables import MarkOptics, particle_tables
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import ABSENT, Variate
 from torchweather.core.threads import side_by_side
 from torchweather.pipeline.tiling import is_exporting
@@ -220,7 +221,7 @@ class Population(nn.Module):
             return
         highest = float(self.rate_mm_per_h.detach().max())
         if highest > self.rate_capacity_mm_per_h * (1 + 1e-6):
-            raise ValueError(
+            raise InputValueError(
                 f"ParticleVeil: rate_mm_per_h must be at most rate_capacity_mm_per_h = {self.rate_capacity_mm_per_h:g} "
                 f"mm/h; got {highest:g}. Build the transform with rate_capacity_mm_per_h={highest:g} or more."
             )

@@ -18,7 +18,15 @@ from torchweather.camera.particles.population import AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
-from torchweather.core.errors import check_at_least, check_between, check_finite, check_one_of, check_positive
+from torchweather.core.errors import (
+    InputTypeError,
+    InputValueError,
+    check_at_least,
+    check_between,
+    check_finite,
+    check_one_of,
+    check_positive,
+)
 from torchweather.core.random import Variate
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.pipeline.registry import register
@@ -105,7 +113,7 @@ class ParticleVeil(Stage):
         self.populations = torch.nn.ModuleList()
         for weather in sorted(built, key=lambda part: part.kind):
             if not isinstance(weather, (Rain, Snow)):
-                raise TypeError(f"ParticleVeil: weathers must be Rain or Snow; got {type(weather).__name__}.")
+                raise InputTypeError(f"ParticleVeil: weathers must be Rain or Snow; got {type(weather).__name__}.")
             self.populations.append(
                 Population(
                     weather,
@@ -203,7 +211,9 @@ class ParticleVeil(Stage):
             particle_mask: ``(B, 1, H, W)``, as ``forward`` gives it.
         """
         if len(self.parts) != 1 or state.fog_extinction_per_m is not None:
-            raise ValueError("ParticleVeil.behind: one kind of particles, and no fog, has one colour; use forward.")
+            raise InputValueError(
+                "ParticleVeil.behind: one kind of particles, and no fog, has one colour; use forward."
+            )
         colour, contrast = state.per_pixel(self._colours(state)[0]), state.particle_contrast
         mask = state.by_cells(particle_mask)
         weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)

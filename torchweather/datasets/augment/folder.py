@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 
+from torchweather.core.errors import InputValueError
 from torchweather.core.file_names import stem
 from torchweather.datasets.augment.frames import COPY, Frame, SensorFile
 from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
@@ -52,7 +53,7 @@ def sensor_frames(paths: Sequence[str], keys: Mapping[str, str], formats: Mappin
         for kind in keys:
             same = [one.path for one in files if one.kind == kind]
             if len(same) > 1:
-                raise ValueError(
+                raise InputValueError(
                     f"augment: a recipe for several sensors joins files of one name, but {same[0]} and {same[1]} are "
                     f"both of a {kind} and named {name}. Run augment for each sequence, or --layout kitti or nuscenes."
                 )

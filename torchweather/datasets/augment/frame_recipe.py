@@ -13,7 +13,7 @@ from typing import Any
 from torchweather.camera.sensor import Camera
 from torchweather.compose import Compose
 from torchweather.compose.plans import Plan, plan_of
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.lidar import OwnVehicleMask
 from torchweather.lidar.sensor import Lidar
 from torchweather.recipes.recipes import load_recipe
@@ -72,7 +72,7 @@ class FrameRecipe:
         for key, plan in self.compose.plans.items():
             kind = kind_of_sensor(plan)
             if kind in self.keys:
-                raise ValueError(
+                raise InputValueError(
                     f"augment: wanted a recipe with one sensor of a kind; it has two of a {kind}, {self.keys[kind]!r} "
                     f"and {key!r}. All cameras of a data set take the one camera's transform."
                 )
@@ -96,7 +96,7 @@ class FrameRecipe:
     def _build(self, uses: Mapping[str, SensorUse]) -> Compose:
         some = next((one for one in self.compose.weather.values if one is not None), None)
         if some is None:
-            raise ValueError("augment: the recipe has no weather, clear air only.")
+            raise InputValueError("augment: the recipe has no weather, clear air only.")
         transforms: dict[str, Any] = {}
         for key, use in uses.items():
             plan = self.plan(use.kind)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.datasets.augment.folder import carried, kind_of_file, sensor_frames
 from torchweather.datasets.augment.frames import DataSet
 from torchweather.datasets.augment.kitti import is_kitti, kitti_frames
@@ -49,13 +49,15 @@ def find_frames(
         layout = "nuscenes" if is_nuscenes(paths) else "kitti" if is_kitti(paths) else "folder"
     formats = formats or {}
     if formats and layout != "folder":
-        raise ValueError(f"augment: --format is for a plain folder; the layout is {layout}, which has its own formats.")
+        raise InputValueError(
+            f"augment: --format is for a plain folder; the layout is {layout}, which has its own formats."
+        )
     from_lidar = depth in (None, FROM_LIDAR)
     data = [path for path in paths if not _is_depth(root / path, depth)]
     tables: tuple[str, ...] = ()
     if layout == "folder":
         if depth == FROM_LIDAR:
-            raise ValueError("augment: --depth lidar needs --layout kitti or nuscenes, which have calibrations.")
+            raise InputValueError("augment: --depth lidar needs --layout kitti or nuscenes, which have calibrations.")
         frames = sensor_frames(data, keys, formats)
     elif layout == "kitti":
         frames = kitti_frames(data, keys, depth_from_lidar=from_lidar)
@@ -65,7 +67,7 @@ def find_frames(
     found = Counter(kind for kind in (kind_of_file(path, keys) for path in paths) if kind)
     if not frames:
         there = ", ".join(f"{number} for a {kind}" for kind, number in sorted(found.items()))
-        raise ValueError(
+        raise InputValueError(
             f"augment: recipe {recipe} is for a {' and a '.join(keys)}; {root}, taken as layout {layout}, has no such "
             f"files (found: {there or 'no images, no clouds'}). Give another --recipe or --layout."
         )
@@ -82,4 +84,4 @@ def _is_depth(path: Path, depth: str | None) -> bool:
 def _check_targets(targets: list[str]) -> None:
     twice = [path for path, number in Counter(targets).items() if number > 1]
     if twice:
-        raise ValueError(f"augment: two files would both be written to {twice[0]}; leave --format out.")
+        raise InputValueError(f"augment: two files would both be written to {twice[0]}; leave --format out.")

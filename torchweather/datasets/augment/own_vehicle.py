@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchweather.compose.plans import Plan
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.augment.frames import Frame
 from torchweather.datasets.augment.paths import inside
 from torchweather.io import read_points
@@ -78,7 +78,7 @@ def drive_masks(chosen: str | None, frames: Sequence[Frame], source: Path, plan:
         if mask.beams or chosen == DRIVE:
             found[drive] = mask
     if chosen == DRIVE and not found:
-        raise ValueError(f"augment: --own-vehicle drive: {why}")
+        raise InputValueError(f"augment: --own-vehicle drive: {why}")
     return found
 
 

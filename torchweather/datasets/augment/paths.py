@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 
 __all__ = ["check_folders", "check_relative", "files_below", "inside"]
 
@@ -60,14 +60,14 @@ def files_below(root: Path) -> Iterator[str]:
 def check_folders(source: Path, target: Path) -> None:
     """Refuse a source that is none, and a target in it or around it."""
     if not source.is_dir():
-        raise ValueError(f"augment: SRC must be a folder; there is none at {source}.")
+        raise InputValueError(f"augment: SRC must be a folder; there is none at {source}.")
     if target.exists() and not target.is_dir():
-        raise ValueError(f"augment: DST must be a folder; {target} is a file.")
+        raise InputValueError(f"augment: DST must be a folder; {target} is a file.")
     here, there = source.resolve(), target.resolve()
     if here == there:
-        raise ValueError(f"augment: SRC and DST are the same folder, {source}; give another DST.")
+        raise InputValueError(f"augment: SRC and DST are the same folder, {source}; give another DST.")
     if there.is_relative_to(here) or here.is_relative_to(there):
-        raise ValueError(f"augment: {source} and {target} lie in each other; give a DST beside SRC.")
+        raise InputValueError(f"augment: {source} and {target} lie in each other; give a DST beside SRC.")
 
 
 def _raise(error: OSError) -> None:

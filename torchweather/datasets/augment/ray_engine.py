@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from torchweather.core.errors import MissingExtraError
 from torchweather.datasets.augment.frames import Frame
 from torchweather.datasets.augment.local import TRIES, lost_row
 from torchweather.datasets.augment.manifest import Row
@@ -108,5 +109,5 @@ def _ray() -> Any:
         import ray
         import ray.data
     except ImportError as error:
-        raise ImportError("--engine ray needs Ray: pip install 'torchweather[scale]'.") from error
+        raise MissingExtraError("--engine ray needs Ray: pip install 'torchweather[scale]'.") from error
     return ray

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 import torchweather
-from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 from torchweather.core.random import sample_seed
 from torchweather.datasets.augment.frame_recipe import FrameRecipe, text_sha256
 from torchweather.datasets.augment.frames import COPY, DataSet, Frame, SensorFile
@@ -247,18 +247,20 @@ def _summary(data: DataSet, target: Path, to_do: list[Frame], started: float) ->
 
 def _check_target(target: Path) -> None:
     if target.exists() and not (target / MANIFEST).exists() and any(target.iterdir()):
-        raise ValueError(
+        raise InputValueError(
             f"augment: DST must be empty, new, or that of an earlier run; {target} holds other files and no {MANIFEST}."
         )
 
 
 def _check_same(before: Mapping[str, str], now: Mapping[str, str], target: Path) -> None:
     if before.get("format") != FORMAT:
-        raise ValueError(f"augment: {target / MANIFEST} is of format {before.get('format')!r}; this is {FORMAT!r}.")
+        raise InputValueError(
+            f"augment: {target / MANIFEST} is of format {before.get('format')!r}; this is {FORMAT!r}."
+        )
     for key, option in SAME.items():
         if before.get(key, "") != now[key]:
             name = "recipe" if key == "recipe_sha256" else key
-            raise ValueError(
+            raise InputValueError(
                 f"augment: {target} was begun with {option} {before.get(name)!r}; got {now[name]!r}"
                 f"{' (its text has changed)' if before.get(name) == now[name] else ''}. Give another DST, or --restart "
                 "to delete what is there and begin again."

@@ -18,7 +18,7 @@ from torch import Tensor
 import torchweather
 from torchweather.camera.depth import AUTO, CompletedDepth, DepthSource, SceneDepth
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning
 from torchweather.core.file_names import stem
 from torchweather.core.random import sample_seed
 from torchweather.datasets.augment.frame_recipe import FrameRecipe, SensorUse, text_sha256
@@ -246,7 +246,7 @@ class _Clear:
         if file.kind == "camera":
             self.image, info = read_image(path)
             if self.image.ndim != 3:
-                raise ValueError(f"{path}: wanted one image a file; got {tuple(self.image.shape)}.")
+                raise InputValueError(f"{path}: wanted one image a file; got {tuple(self.image.shape)}.")
             self.use = SensorUse("camera", self._camera(), info.kind == "rgb")
             self.depth = self._depth(path)
             self.use = replace(self.use, depth=self.depth is not None)

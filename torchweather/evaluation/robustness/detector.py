@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.camera.tone import develop
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.evaluation.robustness.declaration import Declaration
 from torchweather.evaluation.robustness.decoders import TASKS
 from torchweather.evaluation.robustness.graph import open_session
@@ -66,7 +66,9 @@ class OnnxDetector:
         taken = self.declaration.input
         if taken["colour"] == "bayer":
             if linear is None:
-                raise ValueError(f"{self.declaration.path}: the detector takes a mosaic; the frames are RGB images.")
+                raise InputValueError(
+                    f"{self.declaration.path}: the detector takes a mosaic; the frames are RGB images."
+                )
             image = linear * taken["exposure"]
         else:
             image = picture
@@ -78,7 +80,7 @@ class OnnxDetector:
         """Number of the class of every point ``(N,)`` of a cloud ``(N, C)``."""
         columns = self.declaration.input["columns"]
         if points.shape[-1] < columns:
-            raise ValueError(
+            raise InputValueError(
                 f"{self.declaration.path}: the detector takes {columns} columns; the cloud has {points.shape[-1]}."
             )
         given = points[:, :columns].float().numpy()

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchweather.camera.levels import raw_to_linear
 from torchweather.camera.tone import normalise
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.evaluation.robustness.detector import OnnxDetector
 from torchweather.evaluation.robustness.performance import Counter
@@ -104,7 +104,7 @@ class FrameInWeather:
                         self._frame(subject, data, condition, look)
             if self.before is None or not torch.equal(self.before, data):
                 self.scores = subject.score(data, metrics) if metrics else {}
-        except (ValueError, TypeError) as error:
+        except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{self.frame.name}, {condition.name} {condition.value:g}: {error}") from error
         self.before = data
         return dict(self.scores)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.errors import InputValueError
 from torchweather.evaluation.robustness.performance import Counter
 
 __all__ = ["CONFIDENCE", "RESAMPLES", "Interval", "Resampling"]
@@ -49,7 +50,7 @@ class Resampling:
 
     def __init__(self, frames: int, *, seed: int = 0, resamples: int = RESAMPLES) -> None:
         if resamples < 0:
-            raise ValueError(f"robustness: resamples must be 0 or more draws of the frames; got {resamples}.")
+            raise InputValueError(f"robustness: resamples must be 0 or more draws of the frames; got {resamples}.")
         draws = resamples if frames >= FEWEST_FRAMES else 0
         generator = np.random.default_rng(np.random.SeedSequence(seed % 2**64))
         self.weights: Floats = generator.multinomial(frames, np.full(frames, 1 / frames), size=draws).astype(np.float64)

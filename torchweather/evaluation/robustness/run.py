@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchweather.camera.depth import GUESSED, least_sure
-from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.core.random import sample_seed
 from torchweather.evaluation.robustness.detector import OnnxDetector
 from torchweather.evaluation.robustness.frames import FrameInWeather, LabelledFrame, Look
@@ -39,7 +39,7 @@ def conditions_of(source: Suite | Recipe) -> list[Condition]:
     weather = source.build_weather()
     part = weather.parts[0]
     if weather.random or torch.as_tensor(part.knob).numel() != 1:
-        raise ValueError(
+        raise InputValueError(
             f"robustness: {source.name} has several weathers or draws one a sample; a condition is one weather. Take "
             "a recipe with numbers, or a suite."
         )
@@ -83,9 +83,9 @@ def run_robustness(
         TorchweatherError: no frames, one that cannot be rendered, or one of guessed depth.
     """
     if seeds < 1:
-        raise ValueError(f"robustness: seeds must be 1 or more; got {seeds}.")
+        raise InputValueError(f"robustness: seeds must be 1 or more; got {seeds}.")
     if not conditions:
-        raise ValueError("robustness: wanted one condition or more; got none.")
+        raise InputValueError("robustness: wanted one condition or more; got none.")
     declaration = detector.declaration
 
     def counter() -> Counter:
@@ -98,7 +98,7 @@ def run_robustness(
     sureness: list[str] = []
     for frame in frames:
         if frame.subject.sensor != declaration.sensor:
-            raise ValueError(
+            raise InputValueError(
                 f"robustness: the detector is for a {declaration.sensor}; {frame.name} is of a {frame.subject.sensor}."
             )
         if frame.depth == GUESSED and not allow_guessed_depth:

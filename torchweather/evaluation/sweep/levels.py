@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from torchweather.atmosphere.weather import ALIASES, WEATHERS, Weather, parse_weather
+from torchweather.core.errors import InputValueError
 
 __all__ = ["Level", "parse_levels"]
 
@@ -70,9 +71,9 @@ def parse_levels(text: str) -> list[Level]:
     parts = [_Part(part) for part in text.split("+")]
     lists = [(part, key) for part in parts for key, values in part.arguments.items() if len(values) > 1]
     if not lists:
-        raise ValueError(f"{OWNER}: wanted two or more values of a rate or a visibility, {EXAMPLE}; got {text!r}.")
+        raise InputValueError(f"{OWNER}: wanted two or more values of a rate or a visibility, {EXAMPLE}; got {text!r}.")
     if len(lists) > 1:
-        raise ValueError(
+        raise InputValueError(
             f"{OWNER}: wanted one list of values, of one part of the weather; got {len(lists)} in {text!r}. Sweep one "
             "after the other."
         )
@@ -80,13 +81,13 @@ def parse_levels(text: str) -> list[Level]:
     knob = ALIASES.get(key, key)
     if part.kind not in WEATHERS or knob != WEATHERS[part.kind].knob_name:
         wanted = f"{WEATHERS[part.kind].knob_name} of {part.kind}" if part.kind in WEATHERS else "a rate or visibility"
-        raise ValueError(f"{OWNER}: a list must be of {wanted}, {EXAMPLE}; got one of {key!r} in {text!r}.")
+        raise InputValueError(f"{OWNER}: a list must be of {wanted}, {EXAMPLE}; got one of {key!r} in {text!r}.")
     values = sorted((_number(value, text) for value in part.arguments[key]), reverse=not RISES[knob])
     twice = next((low for low, high in pairwise(values) if low == high), None)
     if twice is not None:
-        raise ValueError(f"{OWNER}: wanted levels that differ; got {twice:g} twice in {text!r}.")
+        raise InputValueError(f"{OWNER}: wanted levels that differ; got {twice:g} twice in {text!r}.")
     if not 0.0 < min(values) <= max(values) < float("inf"):
-        raise ValueError(
+        raise InputValueError(
             f"{OWNER}: a level must be above 0 and finite; got {text!r}. Clear air is the reference and needs no level."
         )
     name = "+".join(other.without(key) if other is part else other.text for other in parts)
@@ -109,12 +110,12 @@ class _Part:
             if equals:
                 last = key.strip()
                 if last in self.arguments:
-                    raise ValueError(f"{OWNER}: wanted {last!r} once; got it twice in {self.text!r}.")
+                    raise InputValueError(f"{OWNER}: wanted {last!r} once; got it twice in {self.text!r}.")
                 self.arguments[last] = [value.strip()]
             elif last:
                 self.arguments[last].append(piece)  # a value more of the argument before it
             else:
-                raise ValueError(f"{OWNER}: wanted key=value, {EXAMPLE}; got {piece!r} in {self.text!r}.")
+                raise InputValueError(f"{OWNER}: wanted key=value, {EXAMPLE}; got {piece!r} in {self.text!r}.")
 
     def without(self, key: str, extra: Iterable[str] = ()) -> str:
         """The text without an argument, with others."""
@@ -133,4 +134,4 @@ def _number(value: str, text: str) -> float:
     try:
         return float(value)
     except ValueError:
-        raise ValueError(f"{OWNER}: wanted numbers in the list, {EXAMPLE}; got {value!r} in {text!r}.") from None
+        raise InputValueError(f"{OWNER}: wanted numbers in the list, {EXAMPLE}; got {value!r} in {text!r}.") from None

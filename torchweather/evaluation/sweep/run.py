@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.evaluation.sweep.levels import Level
 from torchweather.evaluation.sweep.subjects import Subject
@@ -52,10 +52,12 @@ def plan(subjects: Sequence[Subject], levels: Sequence[Level]) -> list[tuple[Sub
     """
     series = {(level.name, level.severity) for level in levels}
     if len(series) < len(levels):
-        raise ValueError("sweep: wanted each weather once; got one twice. Give all its levels in one list.")
+        raise InputValueError("sweep: wanted each weather once; got one twice. Give all its levels in one list.")
     twice = {subject.name for subject in subjects if sum(subject.name == other.name for other in subjects) > 1}
     if twice:
-        raise ValueError(f"sweep: wanted subjects of different names; got {', '.join(sorted(twice))} more than once.")
+        raise InputValueError(
+            f"sweep: wanted subjects of different names; got {', '.join(sorted(twice))} more than once."
+        )
     found = []
     for subject in subjects:
         fits = [level for level in levels if not subject.indoors or _kinds(level) <= set(INDOOR_WEATHERS)]
@@ -63,7 +65,7 @@ def plan(subjects: Sequence[Subject], levels: Sequence[Level]) -> list[tuple[Sub
             found.append((subject, fits))
     if not found:
         names = ", ".join(subject.name for subject in subjects) or "no subject"
-        raise ValueError(f"sweep: wanted a subject and a weather that go together; got {names}. Indoors give fog.")
+        raise InputValueError(f"sweep: wanted a subject and a weather that go together; got {names}. Indoors give fog.")
     return found
 
 
@@ -86,7 +88,7 @@ def samples(
         Samples by subject, level and seed.
     """
     if not seeds or len(set(seeds)) < len(seeds):
-        raise ValueError(f"sweep: wanted one or more seeds that differ; got {list(seeds)}.")
+        raise InputValueError(f"sweep: wanted one or more seeds that differ; got {list(seeds)}.")
     todo = plan(subjects, levels)
     for subject, _ in todo:
         for name in names or ():
@@ -112,7 +114,7 @@ def _level(subject: Subject, level: Level, seeds: Sequence[int], names: Sequence
             again = before is not None and before.shape == data.shape and torch.equal(before, data)
             if not again:
                 scores, facts = subject.score(data, names), subject.facts(data)
-        except (ValueError, TypeError) as error:
+        except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{subject.name}: {error}") from error
         before = data
         scored = 0.0 if again else time.perf_counter() - rendered

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import nearest_name, owner_name
+from torchweather.core.errors import InputTypeError, InputValueError, nearest_name, owner_name
 
 __all__ = ["Adapter", "array_from_image", "cloud_tensor", "depth_tensor", "image_tensor", "without_lost"]
 
@@ -42,7 +42,7 @@ class Adapter:
     def __post_init__(self) -> None:
         for name in ("clouds", "images", "depths"):
             if isinstance(getattr(self, name), str):
-                raise TypeError(
+                raise InputTypeError(
                     f"{owner_name(self)}: {name} must be a sequence of keys, ({getattr(self, name)!r},); got "
                     f"{getattr(self, name)!r}."
                 )
@@ -50,7 +50,7 @@ class Adapter:
     def _check_keys(self, sample: Sample) -> None:
         for key in (*self.clouds, *self.images, *self.depths):
             if key not in sample:
-                raise ValueError(
+                raise InputValueError(
                     f"{owner_name(self)}: wanted the key {key!r}; the sample has {', '.join(map(str, sample))}."
                     f"{nearest_name(key, map(str, sample))} Say which keys hold data with clouds=, images= and depths=."
                 )
@@ -90,7 +90,7 @@ def image_tensor(value: object, *, bgr: bool = False, float_white: float = 1.0) 
         value = value.convert("RGB")  # type: ignore[attr-defined]
     array = np.asarray(value)
     if array.dtype.kind not in "uf" or array.ndim not in (2, 3):
-        raise TypeError(
+        raise InputTypeError(
             "image: wanted (H, W) or (H, W, C) of uint8, uint16 or float, or a picture; got "
             f"{type(value).__name__} {array.dtype} {array.shape}. Views of several cameras go under keys of their own."
         )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from torchweather.core.errors import InputValueError
 from torchweather.io.adapters.adapter import Adapter, array_from_image, depth_tensor, image_tensor, without_lost
 
 __all__ = ["Mmdet3dAdapter"]
@@ -55,7 +56,7 @@ class Mmdet3dAdapter(Adapter):
         self._check_keys(results)
         labels = [key for key in _POINT_LABELS if results.get(key) is not None]
         if labels and self.clouds:
-            raise ValueError(
+            raise InputValueError(
                 f"Mmdet3dAdapter: {labels[0]} labels every point, and particles and lost points need labels of their "
                 "own. Call run() of the LiDAR's transform and take merge_kind(labels, result.kind, result.source)."
             )

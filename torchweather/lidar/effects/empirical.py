@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_between, check_one_of
+from torchweather.core.errors import InputValueError, check_between, check_one_of
 from torchweather.core.random import Variate
 from torchweather.lidar.effects.air import along_beam
 from torchweather.lidar.effects.receiver import CROSSTALK_MARGIN_DB
@@ -121,18 +121,20 @@ class Empirical(Stage):
         check_one_of("axis", axis, AXES, owner=self)
         check_one_of("of", of, KINDS[kind], owner=self)
         if axis == "particle_range_m" and of != "particle":
-            raise ValueError("Empirical: axis particle_range_m is the range of a particle; wanted of='particle'.")
+            raise InputValueError("Empirical: axis particle_range_m is the range of a particle; wanted of='particle'.")
         nodes = [float(one) for one in at]
         _check_rising("at", [float(measured_from), *nodes, float(measured_to)])
         if not nodes or len(nodes) != len(value):
-            raise ValueError(f"Empirical: wanted one value for each node, one or more; got {len(nodes)}, {len(value)}.")
+            raise InputValueError(
+                f"Empirical: wanted one value for each node, one or more; got {len(nodes)}, {len(value)}."
+            )
         low, high = LIMITS.get(kind, (-math.inf, math.inf))
         for one in value:
             check_between(f"value of {kind}", float(one), low, high, owner=self)
             if not math.isfinite(float(one)):
-                raise ValueError(f"Empirical: value must be finite; got {one}.")
+                raise InputValueError(f"Empirical: value must be finite; got {one}.")
         if (kind == "returns") != bool(len(shares)):
-            raise ValueError("Empirical: places_m and shares belong to kind 'returns', which needs both.")
+            raise InputValueError("Empirical: places_m and shares belong to kind 'returns', which needs both.")
         self.kind, self.axis, self.of = kind, axis, of
         self.measured_from, self.measured_to = float(measured_from), float(measured_to)
         self._given = (nodes, [float(one) for one in value])
@@ -149,10 +151,10 @@ class Empirical(Stage):
             return
         _check_rising("places_m", self.places_m)
         if len(self.places_m) != len(self.shares) + 1 or min(self.places_m) < 0:
-            raise ValueError("Empirical: wanted places_m of 0 m or more, one more than shares.")
+            raise InputValueError("Empirical: wanted places_m of 0 m or more, one more than shares.")
         total = sum(self.shares)
         if min(self.shares) < 0 or not 0 < total < math.inf:
-            raise ValueError("Empirical: shares must be 0 or more, and not all 0.")
+            raise InputValueError("Empirical: shares must be 0 or more, and not all 0.")
         cumulated = [0.0, *itertools.accumulate(share / total for share in self.shares)]
         cumulated[-1] = 1.0
         self.register_buffer("cumulated", torch.tensor(cumulated, dtype=torch.float32))
@@ -216,7 +218,7 @@ class Empirical(Stage):
         if self.axis in ("cos_incidence", "up"):
             found: Tensor | None = getattr(state, self.axis)
             if found is None:
-                raise ValueError(
+                raise InputValueError(
                     f"Empirical: wanted a state with {self.axis}, over which the curve was measured; this one has none."
                 )
             return found.abs() if self.axis == "cos_incidence" else found
@@ -280,6 +282,6 @@ def _piecewise(x: Tensor, at: Tensor, value: Tensor) -> Tensor:
 def _check_rising(name: str, values: Sequence[float]) -> None:
     finite = all(math.isfinite(one) for one in values)
     if not finite or any(later < earlier for earlier, later in itertools.pairwise(values)):
-        raise ValueError(
+        raise InputValueError(
             f"Empirical: {name} must be finite and rise, within measured_from and measured_to; got {list(values)}."
         )

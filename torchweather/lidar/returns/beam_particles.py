@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.density_field import BanksAlongBeams, of_beams
 from torchweather.atmosphere.weather import Rain, Snow
-from torchweather.core.errors import check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_one_of, check_positive
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam, RangeGrid
 from torchweather.lidar.returns.strongest import expected_number
@@ -225,7 +225,9 @@ def _q_back(weather: Rain | Snow, sensor: Lidar, given: float | str | None) -> f
     if isinstance(given, str):
         check_one_of("q_back", given, ("glints",), owner="BeamParticles")
         if isinstance(weather, Snow):
-            raise ValueError('BeamParticles: q_back="glints" is for drops; a flake has an albedo (Snow(albedo=...)).')
+            raise InputValueError(
+                'BeamParticles: q_back="glints" is for drops; a flake has an albedo (Snow(albedo=...)).'
+            )
         index = water_refractive_index(sensor.wavelength_nm, weather.temperature_c)
         return float(axial_q_back(index, diameter_mm=1.0, wavelength_nm=sensor.wavelength_nm))
     if given is not None:

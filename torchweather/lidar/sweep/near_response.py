@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
+
 if TYPE_CHECKING:
     from torchweather.lidar.sensor import Lidar
 
@@ -115,7 +117,7 @@ def fit_near_response(
     """
     s, rho, r = (_flat(values) for values in (signal, reflectivity, range_m))
     if not len(s) == len(rho) == len(r):
-        raise ValueError(
+        raise InputValueError(
             "fit_near_response: signal, reflectivity and range_m must have one value a return each; got "
             f"{len(s)}, {len(rho)} and {len(r)}."
         )
@@ -127,7 +129,7 @@ def fit_near_response(
     cell -= cell.min(initial=0)
     middles = _bins(value, way, cell)
     if len(middles) < _FEWEST_BINS:
-        raise ValueError(
+        raise InputValueError(
             f"fit_near_response: expected {_FEWEST_BINS} or more bins of range with {_FEWEST_IN_BIN} returns of "
             f"diffuse targets (reflectivity {_DARKEST:g} to {_BRIGHTEST:g}) each; got {len(middles)}. Pass more "
             "frames, and reflectivity with 1 = white."

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.ground import fit_ground
@@ -89,7 +90,7 @@ class OwnVehicleMask:
     def __post_init__(self) -> None:
         shapes = {self.blocked.shape, self.nearest_m.shape, self.farthest_m.shape}
         if len(shapes) != 1 or self.blocked.ndim != 2:
-            raise ValueError(
+            raise InputValueError(
                 f"OwnVehicleMask: expected three arrays of one shape (rings, columns); got {sorted(shapes)}. Take them "
                 "from own_vehicle_mask or OwnVehicleMask.load."
             )
@@ -182,7 +183,7 @@ class OwnVehicleMask:
                     float(file["views"]),
                 )
         except (KeyError, ValueError, TypeError) as error:
-            raise ValueError(
+            raise InputValueError(
                 f"{path}: expected a mask of the own vehicle (.npz); got something else ({error}). Write one with "
                 "own_vehicle_mask(clouds, sensor).save(path)."
             ) from error
@@ -239,7 +240,7 @@ def own_vehicle_mask(clouds: Iterable[Tensor], sensor: Lidar) -> OwnVehicleMask:
     weight = _weights(ranges)
     views = round(float(weight.sum()), 6)
     if views < FEWEST_VIEWS:
-        raise ValueError(
+        raise InputValueError(
             f"own_vehicle_mask: expected {FEWEST_VIEWS} or more sweeps that differ, as what stays the same is the "
             f"vehicle; got {len(ranges)} sweeps, which show {views:.1f} views. Take sweeps from a longer part of the "
             "drive."
@@ -270,7 +271,7 @@ def checked_own_vehicle(value: object, sensor: Lidar, owner: str) -> OwnVehicle 
     if isinstance(value, OwnVehicleMask):
         rings, known = len(value.blocked), len(sensor.elevations_deg or ())
         if rings != known:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner}: own_vehicle: expected a mask of the sensor's {known} rings; got one of {rings}: of another "
                 "sensor. Find it anew, own_vehicle_mask(clouds, sensor)."
             )
@@ -285,7 +286,7 @@ def checked_own_vehicle(value: object, sensor: Lidar, owner: str) -> OwnVehicle 
         else:
             if x0 < x1 and y0 < y1 and z0 < z1:
                 return x0, x1, y0, y1, z0, z1
-    raise ValueError(
+    raise InputValueError(
         f"{owner}: own_vehicle: expected a mask (own_vehicle_mask), its .npz file, or a box of the vehicle's body, "
         f"x from, x to, y from, y to, z from, z to, in metres in the sensor's frame; got {value!r}. Pass e.g. "
         "own_vehicle=(-2.4, 2.1, -0.9, 0.9, -1.6, -0.2)."

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sweep.scan_pattern import ScanPattern, estimate_pattern, filled
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def fit_pattern(
     sweeps = list(clouds)
     columns = [None] * len(sweeps) if ring is None else list(ring)
     if not sweeps or len(columns) != len(sweeps):
-        raise ValueError(
+        raise InputValueError(
             f"fit_pattern: expected sweeps, and a ring column for each or none; got {len(sweeps)} and {len(columns)}."
         )
     return combine_patterns(
@@ -137,7 +138,7 @@ def combine_patterns(patterns: Sequence[ScanPattern]) -> PatternFit:
     """Combine the patterns of several sweeps of one sensor; see `fit_pattern`."""
     counts = sorted({pattern.rings for pattern in patterns})
     if len(counts) != 1:
-        raise ValueError(
+        raise InputValueError(
             f"fit_pattern: expected sweeps of one sensor with as many rings each; got {counts[0]} to {counts[-1]} "
             "rings. Fit the sensors, or the parts of sweeps, one by one."
         )
@@ -178,7 +179,7 @@ def _check_same(elevation: Numbers) -> None:
     off = np.nanmedian(np.abs(elevation - middle), axis=1)
     worst = int(off.argmax())
     if off[worst] > _SAME_RING * apart:
-        raise ValueError(
+        raise InputValueError(
             f"fit_pattern: expected sweeps of one sensor; sweep {worst} has its rings {off[worst]:.2f} degrees beside "
             "those of the others. Fit it by itself."
         )

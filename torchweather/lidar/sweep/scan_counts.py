@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sweep.scan_pattern import ScanPattern
 
 __all__ = ["check_scan_counts", "scan_count_problem"]
@@ -68,7 +69,7 @@ def check_scan_counts(
     """Raise ``ValueError`` with the evidence where the beams do not make one turn; see `scan_count_problem`."""
     problem = scan_count_problem(pattern, appended, rings=rings, columns=columns, tolerance=tolerance)
     if problem is not None:
-        raise ValueError(f"check_scan_counts: {problem}")
+        raise InputValueError(f"check_scan_counts: {problem}")
 
 
 def _cause(pattern: ScanPattern, many: bool, rings: int, columns: int) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sweep.azimuth_step import AzimuthStep, fit_azimuth_step
 from torchweather.lidar.sweep.cone_fit import ConeFit, fit_cones
 from torchweather.lidar.sweep.frame_fit import FrameOffset, fit_frame
@@ -180,7 +181,9 @@ def estimate_pattern(
         given = given[seen]
     xyz = xyz[seen].astype(np.float64)
     if not len(xyz):
-        raise ValueError("estimate_pattern: the cloud has no return (all rows are 0, 0, 0, not finite or too near).")
+        raise InputValueError(
+            "estimate_pattern: the cloud has no return (all rows are 0, 0, 0, not finite or too near)."
+        )
     _refuse_scale(xyz)
     copies = _copies(xyz)
     number, cones, frame, found_by = _rings(xyz, given, rings)
@@ -189,7 +192,7 @@ def estimate_pattern(
     azimuth = np.degrees(np.arctan2(local[:, 1], local[:, 0]))
     step = fit_azimuth_step(azimuth, number, found)
     if step is None:
-        raise ValueError(
+        raise InputValueError(
             f"estimate_pattern: too few neighbours on the rings to tell the azimuth step; got {len(xyz)} returns on "
             f"{found} rings. Pass a whole sweep."
         )
@@ -240,7 +243,7 @@ def _rings(
             return number, cones, frame, found_by
         tried.append(f"{found} by {found_by}, {fault}")
     shown = f"it shows {'; '.join(tried)}" if tried else "neither the order of its rows nor its elevations show rings"
-    raise ValueError(
+    raise InputValueError(
         f"estimate_pattern: expected {'the rings' if rings is None else f'{rings} rings'} of a LiDAR in the sweep, but "
         f"{shown}. Is the cloud in the sensor's frame (not in a map's, not several sweeps merged), whole, and of this "
         "sensor? Pass ring=..., the ring of each row, where the file has it"
@@ -269,7 +272,7 @@ def _fault(cones: ConeFit, found_by: str) -> str:
         return f"off their cones by {spread:.2f} degree, with {np.median(apart):.2f} degree between rings"
     doubled = int((apart < np.maximum(_TWIN_SPREADS * spread, _TWIN_DEG)).sum())
     if found_by == "file order" and doubled > _MANY_TWINS * len(elevation) / 2:
-        raise ValueError(
+        raise InputValueError(
             f"estimate_pattern: of {len(elevation)} rings in the order of the rows, {doubled} lie on the cone of "
             "another one: several sweeps in one file. Pass one sweep at a time."
         )
@@ -280,13 +283,13 @@ def _refuse_scale(xyz: Numbers) -> None:
     """Raise where the coordinates are no metres around a sensor."""
     range_m = float(np.median(np.linalg.norm(xyz, axis=1)))
     if range_m > _FARTHEST_M:
-        raise ValueError(
+        raise InputValueError(
             f"estimate_pattern: expected metres in the sensor's frame; got points at {range_m:.0f} m in the median. "
             "Are they in a map's frame (transform them), or in millimetres (divide by 1000)?"
         )
     covered = _TURN_DEG - sum(b - a for a, b in _wide_gaps(np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0]))))
     if covered < _NARROWEST_DEG:
-        raise ValueError(
+        raise InputValueError(
             f"estimate_pattern: the cloud covers {covered:.0f} degrees of azimuth seen from its origin. Is it in a "
             "map's frame? Transform it into the sensor's."
         )
@@ -300,7 +303,7 @@ def _copies(xyz: Numbers) -> int:
     same = mixed[order][1:] == mixed[order][:-1]
     copies = int((np.diff(order)[same] > _ECHO_ROWS).sum())
     if copies > _MOST_COPIES * len(xyz):
-        raise ValueError(
+        raise InputValueError(
             f"estimate_pattern: {copies} of {len(xyz)} returns repeat other rows of the file: a sweep written "
             "twice, or merged with itself. Drop the copies (numpy.unique(points, axis=0) loses the order of the rows)."
         )
@@ -353,7 +356,7 @@ def _notes(
 def _checked(points: Tensor | Numbers) -> Numbers:
     values = points.detach().cpu().numpy() if isinstance(points, Tensor) else np.asarray(points)
     if values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind != "f":
-        raise ValueError(
+        raise InputValueError(
             "estimate_pattern: points must be one cloud of floating point (N, 3 or more) = x, y, z in metres; got "
             f"{values.dtype}, {values.shape}."
         )
@@ -364,7 +367,7 @@ def _checked(points: Tensor | Numbers) -> Numbers:
 def _checked_ring(ring: Tensor | Integers, rows: int) -> Integers:
     given = ring.detach().cpu().numpy() if isinstance(ring, Tensor) else np.asarray(ring)
     if given.shape != (rows,) or given.dtype.kind not in "iu":
-        raise ValueError(
+        raise InputValueError(
             f"estimate_pattern: ring must be integers of shape ({rows},), one per row; got {given.dtype}, "
             f"{given.shape}."
         )

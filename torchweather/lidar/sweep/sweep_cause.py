@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.frame_fit import FrameOffset
 from torchweather.lidar.sweep.pattern_fit import PatternFit
@@ -121,25 +122,25 @@ def refitted_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
     except ValueError as error:
         fault = str(error).removeprefix("estimate_pattern: ")
     if pattern is not None and pattern.rings != len(sensor.elevations_deg or ()):
-        raise ValueError(f"complete_scan: {sensor_problem(pattern, sensor)}")
+        raise InputValueError(f"complete_scan: {sensor_problem(pattern, sensor)}")
     if pattern is None or pattern.frame is not None:
         origin = estimate_origin(xyz, given)
         if origin is not None and origin.is_apart:
             range_m = float(np.median(np.linalg.norm(xyz - np.asarray(origin.origin_m), axis=1)))
             if range_m < _FARTHEST_M:
-                raise ValueError(f"complete_scan: {origin.sentence}")
+                raise InputValueError(f"complete_scan: {origin.sentence}")
     if pattern is None:
         evidence, no_rings, _ = fault.partition(". Is the cloud in the sensor's frame")
         if not no_rings:
-            raise ValueError(f"complete_scan: {fault}")
-        raise ValueError(
+            raise InputValueError(f"complete_scan: {fault}")
+        raise InputValueError(
             f"complete_scan: {evidence}. The sensor has {len(sensor.elevations_deg or ())}. Is the cloud tilted, in a "
             "map's frame, compensated for fast motion, of another sensor, or several sweeps merged? Pass one sweep as "
             "its sensor gave it, in metres, with the ring of each row where the file has it, Lidar(ring_column=...)."
         )
     cause = frame_problem(pattern.frame, float(np.nanmedian(pattern.heights_m))) or sensor_problem(pattern, sensor)
     if cause:
-        raise ValueError(f"complete_scan: {cause}")
+        raise InputValueError(f"complete_scan: {cause}")
     return _of_pattern(pattern, sensor, cloud)
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.quick_frame import QuickFrame, quick_frame
 from torchweather.lidar.sweep.sweep_cause import HIGH_M, SAME_SENSOR_DEG, refitted_rings
@@ -130,13 +131,13 @@ def _check_ring_column(cloud: Tensor, sensor: Lidar) -> None:
     column = cloud[:, sensor.ring_column].detach()
     rings, highest = len(sensor.elevations_deg), float(column.max())
     if highest >= rings:
-        raise ValueError(
+        raise InputValueError(
             f"complete_scan: expected ring numbers 0 to {rings - 1} of the sensor's {rings} rings in column "
             f"{sensor.ring_column}; got numbers up to {highest:g}. It is a sweep of another sensor, or another column: "
             "take the preset of the sensor (torchweather list), or Lidar(ring_column=...)."
         )
     if bool((column != column.round()).any()):
-        raise ValueError(
+        raise InputValueError(
             f"complete_scan: expected whole ring numbers in column {sensor.ring_column}; got fractions. Pass the "
             "column of the ring, Lidar(ring_column=...)."
         )
@@ -154,7 +155,7 @@ def _refuse_copies(xyz: Numbers) -> None:
     same = (xyz[place][1:] == xyz[place][:-1]).all(1)
     share = float((np.diff(place)[same] > _ECHO_ROWS).sum()) / len(place)
     if share > _MOST_COPIES:
-        raise ValueError(
+        raise InputValueError(
             f"complete_scan: expected every return once; {100 * share:.0f} % of the rows repeat others elsewhere in "
             "the file: a sweep written twice. Drop the copies and keep the order: numpy.unique(points, axis=0, "
             "return_index=True) gives the rows, sort them."
@@ -224,7 +225,7 @@ def _refuse_thinned(xyz: Numbers, found: SweepRings, cloud: Tensor) -> None:
     apart = float(every[(every > typical / _THINNED) & (every < typical * _THINNED)].mean())
     regular = every[len(every) // 10] > _THINNED * step
     columns = round(_TURN_DEG / apart)
-    raise ValueError(
+    raise InputValueError(
         f"complete_scan: expected neighbours {step:.3f} degrees apart on a ring, as Lidar(columns={sensor.columns}) "
         f"has them; the sweep's are {apart:.3f} degrees apart. Pass the sweep before it was thinned"
         + (f", or Lidar(columns={columns}), on the command line --columns {columns}." if regular else ".")

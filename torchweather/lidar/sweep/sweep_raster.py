@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.errors import InputValueError
+
 __all__ = ["Neighbour", "SweepRaster", "long_runs"]
 
 Numbers = npt.NDArray[np.floating[Any]]
@@ -191,7 +193,7 @@ def _rows_of_rings(
     of_return, of_beam = ring - lowest, direction_ring - lowest
     numbers = int(max(of_return.max(), of_beam.max())) + 1
     if numbers > _MOST_RINGS:
-        raise ValueError(f"beam_ends: ring numbers must lie within {_MOST_RINGS} of each other; got {numbers}.")
+        raise InputValueError(f"beam_ends: ring numbers must lie within {_MOST_RINGS} of each other; got {numbers}.")
     count, total = (
         np.bincount(of_return, weight, numbers) + np.bincount(of_beam, beam_weight, numbers)
         for weight, beam_weight in ((None, None), (elevation, beam_elevation))

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Rain, Snow
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate
 from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.pipeline.point_kind import PointKind
@@ -56,7 +57,7 @@ class Appending(Effect):
         """The state after the effect, with its rows."""
         if not self.appends:
             if not is_exporting() and self.lists():
-                raise ValueError(
+                raise InputValueError(
                     f"{type(self).__name__}: it was built {self.silent} and so draws nothing; got other values "
                     "since. Build it with values of its own, or with those that require a gradient."
                 )
@@ -206,7 +207,7 @@ class RadarVolumeClutter(Appending):
         assert state.weathers is not None
         assert state.rates_mm_per_h is not None
         if is_exporting():
-            raise ValueError(
+            raise InputValueError(
                 "RadarVolumeClutter: no graph can hold it, as it learns from the state what falls. Export "
                 "RadarAttenuation(clutter=True), whose share is 1."
             )

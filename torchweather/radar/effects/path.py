@@ -13,6 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate
 from torchweather.physics import wet_cover_loss_db
 from torchweather.pipeline.effect import Effect, Parameter
@@ -161,7 +162,7 @@ class PerClass(Parameter):
         """The values within the bounds as float32; anything else is refused."""
         found = torch.as_tensor(value, dtype=torch.float32)
         if found.ndim > 2:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(owner).__name__}: {self.name} must be one number, one for each class, (classes,), or those for "
                 f"each sample, (B, classes); got {tuple(found.shape)}."
             )

@@ -24,7 +24,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherWarning, check_at_least, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_positive
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.fmcw.scatterers import Scatterers
 from torchweather.radar.sensor import Radar
@@ -169,7 +169,7 @@ def _block(speed: Tensor, radar: Radar) -> tuple[int, int]:
 
 def _check(scatterers: Scatterers, radar: Radar) -> None:
     if not scatterers.field_m.numel():
-        raise ValueError(
+        raise InputValueError(
             f"beat_signal: wanted one scatterer or more; got shape {tuple(scatterers.field_m.shape)}. For noise alone "
             "give one with field 0."
         )

@@ -8,7 +8,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherWarning, check_finite, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherWarning, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.radar.fmcw.facet_rcs import far_field_edge_m, triangle_field_m
 from torchweather.radar.fmcw.scatterers import Scatterers
@@ -92,7 +92,7 @@ def facet_scatterers(
     """
     owner = "facet_scatterers"
     if vertices_m.ndim != 3 or vertices_m.shape[-2:] != (3, 3):
-        raise ValueError(f"{owner}: vertices_m must be (F, 3, 3) in metres; got shape {tuple(vertices_m.shape)}.")
+        raise InputValueError(f"{owner}: vertices_m must be (F, 3, 3) in metres; got shape {tuple(vertices_m.shape)}.")
     _check_vector("radar_position_m", radar_position_m, "m", owner)
     from_radar = vertices_m - radar_position_m.to(vertices_m)
     position = from_radar.mean(-2)
@@ -137,7 +137,7 @@ def corner_scatterers(
     """
     owner = "corner_scatterers"
     if position_m.ndim != 2 or position_m.shape != facing.shape or position_m.shape[-1] != 3:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: position_m and facing must both be (M, 3); got shapes {tuple(position_m.shape)} and "
             f"{tuple(facing.shape)}."
         )
@@ -179,7 +179,7 @@ def gathered(scatterers: Scatterers, wavelength_m: float, cell_m: float) -> Scat
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
     check_positive("cell_m", cell_m, unit="m", owner=owner)
     if scatterers.position_m.ndim != 2:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: scatterers must have no batch dimensions, position_m (M, 3); "
             f"got shape {tuple(scatterers.position_m.shape)}."
         )
@@ -224,7 +224,7 @@ def _inner_edges(facing: Tensor) -> Tensor:
 
 def _check_vector(name: str, value: Tensor, unit: str, owner: str) -> None:
     if value.shape != (3,):
-        raise ValueError(f"{owner}: {name} must be (3,) = x, y, z in {unit}; got shape {tuple(value.shape)}.")
+        raise InputValueError(f"{owner}: {name} must be (3,) = x, y, z in {unit}; got shape {tuple(value.shape)}.")
     check_finite(name, value, unit=unit, owner=owner)
 
 

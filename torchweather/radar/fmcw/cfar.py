@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 from torch.nn import functional
 
-from torchweather.core.errors import check_at_least, check_between, check_finite
+from torchweather.core.errors import InputValueError, check_at_least, check_between, check_finite
 
 __all__ = ["HANN_CORRELATION", "CellAveragingCfar", "Cfar", "OrderStatisticCfar", "window_correlation"]
 
@@ -86,19 +86,19 @@ class Cfar:
         object.__setattr__(self, "training", _cells("training", self.training, self))
         object.__setattr__(self, "correlation", tuple(tuple(axis) for axis in self.correlation))
         if not 0.0 < self.false_alarm_rate < 0.5:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: false_alarm_rate must lie between 0 and 0.5 (both excluded), per cell; "
                 f"got {self.false_alarm_rate!r}."
             )
         if self.training == (0, 0):
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: training must be 1 cell or more on one axis at least; got {self.training}."
             )
         check_between("looks", self.looks, 1, MOST_LOOKS, owner=self)
         if self.looks != int(self.looks):
-            raise ValueError(f"{type(self).__name__}: looks must be a whole number; got {self.looks!r}.")
+            raise InputValueError(f"{type(self).__name__}: looks must be a whole number; got {self.looks!r}.")
         if len(self.correlation) != 2:
-            raise ValueError(
+            raise InputValueError(
                 f"{type(self).__name__}: correlation must be a pair (Doppler, range) of tuples; "
                 f"got {len(self.correlation)} of them."
             )
@@ -170,10 +170,10 @@ class Cfar:
     def _check(self, power: Tensor) -> None:
         owner = type(self).__name__
         if power.dtype not in (torch.float32, torch.float64):
-            raise ValueError(f"{owner}: power must be linear power in float32 or float64; got {power.dtype}.")
+            raise InputValueError(f"{owner}: power must be linear power in float32 or float64; got {power.dtype}.")
         rows, columns = 2 * self.reach[0] + 1, 2 * self.reach[1] + 1
         if power.ndim < 2 or power.shape[-2] < rows or power.shape[-1] < columns:
-            raise ValueError(
+            raise InputValueError(
                 f"{owner}: power must be a map (..., Doppler, range) of {rows} x {columns} cells or more, "
                 f"the window of guard={self.guard} and training={self.training}; got shape {tuple(power.shape)}. "
                 "Make guard or training smaller."
@@ -319,7 +319,7 @@ class OrderStatisticCfar(Cfar):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 < self.rank <= 1.0:
-            raise ValueError(f"{type(self).__name__}: rank must be above 0 and up to 1; got {self.rank!r}.")
+            raise InputValueError(f"{type(self).__name__}: rank must be above 0 and up to 1; got {self.rank!r}.")
 
     def threshold(self, power: Tensor) -> Tensor:
         """Power above which a cell is a detection.
@@ -406,7 +406,7 @@ def _cells(name: str, cells: Sequence[int], owner: object) -> tuple[int, int]:
     """A pair of whole numbers, (Doppler, range)."""
     pair = isinstance(cells, Sequence) and len(cells) == 2
     if not pair or not all(type(count) is int and count >= 0 for count in cells):
-        raise ValueError(
+        raise InputValueError(
             f"{type(owner).__name__}: {name} must be a pair (Doppler, range) of whole numbers of cells, 0 or more; "
             f"got {cells!r}."
         )

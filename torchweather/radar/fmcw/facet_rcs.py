@@ -9,7 +9,14 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherWarning, check_between, check_finite, check_positive
+from torchweather.core.errors import (
+    InputTypeError,
+    InputValueError,
+    TorchweatherWarning,
+    check_between,
+    check_finite,
+    check_positive,
+)
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = ["far_field_edge_m", "isosceles_triangle_rcs_m2", "subdivide", "triangle_field_m"]
@@ -234,12 +241,12 @@ def _longest_edge_m(corners_m: Tensor) -> Tensor:
 
 def _check_triangles(vertices_m: Tensor, owner: str) -> None:
     if vertices_m.ndim < 3 or vertices_m.shape[-2:] != (3, 3):
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: vertices_m must be (..., F, 3, 3) in metres: facet, corner, x y z; "
             f"got shape {tuple(vertices_m.shape)}."
         )
     if not vertices_m.is_floating_point():
-        raise TypeError(f"{owner}: vertices_m must be floating point; got {vertices_m.dtype}.")
+        raise InputTypeError(f"{owner}: vertices_m must be floating point; got {vertices_m.dtype}.")
     check_finite("vertices_m", vertices_m, unit="m", owner=owner)
 
 
@@ -253,7 +260,7 @@ def _one_a_facet(to_radar: Tensor, vertices_m: Tensor, owner: str) -> Tensor:
     else:
         fits = all(a == b or 1 in (a, b) for a, b in zip(toward.shape[-2::-1], facets[::-1], strict=False))
     if not fits:
-        raise ValueError(
+        raise InputValueError(
             f"{owner}: to_radar must be (3,), (..., 3) or (..., F, 3) for vertices_m {tuple(vertices_m.shape)}; "
             f"got shape {tuple(to_radar.shape)}. For D directions on one target give vertices_m[None] and (D, 3)."
         )

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
-from torchweather.core.errors import check_at_least, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of
 from torchweather.core.random import Variate, draw_variates, flat_noise, sample_seeds
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.fmcw.beat_signal import beat_signal
@@ -122,9 +122,11 @@ class FmcwRadar(nn.Module):
     ) -> None:
         super().__init__()
         if not isinstance(radar, Radar):
-            raise TypeError(f"FmcwRadar: radar must be a Radar, such as Radar.preset('awr1843-like'); got {radar!r}.")
+            raise InputTypeError(
+                f"FmcwRadar: radar must be a Radar, such as Radar.preset('awr1843-like'); got {radar!r}."
+            )
         if weather is not None and not isinstance(weather, Weather):
-            raise TypeError(f"FmcwRadar: weather must be Rain, Fog, Snow, a Mixture or None; got {weather!r}.")
+            raise InputTypeError(f"FmcwRadar: weather must be Rain, Fog, Snow, a Mixture or None; got {weather!r}.")
         check_one_of("window_name", window_name, WINDOWS, owner=self)
         check_at_least("angles_per_cell", angles_per_cell, 1, owner=self)
         check_at_least("dynamic_db", dynamic_db, 0.0, unit="dB", owner=self)
@@ -133,7 +135,7 @@ class FmcwRadar(nn.Module):
         self.angles_per_cell, self.dynamic_db, self.noise = int(angles_per_cell), float(dynamic_db), bool(noise)
         parts = () if weather is None else weather.parts
         if any(part.patch_log_std != 0.0 for part in parts):
-            raise ValueError("FmcwRadar: knows no patches; set patch_log_std=0, or use RadarAttenuation.")
+            raise InputValueError("FmcwRadar: knows no patches; set patch_log_std=0, or use RadarAttenuation.")
         self.path = PathAttenuation(parts, radar, rain_model, fog_model, snow_model) if parts else None
         rates = [part.knob for part in parts if isinstance(part, Rain)]
         self.radome = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
@@ -219,7 +221,9 @@ class FmcwRadar(nn.Module):
         channels = range_doppler(cube.reshape(-1, *cube.shape[-3:]), self.radar, self.window_name)
         power = torch.view_as_real(channels).square().mean(1).sum(-1)  # channels first: one long pass
         if not math.isfinite(float(power.detach().sum())):
-            raise ValueError("FmcwRadar: cube must be finite, square root of milliwatts; got NaN or infinity in it.")
+            raise InputValueError(
+                "FmcwRadar: cube must be finite, square root of milliwatts; got NaN or infinity in it."
+            )
         found = [
             detections(*frame, self.cfar, self.radar, self.window_name, self.angles_per_cell, self.dynamic_db)
             for frame in zip(channels, power, strict=True)

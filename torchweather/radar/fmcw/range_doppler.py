@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.fmcw.windows import noise_bandwidth, window
 from torchweather.radar.sensor import Radar
@@ -28,9 +29,9 @@ def check_cube(cube: Tensor, radar: Radar, owner: object) -> None:
     name = owner if isinstance(owner, str) else type(owner).__name__
     if not isinstance(cube, Tensor) or not cube.is_complex():
         got = cube.dtype if isinstance(cube, Tensor) else type(cube).__name__
-        raise TypeError(f"{name}: cube must be a complex tensor (..., V, chirps, samples); got {got}.")
+        raise InputTypeError(f"{name}: cube must be a complex tensor (..., V, chirps, samples); got {got}.")
     if tuple(cube.shape[-3:]) != wanted:
-        raise ValueError(
+        raise InputValueError(
             f"{name}: cube must be (..., {wanted[0]} virtual channels, {wanted[1]} chirps, {wanted[2]} samples), as "
             f"the radar says; got {tuple(cube.shape)}."
         )

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.radar.fmcw.windows import WINDOWS, window
 from torchweather.radar.sensor import Radar
 
@@ -48,7 +48,7 @@ class RangeDopplerMap(nn.Module):
     def __init__(self, radar: Radar, window_name: str = "hann") -> None:
         super().__init__()
         if not isinstance(radar, Radar):
-            raise TypeError(
+            raise InputTypeError(
                 f"RangeDopplerMap: radar must be a Radar, such as Radar.preset('awr1843-like'); got {radar!r}."
             )
         check_one_of("window_name", window_name, WINDOWS, owner=self)
@@ -84,12 +84,12 @@ class RangeDopplerMap(nn.Module):
         wanted = (self.radar.virtual_channels, self.radar.chirps, self.radar.samples)
         for name, part in (("real", real), ("imaginary", imaginary)):
             if part.ndim < 3 or tuple(part.shape[-3:]) != wanted:
-                raise ValueError(
+                raise InputValueError(
                     f"RangeDopplerMap: {name} must be (..., {wanted[0]} virtual channels, {wanted[1]} chirps, "
                     f"{wanted[2]} samples), as the radar says; got {tuple(part.shape)}."
                 )
             if part.dtype != self.range_cos.dtype:
-                raise TypeError(
+                raise InputTypeError(
                     f"RangeDopplerMap: {name} must be {self.range_cos.dtype}, as the map; got {part.dtype}. Use "
                     "cube.real and cube.imag."
                 )

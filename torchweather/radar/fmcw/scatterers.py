@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_finite, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_positive
 
 __all__ = ["Scatterers"]
 
@@ -38,15 +38,15 @@ class Scatterers:
     def __post_init__(self) -> None:
         shape = self.position_m.shape
         if len(shape) < 2 or shape[-1] != 3:
-            raise ValueError(f"Scatterers: position_m must be (..., M, 3) in metres; got shape {tuple(shape)}.")
+            raise InputValueError(f"Scatterers: position_m must be (..., M, 3) in metres; got shape {tuple(shape)}.")
         if not self.position_m.is_floating_point():
-            raise TypeError(f"Scatterers: position_m must be floating point; got {self.position_m.dtype}.")
+            raise InputTypeError(f"Scatterers: position_m must be floating point; got {self.position_m.dtype}.")
         if not self.field_m.is_complex():
-            raise TypeError(f"Scatterers: field_m must be complex, metres; got {self.field_m.dtype}.")
+            raise InputTypeError(f"Scatterers: field_m must be complex, metres; got {self.field_m.dtype}.")
         for name in ("speed_m_per_s", "field_m"):
             value: Tensor = getattr(self, name)
             if value.shape != shape[:-1]:
-                raise ValueError(
+                raise InputValueError(
                     f"Scatterers: {name} must be {tuple(shape[:-1])}, one a position; got shape {tuple(value.shape)}."
                 )
         check_finite("position_m", self.position_m, unit="m", owner=self)

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Rain, Snow
-from torchweather.core.errors import check_between
+from torchweather.core.errors import InputTypeError, check_between
 from torchweather.core.random import Variate
 from torchweather.radar.attenuation import PathAttenuation
 from torchweather.radar.clutter import DB, FallingReflectivity, view_rad
@@ -69,7 +69,7 @@ class VolumeEcho(nn.Module):
     ) -> None:
         super().__init__()
         if not isinstance(weather, (Rain, Snow)):
-            raise TypeError(f"VolumeEcho: weather must be Rain or Snow; got {type(weather).__name__}.")
+            raise InputTypeError(f"VolumeEcho: weather must be Rain or Snow; got {type(weather).__name__}.")
         check_between("near_m", near_m, 0.0, radar.max_range_m, unit="m", owner=self)
         check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
         check_between("turbulence_m_per_s", turbulence_m_per_s, 0.0, 100.0, unit="m/s", owner=self)

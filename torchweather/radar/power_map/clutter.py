@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_dict
-from torchweather.core.errors import check_at_least, check_between
+from torchweather.core.errors import InputTypeError, check_at_least, check_between
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 from torchweather.radar.attenuation import radar_of
@@ -93,7 +93,7 @@ class MapClutter(Stage):
         self.axes = axes if isinstance(axes, MapAxes) else MapAxes.from_dict(axes)
         built = weather if isinstance(weather, Weather) else weather_from_dict(weather)
         if not isinstance(built, (Rain, Snow)):
-            raise TypeError(f"MapClutter: weather must be Rain or Snow; got {type(built).__name__}.")
+            raise InputTypeError(f"MapClutter: weather must be Rain or Snow; got {type(built).__name__}.")
         check_at_least("share", share, 0.0, owner=self)
         check_between("near_m", near_m, 0.1, 1000.0, unit="m", owner=self)
         check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)

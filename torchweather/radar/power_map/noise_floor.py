@@ -8,6 +8,7 @@ import torch
 from scipy import special
 from torch import Tensor
 
+from torchweather.core.errors import InputValueError
 from torchweather.radar.power_map.power_map import RadarPowerMap
 from torchweather.radar.power_map.scale import PowerScale
 
@@ -79,7 +80,7 @@ def noise_floor_db(power_map: RadarPowerMap, looks: int = 1) -> float:
         byte = quiet.float().sort().values
         middle = float(byte[len(byte) // 2])
         if middle == 0:
-            raise ValueError(
+            raise InputValueError(
                 "noise_floor_db: half of the quietest cells or more are byte 0: the map was cut off above its noise. "
                 "Give noise_floor_db, the mean noise in dB of the map."
             )
@@ -90,7 +91,7 @@ def noise_floor_db(power_map: RadarPowerMap, looks: int = 1) -> float:
     else:
         median_db = float(power_map.scale.decibels(quiet).median())
     if not math.isfinite(median_db):
-        raise ValueError(
+        raise InputValueError(
             "noise_floor_db: half of the quietest cells or more have no power at all: the map was cut off above its "
             "noise. Give noise_floor_db, the mean noise in dB of the map."
         )

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_finite
+from torchweather.core.errors import InputValueError, check_finite
 from torchweather.radar.power_map.scale import PowerScale
 
 __all__ = ["MAP_DIMENSIONS", "MapAxes", "RadarPowerMap"]
@@ -57,7 +57,7 @@ class MapAxes:
         dims = tuple(self.dims)
         unknown = [name for name in dims if name not in MAP_DIMENSIONS]
         if unknown or len(set(dims)) != len(dims) or any(name not in dims for name in NEEDED):
-            raise ValueError(
+            raise InputValueError(
                 f"MapAxes: dims must be different names out of {', '.join(MAP_DIMENSIONS)}, range among them; got "
                 f"{', '.join(map(str, dims)) or 'none'}."
             )
@@ -66,12 +66,12 @@ class MapAxes:
             given = getattr(self, axis)
             if (given is not None) != (name in dims):
                 state = "has no values" if given is None else "has values although dims lacks it"
-                raise ValueError(f"MapAxes: {axis} {state}: give it together with {name!r} in dims.")
+                raise InputValueError(f"MapAxes: {axis} {state}: give it together with {name!r} in dims.")
             if given is not None:
                 object.__setattr__(self, axis, _numbers(axis, given))
         ranges = self.range_m
         if len(ranges) < 2 or ranges[0] < 0 or any(b <= a for a, b in pairwise(ranges)):
-            raise ValueError(
+            raise InputValueError(
                 "MapAxes: range_m must be two metres or more of 0 or more, rising; got "
                 f"{ranges[:3]}{'...' if len(ranges) > 3 else ''}."
             )
@@ -197,7 +197,7 @@ class RadarPowerMap:
     def __post_init__(self) -> None:
         if tuple(self.values.shape) != self.axes.shape:
             named = " x ".join(f"{name} {size}" for name, size in zip(self.axes.dims, self.axes.shape, strict=True))
-            raise ValueError(f"RadarPowerMap: values must have shape {named}; got {tuple(self.values.shape)}.")
+            raise InputValueError(f"RadarPowerMap: values must have shape {named}; got {tuple(self.values.shape)}.")
         self.scale.check(self.values)
 
     @property
@@ -227,7 +227,7 @@ class RadarPowerMap:
 def _numbers(name: str, values: Sequence[float] | Tensor) -> tuple[float, ...]:
     listed = values.detach().double().tolist() if isinstance(values, Tensor) else [float(value) for value in values]
     if not listed:
-        raise ValueError(f"MapAxes: {name} must hold one value or more; got none.")
+        raise InputValueError(f"MapAxes: {name} must hold one value or more; got none.")
     check_finite(name, torch.tensor(listed, dtype=torch.float64), owner="MapAxes")
     return tuple(listed)
 

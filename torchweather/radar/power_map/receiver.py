@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_between
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -98,7 +98,7 @@ class MapReceiver(Stage):
         self.scale = scale if isinstance(scale, PowerScale) else PowerScale.from_dict(scale)
         check_between("looks", looks, 1, MOST_LOOKS, owner=self)
         if looks != int(looks) or (self.scale.kind == "complex" and looks != 1):
-            raise ValueError(f"MapReceiver: looks must be a whole number, 1 of complex maps; got {looks!r}.")
+            raise InputValueError(f"MapReceiver: looks must be a whole number, 1 of complex maps; got {looks!r}.")
         if oversampling != 0:
             check_between("oversampling", oversampling, 1.0, 64.0, owner=self)
         self.looks, self.oversampling = int(looks), float(oversampling)
@@ -212,7 +212,7 @@ def _floor(value: Any, axes: MapAxes) -> float | tuple[float, ...] | None:
         return found
     profile = tuple(float(one) for one in value)
     if len(profile) != len(axes.range_m):
-        raise ValueError(
+        raise InputValueError(
             f"MapReceiver: noise_floor_db must be one number of dB or one for each of {len(axes.range_m)} range bins; "
             f"got {len(profile)}."
         )

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_finite, check_one_of, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_one_of, check_positive
 
 __all__ = ["SCALE_KINDS", "PowerScale"]
 
@@ -48,7 +48,7 @@ class PowerScale:
     def __post_init__(self) -> None:
         check_one_of("kind", self.kind, SCALE_KINDS, owner=self)
         if (self.edges_db is not None) != (self.kind == "db_steps"):
-            raise ValueError(
+            raise InputValueError(
                 f"PowerScale: edges_db belong to kind='db_steps'; got kind={self.kind!r} "
                 f"{'with' if self.edges_db is not None else 'without'} them. PowerScale.steps(step_db) makes them."
             )
@@ -56,7 +56,7 @@ class PowerScale:
             return
         edges = tuple(float(edge) for edge in self.edges_db)
         if len(edges) != LEVELS - 1 or any(high <= low for low, high in pairwise(edges)):
-            raise ValueError(f"PowerScale: edges_db must be {LEVELS - 1} rising levels in dB; got {len(edges)}.")
+            raise InputValueError(f"PowerScale: edges_db must be {LEVELS - 1} rising levels in dB; got {len(edges)}.")
         check_finite("edges_db", torch.tensor(edges), unit="dB", owner=self)
         object.__setattr__(self, "edges_db", edges)
 
@@ -92,7 +92,7 @@ class PowerScale:
         """
         check_positive("step_db", step_db, unit="dB", owner=cls)
         if noise.dtype != torch.uint8 or noise.numel() < LEAST_CELLS:
-            raise ValueError(
+            raise InputValueError(
                 f"PowerScale.from_noise: expected {LEAST_CELLS} bytes of noise or more; got {noise.numel()} of "
                 f"{noise.dtype}. PowerScale.steps(step_db) needs none."
             )
@@ -100,7 +100,7 @@ class PowerScale:
         below = np.cumsum(count)[:-1] / count.sum()
         known = np.flatnonzero((below > 0) & (below <= JOIN))
         if len(known) < 3:
-            raise ValueError(
+            raise InputValueError(
                 "PowerScale.from_noise: expected noise over several levels; got "
                 f"{int((count > 0).sum())} levels. The floor was cut off: give PowerScale.steps(step_db)."
             )
@@ -149,7 +149,7 @@ class PowerScale:
         if self.kind in ("linear", "amplitude"):
             found = torch.exp((DB if self.kind == "linear" else 0.5 * DB) * decibels)
         if self.kind == "complex":
-            raise ValueError("PowerScale: a complex map has a phase, which dB do not give.")
+            raise InputValueError("PowerScale: a complex map has a phase, which dB do not give.")
         if like.is_floating_point():
             return found.to(like.dtype)
         limits = torch.iinfo(like.dtype)
@@ -158,11 +158,11 @@ class PowerScale:
     def check(self, values: Tensor) -> None:
         """Refuse numbers that the scale cannot hold."""
         if self.kind == "db_steps" and values.dtype != torch.uint8:
-            raise TypeError(f"PowerScale: kind='db_steps' is of bytes (uint8); got {values.dtype}.")
+            raise InputTypeError(f"PowerScale: kind='db_steps' is of bytes (uint8); got {values.dtype}.")
         if (self.kind == "complex") != values.is_complex():
-            raise TypeError(f"PowerScale: kind={self.kind!r} does not fit numbers of {values.dtype}.")
+            raise InputTypeError(f"PowerScale: kind={self.kind!r} does not fit numbers of {values.dtype}.")
         if self.kind in ("linear", "amplitude") and values.numel() and bool((values < 0).any()):
-            raise ValueError(
+            raise InputValueError(
                 f"PowerScale: kind={self.kind!r} is of 0 or more; got {float(values.min()):g}. A map in dB has "
                 "kind='db'."
             )
