@@ -10,24 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.hidden.lidar import cases, streets
-from benchmarks.hidden.lidar.cases import Streets, build, needed_strengths, plan
-from benchmarks.hidden.lidar.design import Size
-from benchmarks.hidden.scoring import score
-from benchmarks.hidden.sealed import append_line, read_lines, sha256_of, write_json
-from torchweather.gap.study import Study
+from benchmarks.gap_bench import report, steps
+from benchmarks.gap_bench.generator.lidar import cases, streets
+from benchmarks.gap_bench.generator.lidar.cases import Streets, build, needed_strengths, plan
+from benchmarks.gap_bench.generator.lidar.design import Size
+from benchmarks.gap_bench.scoring import score
+from benchmarks.gap_bench.sealed import append_line, read_lines, sha256_of, write_json
+from torchweather.gap.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 LOSS = "lidar.window_loss"
-
-
-@pytest.fixture
-def bench(monkeypatch):
-    """The script as a module."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    import gap_bench
-
-    return gap_bench
 
 
 def _truth(case, name=LOSS):
@@ -61,7 +53,7 @@ def _arguments(folder, **more):
     )
 
 
-def test_time_searches_every_nth_answered_study_again(bench, folder, monkeypatch):
+def test_time_searches_every_nth_answered_study_again(folder, monkeypatch):
     for case in ("c", "a", "b"):
         append_line(folder / "answers.jsonl", {"case": case, "sealed": "x", **_answer()})
     asked = []
@@ -70,9 +62,9 @@ def test_time_searches_every_nth_answered_study_again(bench, folder, monkeypatch
         asked.append(path.name)
         return {"seconds": 7.0, "report": {}}
 
-    monkeypatch.setattr(bench, "answer", slow)
-    bench.timed(SimpleNamespace(folder=folder, seed=0, every=2, skip=0))
-    bench.timed(SimpleNamespace(folder=folder, seed=0, every=2, skip=0))
+    monkeypatch.setattr(steps, "answer", slow)
+    steps.timed(SimpleNamespace(folder=folder, seed=0, every=2, skip=0))
+    steps.timed(SimpleNamespace(folder=folder, seed=0, every=2, skip=0))
     assert asked == ["a", "c"]
     assert read_lines(folder / "seconds.jsonl") == [{"case": "a", "seconds": 7.0}, {"case": "c", "seconds": 7.0}]
 
@@ -80,7 +72,7 @@ def test_time_searches_every_nth_answered_study_again(bench, folder, monkeypatch
 def test_lines_of_two_processes_stay_whole(tmp_path):
     path = tmp_path / "answers.jsonl"
     code = (
-        "import sys; from pathlib import Path; from benchmarks.hidden.sealed import append_line\n"
+        "import sys; from pathlib import Path; from benchmarks.gap_bench.sealed import append_line\n"
         "path, who = Path(sys.argv[1]), sys.argv[2]\n"
         "for i in range(60): append_line(path, {'who': who, 'i': i, 'long': who * 30000})"
     )
@@ -100,37 +92,37 @@ def test_a_line_after_one_that_was_cut_off_is_whole(tmp_path):
     assert [one["case"] for one in read_lines(path)] == ["a", "c"]
 
 
-def test_parts_never_overlap_whatever_is_done_already(bench, folder, monkeypatch, capsys):
-    monkeypatch.setattr(bench, "answer", lambda study, seed, **more: _answer())
-    assert bench.part_of(["a", "b", "c"], "1/2") == ["a", "c"]
-    bench.run(_arguments(folder, part="1/2", count=1))
-    bench.run(_arguments(folder, part="2/2"))
-    bench.run(_arguments(folder, part="1/2"))
+def test_parts_never_overlap_whatever_is_done_already(folder, monkeypatch, capsys):
+    monkeypatch.setattr(steps, "answer", lambda study, seed, **more: _answer())
+    assert steps.part_of(["a", "b", "c"], "1/2") == ["a", "c"]
+    steps.run(_arguments(folder, part="1/2", count=1))
+    steps.run(_arguments(folder, part="2/2"))
+    steps.run(_arguments(folder, part="1/2"))
     assert [one["case"] for one in read_lines(folder / "answers.jsonl")] == ["a", "b", "c"]
-    bench.run(_arguments(folder))
+    steps.run(_arguments(folder))
     assert "3 of 3 studies have an answer; 0 to go" in capsys.readouterr().out
     for wrong in ("0/2", "3/2"):
         with pytest.raises(SystemExit, match="k/n"):
-            bench.part_of(["a"], wrong)
+            steps.part_of(["a"], wrong)
 
 
-def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effects_alone(bench, folder, monkeypatch):
+def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effects_alone(folder, monkeypatch):
     asked = []
 
     def answer(study, seed, effects=None, **more):
         asked.append((study.name, effects))
         return _answer("lidar.spray" if study.name == "b" else LOSS, width=0.4 if effects is None else 0.2)
 
-    monkeypatch.setattr(bench, "answer", answer)
-    bench.run(_arguments(folder, count=2))
+    monkeypatch.setattr(steps, "answer", answer)
+    steps.run(_arguments(folder, count=2))
     with pytest.raises(SystemExit, match="1 studies have no answer"):
-        bench.known(_arguments(folder))
-    bench.run(_arguments(folder))
+        steps.known(_arguments(folder))
+    steps.run(_arguments(folder))
     asked.clear()
-    bench.known(_arguments(folder, count=1))
-    bench.known(_arguments(folder))
+    steps.known(_arguments(folder, count=1))
+    steps.known(_arguments(folder))
     assert asked == [("a", [LOSS]), ("c", [LOSS])]  # b was not answered right
-    bench.report(_arguments(folder))
+    report.report(_arguments(folder))
     written = json.loads((folder / "score" / "score.json").read_text())
     table, bars = written["table"], {one["figure"]: one for one in written["bars"]}
     assert bars["singles_identifiable_exact"]["holds"] is False
@@ -138,12 +130,12 @@ def test_known_opens_the_truth_after_the_last_answer_and_asks_for_the_true_effec
     assert table["singles_exact"]["hits"] == 2
     assert table["interval_width_over_known"] == {"median": pytest.approx(2.0), "of": 2}
     write_json(folder / "sealed" / "truth.json", {case: _truth(case, "lidar.spray") for case in "abc"})
-    for act in (bench.known, bench.report):
+    for act in (steps.known, report.report):
         with pytest.raises(SystemExit, match="SHA-256"):
             act(_arguments(folder))
 
 
-def test_a_table_counts_the_families_of_a_set_that_are_asked_for(bench, folder, monkeypatch):
+def test_a_table_counts_the_families_of_a_set_that_are_asked_for(folder, monkeypatch):
     truths = {
         case: {**_truth(case), "family": family}
         for case, family in zip("abc", ("single", "pair", "decoy"), strict=True)
@@ -151,15 +143,15 @@ def test_a_table_counts_the_families_of_a_set_that_are_asked_for(bench, folder, 
     write_json(folder / "sealed" / "truth.json", truths)
     seal = {"sensor": "lidar", "set": "dev", "seed": 1, "truth_sha256": sha256_of(folder / "sealed" / "truth.json")}
     write_json(folder / "seal.json", seal)
-    monkeypatch.setattr(bench, "answer", lambda study, seed, **more: _answer())
-    bench.run(_arguments(folder))
+    monkeypatch.setattr(steps, "answer", lambda study, seed, **more: _answer())
+    steps.run(_arguments(folder))
     for given, counted in ((f"{folder}:single,pair", (1, 1)), (f"{folder}:pair", (0, 1))):
-        bench.report(_arguments(folder, folders=[given]))
+        report.report(_arguments(folder, folders=[given]))
         written = json.loads((folder / "score" / "score.json").read_text())
         assert tuple(written["table"][name]["of"] for name in ("singles_exact", "pairs_both")) == counted
         assert written["sets"] == [{**seal, "families": given.rpartition(":")[2].split(",")}]
     with pytest.raises(SystemExit, match=r"wanted a folder, or one with :null,single.*got singles"):
-        bench.report(_arguments(folder, folders=[f"{folder}:singles"]))
+        report.report(_arguments(folder, folders=[f"{folder}:singles"]))
 
 
 def test_of_several_answers_to_a_study_the_first_counts():
@@ -248,14 +240,30 @@ def test_spray_grows_with_the_speed_that_the_conditions_carry(tmp_path):
     assert np.corrcoef(np.square(speeds), near)[0, 1] > 0.9
 
 
-def test_a_sealed_truth_is_made_in_the_size_that_it_was_sealed_with(bench, tmp_path):
+def test_a_sealed_truth_is_made_in_the_size_that_it_was_sealed_with(tmp_path):
     """Studies of another size under the same names would change the seal."""
     arguments = SimpleNamespace(
         folder=tmp_path, sensor="camera", set="dev", seed=1, cases=["screen"], count=1, skip=0, small=False, few=True
     )
-    case = bench.bench_sensor("camera").plan("dev", 1, ["screen"], True)[0]
+    case = steps.bench_sensor("camera").plan("dev", 1, ["screen"], True)[0]
     write_json(tmp_path / "sealed" / "truth.json", {case.id: {"size": asdict(case.size)}})
     seal = sha256_of(tmp_path / "sealed" / "truth.json")
     with pytest.raises(SystemExit, match=r"160.*480.*--small"):
-        bench.make(arguments)
+        steps.make(arguments)
     assert sha256_of(tmp_path / "sealed" / "truth.json") == seal
+
+
+def test_a_kept_set_is_compressed_the_same_each_time_and_read_as_before(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(steps, "answer", lambda study, seed, **more: _answer())
+    steps.run(_arguments(folder))
+    for into in ("kept", "again"):
+        steps.keep(SimpleNamespace(folder=folder, into=tmp_path / into))
+    files = [path.relative_to(tmp_path / "kept") for path in sorted((tmp_path / "kept").rglob("*.*"))]
+    assert [str(path) for path in files] == ["answers.jsonl.gz", "seal.json", "sealed/truth.json.gz"]
+    assert all((tmp_path / "kept" / path).read_bytes() == (tmp_path / "again" / path).read_bytes() for path in files)
+    for one in (folder, tmp_path / "kept"):
+        report.report(_arguments(one, folders=[one], out=tmp_path / f"score of {one.name}"))
+    scores = [(tmp_path / f"score of {one}").joinpath("score.json").read_text() for one in (folder.name, "kept")]
+    assert scores[0] == scores[1]
+    with pytest.raises(SystemExit, match="has answers"):
+        steps.make(SimpleNamespace(folder=tmp_path / "kept", sensor="lidar"))

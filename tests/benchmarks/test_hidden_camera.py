@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.hidden.camera.cases import Case, Places, build
-from benchmarks.hidden.camera.design import Size
-from benchmarks.hidden.camera.detectability import Table
-from benchmarks.hidden.camera.effects import KINDS, path_weights
-from benchmarks.hidden.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
-from benchmarks.hidden.camera.scene import Eye, Street
-from benchmarks.hidden.sealed import plain
+from benchmarks.gap_bench.generator.camera.cases import Case, Places, build
+from benchmarks.gap_bench.generator.camera.design import Size
+from benchmarks.gap_bench.generator.camera.detectability import Table
+from benchmarks.gap_bench.generator.camera.effects import KINDS, path_weights
+from benchmarks.gap_bench.generator.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
+from benchmarks.gap_bench.generator.camera.scene import Eye, Street
+from benchmarks.gap_bench.sealed import plain
 
 DEPTHS_M = (8.0, 20.0, 60.0)
 FRAMES = 12

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.hidden.lidar.coarse_statistics import Tally
-from benchmarks.hidden.lidar.decoys import DECOYS
-from benchmarks.hidden.lidar.design import Size, draw_design, study_of, with_record
-from benchmarks.hidden.lidar.detectability import KINDS, Detector, brighter, cosine, independent, length
-from benchmarks.hidden.lidar.effects import CATALOGUE
-from benchmarks.hidden.lidar.lidar_sensor import PARTICLE, TARGET, View, Weather, shoot, study_sensor
-from benchmarks.hidden.lidar.particles import air_of, draw_drops
-from benchmarks.hidden.lidar.rays import Target, cast, scan_pattern
-from benchmarks.hidden.lidar.scene import SENSOR_HEIGHT_M, Box, Scene, draw_scene
-from benchmarks.hidden.scoring import score, wilson
-from benchmarks.hidden.sealed import append_line, read_lines, sha256_of, write_json
-from torchweather.gap.study import Study
+from benchmarks.gap_bench.generator.lidar.coarse_statistics import Tally
+from benchmarks.gap_bench.generator.lidar.decoys import DECOYS
+from benchmarks.gap_bench.generator.lidar.design import Size, draw_design, study_of, with_record
+from benchmarks.gap_bench.generator.lidar.detectability import KINDS, Detector, brighter, cosine, independent, length
+from benchmarks.gap_bench.generator.lidar.effects import CATALOGUE
+from benchmarks.gap_bench.generator.lidar.lidar_sensor import PARTICLE, TARGET, View, Weather, shoot, study_sensor
+from benchmarks.gap_bench.generator.lidar.particles import air_of, draw_drops
+from benchmarks.gap_bench.generator.lidar.rays import Target, cast, scan_pattern
+from benchmarks.gap_bench.generator.lidar.scene import SENSOR_HEIGHT_M, Box, Scene, draw_scene
+from benchmarks.gap_bench.scoring import score, wilson
+from benchmarks.gap_bench.sealed import append_line, read_lines, sha256_of, write_json
+from torchweather.gap.study.study import Study
 
 TINY = Size(rings=16, columns=64, clear_frames=2, rates=2, frames=2)
 FRAMES = 8

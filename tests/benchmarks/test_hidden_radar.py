@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.hidden.radar.design import Size, draw_design
-from benchmarks.hidden.radar.detectability import LEAST_OF_COUNT, Statistics
-from benchmarks.hidden.radar.radar_sensor import Weather, shoot, study_radar
+from benchmarks.gap_bench.generator.radar.design import Size, draw_design
+from benchmarks.gap_bench.generator.radar.detectability import LEAST_OF_COUNT, Statistics
+from benchmarks.gap_bench.generator.radar.radar_sensor import Weather, shoot, study_radar
 
 FRAMES = 6
 

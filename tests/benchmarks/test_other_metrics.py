@@ -7,9 +7,9 @@ import pytest
 import torch
 from scipy.stats import wasserstein_distance
 
-from benchmarks.hidden.lidar.design import Size, draw_design, study_of
-from benchmarks.hidden.lidar.effects import CATALOGUE
-from benchmarks.hidden.lidar.other_metrics import METRICS, _Clear, _Facts, _Side, distances, other_metrics
+from benchmarks.gap_bench.generator.lidar.design import Size, draw_design, study_of
+from benchmarks.gap_bench.generator.lidar.effects import CATALOGUE
+from benchmarks.gap_bench.generator.lidar.other_metrics import METRICS, _Clear, _Facts, _Side, distances, other_metrics
 from torchweather.metrics.double_validation import double_validation
 from torchweather.stages import effect_from_dict
 from torchweather.transforms import LidarWeather

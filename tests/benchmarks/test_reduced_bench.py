@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.hidden.lidar.cases import Streets, build, needed_strengths, plan
-from benchmarks.hidden.lidar.design import Size
+from benchmarks.gap_bench.generator.lidar.cases import Streets, build, needed_strengths, plan
+from benchmarks.gap_bench.generator.lidar.design import Size
 from torchweather.gap import find_gap
 
 CASES = list(plan("ci", 1, ["reduced"], Size().smaller_grid()))

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from benchmarks.hidden.bench_sensor import bench_sensor
-from benchmarks.hidden.camera.cases import SENSOR, Places, build, plan
-from benchmarks.hidden.camera.design import Size
-from benchmarks.hidden.camera.effects import CATALOGUE, OUTSIDE
-from benchmarks.hidden.planning import Case
+from benchmarks.gap_bench.generator.bench_sensor import bench_sensor
+from benchmarks.gap_bench.generator.camera.cases import SENSOR, Places, build, plan
+from benchmarks.gap_bench.generator.camera.design import Size
+from benchmarks.gap_bench.generator.camera.effects import CATALOGUE, OUTSIDE
+from benchmarks.gap_bench.generator.planning import Case
 from torchweather.camera.effects.all import EFFECTS
 from torchweather.gap import find_gap
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.hidden.radar.cases import SENSOR, plan
+from benchmarks.gap_bench.generator.radar.cases import SENSOR, plan
 from torchweather.gap import find_gap
 
 CASES = plan("ci", 1, ["reduced"], small=True)

@@ -1,6 +1,6 @@
 """The strengths of the reduced bench are kept beside the tests; they follow from the seed.
 
-``python benchmarks/gap_bench.py make DIR --set ci --seed 1 --cases reduced --small --few`` makes them, in
+``python -m benchmarks.gap_bench make DIR --set ci --seed 1 --cases reduced --small --few`` makes them, in
 ``DIR/sealed``.
 """
 
@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.hidden.lidar.cases import Streets, needed_strengths, plan
-from benchmarks.hidden.lidar.design import Size
+from benchmarks.gap_bench.generator.lidar.cases import Streets, needed_strengths, plan
+from benchmarks.gap_bench.generator.lidar.design import Size
 
 HERE = Path(__file__).parent
 SMALL = Size().smaller_grid()
@@ -29,8 +29,8 @@ def test_the_tables_hold_what_the_reduced_bench_needs():
 
 MAKE = """
 import json
-from benchmarks.hidden.lidar.cases import Streets
-from benchmarks.hidden.lidar.design import Size
+from benchmarks.gap_bench.generator.lidar.cases import Streets
+from benchmarks.gap_bench.generator.lidar.design import Size
 made = Streets("ci", 1, None, ("lidar.window_loss",))("rain", 1, Size().smaller_grid())
 print(json.dumps(made.table["lidar.window_loss"]["30"]))
 """
