@@ -1,4 +1,4 @@
-"""The page of the LiDAR effects says of each what its class says, and the example draws its picture."""
+"""The page of the LiDAR effects says of each what its class says, and the script draws its picture."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from torchweather.stages import EFFECTS, Effect, Parameter
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-lidar.md"
 PICTURES = ROOT / "docs" / "images" / "effects"
-EXAMPLE = ROOT / "examples" / "draw_lidar_effects.py"
-STRUCTURE = ROOT / "examples" / "draw_lidar_structure.py"
+SCRIPT = ROOT / "docs" / "_figures" / "lidar_effects.py"
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
 
 MOST_BYTES = 40_000  # of a picture: twenty of them are on one page
@@ -71,7 +70,7 @@ def sections_of(page: Path) -> dict[str, list[str]]:
 
 
 def module_of(path: Path) -> ModuleType:
-    """An example as a module, which is quicker than a process of its own."""
+    """A script as a module, which is quicker than a process of its own."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
@@ -127,34 +126,29 @@ def test_the_recipe_on_the_page_holds_an_effect(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def example() -> ModuleType:
-    return module_of(EXAMPLE)
+def script() -> ModuleType:
+    return module_of(SCRIPT)
 
 
-@pytest.fixture(scope="module")
-def structure() -> ModuleType:
-    return module_of(STRUCTURE)
-
-
-def test_the_examples_have_two_settings_of_every_effect_at_which_it_acts(
-    example: ModuleType, structure: ModuleType
-) -> None:
-    assert [*example.PICTURES, *structure.PICTURES] == LIDAR
-    for name, drawn in (example.PICTURES | structure.PICTURES).items():
+def test_the_script_has_two_settings_of_every_effect_at_which_it_acts(script: ModuleType) -> None:
+    assert list(script.PICTURES) == LIDAR
+    for name, drawn in script.PICTURES.items():
         weak, strong = (EFFECTS[name](**drawn.common, **setting) for setting in drawn.settings)
         assert not bool(weak.at_identity)
         assert not bool(strong.at_identity)
         assert weak.config() != strong.config()
 
 
-def test_the_example_draws_one_picture_of_each_make(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_script_draws_one_picture_of_each_make(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Drawing all of them takes too long for a test."""
-    makes = {type(panel): name for name, drawn in example.PICTURES.items() for panel in drawn.panels}
-    drawn = sorted(set(makes.values()) | {"lidar.crosstalk"})  # in clear air, too
-    monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), "--frames", "1", "--columns", "32", *drawn])
-    example.main()
+    makes = {type(panel): name for name, drawn in script.PICTURES.items() for panel in drawn.panels}
+    # In clear air, too; on a scan of its own.
+    drawn = sorted(set(makes.values()) | {"lidar.crosstalk", "lidar.shared_particles"})
+    small = ["--frames", "1", "--columns", "32", "--fine-columns", "512"]
+    monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), *small, *drawn])
+    script.main()
     assert sorted(path.name for path in tmp_path.iterdir()) == [picture(name).name for name in drawn]
     printed = capsys.readouterr().out
     for name in drawn:
@@ -163,25 +157,11 @@ def test_the_example_draws_one_picture_of_each_make(
         assert f"{EFFECTS[name].title}: " in printed
 
 
-def test_the_example_of_structure_draws_its_pictures(
-    structure: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = ["--frames", "1", "--columns", "32", "--fine-columns", "512"]
-    monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), *small])
-    structure.main()
-    for name in structure.PICTURES:
-        with Image.open(tmp_path / f"{name}.png") as image:
-            assert image.size == SIZE_PX
-    monkeypatch.setattr(sys, "argv", ["", "lidar.window_loss"])
-    with pytest.raises(SystemExit):
-        structure.main()
-
-
-def test_the_example_refuses_an_effect_that_it_does_not_know(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_script_refuses_an_effect_that_it_does_not_know(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path / "pictures"), "lidar.window_los"])
     with pytest.raises(SystemExit):
-        example.main()
+        script.main()
     assert "no such effect: lidar.window_los; known are lidar.beam_divergence" in capsys.readouterr().err
     assert not (tmp_path / "pictures").exists()

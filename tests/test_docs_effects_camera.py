@@ -1,4 +1,4 @@
-"""The page of the camera effects says of each what its class says, and the example draws its picture."""
+"""The page of the camera effects says of each what its class says, and the script draws its picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchweather.stages import EFFECTS, Effect, Parameter
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-camera.md"
-EXAMPLE = ROOT / "examples" / "draw_camera_effects.py"
+SCRIPT = ROOT / "docs" / "_figures" / "camera_effects.py"
 CAMERA = [name for name in EFFECTS if name.startswith("camera.")]
 every_effect = pytest.mark.parametrize("name", CAMERA)
 
@@ -89,26 +89,26 @@ def test_the_recipe_on_the_page_holds_an_effect(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def example() -> ModuleType:
-    return module_of(EXAMPLE)
+def script() -> ModuleType:
+    return module_of(SCRIPT)
 
 
-def test_the_example_has_two_settings_of_every_effect_at_which_it_acts(example: ModuleType) -> None:
-    assert list(example.PICTURES) == CAMERA
-    for name, drawn in example.PICTURES.items():
+def test_the_script_has_two_settings_of_every_effect_at_which_it_acts(script: ModuleType) -> None:
+    assert list(script.PICTURES) == CAMERA
+    for name, drawn in script.PICTURES.items():
         weak, strong = (EFFECTS[name](**drawn.common, **setting) for setting in drawn.settings)
         assert not bool(weak.at_identity)
         assert not bool(strong.at_identity)
         assert weak.config() != strong.config()
 
 
-def test_the_example_draws_a_frame_a_cover_and_a_change(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_script_draws_a_frame_a_cover_and_a_change(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Drawing all of them takes too long for a test."""
     drawn = ["camera.height_fog", "camera.streak_contrast", "camera.wind_slant"]
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), "--frames", "2", "--width", "64", *drawn])
-    example.main()
+    script.main()
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.png" for name in drawn]
     printed = capsys.readouterr().out
     for name in drawn:
@@ -117,11 +117,11 @@ def test_the_example_draws_a_frame_a_cover_and_a_change(
         assert f"{EFFECTS[name].title}: " in printed
 
 
-def test_the_example_refuses_an_effect_that_it_does_not_know(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_script_refuses_an_effect_that_it_does_not_know(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path / "pictures"), "camera.defocu"])
     with pytest.raises(SystemExit):
-        example.main()
+        script.main()
     assert "no such effect: camera.defocu; known are camera.exposure_gain" in capsys.readouterr().err
     assert not (tmp_path / "pictures").exists()

@@ -1,4 +1,4 @@
-"""The page of the radar effects says of each what its class says, and the example draws its picture."""
+"""The page of the radar effects says of each what its class says, and the script draws its picture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torchweather.stages import EFFECTS, Effect
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-radar.md"
-EXAMPLE = ROOT / "examples" / "draw_radar_effects.py"
+SCRIPT = ROOT / "docs" / "_figures" / "radar_effects.py"
 RADAR = [name for name in EFFECTS if name.startswith("radar.")]
 every_effect = pytest.mark.parametrize("name", RADAR)
 NOT_IN_A_GRAPH = {
@@ -74,24 +74,24 @@ def test_the_recipe_on_the_page_holds_an_effect(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def example() -> ModuleType:
-    return module_of(EXAMPLE)
+def script() -> ModuleType:
+    return module_of(SCRIPT)
 
 
-def test_the_example_has_two_settings_of_every_effect_at_which_it_acts(example: ModuleType) -> None:
-    assert list(example.PICTURES) == RADAR
-    for name, drawn in example.PICTURES.items():
+def test_the_script_has_two_settings_of_every_effect_at_which_it_acts(script: ModuleType) -> None:
+    assert list(script.PICTURES) == RADAR
+    for name, drawn in script.PICTURES.items():
         weak, strong = (EFFECTS[name](**drawn.common, **setting) for setting in drawn.settings)
         assert not bool(weak.at_identity)
         assert not bool(strong.at_identity)
         assert weak.config() != strong.config()
 
 
-def test_the_example_draws_every_picture(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_script_draws_every_picture(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), "--frames", "2"])
-    example.main()
+    script.main()
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(picture(name).name for name in RADAR)
     printed = capsys.readouterr().out
     for name in RADAR:
@@ -100,11 +100,11 @@ def test_the_example_draws_every_picture(
         assert f"{EFFECTS[name].title}: " in printed
 
 
-def test_the_example_refuses_an_effect_that_it_does_not_know(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_script_refuses_an_effect_that_it_does_not_know(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path / "pictures"), "radar.wet_radom"])
     with pytest.raises(SystemExit):
-        example.main()
+        script.main()
     assert "no such effect: radar.wet_radom; known are radar.wet_radome" in capsys.readouterr().err
     assert not (tmp_path / "pictures").exists()

@@ -70,10 +70,6 @@ MEASURED: dict[str, list[str]] = {
 }
 # Tested in a file of their own.
 ELSEWHERE = {
-    "draw_camera_effects.py": "test_docs_effects_camera.py",
-    "draw_lidar_effects.py": "test_docs_effects.py",
-    "draw_lidar_structure.py": "test_docs_effects.py",
-    "draw_radar_effects.py": "test_docs_effects_radar.py",
     "gap_d34_suspicions.py": "gap/test_hidden_study.py",
     "gap_wads_snow.py": "test_gap_wads_example.py",
     "gap_wet_antenna.py": "test_wet_antenna_example.py",

@@ -1,29 +1,21 @@
-"""The README's pictures: their size, their licence, and the script that makes them."""
+"""The README's pictures: their size, their licence, and the scripts that make them."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from PIL import Image, ImageChops
 
+from tests.test_docs_effects import module_of
+
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
+FIGURES = ROOT / "docs" / "_figures"
 PHOTOGRAPHS = sorted((IMAGES / "photographs").glob("*.jpg"))
-
-
-@pytest.fixture
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_readme_pictures", IMAGES / "make_readme_pictures.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 # kB: what a page of the README may weigh.
@@ -59,9 +51,8 @@ def test_every_photograph_has_its_author_and_licence() -> None:
             assert not picture.getexif()  # no place, no device
 
 
-def test_the_script_weathers_the_photograph_and_moves_the_flakes(
-    script: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_script_weathers_the_photograph_and_moves_the_flakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = module_of(FIGURES / "readme_street.py")
     monkeypatch.setattr(script, "PICTURE_WIDTH", 648)
     monkeypatch.setattr(script, "FILM_WIDTH", 240)
     monkeypatch.setattr(script, "FILM_FRAMES", 2)
@@ -85,9 +76,21 @@ def test_the_script_weathers_the_photograph_and_moves_the_flakes(
     assert again[1].tobytes() == second.tobytes()
 
 
-def test_flakes_of_the_point_cloud_are_seen_in_their_own_colour(script: ModuleType) -> None:
-    picture = np.asarray(script.cloud(256).convert("RGB"), dtype=int)
+def test_flakes_of_the_point_cloud_are_seen_in_their_own_colour() -> None:
+    picture = np.asarray(module_of(FIGURES / "readme_cloud.py").cloud(256).convert("RGB"), dtype=int)
     orange = (picture[..., 0] > picture[..., 2] + 60).sum()
     grey = (np.ptp(picture, axis=-1) < 40) & (picture.min(-1) > 90)
     assert orange > 100
     assert grey.sum() > 100
+
+
+@pytest.mark.parametrize("name", ["readme_pictures.py", "readme_detector.py"])
+def test_a_script_takes_its_parts_and_writes_where_the_readme_looks(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = module_of(FIGURES / name)
+    assert script.IMAGES == IMAGES
+    monkeypatch.setattr(sys, "argv", ["", "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        script.main()
+    assert f"docs/_figures/{name}" in capsys.readouterr().out

@@ -1,7 +1,7 @@
 """The README's picture of a detector's answer: boxes on one photograph, clear and in two fogs.
 
     python examples/real_detector.py --cache CACHE --check        # fetches and converts the detector
-    python docs/images/make_readme_detector.py CACHE/nanodet_384x1248.onnx
+    python docs/_figures/readme_detector.py CACHE/nanodet_384x1248.onnx
 
 The detector's declaration lies beside it, with the ending .yaml.
 """
@@ -12,14 +12,13 @@ import argparse
 import json
 from pathlib import Path
 
-from make_readme_pictures import GAP, PHOTOGRAPH, PICTURE_WIDTH, as_picture, labelled, street, weathered
 from PIL import Image, ImageDraw
+from readme_street import GAP, IMAGES, PHOTOGRAPH, PICTURE_WIDTH, as_picture, labelled, street, weathered
 
 import torchweather as tw
 from torchweather.evaluation.robustness import OnnxDetector, read_declaration
 from torchweather.image import normalise
 
-HERE = Path(__file__).parent
 SHOWN = 0.4  # least score of a box that is drawn
 FOGS_M = (200.0, 60.0)
 COLOURS = {"car": (255, 200, 60), "truck": (90, 200, 255), "person": (255, 110, 180)}
@@ -29,7 +28,7 @@ def main() -> None:
     """Draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path, help="the detector's ONNX file")
-    parser.add_argument("--out", type=Path, default=HERE / "readme_detector.jpg")
+    parser.add_argument("--out", type=Path, default=IMAGES / "readme_detector.jpg")
     arguments = parser.parse_args()
     detector = OnnxDetector(arguments.model, read_declaration(arguments.model.with_suffix(".yaml")))
     settings = json.loads(PHOTOGRAPH.with_suffix(".json").read_text(encoding="utf-8"))
