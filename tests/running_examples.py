@@ -20,9 +20,9 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def load_example(name: str) -> Any:
-    """The module of a file in ``examples/``, which may take from its neighbours; its main job is not run."""
+    """The module of a file in ``examples/`` or ``examples/parts/``; its main job is not run."""
     with mock.patch.object(sys, "path", [str(EXAMPLES), *sys.path]):
-        return importlib.import_module(Path(name).stem)
+        return importlib.import_module(".".join(Path(name).with_suffix("").parts))
 
 
 @dataclass(frozen=True)

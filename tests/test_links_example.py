@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5netcdf
@@ -19,13 +20,14 @@ Array = NDArray[Any]
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]  # dimensions, data, attributes
 ROOT = Path(__file__).parents[1]
 EXAMPLE = "links_against_p838.py"
+PARTS = ("parts/link_recordings.py", "parts/link_losses.py", "parts/link_scores.py")
 # ITU-R P.838-3, table 5, 30 GHz: k and alpha
 HORIZONTAL, VERTICAL = (0.2403, 0.9485), (0.2291, 0.9129)
 
 
 @pytest.fixture(scope="module")
 def links() -> Any:
-    return load_example(EXAMPLE)
+    return SimpleNamespace(**{name: value for part in PARTS for name, value in vars(load_example(part)).items()})
 
 
 def column(values: list[float]) -> Array:

@@ -19,11 +19,12 @@ from torchweather.radar.effects.all import RadarPathLossScale, RadarWetRadome
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = "gap_wet_antenna.py"
+PARTS = ("parts/link_scores.py", "parts/link_search.py", "parts/link_reports.py")
 
 
 @pytest.fixture(scope="module")
 def example() -> Any:
-    return load_example(EXAMPLE)
+    return SimpleNamespace(**{name: value for part in PARTS for name, value in vars(load_example(part)).items()})
 
 
 def recording(example: Any, rain: np.ndarray) -> Any:
