@@ -38,7 +38,7 @@ CONFINED: dict[str, set[str]] = {
     "onnxruntime": {"camera", "evaluation", "export"},
     "matplotlib": {"report"},
     "jinja2": {"report"},
-    "kornia": {"camera"},
+    "kornia": {"camera", "metrics"},
     "av": {"io"},
     "pyarrow": {"io"},
     "pycocotools": {"metrics"},

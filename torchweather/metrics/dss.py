@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchweather.metrics.filters import averaged_down, filtered, gaussian_weights, root
+from torchweather.metrics.filters import averaged_down, gaussian_weights, root
 from torchweather.metrics.pairs import Pair
 
 __all__ = ["dss", "dss_of"]
@@ -61,6 +61,8 @@ def dss(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Ten
 
 def dss_of(pair: Pair) -> Tensor:
     """:func:`dss` of a pair."""
+    from kornia.filters import filter2d_separable
+
     x, y = pair.luma
     factor = max(1, min(x.shape[-2:]) // SIDE_PX)
     rows, columns, weight = _bands(x)
@@ -68,10 +70,11 @@ def dss_of(pair: Pair) -> Tensor:
     # Around their means, variances keep their digits; windows over the border see zeros outside.
     middle_x, middle_y = (bands.detach().mean((2, 3), keepdim=True) for bands in (x, y))
     x, y = x - middle_x, y - middle_y
-    window = gaussian_weights(WINDOW, WINDOW_SIGMA, x)
+    window = gaussian_weights(WINDOW, WINDOW_SIGMA, x)[None]
 
     def smooth(plane: Tensor) -> Tensor:
-        return filtered(plane, window, window, "same")
+        found: Tensor = filter2d_separable(plane, window, window, "constant")
+        return found
 
     inside = smooth(torch.ones_like(x[:1, :1]))
     inside[..., 1:-1, 1:-1] = 1.0

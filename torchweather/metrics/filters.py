@@ -27,10 +27,11 @@ SCHARR = ((3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0), (1.0, 0.0, -1.0))
 
 
 def gaussian_weights(size: int, sigma_px: float, like: Tensor) -> Tensor:
-    """``(size,)`` weights that sum to 1."""
-    place = torch.arange(size, device=like.device, dtype=like.dtype) - 0.5 * (size - 1)
-    weights = torch.exp(-place.square() / (2.0 * sigma_px**2))
-    return weights / weights.sum()
+    """Weights of a Gaussian window, ``(size,)``, sum 1."""
+    from kornia.filters import get_gaussian_kernel1d  # imported at first use: 0.2 s
+
+    weights: Tensor = get_gaussian_kernel1d(size, sigma_px, force_even=True, device=like.device, dtype=like.dtype)
+    return weights[0]
 
 
 def filtered(image: Tensor, vertical: Tensor, horizontal: Tensor, padding: str = "valid", step: int = 1) -> Tensor:
@@ -39,13 +40,12 @@ def filtered(image: Tensor, vertical: Tensor, horizontal: Tensor, padding: str =
     Args:
         image: ``(B, C, H, W)``.
         vertical, horizontal: ``(k,)`` each.
-        padding: ``valid`` (smaller), ``same`` (zeros around) or ``replicate`` (the edge goes on).
+        padding: ``valid`` (smaller) or ``same`` (zeros around an odd window).
         step: pixels from one place of the window to the next, either way.
     """
+    # kornia.filters.gaussian_blur2d: 1.4 times the time for a strip of SSIM (4.2 against 3.1 ms); filter2d_separable:
+    # 24 times for every second pixel of 1920 x 1080 (239 against 9.8 ms). benchmarks/filters.json
     batch, channels, rows, columns = *image.shape[:2], len(vertical), len(horizontal)
-    if padding == "replicate":
-        edges = (columns // 2, (columns - 1) // 2, rows // 2, (rows - 1) // 2)
-        image = functional.pad(image, edges, mode="replicate")
     around = (rows // 2, columns // 2) if padding == "same" else (0, 0)
     planes = batch * channels
     tall = vertical.reshape(1, 1, -1, 1).expand(planes, 1, rows, 1)
@@ -95,6 +95,7 @@ def gradient_magnitude(
 ) -> Tensor:
     """Length of the gradient of each channel: differences ``along`` smoothed ``across``, zeros around the image unless
     the padding is ``valid``."""
+    # kornia.filters.filter2d_separable: 9.4 times the time at 1920 x 1080 (487 against 52 ms)
     smooth, differ = (image.new_tensor(weights) for weights in (across, along))
     return root(filtered(image, smooth, differ, padding).square() + filtered(image, differ, smooth, padding).square())
 

@@ -70,6 +70,7 @@ def haarpsi_of(pair: Pair) -> Tensor:
 def _haar(both: Tensor) -> list[tuple[Tensor, Tensor]]:
     """Magnitudes ``(B, 2, H, W)`` of the coefficients in both directions, from the finest scale on, of both planes of
     ``(B, 2, H, W)``."""
+    # kornia.filters.filter2d_separable: 1.6 times the time of the score at 1920 x 1080 (154 against 95 ms)
     found = []
     for scale in range(1, SCALES + 1):
         side = 2**scale

@@ -6,10 +6,9 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from torchweather.metrics.colour import luma, yiq
-from torchweather.metrics.filters import SCHARR, filtered, gaussian_weights, gradient_magnitude, root
+from torchweather.metrics.filters import SCHARR, gaussian_weights, gradient_magnitude, root
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.pooling import chroma_likeness, likeness, stretched, weighted_mean
 from torchweather.metrics.resize import cubic_weights, resized
@@ -78,6 +77,8 @@ def sr_sim_of(pair: Pair, *, chromatic: bool = False) -> Tensor:
 
 def _saliency(plane: Tensor) -> Tensor:
     """What the spectrum of a plane ``(B, 1, H, W)`` has beyond its own average in log amplitude; 0 for a flat plane."""
+    from kornia.filters import box_blur, filter2d_separable
+
     height, width = plane.shape[-2:]
     rows, columns = math.ceil(SHRINK * height), math.ceil(SHRINK * width)
     # Without a common value, all frequencies of a flat plane are 0 and not rounding noise; frequency 0 gets it back.
@@ -88,11 +89,9 @@ def _saliency(plane: Tensor) -> Tensor:
     spectrum = torch.fft.fft2(resized(plane - flat, *quarter)) + origin * flat
     amplitude = root(spectrum.real.square() + spectrum.imag.square())
     logarithm = (amplitude + torch.finfo(plane.dtype).eps).log()
-    box = torch.full_like(plane[0, 0, 0, :SMOOTH], 1.0 / SMOOTH)
-    whitened = torch.fft.ifft2(spectrum * torch.exp(-filtered(logarithm, box, box, "replicate")))
+    whitened = torch.fft.ifft2(spectrum * torch.exp(-box_blur(logarithm, SMOOTH, "replicate")))
     power = whitened.real.square() + whitened.imag.square()
-    blob = gaussian_weights(BLOB, BLOB_SIGMA, plane)
-    before, after = (BLOB - 1) // 2, BLOB // 2
-    smooth = filtered(functional.pad(power, (before, after, before, after)), blob, blob)
+    blob = gaussian_weights(BLOB, BLOB_SIGMA, plane)[None]
+    smooth = filter2d_separable(power, blob, blob, "constant")
     back = cubic_weights(rows, height, height / rows, plane), cubic_weights(columns, width, width / columns, plane)
     return resized(stretched(smooth), *back)

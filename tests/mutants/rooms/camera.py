@@ -39,7 +39,7 @@ MUTANTS = (
         "mosaic_blur_mixes_colours",
         "pixels of one colour of a mosaic lie two apart",
         MOSAIC_BLUR,
-        "_blurring(variance_px2 / spacing**2, width)",
+        "_blurring(variance, width)",
         "_blurring(variance_px2, width)",
         (
             (

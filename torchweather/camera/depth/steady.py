@@ -206,6 +206,7 @@ def _grey(image: Tensor) -> Tensor:
 
 def _smooth_grey(image: Tensor) -> Tensor:
     """Grey values averaged over 3 x 3 pixels, which takes away most of the noise."""
+    # kornia.filters.box_blur: 3.3 times the time at 1920 x 1080 (62 against 19 ms)
     padded = torch.nn.functional.pad(_grey(image)[None], (1, 1, 1, 1), mode="replicate")
     return torch.nn.functional.avg_pool2d(padded, 3, stride=1)[0]
 

@@ -133,13 +133,13 @@ def street_depth(
 
 def _skyline_nearness(view: StreetView, sky: Tensor) -> Tensor:
     """Logarithm of the inverse depth of each column's skyline, ``(W,)``."""
+    from kornia.filters import gaussian_blur2d
+
     above = view.fall.clamp(max=0.0)
     rise = torch.diff(above, dim=0, append=above[-1:]).clamp_min(0.0)
     elevation = ((1.0 - sky) * rise).sum(0)  # tangent, of what is not sky
     nearness = (elevation / _TALL_M).clamp(1.0 / _FARTHEST_SKYLINE_M, 1.0 / _NEAREST_SKYLINE_M).log()
     sigma = max(1.0, _SKYLINE_BLUR * len(nearness))
     reach = min(round(3 * sigma), len(nearness) - 1)
-    offset = torch.arange(-reach, reach + 1, device=sky.device, dtype=nearness.dtype)
-    kernel = torch.exp(-0.5 * (offset / sigma).square())
-    padded = torch.nn.functional.pad(nearness[None, None], (reach, reach), mode="reflect")
-    return torch.nn.functional.conv1d(padded, (kernel / kernel.sum())[None, None])[0, 0]
+    smooth: Tensor = gaussian_blur2d(nearness[None, None, None], (1, 2 * reach + 1), (sigma, sigma))
+    return smooth[0, 0, 0]

@@ -161,6 +161,7 @@ def _streaky(noise: Tensor, tables: AtRate, first: int, last: int, *, steep: boo
 
 def _along_rows(band: Tensor, kernel: Tensor, slope: float) -> Tensor:
     """Weighted sum over neighbouring rows; the band loses ``taps`` rows at each end."""
+    # kornia.filters.filter2d: 1.5 times the time at 1920 x 1080 (2.3 against 1.6 ms), and nothing for the slope
     taps = kernel.shape[-1] // 2
     rows = band.shape[-2] - 2 * taps
     total = band.new_zeros(())
