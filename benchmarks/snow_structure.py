@@ -12,7 +12,7 @@ flakes (``snow_fit.overdispersion``, from the first frame); what could have been
 from __future__ import annotations
 
 import argparse
-import importlib.util
+import importlib
 import json
 import math
 import os
@@ -43,10 +43,9 @@ from snow_fit import (
 )
 
 import torchweather as tw
-from torchweather.io import FALLING_SNOW, read_labels, read_points
 from torchweather.lidar.returns.beam_particles import SIZE_KNOTS_MM
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "lidar_snow_against_wads.py"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 PRESET = "pandar64-wads"
 RANGE_AT_10_PERCENT_M = 200.0  # Hesai's data sheet, from memory (unverified)
 RATE_MM_PER_H = 0.3  # sizes are over those of this rate; the snowfall is not known
@@ -58,18 +57,12 @@ SEEDS = tuple(range(1, 7))
 
 
 def example() -> ModuleType:
-    """The example that takes a recorded frame apart into beams."""
-    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    sys.path.insert(0, str(EXAMPLE.parent))  # where the parts of the examples are
+    """The part of the examples that takes a recorded frame apart into beams."""
+    sys.path.insert(0, str(EXAMPLES))
     try:
-        spec.loader.exec_module(module)
+        return importlib.import_module("parts.snow_beams")
     finally:
-        sys.path.remove(str(EXAMPLE.parent))
-    return module
+        sys.path.remove(str(EXAMPLES))
 
 
 def snow_of(beams: Any, snow: torch.Tensor, range_m: torch.Tensor) -> Snow:
@@ -163,9 +156,7 @@ def report_of(folder: Path) -> dict[str, Any]:
     module = example()
     frames = []
     for path in sorted((folder / "velodyne").glob("*.bin")):
-        points = read_points(path, format="kitti").points
-        labels = read_labels(folder / "labels" / f"{path.stem}.label", len(points))
-        frames.append(module.beams_of_recording(points, labels.classes == FALLING_SNOW))
+        frames.append(module.beams_of_recording(*module.read_frame(path)))
     recorded = [snow_of(beams, beams.snow, beams.range_m) for beams, _, _ in frames]
     first, others = recorded[0], recorded[1:]
     plain_sensor = tw.Lidar.preset(PRESET)

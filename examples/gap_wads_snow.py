@@ -18,94 +18,21 @@ option is chosen by the answer. Read twice: with the recorded intensities, and w
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import torch
-from lidar_snow_against_wads import Beams, beams_of_recording
-from numpy.typing import NDArray
-from torch import Tensor
+from parts.shared import command_line, recordings
+from parts.snow_study import study_of
 
-import torchweather as tw
 from torchweather.explain import aligned
-from torchweather.gap import GapReport, Study, find_gap
+from torchweather.gap import GapReport, find_gap
 from torchweather.gap.diagnosis import diagnose
-from torchweather.gap.scan_grid import scan_frame
-from torchweather.io import FALLING_SNOW, PointCloud, read_labels, read_points
 from torchweather.report.gap_page import write_gap
 from torchweather.report.gap_words import axis_name, parameter_rows, statistic_name
-from torchweather.sensors import scan_directions
 
-Frame = Mapping[str, NDArray[Any]]
-
-SENSOR = "pandar64-wads"
 RATE_MM_PER_H, REL_SD = 0.5, 0.5  # melted; that the preset was made with, and known to nobody
 SCANS = 4
 READINGS = {"with intensities": "uint8_linear", "without intensities": "none"}
-
-
-def study_of(
-    folder: Path, rate_mm_per_h: float, rel_sd: float, scans: int = SCANS, intensity_unit: str = "uint8_linear"
-) -> Study:
-    """Frames in ``velodyne/*.bin`` with ``labels/*.label`` as a study of the snow model.
-
-    Args:
-        folder: of the recording.
-        rate_mm_per_h: melted.
-        rel_sd: relative standard deviation of the rate.
-        scans: into which the columns of a frame are divided, 2 or more.
-        intensity_unit: of ``tw.Lidar``; ``none`` leaves intensities out.
-    """
-    whole = replace(tw.Lidar.preset(SENSOR), return_mode="first", intensity_unit=intensity_unit)
-    assert whole.columns is not None
-    paths = sorted((folder / "velodyne").glob("*.bin"))
-    scenes, conditions = [], []
-    for place, path in enumerate(paths):
-        points = read_points(path, format="kitti").points
-        snow = read_labels(folder / "labels" / f"{path.stem}.label", len(points)).classes == FALLING_SNOW
-        beams, _, along = beams_of_recording(points, snow)
-        measured, clear = (
-            scan_frame(first_echoes(beams, along, which), whole, path.stem)[0] for which in (True, False)
-        )
-        scenes.append({"id": f"scene-{path.stem}", "clear": divided(clear, scans)})
-        conditions.append(
-            {
-                "id": path.stem,
-                "scene": f"scene-{path.stem}",
-                "weather": {"kind": "snow", "rate_mm_per_h": rate_mm_per_h, "rate_rel_sd": rel_sd},
-                "frames": divided(measured, scans),
-                "split": "holdout" if place == len(paths) - 1 else "fit",
-            }
-        )
-    columns = whole.columns // scans
-    direction = scan_directions(whole).reshape(-1, whole.columns, 3)[:, : scans * columns : scans]
-    return Study.from_arrays(
-        sensor=replace(whole, columns=columns),
-        beams={"direction": direction.numpy()},
-        scenes=scenes,
-        conditions=conditions,
-    )
-
-
-def first_echoes(beams: Beams, along: Tensor, with_snow: bool) -> PointCloud:
-    """The nearest echo of each beam, of all or of those that are no snow."""
-    there = (beams.range_m > 0) & (with_snow | ~beams.snow)
-    range_m, which = torch.where(there, beams.range_m, torch.inf).min(1)
-    intensity = beams.intensity.gather(1, which[:, None])
-    seen = there.any(1)
-    points = torch.cat([along * range_m[:, None], intensity], 1)[seen]
-    return PointCloud(points.float(), ("x", "y", "z", "intensity"))
-
-
-def divided(frame: Frame, scans: int) -> list[dict[str, NDArray[Any]]]:
-    """Scans of every so many columns each."""
-    columns = next(iter(frame.values())).shape[1] // scans * scans
-    return [{key: values[:, start:columns:scans].copy() for key, values in frame.items()} for start in range(scans)]
 
 
 def said(report: GapReport) -> str:
@@ -125,27 +52,23 @@ def departs(report: GapReport) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--data", type=Path, help="folder with velodyne/*.bin and labels/*.label")
     parser.add_argument("--rates", type=float, nargs="+", default=[RATE_MM_PER_H], help="melted mm/h")
     parser.add_argument("--rel-sd", type=float, default=REL_SD, help="relative standard deviation of a rate")
     parser.add_argument("--scans", type=int, default=SCANS, help="into which a frame is divided")
     parser.add_argument("--out", type=Path, help="folder for the page of the first rate, read with intensities")
     arguments = parser.parse_args()
-    if arguments.data is None:
-        root = os.environ.get("TORCHWEATHER_REAL_DATA")
-        if not root:
-            sys.exit("no recording: give --data FOLDER, or set TORCHWEATHER_REAL_DATA to a folder with wads_snow/")
-        arguments.data = Path(root) / "wads_snow"
-    if len(list((arguments.data / "velodyne").glob("*.bin"))) < 2:
-        sys.exit(f"{arguments.data}: wanted two frames or more in velodyne/*.bin, one to hold out")
+    folder = recordings(arguments.data, "wads_snow")
+    if len(list((folder / "velodyne").glob("*.bin"))) < 2:
+        sys.exit(f"{folder}: wanted two frames or more in velodyne/*.bin, one to hold out")
     if arguments.scans < 2:
         parser.error(f"--scans: wanted 2 or more; got {arguments.scans}")
 
     rows = [["mm/h", "read", "verdict", "times", "gap", "after", "floor", "departs most", "missing"]]
     for rate in arguments.rates:
         for reading, unit in READINGS.items():
-            study = study_of(arguments.data, rate, arguments.rel_sd, arguments.scans, unit)
+            study = study_of(folder, rate, arguments.rel_sd, arguments.scans, unit)
             if len(rows) == 1:
                 print("What this study lacks:")
                 print("\n".join(f"- {finding}" for finding in dict.fromkeys(map(str, diagnose(study)))), flush=True)

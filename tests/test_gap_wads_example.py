@@ -20,7 +20,7 @@ EXAMPLE = "gap_wads_snow.py"
 
 @pytest.fixture(scope="module")
 def example() -> Any:
-    return load_example(EXAMPLE)
+    return load_example("parts/snow_study.py")
 
 
 def test_a_frame_is_divided_into_every_so_many_columns(example: Any) -> None:

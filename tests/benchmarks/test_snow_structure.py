@@ -143,9 +143,7 @@ def test_the_profile_of_one_recorded_frame_holds_in_the_others(bench: Any, fit: 
     module = bench.example()
     parts = []
     for path in sorted((folder / "velodyne").glob("*.bin")):
-        points = bench.read_points(path, format="kitti").points
-        labels = bench.read_labels(folder / "labels" / f"{path.stem}.label", len(points))
-        beams, _, _ = module.beams_of_recording(points, labels.classes == bench.FALLING_SNOW)
+        beams, _, _ = module.beams_of_recording(*module.read_frame(path))
         parts.append(bench.snow_of(beams, beams.snow, beams.range_m))
     found = fit.fitted_density(parts[0])
     assert found.number == pytest.approx(report["fit"]["density"]["number"], rel=0.02)
