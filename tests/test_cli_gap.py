@@ -16,7 +16,7 @@ from tests.report.made_up_gaps import report
 from torchweather.cli import main
 from torchweather.gap import find
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 
 Capture = pytest.CaptureFixture[str]
 

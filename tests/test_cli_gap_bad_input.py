@@ -16,7 +16,7 @@ import yaml
 
 from tests.gap.studies import H, W, study
 from torchweather.cli import main
-from torchweather.gap.lidar import LidarFrames
+from torchweather.gap.sensors.lidar.frames import LidarFrames
 
 Capture = pytest.CaptureFixture[str]
 Break = Callable[[Path], object]

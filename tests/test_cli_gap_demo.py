@@ -15,9 +15,10 @@ import pytest
 from tests.report.made_up_gaps import report
 from torchweather.cli import main
 from torchweather.cli.gap_demo import outcome
-from torchweather.gap import find, hidden_study
+from torchweather.gap import find
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.study import Study
+from torchweather.gap.study import hidden as hidden_study
+from torchweather.gap.study.study import Study
 
 Capture = pytest.CaptureFixture[str]
 WINDOW_LOSS, NOTHING = 2, 3  # seeds that draw it

@@ -9,9 +9,9 @@ import pytest
 
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.cli import main
-from torchweather.gap import embedded_study as embedded
-from torchweather.gap.embedded_study import embedded_study
-from torchweather.gap.study import Study
+from torchweather.gap.study import embedded
+from torchweather.gap.study.embedded import embedded_study
+from torchweather.gap.study.study import Study
 
 Capture = pytest.CaptureFixture[str]
 

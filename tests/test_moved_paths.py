@@ -26,6 +26,11 @@ MOVED = [
     ("torchweather.stages.effects", "Effect", "torchweather.pipeline.effect"),
     ("torchweather.sensors.scan", "recover_ring", "torchweather.lidar.scan"),
     ("torchweather.robustness.decoders", "decode_boxes", "torchweather.evaluation.robustness.decoders"),
+    ("torchweather.io", "Boxes", "torchweather.datasets"),
+    ("torchweather.io", "read_kitti_points", "torchweather.datasets"),
+    ("torchweather.io", "CarlaRig", "torchweather.datasets"),
+    ("torchweather.io", "Collate", "torchweather.compose"),
+    ("torchweather.gap", "validate", "torchweather.evaluation.validation"),
     ("torchweather.transforms", "Compose", "torchweather.compose"),
 ]
 

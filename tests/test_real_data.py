@@ -16,14 +16,14 @@ from torch import Tensor
 
 from tests.recordings import recording
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
-from torchweather.image import DepthFromPoints, FlatGround
-from torchweather.io import (
-    read_image,
+from torchweather.datasets import (
     read_kitti_calibration,
     read_kitti_points,
     read_nuscenes_calibration,
     read_nuscenes_points,
 )
+from torchweather.image import DepthFromPoints, FlatGround
+from torchweather.io import read_image
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
 

@@ -15,19 +15,16 @@ import pytest
 import torch
 
 from tests.recordings import recording
-from torchweather.datasets.augment import augment
-from torchweather.datasets.augment.manifest import NAME, Manifest, Row
-from torchweather.io import (
-    PointLabels,
+from torchweather.datasets import (
     points_in_boxes,
-    read_image,
     read_kitti_boxes,
     read_kitti_calibration,
     read_kitti_points,
     read_kitti_rectified_from_lidar,
-    read_labels,
-    write_labels,
 )
+from torchweather.datasets.augment import augment
+from torchweather.datasets.augment.manifest import NAME, Manifest, Row
+from torchweather.io import PointLabels, read_image, read_labels, write_labels
 
 pytestmark = pytest.mark.real_data
 

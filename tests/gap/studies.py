@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.sensors import Camera, Lidar, Radar
 
 H, W, N, T, L, P = 4, 6, 5, 40, 3, 2

@@ -16,9 +16,9 @@ from torch import Tensor
 from tests.recordings import recording
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
-from torchweather.gap.adapters import study_from_folders, study_from_kitti
-from torchweather.gap.scan_grid import scan_frame
-from torchweather.gap.study import Study
+from torchweather.gap.study.folders import study_from_folders, study_from_kitti
+from torchweather.gap.study.scan_grid import scan_frame
+from torchweather.gap.study.study import Study
 from torchweather.io import PointCloud, write_image, write_points
 from torchweather.sensors import Camera, Lidar, scan_directions
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap.baseline import (
+from torchweather.gap.inference.simulated_distribution import (
     PORTIONED_FRAMES,
     PORTIONS,
     SHRINKAGE,
@@ -23,9 +23,9 @@ from torchweather.gap.baseline import (
     squares_go_together,
     targets,
 )
-from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.statistics import Group, Layout, Pool, Reduced
-from torchweather.gap.study import Condition, Study
+from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
+from torchweather.gap.study.study import Condition, Study
 from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng

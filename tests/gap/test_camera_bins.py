@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.gap.camera_bins import Binned
+from torchweather.gap.sensors.camera.bins import Binned
 
 FRAMES, ELEMENTS = 3, 200
 

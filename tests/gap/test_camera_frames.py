@@ -14,14 +14,21 @@ from torchweather.atmosphere.weather import Rain
 from torchweather.camera.effects.all import EFFECTS
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
-from torchweather.gap.baseline import FrameModel
-from torchweather.gap.camera import CameraFrames
-from torchweather.gap.camera_edges import SHARED_CELLS, lag_name
-from torchweather.gap.camera_particles import LEAST_STEP, Rendered
-from torchweather.gap.camera_scene import DARKEST, DEPTH_CLASSES_M, DEPTH_M, CameraScene, cell_colours, in_blocks
-from torchweather.gap.camera_sums import MAP_BLOCKS
-from torchweather.gap.camera_tails import ASIDE, TAILS_SD
-from torchweather.gap.statistics import Pool, Reduced
+from torchweather.gap.inference.simulated_distribution import FrameModel
+from torchweather.gap.sensors.camera.edges import SHARED_CELLS, lag_name
+from torchweather.gap.sensors.camera.frames import CameraFrames
+from torchweather.gap.sensors.camera.particles import LEAST_STEP, Rendered
+from torchweather.gap.sensors.camera.scene import (
+    DARKEST,
+    DEPTH_CLASSES_M,
+    DEPTH_M,
+    CameraScene,
+    cell_colours,
+    in_blocks,
+)
+from torchweather.gap.sensors.camera.sums import MAP_BLOCKS
+from torchweather.gap.sensors.camera.tails import ASIDE, TAILS_SD
+from torchweather.gap.statistics.frame_statistics import Pool, Reduced
 from torchweather.stages import ParticleVeil
 from torchweather.transforms import BayerWeather
 

@@ -12,12 +12,12 @@ from scipy import ndimage
 
 from tests.gap.test_camera_frames import CLEAR, HEIGHT, WIDTH, group, planes, values_of
 from torchweather.gap import Study
-from torchweather.gap.camera import CameraFrames
-from torchweather.gap.camera_edges import SHARED_CELLS
-from torchweather.gap.camera_pixels import LONE_SD, LONE_SHARE, LonePixels, lone_pixels
-from torchweather.gap.camera_shift import Shifts, gradients, shift_name
-from torchweather.gap.camera_tails import ASIDE, FAR_LAG, HIGHEST
-from torchweather.gap.statistics import Pool
+from torchweather.gap.sensors.camera.edges import SHARED_CELLS
+from torchweather.gap.sensors.camera.frames import CameraFrames
+from torchweather.gap.sensors.camera.pixels import LONE_SD, LONE_SHARE, LonePixels, lone_pixels
+from torchweather.gap.sensors.camera.shift import Shifts, gradients, shift_name
+from torchweather.gap.sensors.camera.tails import ASIDE, FAR_LAG, HIGHEST
+from torchweather.gap.statistics.frame_statistics import Pool
 
 Floats = NDArray[np.float64]
 COLOURS = ("red", "green", "blue")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.candidate_fits import REWEIGHTED, SETTLED_ROUNDS, _least, _refined, _settled_along
-from torchweather.gap.candidates import lines
-from torchweather.gap.matched import Node
-from torchweather.gap.search import SETTLED, Setting
+from torchweather.gap.inference.candidate_fits import REWEIGHTED, SETTLED_ROUNDS, _least, _refined, _settled_along
+from torchweather.gap.inference.likelihood import SETTLED, Setting
+from torchweather.gap.inference.response_templates import Node
+from torchweather.gap.inference.starting_points import lines
 from torchweather.lidar.effects.all import EFFECTS
 
 BASE: Any = SimpleNamespace(note="the fit without effects")

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from torchweather.gap.candidates import Line, lines
+from torchweather.gap.inference.starting_points import Line, lines
 from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
 from torchweather.pipeline.effect import Effect
 from torchweather.stages import EFFECTS

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from torchweather.gap.clear_air import FEWEST_FRAMES, ClearAir, clear_air
-from torchweather.gap.statistics import Group, Layout, Reduced
+from torchweather.gap.inference.clear_air import FEWEST_FRAMES, ClearAir, clear_air
+from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
 
 BINS, WEIGHT = 6, 400.0
 EDGES = tuple(float(place) for place in range(BINS + 1))

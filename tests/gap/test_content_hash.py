@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchweather.gap.content_hash import frame_sha256
+from torchweather.gap.study.content_hash import frame_sha256
 
 
 def test_byte_order_and_layout_in_memory_do_not_change_the_hash() -> None:

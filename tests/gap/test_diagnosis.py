@@ -12,7 +12,7 @@ import pytest
 
 from tests.gap.studies import FRAMES, H, L, P, T, W, arguments, study
 from torchweather.gap.diagnosis import LEVELS, Finding, diagnose
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 
 
 def found(values: dict[str, Any]) -> list[Finding]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from torchweather.gap.embedded_study import EMBEDDED_KINDS, WEATHERS, embedded_study
-from torchweather.gap.study import Study
+from torchweather.gap.study.embedded import EMBEDDED_KINDS, WEATHERS, embedded_study
+from torchweather.gap.study.study import Study
 from torchweather.scenes import SceneLabel
 
 

@@ -14,15 +14,15 @@ import torch
 from numpy.typing import NDArray
 
 from tests.gap.tiny_study import SENSOR, tiny_study
-from torchweather.gap.baseline import targets
-from torchweather.gap.camera_tails import share_groups
-from torchweather.gap.empirical_fit import UNIT_OF, WHY_NOT, Departures, empirical_stage, natural_curve
 from torchweather.gap.find import find_gap
 from torchweather.gap.gap_report import read_model
-from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.radar_sums import radar_layout
-from torchweather.gap.statistics import Group, Layout, Pool
-from torchweather.gap.study import Study
+from torchweather.gap.inference.empirical_fit import UNIT_OF, WHY_NOT, Departures, empirical_stage, natural_curve
+from torchweather.gap.inference.simulated_distribution import targets
+from torchweather.gap.sensors.camera.tails import share_groups
+from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.sensors.radar.sums import radar_layout
+from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.empirical import Empirical
 
 Floats = NDArray[np.float64]

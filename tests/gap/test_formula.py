@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from torchweather.gap.formula import bounded, simplest_formula
+from torchweather.gap.statistics.formula import bounded, simplest_formula
 
 Floats = NDArray[np.float64]
 

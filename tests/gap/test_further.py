@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.further import explained_beside, response_of
-from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.search import Setting
+from torchweather.gap.inference.likelihood import Setting
+from torchweather.gap.inference.model_error import explained_beside, response_of
+from torchweather.gap.inference.systematics import Nuisance
 
 NAMES = ("c0", "c1")
 NOTHING = Nuisance(np.zeros((4, 1)), np.zeros(1), 0)

@@ -19,15 +19,15 @@ from torchweather.atmosphere.weather import Fog, Rain, Weather
 from torchweather.camera.effects.optics import CameraDefocus
 from torchweather.camera.effects.sensor import CameraExposureGain
 from torchweather.core.errors import TorchweatherError
-from torchweather.gap.baseline import Baseline, Target, Whitening
-from torchweather.gap.clear_air import ClearAir
-from torchweather.gap.empirical_fit import Departures
 from torchweather.gap.gap_report import _standard_error, gap_report, read_model, write_model
-from torchweather.gap.held_out import HeldOut
+from torchweather.gap.inference.clear_air import ClearAir
+from torchweather.gap.inference.empirical_fit import Departures
+from torchweather.gap.inference.held_out import HeldOut
+from torchweather.gap.inference.likelihood import Setting
+from torchweather.gap.inference.simulated_distribution import Baseline, Target, Whitening
+from torchweather.gap.inference.unknown import log_chance, without_means
 from torchweather.gap.model_file import Additions
-from torchweather.gap.search import Setting
-from torchweather.gap.statistics import Group, Layout
-from torchweather.gap.unknown import log_chance, without_means
+from torchweather.gap.statistics.frame_statistics import Group, Layout
 from torchweather.lidar.effects.all import LidarRangeNoise, LidarWindowLoss
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.pipeline.effect import Parameter

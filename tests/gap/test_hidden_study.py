@@ -18,9 +18,9 @@ import pytest
 from tests.report.made_up_gaps import report
 from torchweather.atmosphere.weather import Rain, Weather
 from torchweather.gap import find_gap
-from torchweather.gap import hidden_study as module
-from torchweather.gap.hidden_study import HIDEABLE, WEATHERS, HiddenStudy, drawn_effect, drawn_study, hidden_study
-from torchweather.gap.study import Study
+from torchweather.gap.study import hidden as module
+from torchweather.gap.study.hidden import HIDEABLE, WEATHERS, HiddenStudy, drawn_effect, drawn_study, hidden_study
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.pipeline.effect import Effect
 from torchweather.scenes import SCENES, LidarView, Scene, lidar_view

@@ -12,11 +12,11 @@ import torch
 
 from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
 from torchweather.atmosphere.weather import Fog, Rain, Snow
-from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.lidar_nuisance import WeakSignalNoise
-from torchweather.gap.lidar_scene import CLUSTER_M, SAME_SURFACE_M
-from torchweather.gap.statistics import Reduced
-from torchweather.gap.study import Study
+from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.sensors.lidar.scene import CLUSTER_M, SAME_SURFACE_M
+from torchweather.gap.sensors.lidar.systematics import WeakSignalNoise
+from torchweather.gap.statistics.frame_statistics import Reduced
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.transforms import LidarWeather
 

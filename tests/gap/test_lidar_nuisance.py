@@ -13,16 +13,16 @@ from torch import Tensor
 
 from tests.gap.tiny_study import SENSOR, tiny_study
 from torchweather.atmosphere.weather import Fog, Rain, Snow
-from torchweather.gap.lidar import FOG_GAIN_SD, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
-from torchweather.gap.lidar_nuisance import (
+from torchweather.gap.sensors.lidar.frames import FOG_GAIN_SD, FOG_RANGE_SHARE, GAIN_SD, LidarFrames
+from torchweather.gap.sensors.lidar.systematics import (
     ClearScale,
     EchoGain,
     FogEchoRange,
     ParticleReading,
     WeakSignalNoise,
 )
-from torchweather.gap.study import Study
-from torchweather.gap.whole_frames import widened
+from torchweather.gap.statistics.frame_random_effects import widened
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.pipeline.effect import Effect, with_effects
 from torchweather.pipeline.point_kind import PointKind

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from tests.gap.tiny_study import SENSOR
-from torchweather.gap.conditions import StudyScene
-from torchweather.gap.lidar_scene import FLICKER_SD, LidarScene, _variances, has_neighbour, lidar_scene
+from torchweather.gap.sensors.lidar.scene import FLICKER_SD, LidarScene, _variances, has_neighbour, lidar_scene
+from torchweather.gap.study.conditions import StudyScene
 from torchweather.stages import ToEnergy
 
 ROWS, COLUMNS, FRAMES = 16, 64, 6

@@ -20,9 +20,9 @@ from torchweather.atmosphere.weather import Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.link import LinkFrames
-from torchweather.gap.link_effects import attenuation_db
-from torchweather.gap.link_samples import LinkSamples, Scatter, link_samples
+from torchweather.gap.sensors.link.effects import attenuation_db
+from torchweather.gap.sensors.link.frames import LinkFrames
+from torchweather.gap.sensors.link.samples import LinkSamples, Scatter, link_samples
 from torchweather.radar.effects.all import RadarNoiseFloor, RadarPathLossScale, RadarWetRadome
 from torchweather.sensors import Lidar, Radar
 from torchweather.transforms import LidarWeather, RadarAttenuation

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.candidates import Line
-from torchweather.gap.matched import AMPLITUDES, Node, amplitudes, gains, pair_gains
-from torchweather.gap.nuisance import Nuisance, together
+from torchweather.gap.inference.response_templates import AMPLITUDES, Node, amplitudes, gains, pair_gains
+from torchweather.gap.inference.starting_points import Line
+from torchweather.gap.inference.systematics import Nuisance, together
 from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng

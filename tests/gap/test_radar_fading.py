@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from torchweather.gap.radar_fading import NOISE_AT_0_DB, chance_of_fading, fading, share_of_fading, shares_by_class
+from torchweather.gap.sensors.radar.fading import (
+    NOISE_AT_0_DB,
+    chance_of_fading,
+    fading,
+    share_of_fading,
+    shares_by_class,
+)
 
 THRESHOLD_DB, TYPICAL_DB, SHARE = 12.0, 0.3, 0.3
 Floats = NDArray[np.float64]

@@ -16,14 +16,12 @@ from tests.gap.tiny_radar_study import CLASSES, EFFECTS, SENSOR, WEATHERS, tiny_
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
-from torchweather.gap.effect_forms import is_another
-from torchweather.gap.frames import Frames, FrameSource
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.radar import GHOST_STEP, RadarFrames
-from torchweather.gap.radar_fading import FADING_SPREAD_DB, chance_of_fading, shares_by_class
-from torchweather.gap.radar_forms import MOST_STRUCK, wet_rcs_form
-from torchweather.gap.radar_nuisance import ReceiverNoise
-from torchweather.gap.radar_scene import (
+from torchweather.gap.inference.effect_forms import is_another
+from torchweather.gap.sensors.radar.fading import FADING_SPREAD_DB, chance_of_fading, shares_by_class
+from torchweather.gap.sensors.radar.forms import MOST_STRUCK, wet_rcs_form
+from torchweather.gap.sensors.radar.frames import GHOST_STEP, RadarFrames
+from torchweather.gap.sensors.radar.scene import (
     FLICKERS,
     LEAST_LEVEL_SHARE,
     LEAST_SPREAD,
@@ -34,15 +32,17 @@ from torchweather.gap.radar_scene import (
     own_spread,
     radar_scene,
 )
-from torchweather.gap.radar_sums import (
+from torchweather.gap.sensors.radar.sums import (
     FLOOR_STEPS_DB,
     FLOOR_WEIGHT,
     SAME_DIRECTION_RAD,
     SAME_SPEED_M_PER_S,
     _at_one_delay,
 )
-from torchweather.gap.statistics import Pool, Reduced
-from torchweather.gap.study import StudyScene
+from torchweather.gap.sensors.radar.systematics import ReceiverNoise
+from torchweather.gap.statistics.frame_statistics import Pool, Reduced
+from torchweather.gap.study.frames import Frames, FrameSource
+from torchweather.gap.study.study import StudyScene
 from torchweather.pipeline.effect import Effect
 from torchweather.stages import RadarState
 from torchweather.transforms import RadarAttenuation

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tests.gap.tiny_radar_study import tiny_radar_study
-from torchweather.gap.radar import RadarFrames
-from torchweather.gap.radar_readout import FAR_OFF_SD, far_off, repeated
-from torchweather.gap.radar_scene import MEASURED, Detections, RadarScene
-from torchweather.gap.radar_sums import RadarSums
-from torchweather.gap.statistics import Reduced
+from torchweather.gap.sensors.radar.frames import RadarFrames
+from torchweather.gap.sensors.radar.readout import FAR_OFF_SD, far_off, repeated
+from torchweather.gap.sensors.radar.scene import MEASURED, Detections, RadarScene
+from torchweather.gap.sensors.radar.sums import RadarSums
+from torchweather.gap.statistics.frame_statistics import Reduced
 
 CLEAR, FRAMES = 4, 3
 Floats = NDArray[np.float64]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from torchweather.gap.baseline import Whitening
-from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.rest import LEVEL, Rest, rest_of
-from torchweather.gap.statistics import Group, Layout
+from torchweather.gap.inference.residual_tests import LEVEL, Rest, rest_of
+from torchweather.gap.inference.simulated_distribution import Whitening
+from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.statistics.frame_statistics import Group, Layout
 
 RNG = np.random.default_rng
 EDGES = (0.0, 1.0, 2.0, 3.0)

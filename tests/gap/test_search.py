@@ -13,15 +13,15 @@ import torch
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap.baseline import baseline, targets
-from torchweather.gap.candidates import Line, lines
-from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.placing import placed
-from torchweather.gap.screening import screen
-from torchweather.gap.search import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
-from torchweather.gap.study import Study
-from torchweather.gap.whole_frames import clear_errors
-from torchweather.gap.workflow import ALARM_P, find_gap_with
+from torchweather.gap.inference.forward_selection import ALARM_P, find_gap_with
+from torchweather.gap.inference.global_test import screen
+from torchweather.gap.inference.likelihood import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
+from torchweather.gap.inference.location_search import placed
+from torchweather.gap.inference.simulated_distribution import baseline, targets
+from torchweather.gap.inference.starting_points import Line, lines
+from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.statistics.frame_random_effects import clear_errors
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.pipeline.effect import Effect
 

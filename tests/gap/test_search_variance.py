@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.search import Search
-from torchweather.gap.statistics import Group, Layout
+from torchweather.gap.inference.likelihood import Search
+from torchweather.gap.statistics.frame_statistics import Group, Layout
 
 LAYOUT = Layout((Group("ratio", "x", "mean", (0.0, 1.0, 2.0, 3.0)),), (), (), ())
 

@@ -12,7 +12,7 @@ import torch
 
 from tests.gap import studies
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
-from torchweather.gap.simulation import (
+from torchweather.gap.study.simulation import (
     dry_samples,
     rain_attenuation_db,
     simulate,
@@ -22,7 +22,7 @@ from torchweather.gap.simulation import (
     simulated_radar,
     start_frame,
 )
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.physics import rain_attenuation_p838_db_per_km
 from torchweather.sensors import Camera, Lidar, Radar, scan_directions
 from torchweather.transforms import BayerWeather, LidarWeather, RadarAttenuation

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from torchweather.gap import find_gap
-from torchweather.gap.hidden_study import WEATHERS, hidden_study
+from torchweather.gap.study.hidden import WEATHERS, hidden_study
 from torchweather.lidar.effects.all import EFFECTS
 
 HIDDEN: list[tuple[str, dict[str, float]]] = [

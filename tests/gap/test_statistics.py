@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.statistics import FEWEST, READ_SPREAD_KNOWN_TO, Group, Layout, Pool, Reduced
+from torchweather.gap.statistics.frame_statistics import FEWEST, READ_SPREAD_KNOWN_TO, Group, Layout, Pool, Reduced
 
 RNG = np.random.default_rng
 STEADY = 0.1

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from tests.gap.studies import CAMERA, FRAMES, KINDS, LIDAR, H, W, arguments, lidar_frame, study
 from torchweather.atmosphere.weather import Fog, Mixture, Rain
 from torchweather.core.errors import TorchweatherError
-from torchweather.gap.frames import Frames
-from torchweather.gap.study import Study
+from torchweather.gap.study.frames import Frames
+from torchweather.gap.study.study import Study
 from torchweather.sensors import Lidar
 
 every_kind = pytest.mark.parametrize("kind", KINDS)

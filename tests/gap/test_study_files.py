@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from tests.gap.studies import KINDS, SENSORS, arguments, lidar_frame, links, series, study
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.sensors import Camera
 
 every_kind = pytest.mark.parametrize("kind", KINDS)

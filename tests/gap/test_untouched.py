@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.candidates import Line
-from torchweather.gap.matched import Node
-from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.statistics import Group, Layout
-from torchweather.gap.untouched import TOUCHED, fresh_gains, untouched
+from torchweather.gap.inference.insensitive_statistics import TOUCHED, fresh_gains, untouched
+from torchweather.gap.inference.response_templates import Node
+from torchweather.gap.inference.starting_points import Line
+from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.statistics.frame_statistics import Group, Layout
 from torchweather.lidar.effects.all import EFFECTS
 
 LAYOUT = Layout(

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,16 +14,17 @@ from scipy import stats
 
 from tests.gap import studies
 from tests.recordings import recording
+from tests.running_examples import load_example
 from torchweather.atmosphere.weather import Fog, Rain, Snow
-from torchweather.gap import embedded_study as embedded
-from torchweather.gap.comparison import Comparison, Sample, judged
-from torchweather.gap.embedded_study import embedded_study
-from torchweather.gap.frame_scores import KNOWN, ScoreMeaning, frame_scores, lidar_points
-from torchweather.gap.quantities import quantity
-from torchweather.gap.severity import compared_trends, weather_label
-from torchweather.gap.simulation import rain_attenuation_db, start_frame
-from torchweather.gap.study import Frame, Study
-from torchweather.gap.validation import Validation, reference_frame, validate
+from torchweather.evaluation.validation.comparison import Comparison, Sample, judged
+from torchweather.evaluation.validation.frame_scores import KNOWN, ScoreMeaning, frame_scores, lidar_points
+from torchweather.evaluation.validation.quantities import quantity
+from torchweather.evaluation.validation.run import Validation, reference_frame, validate
+from torchweather.evaluation.validation.severity import compared_trends, weather_label
+from torchweather.gap.study import embedded
+from torchweather.gap.study.embedded import embedded_study
+from torchweather.gap.study.simulation import rain_attenuation_db, start_frame
+from torchweather.gap.study.study import Frame, Study
 
 LOWER, HIGHER = ScoreMeaning(False, "m"), ScoreMeaning(True)
 POWERS = ("power_change_db", "power_rmse_db", "detected_share")
@@ -257,10 +255,10 @@ def test_links_with_twice_the_loss_differ() -> None:
 @pytest.mark.real_data
 def test_recorded_links_lose_what_rain_takes() -> None:
     folder = recording("cml_germany")
-    example = links_example()
-    measured = example.read_germany(folder)
-    attenuation_db = example.measured_db(measured)[0]
-    chosen = example.quiet_links(measured, attenuation_db, 0.0)
+    measured = load_example("parts/link_recordings.py").read_germany(folder)
+    losses = load_example("parts/link_losses.py")
+    attenuation_db = losses.measured_db(measured)[0]
+    chosen = losses.quiet_links(measured, attenuation_db, 0.0)
     frame = {
         "time_s": 300.0 * np.arange(len(attenuation_db)),  # 5-min steps
         "attenuation_db": attenuation_db[:, chosen],
@@ -278,18 +276,6 @@ def test_recorded_links_lose_what_rain_takes() -> None:
         score = middle[f"attenuation_db_from_{low}_mm_per_h"]
         # Moderate rain, where the radar's path mean is good: within a fifth. Twice the loss would be 100 % off.
         assert score.simulated.mean == pytest.approx(score.measured.mean, rel=0.2)
-
-
-def links_example() -> Any:
-    """``examples/links_against_p838.py`` as a module; it reads the recordings and takes their dry baseline off."""
-    path = Path(__file__).parents[2] / "examples" / "links_against_p838.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 # ---- trends, scores, results -----------------------------------------------------------------------------------------

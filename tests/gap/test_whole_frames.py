@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from torchweather.gap.baseline import PORTIONS, Baseline, Target, Whitening
-from torchweather.gap.lidar_sums import lidar_layout
-from torchweather.gap.search import PROBE_FRAMES, SCREEN_FRAMES, UNSAID, Search, Setting
-from torchweather.gap.statistics import Group, Layout, Reduced
-from torchweather.gap.whole_frames import (
+from torchweather.gap.inference.likelihood import PROBE_FRAMES, SCREEN_FRAMES, UNSAID, Search, Setting
+from torchweather.gap.inference.simulated_distribution import PORTIONS, Baseline, Target, Whitening
+from torchweather.gap.sensors.lidar.sums import lidar_layout
+from torchweather.gap.statistics.frame_random_effects import (
     KNOWN_TO,
     SELDOM,
     clear_errors,
@@ -27,6 +26,7 @@ from torchweather.gap.whole_frames import (
     model_errors,
     widened,
 )
+from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
 from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
 from torchweather.stages import EFFECTS
 

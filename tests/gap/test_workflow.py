@@ -13,10 +13,10 @@ import pytest
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap import screening as screening_module
-from torchweather.gap import workflow
-from torchweather.gap.baseline import targets
-from torchweather.gap.candidate_fits import (
+from torchweather.gap.find import find_gap
+from torchweather.gap.inference import forward_selection as workflow
+from torchweather.gap.inference import global_test as screening_module
+from torchweather.gap.inference.candidate_fits import (
     LEAST_AMPLITUDE,
     MUCH_SCALED,
     Candidate,
@@ -28,17 +28,7 @@ from torchweather.gap.candidate_fits import (
     scattering,
     unscaled_nodes,
 )
-from torchweather.gap.candidates import Line, lines
-from torchweather.gap.find import find_gap
-from torchweather.gap.held_out import HeldOut
-from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.matched import Node, gains
-from torchweather.gap.nuisance import Nuisance
-from torchweather.gap.screening import OVERDISPERSION, REFINED, _tail, overdispersion, placed_nodes, screen
-from torchweather.gap.search import Fit, Search, Setting
-from torchweather.gap.statistics import Group, Layout
-from torchweather.gap.study import Study
-from torchweather.gap.workflow import (
+from torchweather.gap.inference.forward_selection import (
     ALARM_P,
     HELD_LOSS,
     REST_P,
@@ -51,6 +41,16 @@ from torchweather.gap.workflow import (
     _rounds,
     _verdict,
 )
+from torchweather.gap.inference.global_test import OVERDISPERSION, REFINED, _tail, overdispersion, placed_nodes, screen
+from torchweather.gap.inference.held_out import HeldOut
+from torchweather.gap.inference.likelihood import Fit, Search, Setting
+from torchweather.gap.inference.response_templates import Node, gains
+from torchweather.gap.inference.simulated_distribution import targets
+from torchweather.gap.inference.starting_points import Line, lines
+from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.statistics.frame_statistics import Group, Layout
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS, LidarWindowLoss
 
 RNG = np.random.default_rng

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchweather.atmosphere.weather import Rain, Weather
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.pipeline.effect import Effect
 from torchweather.radar.effects.all import EFFECTS as EFFECTS  # the catalogue, filled
 from torchweather.sensors import Radar

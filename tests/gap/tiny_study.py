@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchweather.atmosphere.weather import Snow, Weather
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS as EFFECTS  # the catalogue, filled
 from torchweather.pipeline.effect import Effect, with_effects
 from torchweather.sensors import Lidar

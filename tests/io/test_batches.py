@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchweather.io.batches import (
+from torchweather.compose.batches import (
     collate_indexed,
     collate_list,
     collate_padded,

@@ -13,10 +13,10 @@ import torch
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.camera.rgb import RgbResult
 from torchweather.camera.transform import CameraResult
-from torchweather.io import boxes_from_nuscenes, labels, write_nuscenes_boxes
-from torchweather.io.box_projection import box_corners, project_boxes
-from torchweather.io.box_update import update_boxes
-from torchweather.io.boxes import Boxes, points_in_boxes
+from torchweather.datasets import boxes_from_nuscenes, write_nuscenes_boxes
+from torchweather.datasets.box_projection import box_corners, project_boxes
+from torchweather.datasets.box_update import update_boxes
+from torchweather.datasets.boxes import Boxes, points_in_boxes
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog, LidarRain, RadarAttenuation
 
@@ -104,7 +104,7 @@ def test_nuscenes_counts_are_replaced_and_the_rest_stays(tmp_path: Path) -> None
     boxes = boxes_from_nuscenes([{**note, "num_radar_pts": 5}])
     points = torch.cat((wall(12.0, 40, 200.0), wall(60.0, 30, 30.0)))
     fog = LidarFog(Fog(mor_m=60), SENSOR)
-    updated = labels.update_boxes(boxes, fog.run(points, fog.draw(points, seed=3)), points)
+    updated = update_boxes(boxes, fog.run(points, fog.draw(points, seed=3)), points)
     assert boxes.records[0]["num_lidar_pts"] == 99
     write_nuscenes_boxes(tmp_path / "boxes.json", updated)
     (written,) = json.loads((tmp_path / "boxes.json").read_text())

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchweather.core.errors import TorchweatherError
-from torchweather.io.box_visibility import box_visibility
-from torchweather.io.boxes import Boxes, points_in_boxes
-from torchweather.io.kitti import read_kitti_calibration, read_kitti_rectified_from_lidar
-from torchweather.io.kitti_boxes import read_kitti_boxes, write_kitti_boxes
-from torchweather.io.nuscenes_boxes import (
+from torchweather.datasets.box_visibility import box_visibility
+from torchweather.datasets.boxes import Boxes, points_in_boxes
+from torchweather.datasets.kitti import read_kitti_calibration, read_kitti_rectified_from_lidar
+from torchweather.datasets.kitti_boxes import read_kitti_boxes, write_kitti_boxes
+from torchweather.datasets.nuscenes_boxes import (
     boxes_from_nuscenes,
     boxes_to_nuscenes,
     read_nuscenes_boxes,

@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.datasets import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
+from torchweather.datasets.camera_files import read_camera, read_camera_fields
 from torchweather.image import project_points
-from torchweather.io import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
-from torchweather.io.camera_files import read_camera, read_camera_fields
 from torchweather.sensors import Camera
 
 P2 = "721.5377 0 609.5593 44.85728 0 721.5377 172.854 0.2163791 0 0 1 0.002745884"

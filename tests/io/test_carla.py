@@ -16,8 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchweather.atmosphere.weather import Fog, Rain
-from torchweather.io import read_depth, write_image
-from torchweather.io.carla import (
+from torchweather.datasets.carla import (
     camera_from_carla,
     depth_from_carla,
     depth_to_carla,
@@ -29,7 +28,8 @@ from torchweather.io.carla import (
     points_to_carla,
     pose_from_carla,
 )
-from torchweather.io.carla_rig import CarlaRig
+from torchweather.datasets.carla_rig import CarlaRig
+from torchweather.io import read_depth, write_image
 from torchweather.physics.radar_equation import received_power_dbm
 from torchweather.sensors import Camera, Lidar, Radar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog, RadarAttenuation
@@ -298,7 +298,7 @@ def test_an_error_in_the_weather_does_not_stop_the_rig() -> None:
 
 
 def test_the_time_of_a_frame_is_logged_where_nobody_asks_for_it(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, logger="torchweather.io.carla_rig"):
+    with caplog.at_level(logging.INFO, logger="torchweather.datasets.carla_rig"):
         rig = CarlaRig(dict, {"points": "lidar"}, reflectivity=0.3)
         rig.listener("points")(measured(5)["points"])
     assert caplog.messages[0].startswith("frame 5: ")

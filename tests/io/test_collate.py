@@ -10,8 +10,10 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from torchweather.io import Boxes, PointCloud, split_indexed, split_padded
-from torchweather.io.collate import Collate
+from torchweather.compose import split_indexed, split_padded
+from torchweather.compose.collate import Collate
+from torchweather.datasets import Boxes
+from torchweather.io import PointCloud
 
 
 class Samples(Dataset[dict[str, Any]]):

@@ -30,9 +30,10 @@ from torchweather.cli import main
 from torchweather.cli.frames import add_depth_arguments
 from torchweather.cli.frames import depth_source as from_arguments
 from torchweather.core.errors import TorchweatherError
-from torchweather.io import read_image, read_kitti_calibration, read_points, write_image
-from torchweather.io.depth_clouds import calibration_file, cloud_file, frame_camera_name
-from torchweather.io.depth_sources import depth_source
+from torchweather.datasets import read_kitti_calibration
+from torchweather.datasets.depth_clouds import calibration_file, cloud_file, frame_camera_name
+from torchweather.datasets.depth_sources import depth_source
+from torchweather.io import read_image, read_points, write_image
 from torchweather.sensors import Camera
 
 HEIGHT, WIDTH = 96, 128

@@ -10,13 +10,9 @@ import pytest
 import torch
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.datasets import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
 from torchweather.image import project_points
-from torchweather.io import (
-    read_image,
-    read_kitti_calibration,
-    read_kitti_points,
-    read_kitti_rectified_from_lidar,
-)
+from torchweather.io import read_image
 
 P2 = "721.5377 0.0 609.5593 44.85728 0.0 721.5377 172.854 0.2163791 0.0 0.0 1.0 0.002745884"
 

@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.datasets import read_nuscenes_calibration, read_nuscenes_points
 from torchweather.image import project_points
-from torchweather.io import read_image, read_nuscenes_calibration, read_nuscenes_points
+from torchweather.io import read_image
 
 CAMERA_MATRIX = [[1266.0, 0.0, 816.0], [0.0, 1266.0, 491.0], [0.0, 0.0, 1.0]]
 CAMERA_FROM_LIDAR = [[1.0, 0, 0, 0.01], [0, 0, -1, -0.33], [0, 1, 0, -0.43], [0, 0, 0, 1]]  # x right, y forward

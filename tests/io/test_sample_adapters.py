@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from torchweather.atmosphere.weather import Fog
-from torchweather.io.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
+from torchweather.datasets.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from torchweather.core.errors import TorchweatherError
-from torchweather.io.speeds import Speeds, read_speeds, read_timestamps
+from torchweather.datasets.speeds import Speeds, read_speeds, read_timestamps
 
 
 def kitti_drive(folder: Path, speeds: list[float], step_s: float = 0.1) -> Path:

@@ -20,7 +20,7 @@ from tests.lidar.own_car_drive import (
     sweep,
 )
 from tests.recordings import recording
-from torchweather.io import read_kitti_points
+from torchweather.datasets import read_kitti_points
 from torchweather.lidar import BeamEnd, OwnVehicleMask, own_vehicle_mask
 from torchweather.lidar.sweep.completion import complete_scan
 from torchweather.lidar.sweep.own_vehicle import checked_own_vehicle

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tests.recordings import recording
 from torchweather.atmosphere.weather import Snow
-from torchweather.io import read_kitti_points
+from torchweather.datasets import read_kitti_points
 from torchweather.lidar import BeamEnd, ScanPattern, estimate_pattern, fit_ground
 from torchweather.lidar.sweep.echo_pairs import first_rows
 from torchweather.sensors import Lidar, recover_ring

@@ -19,7 +19,7 @@ from torch import Tensor
 from tests.recordings import recording
 from torchweather.atmosphere.weather import Snow
 from torchweather.cli import main
-from torchweather.io import read_kitti_points
+from torchweather.datasets import read_kitti_points
 from torchweather.lidar import estimate_pattern
 from torchweather.lidar.sweep.completion import complete_scan
 from torchweather.sensors import Lidar

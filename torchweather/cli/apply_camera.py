@@ -22,8 +22,8 @@ from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, 
 from torchweather.cli.output import note
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.exceptions import InputTypeError, InputValueError
+from torchweather.datasets.depth_sources import GROUND
 from torchweather.io import read_image, write_image
-from torchweather.io.depth_sources import GROUND
 from torchweather.recipes.recipe import Recipe, camera_of
 
 __all__ = ["line", "process"]

@@ -22,7 +22,7 @@ from torchweather.cli.sequence_frames import (
 from torchweather.cli.sequence_work import SequencePlan, SequenceWork
 from torchweather.core.errors import check_positive
 from torchweather.core.exceptions import InputValueError
-from torchweather.io.speeds import read_speeds
+from torchweather.datasets.speeds import read_speeds
 from torchweather.io.video import CRF, VIDEO_SUFFIXES, WRITTEN_SUFFIXES
 from torchweather.recipes.recipe import Recipe, camera_of
 

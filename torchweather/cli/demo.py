@@ -129,8 +129,8 @@ def _photo(path: Path, args: argparse.Namespace) -> Photo:
 def _options(frames: list[Path], args: argparse.Namespace) -> dict[str, Any]:
     """Camera, depth and sensors for the page of raw frames or of the embedded scene."""
     from torchweather.cli.frames import camera_fields, depth_source, fitted_camera
+    from torchweather.datasets.depth_sources import GROUND
     from torchweather.io import read_image
-    from torchweather.io.depth_sources import GROUND
     from torchweather.recipes.recipe import camera_of
 
     preset = args.sensor.partition(":")[2]

@@ -172,7 +172,7 @@ def _with_calibration(args: argparse.Namespace, frame: Path | None) -> argparse.
     given = any(getattr(args, name, None) is not None for name in ("camera", "fx", "fy"))
     if given or calibration is None or frame is None:
         return args
-    from torchweather.io.depth_clouds import calibration_file, frame_camera_name
+    from torchweather.datasets.depth_clouds import calibration_file, frame_camera_name
 
     named = args.camera_name or frame_camera_name(frame)
     return argparse.Namespace(**{**vars(args), "camera": calibration_file(calibration, frame), "camera_name": named})
@@ -186,7 +186,7 @@ def _focal(args: argparse.Namespace) -> tuple[float, float]:
 def _calibrated(camera: Camera, height: int, width: int, args: argparse.Namespace) -> tuple[Camera, str]:
     """The preset with the lens of a calibration file, and with its mounting where the arguments give none."""
     from torchweather.camera.sensor_fit import without_distortion
-    from torchweather.io.camera_files import read_camera_fields
+    from torchweather.datasets.camera_files import read_camera_fields
 
     fields = read_camera_fields(args.camera, width=width, height=height, name=getattr(args, "camera_name", None))
     for name in ("height_m", "pitch_rad"):
@@ -256,7 +256,7 @@ def depth_source(
         frame: path of the image.
         args: all arguments; ``None`` leaves the others at their defaults.
     """
-    from torchweather.io.depth_sources import depth_source as found
+    from torchweather.datasets.depth_sources import depth_source as found
 
     given = vars(args) if args is not None else {}
     return found(

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         return gap_demo.run(args)
     from torchweather.cli.output import note, print_json, print_lines
     from torchweather.gap import find
-    from torchweather.gap.study import Study
+    from torchweather.gap.study.study import Study
     from torchweather.report.gap_page import write_gap
     from torchweather.report.gap_words import verdict_sentence
 

@@ -23,8 +23,8 @@ def run(args: argparse.Namespace) -> int:
     """Hide, seal, search, and open the seal last."""
     from torchweather.cli.output import note, print_json, print_lines
     from torchweather.gap import find
-    from torchweather.gap.hidden_study import drawn_study
-    from torchweather.gap.study import Study
+    from torchweather.gap.study.hidden import drawn_study
+    from torchweather.gap.study.study import Study
     from torchweather.report.gap_page import write_gap
 
     if args.effects is not None:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
+from torchweather.datasets.speeds import read_timestamps
 from torchweather.io import read_image, write_image
-from torchweather.io.speeds import read_timestamps
 from torchweather.io.video import VideoReader, VideoWriter, write_video
 
 __all__ = ["MANIFEST", "ClipFrames", "FolderFrames", "FolderResult", "Frame", "VideoResult", "file_digest"]

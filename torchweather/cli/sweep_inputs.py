@@ -24,9 +24,9 @@ from torchweather.cli.ouster_product import refuse_other_product
 from torchweather.cli.regions import parse_region
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.core.exceptions import InputValueError
+from torchweather.datasets.depth_sources import GROUND
 from torchweather.evaluation.sweep import CameraSubject, LidarSubject, RadarSceneSubject, RadarSubject, Subject
 from torchweather.io import read_image, read_radar
-from torchweather.io.depth_sources import GROUND
 from torchweather.recipes.recipe import camera_of, lidar_of, radar_of
 from torchweather.report.radar_section import WALKING
 from torchweather.scenes import SCENES, Scene, lidar_view, radar_view

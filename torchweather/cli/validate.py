@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
-    from torchweather.gap.study import Study
+    from torchweather.gap.study.study import Study
 
 NAME = "validate"
 SUMMARY = "simulation beside measurement: scores, trends and pictures of a study"
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from torchweather.cli.output import note, print_json, print_lines
-    from torchweather.gap.validation import validate
+    from torchweather.evaluation.validation.run import validate
     from torchweather.report.validation_page import write_validation
 
     self_check = args.study.startswith(SCENE)
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _study(args: argparse.Namespace) -> Study:
-    from torchweather.gap.embedded_study import EMBEDDED_KINDS, embedded_study
-    from torchweather.gap.study import Study
+    from torchweather.gap.study.embedded import EMBEDDED_KINDS, embedded_study
+    from torchweather.gap.study.study import Study
 
     if not args.study.startswith(SCENE):
         if args.sensor is not None:

@@ -1,1 +1,1 @@
-"""Scores over a sweep of weather, and the robustness of detectors."""
+"""Scores over a sweep of weather, validation against recordings, and the robustness of detectors."""

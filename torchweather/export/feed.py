@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.core.errors import InputValueError
+from torchweather.core.exceptions import InputValueError
 from torchweather.core.random import Variate, draw_variates, sizes_of
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def _read(model: str | os.PathLike[str] | bytes | InferenceSession) -> tuple[dic
     said = session.get_modelmeta().custom_metadata_map
     text = said.get(METADATA_KEY)
     if text is None:
-        from torchweather.core.errors import TorchweatherError
+        from torchweather.core.exceptions import TorchweatherError
 
         raise TorchweatherError(
             "draw_feed: wanted a graph written by torchweather.export.to_onnx; this one does not say which noise it "
@@ -115,7 +115,7 @@ def _opened(model: str | os.PathLike[str] | bytes) -> InferenceSession:
     try:
         return onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's own classes are not public
-        from torchweather.core.errors import TorchweatherError
+        from torchweather.core.exceptions import TorchweatherError
 
         name = "the bytes" if isinstance(model, bytes) else os.fspath(model)
         raise TorchweatherError(f"draw_feed: {name}: wanted an ONNX graph; {error}") from error

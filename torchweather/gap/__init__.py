@@ -1,12 +1,12 @@
-"""Simulation against measurement: the study of clear and measured frames, what it lacks, how far the two are apart."""
+"""Gap between simulation and measurement: the study, the search for the missing effect, and the repaired model."""
 
-from torchweather.gap.adapters import study_from_folders, study_from_kitti
+from torchweather.core.moved import moved
 from torchweather.gap.diagnosis import Finding, diagnose
 from torchweather.gap.find import find_gap
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.simulation import simulate
-from torchweather.gap.study import Condition, Frame, Frames, Study, StudyScene
-from torchweather.gap.validation import Validation, validate
+from torchweather.gap.study.folders import study_from_folders, study_from_kitti
+from torchweather.gap.study.simulation import simulate
+from torchweather.gap.study.study import Condition, Frame, Frames, Study, StudyScene
 
 __all__ = [
     "Condition",
@@ -16,11 +16,11 @@ __all__ = [
     "GapReport",
     "Study",
     "StudyScene",
-    "Validation",
     "diagnose",
     "find_gap",
     "simulate",
     "study_from_folders",
     "study_from_kitti",
-    "validate",
 ]
+
+__getattr__ = moved(__name__, {"torchweather.evaluation.validation": ("Validation", "validate")})

@@ -12,12 +12,12 @@ import numpy as np
 import torch
 
 from torchweather.core.errors import check_one_of
-from torchweather.gap.conditions import Condition
-from torchweather.gap.content_hash import frame_sha256
-from torchweather.gap.frames import Frame, Frames
-from torchweather.gap.simulation import dry_samples
-from torchweather.gap.splits import condition_group
-from torchweather.gap.study import Study
+from torchweather.gap.study.conditions import Condition
+from torchweather.gap.study.content_hash import frame_sha256
+from torchweather.gap.study.frames import Frame, Frames
+from torchweather.gap.study.simulation import dry_samples
+from torchweather.gap.study.splits import condition_group
+from torchweather.gap.study.study import Study
 from torchweather.lidar.intensity import reflectivity_from_intensity
 from torchweather.lidar.sensor import Lidar
 

@@ -7,15 +7,15 @@ from typing import Any
 
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.threads import one_thread_an_operation
-from torchweather.gap.baseline import FrameModel
-from torchweather.gap.camera import CameraFrames
 from torchweather.gap.diagnosis import diagnose
 from torchweather.gap.gap_report import GapReport, gap_report
-from torchweather.gap.lidar import LidarFrames
-from torchweather.gap.link import LinkFrames
-from torchweather.gap.radar import RadarFrames
-from torchweather.gap.study import Study
-from torchweather.gap.workflow import find_gap_with
+from torchweather.gap.inference.forward_selection import find_gap_with
+from torchweather.gap.inference.simulated_distribution import FrameModel
+from torchweather.gap.sensors.camera.frames import CameraFrames
+from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.sensors.link.frames import LinkFrames
+from torchweather.gap.sensors.radar.frames import RadarFrames
+from torchweather.gap.study.study import Study
 from torchweather.pipeline.effect import Effect
 
 __all__ = ["find_gap"]

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from torchweather import __version__
 from torchweather.atmosphere.weather import Fog
-from torchweather.gap.baseline import Baseline
-from torchweather.gap.candidate_fits import Candidate
-from torchweather.gap.effect_forms import effect_class
+from torchweather.gap.inference.candidate_fits import Candidate
+from torchweather.gap.inference.effect_forms import effect_class
+from torchweather.gap.inference.forward_selection import GapResult
+from torchweather.gap.inference.likelihood import Fit, Search
+from torchweather.gap.inference.simulated_distribution import Baseline
+from torchweather.gap.inference.unknown import unknown
 from torchweather.gap.model_file import Additions, read_model, write_model
-from torchweather.gap.search import Fit, Search
-from torchweather.gap.statistics import Group
-from torchweather.gap.unknown import unknown
-from torchweather.gap.workflow import GapResult
+from torchweather.gap.statistics.frame_statistics import Group
 from torchweather.io import atomic_write
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.pipeline.effect import Effect, Parameter

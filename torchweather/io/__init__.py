@@ -1,47 +1,15 @@
-"""Readers and writers: images, depth, points, radar detections and ADC cubes, labels, boxes, drops, tables,
-and the samples of other training code.
-"""
+"""Readers and writers of files: images, depth, points, radar detections and ADC cubes, labels, drops, tables."""
 
 from __future__ import annotations
 
 from torchweather.core.atomic import atomic_folder, atomic_write
-from torchweather.io.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
+from torchweather.core.moved import moved
 from torchweather.io.adc import ADC_AXES, ADC_QUADRATURES, AdcCube, read_adc, write_adc
-from torchweather.io.batches import (
-    collate_indexed,
-    collate_list,
-    collate_padded,
-    join_indexed,
-    split_indexed,
-    split_padded,
-)
-from torchweather.io.box_projection import project_boxes
-from torchweather.io.box_update import update_boxes
-from torchweather.io.box_visibility import BoxVisibility, box_visibility
-from torchweather.io.boxes import Boxes, points_in_boxes
-from torchweather.io.calibration import CameraLidarCalibration
-from torchweather.io.camera_files import read_camera, read_camera_fields
-from torchweather.io.carla import (
-    camera_from_carla,
-    depth_from_carla,
-    depth_to_carla,
-    detections_from_carla,
-    detections_to_carla,
-    image_from_carla,
-    image_to_carla,
-    points_from_carla,
-    points_to_carla,
-    pose_from_carla,
-)
-from torchweather.io.carla_rig import CARLA_SENSORS, CarlaRig
-from torchweather.io.collate import CLOUDS_AS, Collate
 from torchweather.io.depth import DEPTH_ENCODINGS, read_depth
 from torchweather.io.disdrometer import read_disdrometer
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts, spectrum_from_drops
 from torchweather.io.exif import ExifFocal, read_exif_focal
 from torchweather.io.images import IMAGE_SUFFIXES, ImageInfo, read_image, write_image
-from torchweather.io.kitti import read_kitti_calibration, read_kitti_points, read_kitti_rectified_from_lidar
-from torchweather.io.kitti_boxes import read_kitti_boxes, write_kitti_boxes
 from torchweather.io.labels import (
     FALLING_SNOW,
     LYING_SNOW,
@@ -53,13 +21,6 @@ from torchweather.io.labels import (
 )
 from torchweather.io.map_layout import MAP_LAYOUTS, MapLayout, map_layout
 from torchweather.io.npz_points import NPZ_ENCODINGS
-from torchweather.io.nuscenes import read_nuscenes_calibration, read_nuscenes_points
-from torchweather.io.nuscenes_boxes import (
-    boxes_from_nuscenes,
-    boxes_to_nuscenes,
-    read_nuscenes_boxes,
-    write_nuscenes_boxes,
-)
 from torchweather.io.nuscenes_radar import NUSCENES_RADAR_STATES
 from torchweather.io.ouster import OUSTER_INTENSITIES, OusterFrame, read_ouster
 from torchweather.io.parsivel import parsivel_area_mm2, parsivel_edges_mm, parsivel_speeds_m_per_s
@@ -75,8 +36,6 @@ from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 __all__ = [
     "ADC_AXES",
     "ADC_QUADRATURES",
-    "CARLA_SENSORS",
-    "CLOUDS_AS",
     "DEPTH_ENCODINGS",
     "FALLING_SNOW",
     "IMAGE_SUFFIXES",
@@ -96,17 +55,9 @@ __all__ = [
     "TABLE_SUFFIXES",
     "UNLABELLED",
     "AdcCube",
-    "BoxVisibility",
-    "Boxes",
-    "CameraLidarCalibration",
-    "CarlaRig",
-    "Collate",
     "DropSpectrum",
     "ExifFocal",
-    "HuggingFaceAdapter",
     "ImageInfo",
-    "Mmdet3dAdapter",
-    "OpenPcdetAdapter",
     "MapLayout",
     "MapRecord",
     "OusterFrame",
@@ -115,45 +66,17 @@ __all__ = [
     "RadarPoints",
     "atomic_folder",
     "atomic_write",
-    "box_visibility",
-    "boxes_from_nuscenes",
-    "boxes_to_nuscenes",
-    "camera_from_carla",
-    "collate_indexed",
-    "collate_list",
-    "collate_padded",
-    "depth_from_carla",
-    "depth_to_carla",
-    "detections_from_carla",
-    "detections_to_carla",
-    "image_from_carla",
-    "image_to_carla",
-    "join_indexed",
     "map_layout",
     "merge_kind",
     "parsivel_area_mm2",
     "parsivel_edges_mm",
     "parsivel_speeds_m_per_s",
-    "points_from_carla",
-    "points_in_boxes",
-    "points_to_carla",
-    "pose_from_carla",
-    "project_boxes",
     "read_adc",
-    "read_camera",
-    "read_camera_fields",
     "read_depth",
     "read_disdrometer",
     "read_exif_focal",
     "read_image",
-    "read_kitti_boxes",
-    "read_kitti_calibration",
-    "read_kitti_points",
-    "read_kitti_rectified_from_lidar",
     "read_labels",
-    "read_nuscenes_boxes",
-    "read_nuscenes_calibration",
-    "read_nuscenes_points",
     "read_ouster",
     "read_points",
     "read_power_map",
@@ -162,16 +85,64 @@ __all__ = [
     "read_table",
     "spectrum_from_counts",
     "spectrum_from_drops",
-    "split_indexed",
-    "split_padded",
-    "update_boxes",
     "write_adc",
     "write_image",
-    "write_kitti_boxes",
     "write_labels",
-    "write_nuscenes_boxes",
     "write_points",
     "write_power_map",
     "write_radar",
     "write_table",
 ]
+
+__getattr__ = moved(
+    __name__,
+    {
+        "torchweather.datasets": (
+            "BoxVisibility",
+            "Boxes",
+            "CARLA_SENSORS",
+            "CameraLidarCalibration",
+            "CarlaRig",
+            "HuggingFaceAdapter",
+            "Mmdet3dAdapter",
+            "OpenPcdetAdapter",
+            "box_visibility",
+            "boxes_from_nuscenes",
+            "boxes_to_nuscenes",
+            "camera_from_carla",
+            "depth_from_carla",
+            "depth_to_carla",
+            "detections_from_carla",
+            "detections_to_carla",
+            "image_from_carla",
+            "image_to_carla",
+            "points_from_carla",
+            "points_in_boxes",
+            "points_to_carla",
+            "pose_from_carla",
+            "project_boxes",
+            "read_camera",
+            "read_camera_fields",
+            "read_kitti_boxes",
+            "read_kitti_calibration",
+            "read_kitti_points",
+            "read_kitti_rectified_from_lidar",
+            "read_nuscenes_boxes",
+            "read_nuscenes_calibration",
+            "read_nuscenes_points",
+            "update_boxes",
+            "write_kitti_boxes",
+            "write_nuscenes_boxes",
+        ),
+        "torchweather.compose": (
+            "CLOUDS_AS",
+            "Collate",
+            "collate_indexed",
+            "collate_list",
+            "collate_padded",
+            "join_indexed",
+            "split_indexed",
+            "split_padded",
+        ),
+    },
+)

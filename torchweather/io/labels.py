@@ -1,7 +1,4 @@
-"""SemanticKITTI's label files (also WADS'): class and instance of every point, and what weather does to labels.
-
-What it does to boxes is in ``box_update``; `update_boxes` is here as well.
-"""
+"""SemanticKITTI's label files (also WADS'): class and instance of every point, and what weather does to labels."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_between
-from torchweather.io.box_update import update_boxes
 from torchweather.pipeline.point_kind import PointKind
 
 __all__ = [
@@ -25,7 +21,6 @@ __all__ = [
     "PointLabels",
     "merge_kind",
     "read_labels",
-    "update_boxes",
     "write_labels",
 ]
 

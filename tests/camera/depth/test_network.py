@@ -20,7 +20,8 @@ from torchweather.camera.depth.horizon import find_horizon
 from torchweather.camera.depth.network import IMAGENET_MEAN, IMAGENET_STD, DepthNetwork
 from torchweather.camera.depth.network_graph import NetworkGraph
 from torchweather.core.errors import TorchweatherError
-from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+from torchweather.datasets import read_kitti_calibration, read_kitti_points
+from torchweather.io import read_image
 from torchweather.sensors import Camera
 
 HEIGHT, WIDTH = 96, 128

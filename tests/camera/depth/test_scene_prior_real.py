@@ -18,7 +18,8 @@ from torchweather.camera.depth import DepthFromPoints
 from torchweather.camera.depth.horizon import find_horizon
 from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.camera.depth.scene_prior import ScenePrior
-from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+from torchweather.datasets import read_kitti_calibration, read_kitti_points
+from torchweather.io import read_image
 from torchweather.sensors import Camera
 
 pytestmark = pytest.mark.real_data

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-REST = "torchweather.gap.rest"
-WHOLE_FRAMES = "torchweather.gap.whole_frames"
-FORMULA = "torchweather.gap.formula"
+REST = "torchweather.gap.inference.residual_tests"
+WHOLE_FRAMES = "torchweather.gap.statistics.frame_random_effects"
+FORMULA = "torchweather.gap.statistics.formula"
 
 MUTANTS = (
     Mutant(
@@ -44,7 +44,7 @@ MUTANTS = (
     Mutant(
         "effects_found_not_taken_out",
         "a further effect explains what the found ones do not",
-        "torchweather.gap.further",
+        "torchweather.gap.inference.model_error",
         "found: Floats = (further @ done) ** 2 / norm",
         "found: Floats = 0.0 * (further @ done) ** 2 / norm",
         ("tests/gap/test_further.py::test_what_nuisances_explain_counts_for_neither",),
@@ -52,7 +52,7 @@ MUTANTS = (
     Mutant(
         "visibility_taken_as_severity",
         "shorter visibility is more severe",
-        "torchweather.gap.splits",
+        "torchweather.gap.study.splits",
         'return 1.0 / knob if weather.knob_name == "mor_m" else knob',
         "return knob",
         (("tests/gap/test_study.py::test_each_kind_of_weather_keeps_a_condition_to_fit_to_and_clear_air_is_fitted"),),
@@ -60,7 +60,7 @@ MUTANTS = (
     Mutant(
         "p_value_of_clear_air_can_be_zero",
         "a permutation p-value counts the observed split",
-        "torchweather.gap.clear_air",
+        "torchweather.gap.inference.clear_air",
         "p_value = (1 + int(",
         "p_value = (0 + int(",
         ("tests/gap/test_clear_air.py::test_frames_that_are_copies_do_not_differ",),
@@ -84,7 +84,7 @@ MUTANTS = (
     Mutant(
         "held_out_links_fitted",
         "held-out links are not fitted to",
-        "torchweather.gap.link",
+        "torchweather.gap.sensors.link.frames",
         "splits = {FIT: ~held, HOLDOUT: held}",
         "splits = {FIT: held, HOLDOUT: ~held}",
         ("tests/gap/test_link.py::test_a_film_that_grows_with_the_root_of_the_rain_is_found",),
@@ -92,7 +92,7 @@ MUTANTS = (
     Mutant(
         "byte_order_in_the_hash",
         "the hash of a frame does not depend on the machine's byte order",
-        "torchweather.gap.content_hash",
+        "torchweather.gap.study.content_hash",
         'little = array.astype(array.dtype.newbyteorder("<"), copy=False)',
         "little = array",
         ("tests/gap/test_content_hash.py::test_byte_order_and_layout_in_memory_do_not_change_the_hash",),
@@ -100,7 +100,7 @@ MUTANTS = (
     Mutant(
         "likelihood_without_variance_term",
         "a likelihood charges wider scatter by its logarithm",
-        "torchweather.gap.search",
+        "torchweather.gap.inference.likelihood",
         "total += 2.0 * float(np.log(wider[used]).sum())",
         "total += 0.0 * float(np.log(wider[used]).sum())",
         ("tests/gap/test_search_variance.py::test_twice_the_scatter_costs_two_ln_two_an_entry_that_counts",),
@@ -108,7 +108,7 @@ MUTANTS = (
     Mutant(
         "insensitive_statistics_by_mean_change",
         "a statistic is insensitive where its root mean square change is small",
-        "torchweather.gap.untouched",
+        "torchweather.gap.inference.insensitive_statistics",
         "float(np.sqrt((values**2).mean())) < TOUCHED",
         "float(np.abs(values.mean())) < TOUCHED",
         ("tests/gap/test_untouched.py::test_a_statistic_is_touched_as_a_whole_in_all_conditions",),

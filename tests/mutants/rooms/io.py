@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-CARLA = "torchweather.io.carla"
+CARLA = "torchweather.datasets.carla"
 LABELS = "torchweather.io.labels"
 ARRAYS = "torchweather.io.arrays"
 
@@ -44,7 +44,7 @@ MUTANTS = (
     Mutant(
         "box_count_not_updated",
         "num_lidar_pts of a box counts the points that weather leaves",
-        "torchweather.io.box_update",
+        "torchweather.datasets.box_update",
         'new[count] = new[f"{sensor}_points_left"]',
         "new[count] = record[count]",
         ("tests/io/test_box_update.py::test_nuscenes_counts_are_replaced_and_the_rest_stays",),
@@ -52,7 +52,7 @@ MUTANTS = (
     Mutant(
         "particles_counted_in_boxes",
         "a particle in a box is no point of the object",
-        "torchweather.io.box_visibility",
+        "torchweather.datasets.box_visibility",
         "left[begin : begin + step] = (seen & is_object[:, None]).sum(dim=0)",
         "left[begin : begin + step] = seen.sum(dim=0)",
         ("tests/io/test_boxes.py::test_nuscenes_annotations_in_the_global_frame",),
@@ -108,7 +108,7 @@ MUTANTS = (
     Mutant(
         "lens_of_another_model_accepted",
         "a fisheye lens is refused",
-        "torchweather.io.yaml_calibration",
+        "torchweather.datasets.yaml_calibration",
         "if any(values) and (model",
         "if False and (model",
         ("tests/io/test_camera_files.py::test_other_files_are_refused_by_what_they_are",),

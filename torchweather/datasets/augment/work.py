@@ -21,23 +21,26 @@ from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning
 from torchweather.core.file_names import stem
 from torchweather.core.random import sample_seed
+from torchweather.datasets import (
+    BoxVisibility,
+    box_visibility,
+    boxes_from_nuscenes,
+    read_kitti_boxes,
+    read_kitti_calibration,
+    read_kitti_rectified_from_lidar,
+)
 from torchweather.datasets.augment.frame_recipe import FrameRecipe, SensorUse, text_sha256
 from torchweather.datasets.augment.frames import COPY, Frame, SensorFile
 from torchweather.datasets.augment.layouts import FROM_LIDAR
 from torchweather.datasets.augment.manifest import DONE, FAILED, Row
 from torchweather.datasets.augment.own_vehicle import drive_of
 from torchweather.datasets.augment.paths import inside
+from torchweather.datasets.depth_sources import GROUND, depth_source
 from torchweather.io import (
-    BoxVisibility,
     PointCloud,
     atomic_write,
-    box_visibility,
-    boxes_from_nuscenes,
     merge_kind,
     read_image,
-    read_kitti_boxes,
-    read_kitti_calibration,
-    read_kitti_rectified_from_lidar,
     read_labels,
     read_points,
     read_radar,
@@ -46,7 +49,6 @@ from torchweather.io import (
     write_points,
     write_radar,
 )
-from torchweather.io.depth_sources import GROUND, depth_source
 from torchweather.lidar import OwnVehicleMask
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.sensor import Radar

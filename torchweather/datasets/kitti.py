@@ -1,0 +1,166 @@
+"""KITTI: Velodyne clouds and the calibration of the left colour camera, of all four kits."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchweather.core.errors import TorchweatherError
+from torchweather.datasets.calibration import CameraLidarCalibration
+from torchweather.io.points import read_points
+
+__all__ = [
+    "read_kitti_calibration",
+    "read_kitti_entries",
+    "read_kitti_points",
+    "read_kitti_rectified_from_lidar",
+]
+
+# Calibration of recording day 2011_09_26, as in the calibration files of KITTI's object data set: rectifying
+# rotation, and Velodyne (x forward, y left, z up) to the unrectified reference camera.
+_R0_RECT = (
+    9.999239e-01, 9.837760e-03, -7.445048e-03,
+    -9.869795e-03, 9.999421e-01, -4.278459e-03,
+    7.402527e-03, 4.351614e-03, 9.999631e-01,
+)  # fmt: skip
+_TR_VELO_TO_CAM = (
+    7.533745e-03, -9.999714e-01, -6.166020e-04, -4.069766e-03,
+    1.480249e-02, 7.280733e-04, -9.998902e-01, -7.631618e-02,
+    9.998621e-01, 7.523790e-03, 1.480755e-02, -2.717806e-01,
+)  # fmt: skip
+
+
+def read_kitti_points(path: str | os.PathLike[str]) -> Tensor:
+    """A Velodyne cloud.
+
+    Args:
+        path: ``velodyne/*.bin``.
+
+    Returns:
+        ``(N, 4)`` float32: x forward, y left, z up in metres, reflectance 0..1.
+
+    Raises:
+        TorchweatherError: the file is missing, truncated, or not float32 rows of four.
+    """
+    return read_points(path, format="kitti").points
+
+
+def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibration:
+    """Camera 2 (left colour) and the Velodyne.
+
+    ``T_camera_from_lidar = [I | K^-1 p] R0_rect Tr_velo_to_cam`` with ``P2 = [K | p]``. The odometry kit's ``Tr``
+    goes to the rectified camera already and stands for both.
+
+    Args:
+        path: ``calib/*.txt`` of the object or tracking kit, ``calib.txt`` of odometry, ``calib_cam_to_cam.txt`` of the
+            raw kit (with its ``calib_velo_to_cam.txt`` beside it); or a text with nothing but the 12 or 16 numbers of
+            ``P2``.
+
+    Returns:
+        The calibration. Where the file lacks the Velodyne, that of recording day 2011_09_26 is taken and
+        ``assumption`` says so: the car and its mounts stayed the same, which leaves a few pixels.
+
+    Raises:
+        TorchweatherError: the file is missing or holds no ``P2``.
+    """
+    source = Path(path)
+    entries = read_kitti_entries(source)
+    if "P2" not in entries or len(entries["P2"]) not in (12, 16):
+        found = ", ".join(f"{key} ({len(values)} numbers)" for key, values in entries.items()) or "no numbers"
+        raise TorchweatherError(f"{source}: wanted a KITTI calibration with P2 (12 or 16 numbers); got {found}.")
+    projection = torch.tensor(entries["P2"][:12], dtype=torch.float64).view(3, 4)
+    camera_matrix = projection[:, :3].clone()
+    if not bool(torch.linalg.det(camera_matrix).abs() > 0):
+        raise TorchweatherError(f"{source}: wanted an invertible camera matrix in P2; got {camera_matrix.tolist()}.")
+    offset = torch.eye(4, dtype=torch.float64)
+    offset[:3, 3] = torch.linalg.solve(camera_matrix, projection[:, 3])
+    rectified_from_lidar = _rectified_from_lidar(entries, source)
+    missing = [key for key in ("R0_rect", "Tr_velo_to_cam") if key not in entries and "Tr" not in entries]
+    assumption = f"{' and '.join(missing)} of KITTI's recording day 2011_09_26" if missing else ""
+    return CameraLidarCalibration(camera_matrix, offset @ rectified_from_lidar, assumption)
+
+
+def read_kitti_rectified_from_lidar(path: str | os.PathLike[str]) -> Tensor:
+    """From the Velodyne to the rectified frame of camera 0, in which KITTI's labels place their boxes.
+
+    ``T = R0_rect Tr_velo_to_cam``; `read_kitti_calibration` goes on from there to camera 2, 6 cm beside.
+
+    Args:
+        path: ``calib/*.txt``. Where it lacks ``R0_rect`` or ``Tr_velo_to_cam``, those of recording day 2011_09_26 are
+            taken.
+
+    Returns:
+        ``(4, 4)`` float64.
+
+    Raises:
+        TorchweatherError: the file is missing or broken.
+    """
+    source = Path(path)
+    return _rectified_from_lidar(read_kitti_entries(source), source)
+
+
+def _rectified_from_lidar(entries: dict[str, list[float]], source: Path) -> Tensor:
+    rectify, to_reference = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
+    rotation = entries.get("R0_rect", _R0_RECT)
+    transform = entries.get("Tr_velo_to_cam", _TR_VELO_TO_CAM)
+    if "Tr" in entries:  # odometry: into the rectified camera
+        rotation, transform = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), entries["Tr"]
+    try:
+        rectify[:3, :3] = torch.tensor(rotation, dtype=torch.float64).view(3, 3)
+        to_reference[:3] = torch.tensor(transform, dtype=torch.float64).view(3, 4)
+    except RuntimeError as error:
+        name = "Tr" if "Tr" in entries else "Tr_velo_to_cam"
+        raise TorchweatherError(
+            f"{source}: wanted 9 numbers in R0_rect and 12 in {name}; got {len(rotation)} and {len(transform)}."
+        ) from error
+    return rectify @ to_reference
+
+
+def read_kitti_entries(path: str | os.PathLike[str]) -> dict[str, list[float]]:
+    """Named number lists of a calibration file, under the names of the object kit.
+
+    The tracking kit leaves out some colons and the raw kit splits the file in two; both are read. Dates are left out.
+
+    Args:
+        path: a calibration file of any of KITTI's kits, or bare numbers, which are ``P2``.
+
+    Raises:
+        TorchweatherError: the file is missing, or a line is no name with numbers.
+    """
+    source = Path(path)
+    entries = _named_numbers(source)
+    velodyne = source.with_name("calib_velo_to_cam.txt")
+    if source.name == "calib_cam_to_cam.txt" and velodyne.is_file():
+        beside = _named_numbers(velodyne)
+        rotation, shift = beside.get("R", []), beside.get("T", [])
+        if (len(rotation), len(shift)) != (9, 3):
+            raise TorchweatherError(
+                f"{velodyne}: wanted 9 numbers in R and 3 in T; got {len(rotation)} and {len(shift)}."
+            )
+        entries["Tr_velo_to_cam"] = [n for row in range(3) for n in (*rotation[3 * row : 3 * row + 3], shift[row])]
+    return entries
+
+
+def _named_numbers(source: Path) -> dict[str, list[float]]:
+    aliases = {"R_rect": "R0_rect", "R_rect_00": "R0_rect", "Tr_velo_cam": "Tr_velo_to_cam"}
+    aliases |= {f"P_rect_0{number}": f"P{number}" for number in range(4)}
+    entries: dict[str, list[float]] = {}
+    try:
+        for line in source.read_text(encoding="utf-8").splitlines():
+            name, colon, numbers = line.partition(":")
+            if not colon and line[:1].isalpha() and len(line.split()) > 9:  # tracking: R_rect, Tr_velo_cam
+                name, colon, numbers = line.partition(" ")
+            key, text = (name.strip(), numbers) if colon else ("P2", line)
+            if key == "calib_time":
+                continue
+            values = [float(word) for word in text.split()]
+            if values:
+                entries.setdefault(aliases.get(key, key), []).extend(values)
+    except FileNotFoundError as error:
+        raise TorchweatherError(f"{source}: no such file.") from error
+    except (OSError, ValueError) as error:
+        raise TorchweatherError(f"{source}: wanted a KITTI calibration (names, colon, numbers); {error}.") from error
+    return entries

@@ -1,0 +1,289 @@
+"""Candidates: settings that response curves propose, fitted in the simulator.
+
+References:
+    GAP.md 3 (6).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.gap.inference.effect_forms import is_another
+from torchweather.gap.inference.held_out import HeldOut
+from torchweather.gap.inference.likelihood import SCREEN_FRAMES, SETTLED, Fit, Search, Setting
+from torchweather.gap.inference.location_search import placed
+from torchweather.gap.inference.response_templates import AMPLITUDES, Node, amplitudes, gains
+from torchweather.gap.inference.starting_points import lines
+from torchweather.gap.inference.systematics import Nuisance
+
+__all__ = [
+    "SETTLED_BESIDE",
+    "WORTH",
+    "Candidate",
+    "Proposal",
+    "best_nodes",
+    "best_pairs",
+    "fitted",
+    "hidden_nodes",
+    "scattering",
+    "stands_far",
+    "unscaled_nodes",
+]
+
+Floats = NDArray[np.float64]
+
+Proposal = tuple[Setting, Node, float]
+"""A setting, what to put on top of it, and how much of its response is expected."""
+
+PAIRS_REFITTED = 2  # pairs that are fitted
+# Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
+# left open stands so many standard deviations off.
+SHADOWED, FAR = (0.1, 0.5), 2.0
+SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
+OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronger effects, and what each multiplies by
+REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
+QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
+WORTH = 0.5  # of the best gain, from which a candidate is refitted
+# Amplitude of a node below which an effect that begins at a threshold is not on its way to it (development studies).
+MUCH_SCALED = 0.3
+LEAST_AMPLITUDE = 0.02  # of a node's response, at which a fit starts
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect, fitted.
+
+    Args:
+        id: of the effect.
+        fit: with it and what was found before.
+        gain: by which it lowers the misfit.
+        held: departure of the held-out conditions with it, where it was looked at.
+    """
+
+    id: str
+    fit: Fit
+    gain: float
+    held: HeldOut | None = None
+
+
+def best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[tuple[Node, float]]:
+    """The best node of each effect that is worth a fit, with its amplitude, best first."""
+    gain = gains(nodes, left[None], nuisance)[0]
+    amplitude = amplitudes(nodes, left[None], nuisance)[0][0]
+    best: dict[str, int] = {}
+    for place in np.argsort(-gain):
+        best.setdefault(nodes[place].id, int(place))
+    worth = [place for place in best.values() if gain[place] >= WORTH * gain.max()]
+    return [(nodes[place], float(amplitude[place])) for place in worth]
+
+
+def unscaled_nodes(
+    nodes: Sequence[Node], chosen: Sequence[tuple[Node, float]], left: Floats, nuisance: Nuisance
+) -> list[tuple[Node, float]]:
+    """Of each effect that begins at a threshold and whose chosen node would be scaled to much less, the node that
+    explains most, or spoils least, as it stands.
+
+    A share of the response to many strong ghosts is not the response to the first ones that are detected.
+    """
+    responses = np.stack([node.response for node in nodes])
+    gain = 2.0 * responses @ left - (responses * nuisance(responses)).sum(1)
+    best: dict[str, int] = {}
+    for place in np.argsort(-gain):
+        best.setdefault(nodes[place].id, int(place))
+    scaled = [node for node, amplitude in chosen if node.line.curved and amplitude < MUCH_SCALED]
+    return [(nodes[best[node.id]], 1.0) for node in scaled]
+
+
+def hidden_nodes(nodes: Sequence[Node], nuisance: Nuisance, open_ones: slice) -> list[tuple[Node, float]]:
+    """The node of each effect that looks most like what is left open has done, with its amplitude, best first.
+
+    Such an effect promises nothing while the nuisances stand in its place.
+
+    Args:
+        nodes: responses.
+        nuisance: where they stand.
+        open_ones: places of what is left open among the nuisances.
+    """
+    done = nuisance.response[:, open_ones] @ nuisance.offset[open_ones]
+    responses = np.stack([node.response for node in nodes])
+    norm = np.maximum((responses**2).sum(1), 1e-12)
+    along = np.maximum(responses @ done, 0.0)
+    best: dict[str, int] = {}
+    for place in np.argsort(-(along**2 / norm)):
+        best.setdefault(nodes[place].id, int(place))
+    return [(nodes[place], float(min(along[place] / norm[place], AMPLITUDES[1]))) for place in best.values()]
+
+
+def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: float) -> list[Proposal]:
+    """Pairs of different effects whose responses explain more than ``least`` together, best first."""
+    first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
+    found: dict[frozenset[str], Proposal] = {}
+    for one, other in zip(first, second, strict=True):
+        if gain[one, other] < least or len(found) == PAIRS_REFITTED:
+            break
+        names = frozenset((nodes[one].id, nodes[other].id))
+        if len(names) == 2 and names not in found:
+            found[names] = (replace(origin, values={nodes[one].id: _start(nodes[one], 1.0)}), nodes[other], 1.0)
+    return list(found.values())
+
+
+def scattering(search: Search, base: Fit, nodes: Sequence[Node], least: float) -> list[tuple[Fit, Proposal]]:
+    """The likeliest strength of each effect by which whole frames differ, and which other statistics than means show.
+
+    The mean of a few such frames is off either way, by more than the mean response of many: its scatter explains that.
+
+    Args:
+        search: its simulator.
+        base: the fit without effects.
+        nodes: responses.
+        least: gain of a response in other statistics than means from which its effect is looked at.
+
+    Returns:
+        The simulator with each effect, to begin a fit from, and the proposal of that strength.
+    """
+    own = [node for node in nodes if node.line.effect.scatters]
+    found = []
+    for name in dict.fromkeys(node.id for node in own if _gain_beside_means(search, node) >= least):
+        tried = []
+        for line in {id(node.line): node.line for node in own if node.id == name}.values():
+            for number, values in enumerate(line.settings):
+                fit = search.fit(replace(search.origin, values={name: values}), base.nuisance, base.base, 0)
+                tried.append((fit, Node(line, number, values, base.residual)))
+        best, node = min(tried, key=lambda one: one[0].misfit)
+        found.append((best, (search.origin, node, 1.0)))
+    return found
+
+
+def _gain_beside_means(search: Search, node: Node) -> float:
+    """By how much a response, scaled, lowers the squares of what departs in entries that are no means of elements."""
+    there, here = (
+        search.mean(replace(search.origin, values=values), SCREEN_FRAMES) for values in ({node.id: node.values}, {})
+    )
+    along = norm = 0.0
+    for target, moved, still in zip(search.measured, there, here, strict=True):
+        name = target.condition.id
+        counted = search.start.used[name] & ~search.model.layout.averages
+        response = np.where(counted, (moved - still) / search.start.total[name], 0.0)
+        along += float(response @ search.start.z(target))
+        norm += float(response @ response)
+    return max(along, 0.0) ** 2 / max(norm, 1e-12)
+
+
+def stands_far(setting: Setting) -> bool:
+    """Whether something that the model leaves open has moved by more than such things do by chance."""
+    return any(abs(value) > FAR for value in setting.open.values())
+
+
+def fitted(
+    search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
+) -> list[Candidate]:
+    """Effects fitted in the simulator, each on top of its setting; best first."""
+    found = []
+    for place, (setting, node, amplitude) in enumerate(proposed):
+        say("fitting " + " and ".join([*setting.values, node.id]))
+        values = {**setting.values, node.id: _start(node, amplitude)}
+        starts = [(replace(setting, values=values), base.nuisance)]
+        response = node.response
+        shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
+        if shadowed and place < SETTLED_BESIDE and not setting.values:
+            # The nuisances have moved to look like the effect while it was not there: let them settle with it.
+            starts.append(_settled_along(search, base, setting, node, misfit))
+        fits = []
+        for start, nuisance in starts:
+            fits.append(search.fit(placed(search, start, node.id, base), nuisance, base.base, QUICK))
+        fit = min(fits, key=lambda one: one.misfit)
+        if stands_far(fit.setting) and place < SETTLED_BESIDE and not setting.values:
+            # What is left open may have gone astray: let it settle from rest beside the effect as it was found.
+            start, nuisance, _ = search.settle_beside(Setting(fit.setting.values), base, SETTLED_ROUNDS)
+            fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)
+        found.append(Candidate(node.id, fit, misfit - fit.misfit))
+    least = min(candidate.fit.misfit for candidate in found)
+    for place, one in enumerate(found):
+        if one.fit.misfit < least + CLOSE:
+            say("refining " + " and ".join(one.fit.setting.values))
+            fit = _refined(search, one.fit)
+            found[place] = Candidate(one.id, fit, misfit - fit.misfit)
+    own = [one for one in found if not is_another(search.model, one.fit.setting.values)]
+    return sorted(own or found, key=lambda candidate: candidate.fit.misfit)
+
+
+def _refined(search: Search, fit: Fit) -> Fit:
+    """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
+    for _ in range(REWEIGHTED):
+        found = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)
+        gained = fit.misfit - found.misfit
+        fit = found if gained > 0 else fit
+        if gained < SETTLED:
+            break
+    return fit
+
+
+def _settled_along(search: Search, base: Fit, setting: Setting, node: Node, misfit: float) -> tuple[Setting, Nuisance]:
+    """The nuisances settled beside an effect at the best of its weak strengths (the nuisances do not reach as far as a
+    strong one), and where a parabola through the misfits has its least.
+
+    Args:
+        search: its simulator.
+        base: the fit without effects.
+        setting: effects found before.
+        node: of the effect.
+        misfit: without the effect.
+
+    Returns:
+        The setting, and the nuisances there.
+    """
+
+    def settled(values: Mapping[str, float]) -> tuple[Setting, Nuisance, float]:
+        values = _start(replace(node, values=values), 1.0)
+        return search.settle_beside(Setting({**setting.values, node.id: values}), base, SETTLED_ROUNDS)
+
+    (name,) = [one.name for one in node.line.effect.arguments if one.identity is not None and one.name in node.values]
+    declared = next(one for one in node.line.effect.arguments if one.name == name)
+    # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
+    curves = lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)], search.model.sizes)
+    curves = [one for one in curves if name in one.settings[0]]
+    strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
+    found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
+    if declared.identity is not None and math.isfinite(declared.identity):
+        for _ in range(OUTWARD):
+            # Along a narrow valley, in which an effect and the record say nearly the same, no derivative leads.
+            strength = min(found, key=lambda one: found[one][2])
+            farther = declared.identity + OUTWARD_STEP * (strength - declared.identity)
+            farther = min(max(farther, declared.low), declared.high)
+            if any((one - strength) * (strength - declared.identity) > 0 for one in found) or farther == strength:
+                break
+            found[farther] = settled({**node.values, name: farther})
+        places = [declared.identity, *found]
+        least = _least(np.array(places), np.array([misfit, *(one[2] for one in found.values())]))
+        found[least] = settled({**node.values, name: least})
+    best = min(found.values(), key=lambda one: one[2])
+    return best[0], best[1]
+
+
+def _least(place: Floats, value: Floats) -> float:
+    """Where a parabola through the least of some values and its neighbours has its own, not beyond those."""
+    order = np.argsort(place)
+    place, value = place[order], value[order]
+    middle = min(max(int(value.argmin()), 1), len(place) - 2)
+    near = slice(middle - 1, middle + 2)
+    curvature, slope, _ = np.polyfit(place[near] - place[middle], value[near], 2)
+    if curvature <= 0:
+        return float(place[value.argmin()])
+    return float(np.clip(place[middle] - 0.5 * slope / curvature, place[near][0], place[near][-1]))
+
+
+def _start(node: Node, amplitude: float) -> dict[str, float]:
+    """All parameters where an effect of so many times a node's response is expected."""
+    found, effect = {}, node.line.effect
+    amplitude = 1.0 if effect.cuts else amplitude
+    for one in effect.arguments:
+        value = node.values.get(one.name, one.value)
+        if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
+            value = one.identity + max(amplitude, LEAST_AMPLITUDE) * (value - one.identity)
+        found[one.name] = min(max(value, one.low), one.high) if math.isfinite(value) else value
+    return found

@@ -1,0 +1,393 @@
+"""find_gap: where simulation and measurement disagree, which effect explains it, and how much is left with it added.
+
+The order of things: screen (is anything missing?), single effects from response curves, refitted in the simulator, a
+second and a third while each earns its place on conditions that it was not fitted to, a verdict. What the weather
+record and the mean of the clear frames can explain is never taken for an effect.
+
+References:
+    GAP.md 3, 4.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.gap.inference.candidate_fits import (
+    SETTLED_BESIDE,
+    WORTH,
+    Candidate,
+    Proposal,
+    best_nodes,
+    best_pairs,
+    fitted,
+    hidden_nodes,
+    scattering,
+    stands_far,
+    unscaled_nodes,
+)
+from torchweather.gap.inference.clear_air import ClearAir, clear_air
+from torchweather.gap.inference.effect_forms import effect_class
+from torchweather.gap.inference.global_test import Screening, placed_nodes, screen, screening_entries
+from torchweather.gap.inference.held_out import HeldOut, held_out
+from torchweather.gap.inference.insensitive_statistics import fresh_gains, untouched
+from torchweather.gap.inference.likelihood import Fit, Search, Setting
+from torchweather.gap.inference.model_error import explained_beside, response_of
+from torchweather.gap.inference.response_templates import Node, gains, pair_gains
+from torchweather.gap.inference.simulated_distribution import FrameModel, targets
+from torchweather.stages.catalogue import EFFECTS
+
+__all__ = ["GapResult", "find_gap_with"]
+
+Floats = NDArray[np.float64]
+
+# The numbers below were set on development studies of the bench.
+ALARM_P = 2e-4
+# Candidates that are fitted: alone, further ones, and such as what is left open may stand for.
+REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 1
+MOST_EFFECTS = 3
+FEWEST_ENTRIES = 30  # statistics that count, over all conditions
+# Of what is explained where a further effect acts, that it must add (``further.py``); and of the misfit that is left,
+# unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
+FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
+# By which a further effect must lower the misfit of held-out conditions, two standard deviations, however much it
+# explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
+# than SURE_GAIN they may, by so much of the rest: where they hardly show it.
+HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
+# Of an alarm that is believed although nothing explains it on held-out conditions; of one by a pattern that the
+# conditions have in common ALARM_P is enough: what a few counts do by chance is none.
+SURE_P = 1e-6
+REST_P = 1e-4  # of one statistic, from which a rest is no noise
+REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such statistics
+REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
+# And from which, with so much of its square over the floor's left, what was found is not what is missing.
+UNKNOWN_GAP, UNKNOWN_HELD = 2.5, 0.05
+FAR_GAP = 10.0  # held-out gap over its floor, from which nothing was found whatever it explains
+
+
+@dataclass(frozen=True)
+class GapResult:
+    """What was found, before it is put into words.
+
+    Args:
+        verdict: ``none``, ``named``, ``named_and_rest`` or ``unknown``.
+        fit: the final setting; ``None`` where nothing was fitted.
+        rounds: the effects fitted in each round, best first; the first round is of single effects.
+        screening: on the base model.
+        before, after: of the held-out conditions.
+        left: ``(C P,)`` whitened departure of the fitted conditions at the end.
+        search: with the model as it was.
+        seconds: that it took.
+        clear: how well the clear frames of each scene agree with each other.
+    """
+
+    verdict: str
+    fit: Fit | None
+    rounds: tuple[tuple[Candidate, ...], ...]
+    screening: Screening
+    before: HeldOut
+    after: HeldOut
+    left: Floats
+    search: Search
+    seconds: float
+    clear: tuple[ClearAir, ...] = ()
+
+
+def find_gap_with(
+    model: FrameModel,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda text: None,
+) -> GapResult:
+    """Run the workflow with a model of a sensor's frames."""
+    started = time.perf_counter()
+    if not model.fit or not model.holdout:
+        raise TorchweatherError(
+            "find_gap: not enough data to decide: study.yaml: conditions[].split: wanted conditions in weather to fit "
+            f"to and others held out; got {len(model.fit)} and {len(model.holdout)}. A second rate or a second "
+            "scene can be held out."
+        )
+    for name in effects or ():
+        check_one_of("effect", name, model.catalogue, owner="find_gap")
+    present = {effect.id for effect in model.effects}
+    chosen = [effect_class(model, name) for name in (effects or model.catalogue) if name not in present]
+    if not chosen:
+        raise TorchweatherError(
+            f"find_gap: effects: the model under test has {', '.join(sorted(present))} already; none is left that may "
+            "be named. Allow others, or take them out of the model."
+        )
+    say("clear frames against clear frames")
+    clear = tuple(clear_air(model, seed))
+    say("simulating the conditions as they are")
+    search = Search(model, targets(model, model.fit), seed)
+    base = search.begin()
+    if screening_entries(search) < FEWEST_ENTRIES:
+        raise TorchweatherError(
+            f"find_gap: not enough data to decide: {screening_entries(search)} statistics hold enough beams to count; "
+            f"wanted {FEWEST_ENTRIES} or more. More frames a condition, or more beams that see a surface, would tell."
+        )
+    say("response curves")
+    screening = screen(search, chosen, base, seed)
+    held = Search(model, targets(model, model.holdout), seed + 1)
+    before = held_out(held, held.begin(), seed)
+    singles: list[Candidate] = []
+    if screening.p_value <= ALARM_P or stands_far(base.setting):
+        # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
+        number = REFITTED if screening.p_value <= ALARM_P else SETTLED_BESIDE
+        singles = _singles(search, base, screening, number, say)
+        if screening.p_value > ALARM_P:
+            # The effect may only have led the nuisances to where they belong: they are settled from there without it.
+            without = search.settle(replace(singles[0].fit.setting, values={}))
+            least = min(screening.misfit, without.nuisance.misfit(without.residual))
+            screening = screening.raised(least - singles[0].fit.misfit)
+    if screening.p_value > ALARM_P:
+        left = base.nuisance.left(base.residual)
+        return GapResult(
+            "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
+        )
+    rounds = _rounds(search, held, base, screening, singles, say)
+    best, after = rounds[-1][0].fit, rounds[-1][0].held or before
+    verdict = _verdict(screening, best, before, after)
+    after = before if verdict == "none" else after  # nothing is added
+    left = best.nuisance.left(best.residual)
+    candidates = tuple(tuple(one) for one in rounds)
+    return GapResult(
+        verdict, best, candidates, screening, before, after, left, search, time.perf_counter() - started, clear
+    )
+
+
+def _singles(
+    search: Search, base: Fit, screening: Screening, number: int, say: Callable[[str], None]
+) -> list[Candidate]:
+    """So many single effects fitted in the simulator, best first; and those that something left open may stand for."""
+    nuisance = base.nuisance
+    best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
+    promised = {node.id for node, _ in best}
+    if stands_far(base.setting):
+        hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
+        best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
+    best += unscaled_nodes(screening.nodes, best, nuisance.left(base.residual), nuisance)
+    found = fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
+    for own, proposal in scattering(search, base, screening.nodes, _threshold(screening)):
+        promised.add(proposal[1].id)
+        found += fitted(search, own, [proposal], screening.misfit, say)
+    # The better one of what was fitted twice; best first.
+    found = list({one.id: one for one in sorted(found, key=lambda one: one.gain)}.values())[::-1]
+    # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
+    least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(screening)
+    return [one for one in found if one.id in promised or one.gain > least]
+
+
+def _rounds(
+    search: Search,
+    held: Search,
+    base: Fit,
+    screening: Screening,
+    singles: list[Candidate],
+    say: Callable[[str], None],
+) -> list[list[Candidate]]:
+    """Effects fitted, one more in each round while it earns its place; the best of each round first."""
+    threshold = _threshold(screening)
+    rounds = [list(singles)]
+    led: set[str] = set()  # effects that have taken the place of one that stood for them
+    while True:
+        best = rounds[-1][0]
+        values = best.fit.setting.values
+        # What is left open may be told better by either.
+        starts = (replace(held.origin, values=values), Setting(values, open=best.fit.setting.open))
+        settled = min((held.settle(start) for start in starts), key=lambda fit: fit.misfit)
+        after = held_out(held, settled, search.seed)
+        rounds[-1][0] = best = replace(best, held=after)
+        explained = screening.misfit - best.fit.misfit
+        left = best.fit.nuisance.left(best.fit.residual)
+        excess = OF_THE_REST * screening.rest.excess(left)
+        significant = screening.rest.p_value(left) < REST_P
+        least = max(threshold, min(FURTHER_SURE * explained, excess if significant else 0.0))
+        earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
+        if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
+            return rounds[:-1]
+        if len(values) == MOST_EFFECTS:
+            return rounds
+        rest = _further(search, screening, best)
+        sure = max(threshold, excess) if significant else math.inf
+        pairs: list[Proposal] = []
+        if len(rounds) == 1:
+            # While the responses around the base still say something: pairs of any two.
+            nodes = _beside(search, screening)
+            gain = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
+            pairs = best_pairs(nodes, gain, search.origin, best.gain + max(least, FURTHER * explained))
+        fresh, proposed = _on_top(search, rest, best, least, threshold, sure)
+        if pairs:
+            proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
+        if not proposed:
+            return rounds
+        more = _fitted_on_top(search, base, best, rest, proposed, threshold, say)
+        kept = [one for one in more if _earns(search, best, one, fresh.get(one.id, math.inf), least)]
+        if not kept:
+            return rounds
+        needful = _without_idle(search, kept[0], threshold)
+        number = len(needful.setting.values)
+        if number < len(kept[0].fit.setting.values) and kept[0].id not in led:
+            led.add(kept[0].id)
+            earlier = rounds[number - 2][0].fit.misfit if number > 1 else screening.misfit
+            others = [one for one in rounds[number - 1] if one.id != kept[0].id]
+            rounds = [*rounds[: number - 1], [Candidate(kept[0].id, needful, earlier - needful.misfit), *others]]
+        else:
+            rounds.append(kept)
+
+
+def _fitted_on_top(
+    search: Search,
+    base: Fit,
+    best: Candidate,
+    rest: Sequence[Node],
+    proposed: Sequence[Proposal],
+    threshold: float,
+    say: Callable[[str], None],
+) -> list[Candidate]:
+    """What is proposed, fitted, best first. Where none gains what the responses promised, others that promise half of
+    what was gained are fitted as well: a response that no longer holds there must not keep them out."""
+    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    found = fitted(search, base, proposed, best.fit.misfit, say)
+    promised = float(gains(rest, left[None], nuisance)[0].max()) if rest else 0.0
+    for _ in range(FURTHER_REFITTED):
+        gained = max((one.gain for one in found), default=0.0)
+        others = [node for node in rest if node.id not in {one.id for one in found}]
+        if (
+            not others
+            or gained >= promised
+            or gains(others, left[None], nuisance).max() < max(WORTH * gained, threshold)
+        ):
+            break
+        node, amplitude = best_nodes(others, left, nuisance)[0]
+        found += fitted(search, base, [(best.fit.setting, node, amplitude)], best.fit.misfit, say)
+    return sorted(found, key=lambda one: one.fit.misfit)
+
+
+def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
+    """A further effect with those of the others that are needed beside it: a first effect may only have stood for it,
+    and explains no more than noise where it is."""
+    fit = further.fit
+    for name in further.fit.setting.values:
+        if name == further.id:
+            continue
+        without = search.fit(fit.setting.without(name), fit.nuisance, fit.base)
+        if without.misfit - further.fit.misfit < threshold:
+            fit = without
+    return fit
+
+
+def _earns(search: Search, best: Candidate, further: Candidate, fresh: float, least: float) -> bool:
+    """Whether a further effect gains what it needs: so much if that is ``fresh``, or ``least`` and a share of what was
+    explained where it acts.
+
+    Also over the others fitted again from where they stand beside it: a first effect that was not at its best yet is no
+    merit of the second.
+    """
+    fit = further.fit
+    beside = float(explained_beside(search, best.fit, response_of(search, fit, further.id)[None])[0])
+    needed = min(fresh, max(least, FURTHER * beside))
+    if further.gain < needed:
+        return False
+    alone = search.fit(fit.setting.without(further.id), fit.nuisance, fit.base)
+    return alone.misfit - fit.misfit >= needed
+
+
+def _on_top(
+    search: Search, rest: Sequence[Node], best: Candidate, least: float, sure: float, most: float
+) -> tuple[dict[str, float], list[Proposal]]:
+    """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
+
+    Args:
+        search: its simulator.
+        rest: responses to the effects that were not found yet.
+        best: what was found so far.
+        least: gain that a further effect must promise, and a share of what was explained where it acts,
+        sure: or this, if it shows where those found do nothing,
+        most: or this, most of a rest that is no noise.
+
+    Returns:
+        The effects that need not compare with the first, with what they need: they show where those found do nothing,
+        or explain what is left. And what is to be fitted.
+    """
+    if not rest:
+        return {}, []
+    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    gain = gains(rest, left[None], nuisance)[0]
+    elsewhere = fresh_gains(rest, left, nuisance, untouched(search, best.fit))
+    fresh = {node.id: most for node, value in zip(rest, gain, strict=True) if value > most}
+    fresh |= {name: sure for name, value in elsewhere.items() if value > sure}
+    # Another form of an effect than the stage's looks like what it is confused with.
+    found = best.fit.setting.values
+    fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}
+    beside = explained_beside(search, best.fit, np.stack([node.response for node in rest]))
+    if not fresh and (gain < np.maximum(least, FURTHER * beside)).all():
+        return fresh, []
+    return fresh, _best_on_top(best, rest, fresh.keys())
+
+
+def _beside(search: Search, screening: Screening) -> list[Node]:
+    """Responses to the effects that may be named beside another."""
+    return [node for node in screening.nodes if node.id not in search.model.as_record]
+
+
+def _further(search: Search, screening: Screening, best: Candidate) -> list[Node]:
+    """Responses to the effects that were not found yet, in units of the scatter with those that were; where more is
+    left than noise, of effects with a place also where most of it is."""
+    rest = [node for node in _beside(search, screening) if node.id not in best.fit.setting.values]
+    if not rest:
+        return []
+    found = search.nodes_at(rest, best.fit.base)
+    if screening.rest.p_value(best.fit.nuisance.left(best.fit.residual)) < REST_P:
+        found += placed_nodes(search, list(dict.fromkeys(node.line.effect for node in rest)), best.fit)
+    return found
+
+
+def _best_on_top(best: Candidate, rest: Sequence[Node], fresh: AbstractSet[str] = frozenset()) -> list[Proposal]:
+    """The best nodes on top of an effect, and the best one of some effects."""
+    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    further = best_nodes(rest, left, nuisance)[:FURTHER_REFITTED] if rest else []
+    own = [node for node in rest if node.id in fresh]
+    further += best_nodes(own, left, nuisance)[:1] if own else []
+    return list({node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}.values())
+
+
+def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) -> str:
+    """What is said of effects that were fitted: also on conditions that they were not fitted to.
+
+    Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
+    share of what departs.
+    """
+    explained = screening.misfit - fit.misfit
+    unexplained = "unknown" if screening.p_value < SURE_P or screening.common_p_value <= ALARM_P else "none"
+    if explained < _threshold(screening):
+        return unexplained
+    if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
+        return unexplained
+    left = fit.nuisance.left(fit.residual)
+    excess = screening.rest.excess(left)
+    # As an alarm is: in any one condition, or in what all have in common.
+    chance = min(screening.rest.p_value(left), screening.rest.common_p_value(left))
+    share = excess / max(excess + explained, 1e-9) if chance < REST_P else 0.0
+    over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
+    far = after.gap > FAR_GAP * after.floor
+    if share > UNKNOWN_SHARE or far or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):
+        return "unknown"
+    return "named_and_rest" if share > REST_SHARE or after.gap > REST_GAP * after.floor else "named"
+
+
+def _confusable(name: str, other: str) -> bool:
+    """Whether the catalogue says of either of two effects that it may be taken for the other."""
+    return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with
+
+
+def _threshold(screening: Screening) -> float:
+    """Gain that noise seldom reaches."""
+    return float(np.quantile(screening.best_null, 1.0 - ALARM_P))

@@ -1,0 +1,155 @@
+"""Whether anything is missing: response curves of all effects against the nulls of a simulator without them.
+
+References:
+    GAP.md 3 (5, 7). Gumbel 1958 (largest of many).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.gap.inference.likelihood import Fit, Search
+from torchweather.gap.inference.location_search import standing_lines
+from torchweather.gap.inference.residual_tests import Rest, rest_of
+from torchweather.gap.inference.response_templates import Node, gains
+from torchweather.gap.inference.simulated_distribution import Baseline
+from torchweather.gap.inference.starting_points import PLACES, lines
+from torchweather.pipeline.effect import Effect
+
+__all__ = ["OVERDISPERSION", "Screening", "overdispersion", "placed_nodes", "screen", "screening_entries"]
+
+Floats = NDArray[np.float64]
+
+NULLS = 1000
+# Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
+# screening are those of noise so many times larger in square. Set on development studies.
+OVERDISPERSION = 1.5
+DEPARTURES = 4  # that are looked at; the chance of an alarm is that of any
+REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Whether anything is missing.
+
+    Args:
+        residual: ``(C P,)`` whitened departure of the measured conditions.
+        misfit: its square, without what the nuisance explains.
+        counted: number of entries.
+        nodes: responses.
+        gains: ``(nodes,)``.
+        best_null: ``(R,)`` largest gain of each null.
+        misfit_null: ``(R,)``.
+        rest: noise of each statistic by itself.
+        p_value: of the largest of the four departures: along a response, of all entries, of one statistic, of what all
+            conditions have in common of one.
+        common_p_value: the same of the last one alone.
+    """
+
+    residual: Floats
+    misfit: float
+    counted: int
+    nodes: tuple[Node, ...]
+    gains: Floats
+    best_null: Floats
+    misfit_null: Floats
+    rest: Rest
+    p_value: float
+    common_p_value: float
+
+    def raised(self, gain: float) -> Screening:
+        """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
+        return replace(self, p_value=min(self.p_value, DEPARTURES * _tail(self.best_null, gain)))
+
+
+def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int) -> Screening:
+    """Response curves of all effects, and whether any of them, or anything at all, stands out."""
+    residual, nuisance = base.residual, base.nuisance
+    places = azimuths(search, search.start)
+    found = [line for effect in effects for line in lines(effect, places, search.model.sizes)]
+    found += standing_lines(search, effects, search.origin)
+    left = nuisance.left(residual)
+    nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
+    gain = gains(nodes, left[None], nuisance)[0]
+    near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= REFINED * gain.max()}
+    rest = [
+        (line, place)
+        for line in found
+        if id(line) in near
+        for place in range(len(line.settings))
+        if place not in line.first
+    ]
+    nodes += search.nodes(rest, search.origin, search.start)
+    nulls = search.null_residuals(nuisance, NULLS, seed)
+    best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
+    misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
+    gain = gains(nodes, left[None], nuisance)[0]
+    misfit = nuisance.misfit(residual)
+    counted = screening_entries(search)
+    p_gain = _tail(best_null, float(gain.max()))
+    p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
+    each = rest_of(search, base, overdispersion(search))
+    p_common = min(1.0, DEPARTURES * each.common_p_value(left))
+    p_value = min(p_common, DEPARTURES * min(p_gain, p_misfit, each.p_value(left)))
+    return Screening(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value, p_common)
+
+
+def placed_nodes(search: Search, effects: Sequence[type[Effect]], fit: Fit) -> list[Node]:
+    """Responses of effects that have a place, at the places where a fit leaves most, on top of it.
+
+    The first effect of several drowns the place of another.
+    """
+    placed = [effect for effect in effects if any(one.name in PLACES for one in effect.arguments)]
+    found = [line for effect in placed for line in lines(effect, azimuths(search, fit.base), search.model.sizes)]
+    found += standing_lines(search, placed, fit.setting)
+    return search.nodes([(line, place) for line in found for place in line.first], fit.setting, fit.base)
+
+
+def azimuths(search: Search, base: Baseline) -> list[float]:
+    """Where in azimuth the measurement departs most: two places at which effects with a place are tried."""
+    layout = search.model.layout
+    total: dict[tuple[float, ...], Floats] = {}
+    for target in search.measured:
+        name = target.condition.id
+        apart = (target.vector - base.mean[name]) / base.sd[name]
+        z: Floats = np.where(base.used[name], apart, 0.0)
+        for group, part in zip(layout.groups, layout.slices, strict=True):
+            if group.axis == "azimuth_rad":
+                common = float(np.median(z[part]))
+                total.setdefault(group.edges, np.zeros(group.bins))
+                total[group.edges] += np.abs(z[part] - common)
+    found = []
+    for edges, values in total.items():
+        middles = 0.5 * (np.asarray(edges[1:]) + np.asarray(edges[:-1]))
+        best = np.argsort(-values)
+        found += [float(middles[best[0]])]
+        elsewhere = [place for place in best[1:] if abs(middles[place] - middles[best[0]]) > 0.6]
+        found += [float(middles[elsewhere[0]])] if elsewhere else []
+    return found
+
+
+def overdispersion(search: Search) -> float:
+    """How much larger in square the noise is taken than stated: the fewer clear frames tell it, the more."""
+    clear = {target.condition.scene: target.clear_frames for target in search.measured}
+    degrees = max(sum(clear.values()) - len(clear), 1)
+    return OVERDISPERSION * (1.0 + 2.0 / degrees)
+
+
+def screening_entries(search: Search) -> int:
+    """Number of statistics that hold enough to count, over all conditions."""
+    return int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
+
+
+def _tail(null: Floats, value: float) -> float:
+    """Probability that a null exceeds a value: counted, and beyond those by a Gumbel law of their moments."""
+    counted = float((null >= value).mean())
+    if counted * len(null) >= 20:
+        return counted
+    scale = float(null.std()) * math.sqrt(6.0) / math.pi
+    place = float(null.mean()) - 0.5772156649 * scale
+    return float(-np.expm1(-np.exp(-min((value - place) / max(scale, 1e-12), 700.0))))

@@ -1,0 +1,46 @@
+"""What held-out conditions say of effects that were fitted elsewhere.
+
+References:
+    GAP.md 4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchweather.gap.inference.global_test import screening_entries
+from torchweather.gap.inference.likelihood import Fit, Search
+
+__all__ = ["HeldOut", "held_out"]
+
+DRAWS = 200  # of the floor
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The held-out conditions' departure, the weather's record refitted.
+
+    Args:
+        gap: its root mean square, in units of the simulator's own scatter.
+        floor: what a perfect model has: noise alone, the nuisances refitted.
+        spread: standard deviation of that floor from draw to draw.
+        misfit: its square, summed.
+    """
+
+    gap: float
+    floor: float
+    spread: float
+    misfit: float
+
+
+def held_out(held: Search, fitted: Fit, seed: int) -> HeldOut:
+    """The held-out departure at a setting of effects."""
+    counted = max(screening_entries(held), 1)
+    nulls = held.null_residuals(fitted.nuisance, DRAWS, seed)
+    left = np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls))
+    floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters
+    gap = math.sqrt(max(fitted.misfit, 0.0) / counted)
+    return HeldOut(gap, float(floor.mean()), float(floor.std()), fitted.misfit)

@@ -1,0 +1,54 @@
+"""Statistics that the effects found so far leave as they were: what shows there is something else.
+
+Another form of an effect than the stage's leaves a rest that many others patch a little, but only where the effect
+itself acts. A range that is off is no rest of a wet road.
+
+References:
+    GAP.md 3 (7): look at the groups of statistics that stay untouched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.gap.inference.likelihood import Fit, Search
+from torchweather.gap.inference.response_templates import Node, gains
+from torchweather.gap.inference.systematics import Nuisance
+
+__all__ = ["fresh_gains", "untouched"]
+
+Floats = NDArray[np.float64]
+
+TOUCHED = 1.0  # root mean square change of a statistic in units of its scatter
+
+
+def untouched(search: Search, fit: Fit) -> NDArray[np.bool_]:
+    """Entries ``(C P,)`` of statistics that a fit does not change, compared with the model as it was."""
+    layout, start = search.model.layout, search.start
+    changed: dict[str, list[Floats]] = {}
+    for target in search.measured:
+        name = target.condition.id
+        apart = (fit.base.mean[name] - start.mean[name]) / start.sd[name]
+        for group, part in zip(layout.groups, layout.slices, strict=True):
+            changed.setdefault(group.statistic, []).append(apart[part][start.used[name][part]])
+    still = {}
+    for statistic, parts in changed.items():
+        values = np.concatenate(parts)
+        still[statistic] = len(values) > 0 and float(np.sqrt((values**2).mean())) < TOUCHED
+    entries = layout.each(lambda group: still[group.statistic])
+    return np.tile(entries, len(search.measured))
+
+
+def fresh_gains(
+    nodes: Sequence[Node], left: Floats, nuisance: Nuisance, entries: NDArray[np.bool_]
+) -> dict[str, float]:
+    """Largest gain of each effect in some entries of a residual ``(C P,)`` from which nuisances are taken."""
+    nothing = Nuisance(np.zeros((len(left), 1)), np.zeros(1), 0)
+    masked = [Node(one.line, one.number, one.values, nuisance(one.response) * entries) for one in nodes]
+    found: dict[str, float] = {}
+    for node, gain in zip(nodes, gains(masked, (left * entries)[None], nothing)[0], strict=True):
+        found[node.id] = max(found.get(node.id, 0.0), float(gain))
+    return found

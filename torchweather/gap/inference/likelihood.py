@@ -1,0 +1,575 @@
+"""The search for missing effects: the simulator at a setting, response curves, nuisances, fits in the simulator.
+
+All in whitened space (``baseline.py``), where a departure of length one is one standard deviation. What must not be
+taken for an effect is a nuisance (``nuisance.py``), in units of its standard deviations: the error of the weather
+record of every condition, what whole frames do (``whole_frames.py``), and what the model leaves open.
+
+References:
+    GAP.md 3 (4, 5, 6).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.core.threads import side_by_side
+from torchweather.gap.inference.effect_forms import catalogue_effect, effect_class, handicap
+from torchweather.gap.inference.response_templates import Node
+from torchweather.gap.inference.simulated_distribution import (
+    PORTIONED_FRAMES,
+    PORTIONS,
+    Baseline,
+    FrameModel,
+    Target,
+    baseline,
+    element_noise,
+)
+from torchweather.gap.inference.starting_points import Line
+from torchweather.gap.inference.systematics import Nuisance, together
+from torchweather.gap.statistics.frame_random_effects import clear_errors, clear_means, frame_departures, model_errors
+from torchweather.gap.statistics.frame_statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
+from torchweather.pipeline.effect import Effect
+
+__all__ = ["Fit", "Search", "Setting"]
+
+Floats = NDArray[np.float64]
+
+POOL_FRAMES = 48  # of each condition, for the scatter
+SCREEN_FRAMES = 6  # of each condition, for a response or a derivative; the first of the pool
+PROBE_FRAMES = 16  # of each condition, for a cost
+PROBE_DRAWS = 32
+KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
+KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which knobs are first looked for
+OPEN_STEP = 2.0  # of a derivative by what the model leaves open, standard deviations: few particles change by less
+LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
+STEP = 0.05  # of a derivative, over the parameter's typical size
+WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
+ITERATIONS = 10
+SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
+ROUNDS = 10  # of fitting the nuisances alone
+STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
+SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
+UNSAID = 0.5  # of what an effect does to a statistic of which its parameters say nothing
+FARTHEST = 4.0  # standard deviations that a nuisance may move
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Effects with their parameters, and the nuisances.
+
+    Args:
+        values: id of each effect to its parameters.
+        log_knob: condition to the logarithm of the weather's knob over its record.
+        open: name of what the model leaves open to its strength, in standard deviations.
+    """
+
+    values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    log_knob: Mapping[str, float] = field(default_factory=dict)
+    open: Mapping[str, float] = field(default_factory=dict)
+
+    def without(self, name: str) -> Setting:
+        """The same without one effect."""
+        return replace(self, values={one: given for one, given in self.values.items() if one != name})
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A setting, fitted in the simulator.
+
+    Args:
+        setting: effects, parameters, nuisances.
+        base: the simulator there.
+        residual: ``(C P,)`` of the measured conditions there.
+        nuisance: there.
+        misfit: of the measured conditions with the prior of the nuisances, and the logarithm of the scatter over that
+            of the start: minus twice the logarithm of the likelihood, but for a constant.
+        covariance: ``(K, K)`` of the parameters, least squares, in the order of ``names``.
+        names: (effect, parameter) of each.
+    """
+
+    setting: Setting
+    base: Baseline
+    residual: Floats
+    nuisance: Nuisance
+    misfit: float
+    covariance: Floats
+    names: tuple[tuple[str, str], ...]
+
+
+class Search:
+    """One study's conditions against one simulator.
+
+    Args:
+        model: simulates and reduces frames.
+        measured: the conditions to be explained.
+        seed: of everything random.
+        pool_frames: simulated frames of each condition.
+    """
+
+    def __init__(
+        self, model: FrameModel, measured: Sequence[Target], seed: int, pool_frames: int = POOL_FRAMES
+    ) -> None:
+        self.model, self.measured, self.seed = model, list(measured), seed
+        self.least_frames = max((target.frames for target in measured), default=1)
+        self.pool_frames = max(pool_frames, 2 * self.least_frames)
+        self.simulated_frames = 0
+        self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
+        self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
+        self.frame_departures = frame_departures(model, self.measured)
+        self.clear_means = clear_means(model, self.measured)
+        self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
+        self.start = self.at(Setting())
+        self.origin = Setting()
+
+    def begin(self) -> Fit:
+        """Fit the nuisances of the model as it is; the search then starts from there."""
+        settled = self.settle(Setting())
+        self.start, self.origin = settled.base, settled.setting
+        return replace(settled, misfit=settled.nuisance.misfit(settled.residual))
+
+    def effects(self, setting: Setting) -> list[Effect]:
+        """The stages of a setting, in the form in which they are searched for."""
+        return [effect_class(self.model, name)(**values) for name, values in setting.values.items()]
+
+    def catalogue_effects(self, setting: Setting) -> list[Effect]:
+        """The same as the catalogue has them."""
+        return [catalogue_effect(effect) for effect in self.effects(setting)]
+
+    # ---- the simulator ---------------------------------------------------------------------------------------------
+
+    def seeds(self, condition: int, number: int) -> list[int]:
+        """Seeds of the frames of a condition: the same ones whatever the setting.
+
+        Modulo the number of clear frames they go round all of those: what the clear frames' own noise makes of a mean
+        is then the same for every mean, and that of the measurement's reference.
+        """
+        generator = np.random.default_rng([self.seed, 7919, condition])
+        clear = self.measured[condition].clear_frames
+        order = generator.permutation(clear)
+        drawn = generator.integers(0, 2**62 // clear, self.pool_frames)
+        return [int(value) * clear + int(order[place % clear]) for place, value in enumerate(drawn[:number])]
+
+    def pools(self, setting: Setting, number: int, portions: int = 1) -> dict[str, Pool]:
+        """Simulated frames of all conditions, in portions of their elements."""
+        effects = self.effects(setting)
+        found: dict[str, Pool] = {}
+
+        def simulate(place: int, target: Target) -> None:
+            name = target.condition.id
+            seeds = self.seeds(place, number)
+            log_knob = setting.log_knob.get(name, 0.0)
+            stages = [*effects, *self.model.open_stages(target.condition, setting.open)]
+            reduced = self.model.simulated(target.condition, stages, log_knob, seeds, portions)
+            found[name] = Pool(self.model.layout, reduced)
+
+        side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
+        self.simulated_frames += number * len(self.measured)
+        return found
+
+    def at(self, setting: Setting) -> Baseline:
+        """The distribution of the vectors at a setting; whitened as the model without effects is."""
+        pools = self.pools(setting, self.pool_frames)
+        scatters = any(effect_class(self.model, effect).scatters for effect in setting.values)
+        found = baseline(pools, self.measured, self.noise, getattr(self, "start", None), self.seed, scatters)
+        unsaid = {name for effect in setting.values for name in effect_class(self.model, effect).unsaid}
+        return self._loosened(found, unsaid) if unsaid else found
+
+    def _loosened(self, base: Baseline, unsaid: AbstractSet[str]) -> Baseline:
+        """A distribution that knows to half what effects do to statistics of which their parameters say nothing."""
+        open_entries = self.model.layout.each(lambda group: group.statistic in unsaid)
+
+        def wider(scatter: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {
+                name: np.hypot(own, UNSAID * np.where(open_entries, base.mean[name] - self.start.mean[name], 0.0))
+                for name, own in scatter.items()
+            }
+
+        sd = wider(base.sd)
+        shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
+        return replace(base, sd=sd, total=wider(base.total), shared=shared)
+
+    def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
+        """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""
+        frames = max(frames, self.least_frames)
+        pools = self.pools(setting, frames)
+        found = []
+        for number, target in enumerate(self.measured):
+            generator = np.random.default_rng([self.seed, 104729, number])
+            n = min(target.frames, frames)
+            draws = PROBE_DRAWS if n < frames else 1
+            index = np.argsort(generator.random((draws, frames)), 1)[:, :n]
+            vectors = pools[target.condition.id].vectors(index, target.condition.time_s)
+            found.append(vectors.mean(0))
+        return found
+
+    def whitened(self, base: Baseline, differences: Sequence[Floats]) -> Floats:
+        """Differences of vectors, condition by condition, to one whitened vector ``(C P,)``."""
+        parts = [
+            base.whitened(target.condition.id, difference)
+            for target, difference in zip(self.measured, differences, strict=True)
+        ]
+        return self._parted(base, np.stack(parts), -0.5).ravel()
+
+    @property
+    def _names(self) -> list[str]:
+        return [target.condition.id for target in self.measured]
+
+    @property
+    def _together(self) -> list[list[int]]:
+        """Places of the conditions of each scene."""
+        scenes = [target.condition.scene for target in self.measured]
+        return [[k for k, one in enumerate(scenes) if one == scene] for scene in dict.fromkeys(scenes)]
+
+    def _parted(self, base: Baseline, values: Floats, power: float) -> Floats:
+        """Values ``(..., C, P)`` times a power of ``1 + k k'``; k ``(C,)``, of each entry, is what a scene's share.
+
+        That is the covariance of a scene's conditions, each with noise of its own and all with the clear mean's error:
+        to the power -1/2 it makes them independent, to +1/2 undoes that.
+        """
+        found = values.copy()
+        for places in self._together:
+            names = [self._names[place] for place in places]
+            shared = np.stack([base.shared[name] * base.used[name] for name in names])
+            square = np.maximum((shared**2).sum(0), TINY)
+            along = (values[..., places, :] * shared).sum(-2) * (((1.0 + square) ** power - 1.0) / square)
+            found[..., places, :] += along[..., None, :] * shared
+        return found
+
+    def departure(self, base: Baseline, mean: Sequence[Floats]) -> Floats:
+        """The measured conditions' whitened departure ``(C P,)`` from mean vectors."""
+        return self.whitened(base, [target.vector - one for target, one in zip(self.measured, mean, strict=True)])
+
+    def residual(self, base: Baseline) -> Floats:
+        """The measured conditions' departure ``(C P,)`` from the simulator."""
+        return self.departure(base, [base.mean[name] for name in self._names])
+
+    def rewhitened(self, vectors: Floats, old: Baseline, new: Baseline) -> Floats:
+        """Vectors ``(..., C P)`` that were whitened with one scatter, with another.
+
+        What a residual is compared with must be in the units of the residual: of a shift by forty standard deviations
+        that nuisances explain, a scatter that is off by a few percent leaves one or two. What did not count is 0.
+        """
+        old_sd, new_sd = (np.stack([base.sd[name] for name in self._names]) for base in (old, new))
+        used = np.stack([new.used[name] for name in self._names])
+        shaped = vectors.reshape(*vectors.shape[:-1], len(self._names), -1)
+        scaled = old.whitening.undone(self._parted(old, shaped, 0.5))
+        whitened = new.whitening(np.where(used, scaled * (old_sd / new_sd), 0.0))
+        return self._parted(new, whitened, -0.5).reshape(vectors.shape)
+
+    def _nuisance_at(self, nuisance: Nuisance, old: Baseline, new: Baseline) -> Nuisance:
+        """Nuisances in units of another scatter."""
+        response = self.rewhitened(nuisance.response.T, old, new).T
+        return Nuisance(response, nuisance.offset, nuisance.moving, nuisance.precision)
+
+    def nodes_at(self, nodes: Sequence[Node], base: Baseline) -> list[Node]:
+        """Responses of the model as it was in units of another scatter."""
+        found = self.rewhitened(np.stack([node.response for node in nodes]), self.start, base)
+        return [replace(node, response=response) for node, response in zip(nodes, found, strict=True)]
+
+    def null_residuals(self, nuisance: Nuisance, number: int, seed: int) -> Floats:
+        """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
+        off by random draws."""
+        generator = np.random.default_rng([seed, 15485863])
+        counted = np.concatenate([self.start.used[target.condition.id] for target in self.measured])
+        noise = generator.normal(size=(number, len(counted))) * counted
+        found: Floats = noise + nuisance.drawn(generator, number)
+        return found
+
+    # ---- nuisances -------------------------------------------------------------------------------------------------
+
+    def knob_sd(self) -> Floats:
+        """Stated uncertainty of the weather of each condition: standard deviation of its logarithm."""
+        return np.array([target.knob_sd for target in self.measured])
+
+    def offset(self, setting: Setting) -> Floats:
+        """Where the nuisances stand at a setting, in standard deviations: knobs, what is open, clear means."""
+        sd = self.knob_sd()
+        off = np.array([setting.log_knob.get(target.condition.id, 0.0) for target in self.measured])
+        knobs = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
+        opened = np.array([setting.open.get(name, 0.0) for name in self.open])
+        return np.concatenate([knobs, opened, np.zeros(len(self.fixed))])
+
+    def shifted(self, setting: Setting, step: Floats) -> Setting:
+        """A setting with its nuisances moved by a step ``(K,)``."""
+        sd, number = self.knob_sd(), len(self.measured)
+        place = np.clip(self.offset(setting) + step, -FARTHEST, FARTHEST)
+        place[number : number + len(self.open)] = np.maximum(
+            place[number : number + len(self.open)], list(self.open.values())
+        )
+        knobs = {t.condition.id: float(place[k] * sd[k]) for k, t in enumerate(self.measured)}
+        opened = {name: float(place[number + k]) for k, name in enumerate(self.open)}
+        return replace(setting, log_knob=knobs, open=opened)
+
+    def nuisance(self, setting: Setting, base: Baseline) -> Nuisance:
+        """Responses to the nuisances at a setting: differences in the simulator."""
+        sd = self.knob_sd()
+        steps = np.maximum(KNOB_STEP * sd, LEAST_KNOB_STEP)
+        ends = []
+        for sign in (1.0, -1.0):
+            log_knob = {
+                target.condition.id: setting.log_knob.get(target.condition.id, 0.0) + sign * step
+                for target, step in zip(self.measured, steps, strict=True)
+            }
+            ends.append(self.mean(replace(setting, log_knob=log_knob), SCREEN_FRAMES))
+        columns = [
+            self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
+            for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
+        ]
+        columns += self._open_columns(setting, base)
+        whitened = partial(self._column, base)
+        self.fixed = clear_errors(self.frame_departures, self.measured, self.model.open_shifts, whitened)
+        self.fixed += model_errors(self.model.layout, self.measured, base, self.clear_means, whitened)
+        response = np.stack([*columns, *self.fixed], 1)
+        # A gauge that reads too low may do so in every condition.
+        precision = together(response.shape[1], len(self.measured))
+        return Nuisance(response, self.offset(setting), len(columns), precision)
+
+    def _open_columns(self, setting: Setting, base: Baseline) -> list[Floats]:
+        """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
+        if not self.open:
+            return []
+        before = self.mean(setting, SCREEN_FRAMES)
+        places = {
+            name: [k for k, target in enumerate(self.measured) if name in self.model.open(target.condition)]
+            for name in self.open
+        }
+        columns: dict[str, Floats] = {}
+        while len(columns) < len(self.open):
+            steps: dict[str, float] = {}
+            taken: set[int] = set()
+            for name in self.open:
+                if name in columns or taken & set(places[name]):
+                    continue
+                taken |= set(places[name])
+                strength = setting.open.get(name, 0.0)
+                # A short one would be noise alone.
+                steps[name] = OPEN_STEP if strength + OPEN_STEP <= FARTHEST else -OPEN_STEP
+            moved = {name: setting.open.get(name, 0.0) + step for name, step in steps.items()}
+            after = self.mean(replace(setting, open={**setting.open, **moved}), SCREEN_FRAMES)
+            for name, step in steps.items():
+                columns[name] = self._column(base, {k: (after[k] - before[k]) / step for k in places[name]})
+        return [columns[name] for name in self.open]
+
+    def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
+        """Whitened departures of some conditions, 0 in the others, ``(C P,)``."""
+        nothing = np.zeros(self.model.layout.size)
+        return self.whitened(base, [departures.get(place, nothing) for place in range(len(self.measured))])
+
+    def settle(self, setting: Setting) -> Fit:
+        """The nuisances alone, fitted at a setting of effects; the knobs first looked for on a grid."""
+        setting = self._scanned(setting)
+        base = self.at(setting)
+        setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), ROUNDS)
+        if not setting.values:
+            for target in self.measured:
+                self.model.render_near(target.condition, setting.log_knob.get(target.condition.id, 0.0))
+        final = self.at(setting)
+        residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
+        misfit = nuisance.misfit(residual) + self._wider(final)
+        return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
+
+    def settle_beside(self, setting: Setting, like: Fit, rounds: int) -> tuple[Setting, Nuisance, float]:
+        """The same beside a weak effect, with the scatter and, at first, the nuisances of a fit without it.
+
+        Args:
+            setting: of the effect; the knobs are looked for.
+            like: the fit without it.
+            rounds: at most.
+
+        Returns:
+            The setting, the nuisances there, and the misfit.
+        """
+        setting = self._scanned(setting)
+        found, nuisance, residual = self._settled(setting, like.base, like.nuisance.moved(self.offset(setting)), rounds)
+        return found, nuisance, nuisance.misfit(residual)
+
+    def _settled(
+        self, setting: Setting, base: Baseline, nuisance: Nuisance, rounds: int
+    ) -> tuple[Setting, Nuisance, Floats]:
+        """The setting with its nuisances moved, the nuisances, and the residual there."""
+        residual = self.departure(base, self.mean(setting))
+        cost = nuisance.cost(residual)
+        for _ in range(rounds):
+            found = self._along(setting, (), np.zeros(0), nuisance.step(residual), cost, base, nuisance)
+            if found is None:
+                break
+            gained = cost - found[0]
+            cost, setting, mean = found
+            residual = self.departure(base, mean)
+            if gained < SETTLED + STALLED_SHARE * cost:
+                break
+            nuisance = self.nuisance(setting, base)
+            cost = nuisance.cost(residual)
+        return setting, nuisance.moved(self.offset(setting)), residual
+
+    def _scanned(self, setting: Setting) -> Setting:
+        """A setting with each condition's knob where its own vector is met best, of a few over the record.
+
+        Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other.
+        """
+        sd = self.knob_sd()
+        places = [self.offset(setting)[: len(sd)], *(np.full(len(sd), place) for place in KNOB_GRID)]
+        costs = []
+        for place in places:
+            knobs = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
+            mean = self.mean(replace(setting, log_knob=knobs), SCREEN_FRAMES)
+            rest = [
+                self.start.whitened(target.condition.id, target.vector - one)
+                for target, one in zip(self.measured, mean, strict=True)
+            ]
+            costs.append((np.stack(rest) ** 2).sum(1) + place**2)
+        best = np.argmin(costs, 0)
+        knobs = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
+        return replace(setting, log_knob=knobs)
+
+    # ---- responses and fits ----------------------------------------------------------------------------------------
+
+    def nodes(self, points: Sequence[tuple[Line, int]], setting: Setting, base: Baseline) -> list[Node]:
+        """Responses to settings, each given by its line and its place there, on top of a setting."""
+        before = self.mean(setting, SCREEN_FRAMES)
+        found = []
+        for line, number in points:
+            values = line.settings[number]
+            tried = replace(setting, values={**setting.values, line.effect.id: values})
+            after = self.mean(tried, SCREEN_FRAMES)
+            change = [new - old for new, old in zip(after, before, strict=True)]
+            found.append(Node(line, number, values, self.whitened(base, change)))
+        return found
+
+    def fit(self, start: Setting, nuisance: Nuisance, base: Baseline, iterations: int = ITERATIONS) -> Fit:
+        """Parameters and nuisances that explain the measured conditions best, by Gauss-Newton in the simulator.
+
+        Args:
+            start: setting to start from.
+            nuisance: responses to the nuisances; renewed where no step helps any more.
+            base: scatter that the steps are weighed with; the final misfit has that of the fitted setting.
+            iterations: at most; a step that does not help is shortened.
+        """
+        names = [
+            (effect, parameter.name)
+            for effect, values in start.values.items()
+            for parameter in effect_class(self.model, effect).arguments
+            if math.isfinite(values[parameter.name])
+        ]
+        setting = start
+        mean = self.mean(setting)
+        here = nuisance.moved(self.offset(setting))
+        residual = self.departure(base, mean)
+        cost = here.cost(residual)
+        covariance: Floats = np.zeros((len(names), len(names)))
+        renewed = False
+        for _ in range(iterations):
+            near = self.mean(setting, SCREEN_FRAMES)
+            jacobian = np.stack([self._derivative(setting, name, near, base) for name in names], 1)
+            projected = here(jacobian.T).T
+            normal = jacobian.T @ projected
+            ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
+            step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
+            covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
+            aside = here.step(residual - jacobian @ step)
+            found = self._along(setting, names, step, aside, cost, base, here)
+            gained = 0.0
+            if found is not None:
+                gained = cost - found[0]
+                cost, setting, mean = found
+                residual, here = self.departure(base, mean), here.moved(self.offset(setting))
+            stalled = STALLED + STALLED_SHARE * cost
+            if gained < stalled:
+                if renewed:
+                    break
+                # The nuisances may do something else here than where the search began.
+                here, renewed = self.nuisance(setting, base), True
+                cost = here.cost(residual)
+            elif gained > 10.0 * stalled:
+                renewed = False
+        final = self.at(setting)
+        residual = self.residual(final)
+        here = self._nuisance_at(here.moved(self.offset(setting)), base, final)
+        misfit = here.misfit(residual) + self._wider(final)
+        misfit += sum(handicap(self.model, name) for name in setting.values)
+        return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
+
+    def _along(
+        self,
+        setting: Setting,
+        names: Sequence[tuple[str, str]],
+        step: Floats,
+        aside: Floats,
+        cost: float,
+        base: Baseline,
+        nuisance: Nuisance,
+    ) -> tuple[float, Setting, list[Floats]] | None:
+        """The best of a few shares of a step that cost less than before: cost, setting and mean vectors there.
+
+        Where the whole step helps it is doubled while that helps: along a valley in which an effect and the record say
+        nearly the same, a step from finite differences is short.
+        """
+
+        def tried(share: float) -> tuple[float, Setting, list[Floats]]:
+            there = self.shifted(self._moved(setting, names, share * step), share * aside)
+            mean = self.mean(there)
+            return nuisance.moved(self.offset(there)).cost(self.departure(base, mean)), there, mean
+
+        best = None
+        for share in SHARES:
+            found = tried(share)
+            if found[0] < cost - 1e-6:
+                best = found
+                break
+        longer = 2.0
+        while best is not None and longer <= LONGEST and share == SHARES[0]:
+            found = tried(longer)
+            if found[0] >= best[0]:
+                break
+            best, longer = found, 2.0 * longer
+        return best
+
+    def _wider(self, base: Baseline) -> float:
+        """Twice the logarithm of the scatter over that of the start, of all entries.
+
+        Of counts up to that of counting, which is all that the first few of what there was nothing of before bring.
+        """
+        counts = self.model.layout.each(lambda group: group.kind in COUNTED)
+        total = 0.0
+        for target in self.measured:
+            name = target.condition.id
+            used = self.start.used[name] & base.used[name]
+            free = np.where(counts, COUNTING / FEW_COUNTS * self.start.least[name], 0.0)
+            wider = np.maximum(base.sd[name], free) / np.maximum(self.start.sd[name], free)
+            total += 2.0 * float(np.log(wider[used]).sum())
+        return total
+
+    def _derivative(self, setting: Setting, name: tuple[str, str], mean: Sequence[Floats], base: Baseline) -> Floats:
+        """Whitened change per unit of a parameter, by a step away from the nearer bound."""
+        effect, parameter = name
+        declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
+        value = setting.values[effect][parameter]
+        step = STEP * (max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale)
+        if declared.identity is not None and math.isfinite(declared.identity):
+            # Counts go as the root of a probability: a step far beyond a weak one has another slope.
+            step = min(step, max(WEAK_STEP * abs(value - declared.identity), LEAST_STEP * declared.scale))
+        if parameter in ("azimuth_rad", "width_rad"):  # finer than the sector itself
+            step = max(0.25 * setting.values[effect].get("width_rad", 0.0), LEAST_ANGLE_RAD)
+        step = min(step, 0.25 * (declared.high - declared.low))
+        if value + step > declared.high:
+            step = -step
+        values = {**setting.values, effect: {**setting.values[effect], parameter: value + step}}
+        after = self.mean(replace(setting, values=values), SCREEN_FRAMES)
+        return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
+
+    def _moved(self, setting: Setting, names: Sequence[tuple[str, str]], step: Floats) -> Setting:
+        values = {effect: dict(given) for effect, given in setting.values.items()}
+        for (effect, parameter), change in zip(names, step, strict=True):
+            declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
+            # Not further than twice the typical size at once.
+            limited = float(np.clip(change, -2.0 * declared.scale, 2.0 * declared.scale))
+            moved = values[effect][parameter] + limited
+            values[effect][parameter] = float(np.clip(moved, declared.low, declared.high))
+        return replace(setting, values=values)

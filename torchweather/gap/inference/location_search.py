@@ -1,0 +1,88 @@
+"""Where an effect with a place is: a step in azimuth has no derivative until a sector overlaps it.
+
+A thing that stands in the scene is first tried where the maps of all measured frames have returns that the simulation
+lacks; a sector is then moved and resized by steps that are halved, until no step helps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from torchweather.gap.inference.effect_forms import effect_class
+from torchweather.gap.inference.likelihood import Fit, Search, Setting
+from torchweather.gap.inference.starting_points import Line
+from torchweather.pipeline.effect import Effect
+
+__all__ = ["placed", "standing_lines"]
+
+FRAMES = 6  # of each condition, for one trial
+WIDTHS_RAD = (0.03, 0.1, 0.3)
+HALVINGS, PASSES = 5, 2
+ANSCOMBE = 3.0 / 8.0
+
+
+def standing_lines(search: Search, effects: Sequence[type[Effect]], setting: Setting) -> list[Line]:
+    """Settings of effects with an azimuth, a range and a width at the cell of the map with the most returns that a
+    setting lacks."""
+    fitting = [one for one in effects if {"azimuth_rad", "range_m", "width_rad"} <= {p.name for p in one.arguments}]
+    if not fitting:
+        return []
+    cells = search.model.map_cells
+    total = np.zeros(len(cells))
+    pools = search.pools(setting, FRAMES)
+    for target in search.measured:
+        # The least of all frames: what stands is in each of them.
+        measured = search.model.measured(target.condition).maps[:, 0].min(0)
+        simulated = pools[target.condition.id].frames.maps[:, 0].mean(0)
+        total += np.sqrt(measured + ANSCOMBE) - np.sqrt(simulated + ANSCOMBE)
+    azimuth_rad, range_m = cells[int(total.argmax())]
+    return [
+        Line(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m, "width_rad": width},))
+        for one in fitting
+        for width in WIDTHS_RAD
+    ]
+
+
+def placed(search: Search, setting: Setting, name: str, base: Fit) -> Setting:
+    """A setting with one of its effects better placed, if that effect has a place.
+
+    Args:
+        search: its simulator.
+        setting: to start from.
+        name: id of the effect.
+        base: the model as it is.
+    """
+    if "azimuth_rad" not in setting.values[name]:
+        return setting
+    bounds = {one.name: (one.low, one.high) for one in effect_class(search.model, name).arguments}
+    width = setting.values[name].get("width_rad", WIDTHS_RAD[-1])
+    steps = {one: width if one == "azimuth_rad" else 0.5 * abs(setting.values[name][one]) for one in bounds}
+
+    def cost(tried: Setting) -> float:
+        here = base.nuisance.moved(search.offset(tried))
+        return here.misfit(search.departure(base.base, search.mean(tried, FRAMES)))
+
+    best = cost(setting)
+    for _ in range(HALVINGS):
+        for _ in range(PASSES):
+            before = best
+            for parameter, step in steps.items():
+                low, high = bounds[parameter]
+                for sign in (1.0, -1.0):
+                    value = setting.values[name][parameter] + sign * step
+                    if parameter == "azimuth_rad":
+                        value = math.remainder(value, 2.0 * math.pi)
+                    moved = {**setting.values[name], parameter: min(max(value, low), high)}
+                    tried = replace(setting, values={**setting.values, name: moved})
+                    found = cost(tried)
+                    if found < best:
+                        setting, best = tried, found
+                        break
+            if best == before:
+                break
+        steps = {parameter: 0.5 * step for parameter, step in steps.items()}
+    return setting

@@ -1,0 +1,102 @@
+"""What is left, statistic by statistic: a departure of a few entries is not drowned in the noise of all others.
+
+Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
+pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Stated scatters
+have a least value; of shares and counts of what hardly ever happens, simulated frames show how much less they scatter,
+and that is taken (``LEVEL``), with a margin.
+
+References:
+    GAP.md 3 (7): look at the groups of statistics that stay untouched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from torchweather.gap.inference.likelihood import Fit, Search
+from torchweather.gap.statistics.frame_statistics import COUNTED
+
+__all__ = ["Rest", "rest_of"]
+
+Floats = NDArray[np.float64]
+
+# Square of the scatter that shares and counts are taken to have, over the stated one: never less than the first, and so
+# many times that of simulated frames, which know only the clear frames that they start from.
+LEVEL = (0.3, 2.5)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Noise of the squares of each group of entries.
+
+    Args:
+        places: ``(P,)`` group of each entry.
+        used: ``(C, P)`` entries that count.
+        noise: ``(G,)`` mean square that an entry has by noise.
+    """
+
+    places: NDArray[np.intp]
+    used: NDArray[np.bool_]
+    noise: Floats
+
+    @property
+    def counted(self) -> Floats:
+        """Number ``(G,)`` of entries that count, over all conditions."""
+        return self._summed(self.used.sum(0))
+
+    def squares(self, left: Floats) -> Floats:
+        """Summed squares ``(G,)`` of what is left ``(C P,)``."""
+        return self._summed((left.reshape(self.used.shape) ** 2).sum(0))
+
+    def p_value(self, left: Floats) -> float:
+        """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
+        return self._least(self.squares(left), self.counted)
+
+    def common_p_value(self, left: Floats) -> float:
+        """The same of what the conditions have in common: each entry summed over those where it counts, two at least,
+        over the root of their number, which noise leaves as it was."""
+        number = self.used.sum(0)
+        common = number > 1
+        pattern = (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(np.maximum(number, 1))
+        return self._least(self._summed(common * pattern**2), self._summed(common))
+
+    def _summed(self, values: NDArray[Any]) -> Floats:
+        """Values ``(P,)`` summed by group."""
+        return np.asarray(np.bincount(self.places, values, len(self.noise)), dtype=np.float64)
+
+    def _least(self, squares: Floats, counted: Floats) -> float:
+        """Probability of the least likely of some sums of squares, of so many entries each."""
+        some = counted > 0
+        each = chi2.sf(squares[some] / self.noise[some], counted[some])
+        return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0
+
+    def excess(self, left: Floats) -> float:
+        """By how much groups exceed what noise leaves, summed."""
+        return float(np.maximum(self.squares(left) - self.noise * self.counted, 0.0).sum())
+
+
+def rest_of(search: Search, base: Fit, overdispersion: float) -> Rest:
+    """The noise of the model as it is.
+
+    Args:
+        search: its simulator.
+        base: the model without further effects, its nuisances fitted.
+        overdispersion: how much larger in square noise is taken than stated.
+    """
+    groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
+    places = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
+    found = Rest(places, np.stack([base.base.used[name] for name in names]), np.ones(len(groups)))
+    # Vectors that the simulator draws, those of one condition independent of another's.
+    draws = [base.base.draws[name] - base.base.mean[name] for name in names]
+    number = min(len(one) for one in draws)
+    order = [np.random.default_rng([search.seed, place, 32452843]).permutation(number) for place in range(len(names))]
+    mixed = zip(*(one[shuffled] for one, shuffled in zip(draws, order, strict=True)), strict=True)
+    whitened = base.nuisance(np.stack([search.whitened(base.base, list(one)) for one in mixed]))
+    drawn = found.squares(np.sqrt((whitened**2).mean(0))) / np.maximum(found.counted, 1.0)
+    level = np.where([group.kind in COUNTED for group in groups], np.minimum(LEVEL[0] + LEVEL[1] * drawn, 1.0), 1.0)
+    return replace(found, noise=overdispersion * level)

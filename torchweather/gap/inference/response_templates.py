@@ -1,0 +1,90 @@
+"""Matched filters: how much of a residual the response to an effect explains, alone and with another.
+
+References:
+    GAP.md 3 (5, 6). A matched filter for each distorted simulator: Anau Montel, Alvey & Weniger 2025.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.gap.inference.starting_points import Line
+from torchweather.gap.inference.systematics import Nuisance
+
+__all__ = ["Node", "amplitudes", "gains", "pair_gains"]
+
+Floats = NDArray[np.float64]
+
+AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
+
+
+@dataclass(frozen=True)
+class Node:
+    """Response to one setting of one effect.
+
+    Args:
+        line: it belongs to.
+        number: place in the line.
+        values: the parameters.
+        response: ``(C P,)`` whitened change of all vectors.
+    """
+
+    line: Line
+    number: int
+    values: Mapping[str, float]
+    response: Floats
+
+    @property
+    def id(self) -> str:
+        """Of the effect."""
+        return self.line.effect.id
+
+
+def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple[Floats, Floats]:
+    """By what each node is best scaled to explain what nuisances have left ``(R, C P)``, and its squared length."""
+    responses = np.stack([node.response for node in nodes])
+    norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
+    found: Floats = np.clip((left @ responses.T) / norm, *AMPLITUDES)
+    return found, norm
+
+
+def gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
+    """By how much each node, scaled, lowers the squares of what nuisances have left ``(R, C P)``: ``(R, nodes)``."""
+    amplitude, norm = amplitudes(nodes, left, nuisance)
+    along = left @ np.stack([node.response for node in nodes]).T
+    found: Floats = 2.0 * amplitude * along - amplitude**2 * norm
+    return found
+
+
+def pair_gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
+    """By how much each two nodes together lower what is left ``(C P,)``: ``(nodes, nodes)``, from one Gram matrix.
+
+    Amplitudes are those of the best point of the square in which both may lie, its edges included.
+    """
+    responses = np.stack([node.response for node in nodes])
+    gram = responses @ nuisance(responses).T
+    along = responses @ left
+    norm = np.maximum(np.diag(gram), 1e-12)
+    low, high = AMPLITUDES
+    first = np.broadcast_to(along[:, None], gram.shape)
+    second = first.T
+    determinant = np.maximum(norm[:, None] * norm[None] - gram**2, 1e-9 * norm[:, None] * norm[None])
+    inner_1 = (first * norm[None] - second * gram) / determinant
+    inner_2 = inner_1.T
+
+    def gain(amplitude_1: Floats, amplitude_2: Floats) -> Floats:
+        square = amplitude_1**2 * norm[:, None] + amplitude_2**2 * norm[None] + 2.0 * amplitude_1 * amplitude_2 * gram
+        found: Floats = 2.0 * (amplitude_1 * first + amplitude_2 * second) - square
+        return found
+
+    inside = (inner_1 >= low) & (inner_1 <= high) & (inner_2 >= low) & (inner_2 <= high)
+    best = np.where(inside, gain(inner_1, inner_2), -np.inf)
+    for edge in (low, high):
+        held = np.full(gram.shape, edge)
+        best = np.maximum(best, gain(held, np.clip((second - edge * gram) / norm[None], low, high)))
+        best = np.maximum(best, gain(np.clip((first - edge * gram) / norm[:, None], low, high), held))
+    return best

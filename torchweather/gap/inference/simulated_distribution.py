@@ -1,0 +1,352 @@
+"""How far measured conditions are from a simulator, in units of its own scatter.
+
+A pool of simulated frames of each condition gives the distribution of its vector at the measured number of frames: its
+mean and its scatter. How the scatter of one entry goes with that of another follows from the noise of portions of the
+elements (beams, pixels, targets): simulated frames cannot tell it, they start from a handful of clear frames and know
+only so many directions of noise. The residual is the measured vector's departure in those units, made independent
+(whitened), so that each of its entries is about 1 if nothing is missing.
+
+References:
+    GAP.md 3 (2, 4). Shrinkage of a correlation matrix: Ledoit & Wolf 2004, Schaefer & Strimmer 2005.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from torchweather.gap.statistics.frame_statistics import INDEPENDENT, TINY, Layout, Pool, Reduced
+from torchweather.gap.study.conditions import Condition
+from torchweather.pipeline.effect import Effect
+
+__all__ = [
+    "PORTIONED_FRAMES",
+    "PORTIONS",
+    "Baseline",
+    "ElementNoise",
+    "FrameModel",
+    "Target",
+    "Whitening",
+    "baseline",
+    "element_noise",
+    "targets",
+]
+
+Floats = NDArray[np.float64]
+
+DRAWS = 256  # of the vector from the pool
+PORTIONS = 128  # of the elements of a frame
+PORTIONED_FRAMES = 8  # of each condition
+# Two clear frames are as far apart from each other either way: how spreads scatter does not show.
+FEWEST_FOR_SPREAD = 3
+SHRINKAGE = 0.1  # of the correlations towards none
+
+
+class FrameModel(Protocol):
+    """What the workflow needs of a kind of sensor: one file each."""
+
+    @property
+    def fit(self) -> Sequence[Condition]:
+        """Conditions to be explained."""
+        ...
+
+    @property
+    def holdout(self) -> Sequence[Condition]:
+        """Conditions held out."""
+        ...
+
+    @property
+    def clear_frames(self) -> Mapping[str, int]:
+        """Number of clear frames of each scene."""
+        ...
+
+    @property
+    def catalogue(self) -> Sequence[str]:
+        """Ids of the effects that it can simulate."""
+        ...
+
+    @property
+    def as_record(self) -> AbstractSet[str]:
+        """Those that do what an error of the record does: none of them is named beside another."""
+        ...
+
+    layout: Layout
+    effects: list[Effect]  # that it has already
+    map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
+    sizes: Mapping[str, float | Sequence[float]]  # as in candidates.lines
+    open_shifts: AbstractSet[str]  # statistics whose even shift by the clear frames' own error is among what is open
+
+    def measured(self, condition: Condition) -> Reduced:
+        """The condition's own frames."""
+        ...
+
+    def clear(self, scene_id: str, portions: int = 1) -> Reduced:
+        """The clear frames of a scene, each compared with the others; each in so many portions of its elements."""
+        ...
+
+    def open(self, condition: Condition) -> Mapping[str, float]:
+        """Names of what the model of a condition leaves open, with the least strength each can have."""
+        ...
+
+    def misplaced(self, condition: Condition) -> float:
+        """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
+        ...
+
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """What is simulated of the condition from here on lies about this weather."""
+        ...
+
+    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+        """Stages of what is left open, at strengths in standard deviations; none at 0."""
+        ...
+
+    def simulated(
+        self,
+        condition: Condition,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: Sequence[int],
+        portions: int = 1,
+    ) -> Reduced:
+        """Simulated frames of the condition, one for each seed; each in so many portions of its elements."""
+        ...
+
+
+@dataclass(frozen=True)
+class Target:
+    """A measured condition.
+
+    Args:
+        condition: of the study.
+        vector: ``(P,)`` of its frames.
+        enough: ``(P,)`` entries that hold enough to count.
+        frames: their number.
+        misplaced: as in ``FrameModel``.
+        clear_frames: of its scene.
+    """
+
+    condition: Condition
+    vector: Floats
+    enough: NDArray[np.bool_]
+    frames: int
+    misplaced: float = 0.0
+    clear_frames: int = 1
+
+    @property
+    def knob_sd(self) -> float:
+        """Standard deviation of the logarithm of the weather's knob, as the record states it."""
+        return float(self.condition.rel_sd)
+
+
+def targets(model: FrameModel, conditions: Sequence[Condition]) -> list[Target]:
+    """The measured vectors of conditions, their frames reduced once."""
+    found = []
+    for condition in conditions:
+        pool = Pool(model.layout, model.measured(condition))
+        number, clear = len(pool), model.clear_frames[condition.scene]
+        vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
+        found.append(Target(condition, vector, pool.enough(number), number, model.misplaced(condition), clear))
+    return found
+
+
+@dataclass(frozen=True)
+class ElementNoise:
+    """What the independent noise of the elements (beams, pixels, targets) of a frame makes of the vector.
+
+    Args:
+        scatter: condition to ``(P,)`` standard deviation of each entry; 0 where it tells nothing.
+        correlation: ``(P, P)`` of the entries, common to the conditions.
+    """
+
+    scatter: Mapping[str, Floats]
+    correlation: Floats
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Makes departures independent.
+
+    Args:
+        factor: ``(P, P)`` lower Cholesky factor of the correlations, shrunk.
+    """
+
+    factor: Floats
+
+    @classmethod
+    def of(cls, noise: ElementNoise, sd: Mapping[str, Floats]) -> Whitening:
+        """Correlations of entries whose scatter ``sd`` is the elements' and more that is each entry's own."""
+        names = list(noise.scatter)
+        share = np.mean([noise.scatter[name] / np.maximum(sd[name], 1e-300) for name in names], 0)
+        share = np.clip(share, 0.0, 1.0)
+        correlation = (1.0 - SHRINKAGE) * noise.correlation * np.outer(share, share)
+        np.fill_diagonal(correlation, 1.0)
+        return cls(np.linalg.cholesky(correlation))
+
+    def __call__(self, scaled: Floats) -> Floats:
+        """Departures ``(..., P)`` in units of their scatter to independent ones."""
+        flat = scaled.reshape(-1, scaled.shape[-1])
+        found: Floats = solve_triangular(self.factor, flat.T, lower=True).T.reshape(scaled.shape)
+        return found
+
+    def undone(self, independent: Floats) -> Floats:
+        """Back to units of the scatter, ``(..., P)``."""
+        found: Floats = independent @ self.factor.T
+        return found
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The simulator at one setting.
+
+    Args:
+        mean, sd: condition to ``(P,)`` mean of the vector and its scatter at the measured number of frames, with the
+            error of that mean; of means without what whole frames do, which is a nuisance (``search.py``), and without
+            what is shared.
+        total: the scatter with what whole frames do.
+        used: condition to ``(P,)`` entries that count.
+        whitening: common to all conditions.
+        draws: condition to ``(DRAWS, P)`` vectors of the simulator itself.
+        least: condition to ``(P,)`` scatter that each entry has at least.
+        shared: condition to ``(P,)`` what the error of its scene's clear mean adds, in units of ``sd``: it is the same
+            one for all conditions of the scene (``search.py``).
+    """
+
+    mean: Mapping[str, Floats]
+    sd: Mapping[str, Floats]
+    total: Mapping[str, Floats]
+    used: Mapping[str, NDArray[np.bool_]]
+    whitening: Whitening
+    draws: Mapping[str, Floats]
+    least: Mapping[str, Floats]
+    shared: Mapping[str, Floats]
+
+    def whitened(self, name: str, difference: Floats) -> Floats:
+        """Whitened difference of vectors ``(..., P)``; entries that do not count are 0."""
+        scaled = np.where(self.used[name], difference / self.sd[name], 0.0)
+        return self.whitening(scaled)
+
+    def z(self, target: Target) -> Floats:
+        """Departure of each entry in units of its total scatter, 0 where it does not count."""
+        name = target.condition.id
+        found: Floats = np.where(self.used[name], (target.vector - self.mean[name]) / self.total[name], 0.0)
+        return found
+
+
+def baseline(
+    pools: Mapping[str, Pool],
+    measured: Sequence[Target],
+    noise: ElementNoise,
+    start: Baseline | None,
+    seed: int,
+    scatters: bool = False,
+) -> Baseline:
+    """The distribution of the vectors that pools of simulated frames give.
+
+    Args:
+        pools: condition to simulated frames.
+        measured: the conditions, with their number of frames.
+        noise: of the elements.
+        start: the model without effects, whose whitening is kept; ``None`` where this is it. The noise of elements is
+            its noise, and grows as the elements' own spread does.
+        seed: of the draws.
+        scatters: whether whole frames differ by more than those of the start; what they do to means is then scatter
+            of each.
+    """
+    means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
+    layout = next(iter(pools.values())).layout
+    shares, averages = layout.each(lambda group: group.kind == "share"), layout.averages
+    by_chance = layout.each(lambda group: group.statistic in layout.from_clear)
+    of_spread = by_chance & layout.each(lambda group: group.kind in ("spread", "mean"))
+    for number, target in enumerate(measured):
+        name, pool, n = target.condition.id, pools[target.condition.id], target.frames
+        generator = np.random.default_rng([seed, number])
+        count = len(pool)
+        index = np.argsort(generator.random((DRAWS, count)), 1)[:, : min(n, count)]
+        vectors = pool.vectors(index, target.condition.time_s)
+        mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
+        # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
+        pooled = min(n / count, 0.5)
+        least = pool.least_scatter(n, target.misplaced)
+        few = of_spread & (target.clear_frames < FEWEST_FOR_SPREAD)
+        tell = np.where(few, 1, target.clear_frames)  # frames that tell what is in clear air
+        spreads[name] = least = np.where(few, least / INDEPENDENT, least)
+        grown = 1.0 if start is None else np.maximum(least / np.maximum(start.least[name], TINY), 1.0)
+        elements = np.where(few, least, noise.scatter[name] * np.where(averages, grown, 1.0))
+        least = np.maximum(least, np.where(shares, 0.0, elements))
+        drawn = spread**2 / (1.0 - pooled)
+        own = np.sqrt(np.maximum(drawn, least**2))
+        # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
+        of_clear = np.where(shares | averages | by_chance, n / tell, 0.0)
+        totals[name] = own * np.sqrt(1.0 + pooled + of_clear)
+        # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
+        owns[name] = np.where(averages, least, own)
+        frames_apart = np.zeros_like(own)
+        if scatters and start is not None:
+            frames_apart = np.maximum(drawn - start.draws[name].var(0, ddof=1) / (1.0 - pooled), 0.0)
+        each = np.where(averages, np.sqrt(least**2 + frames_apart), own)
+        sds[name] = np.where(averages | by_chance, each * math.sqrt(1.0 + pooled), totals[name])
+        common = np.where(averages, elements, own) * np.sqrt(n / tell)
+        shared[name] = np.where(averages | by_chance, common / np.maximum(sds[name], TINY), 0.0)
+        means[name], draws[name] = mean, vectors
+        used[name] = target.enough & pool.enough(n)
+    # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
+    whitening = Whitening.of(noise, owns) if start is None else start.whitening
+    return Baseline(means, sds, totals, used, whitening, draws, spreads, shared)
+
+
+def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:
+    """Scatter and correlations from the noise of portions of the elements.
+
+    Args:
+        portioned: condition to simulated frames times ``PORTIONS``.
+        measured: the conditions.
+    """
+    size = next(iter(portioned.values())).layout.size
+    total = np.zeros((size, size))
+    scatter = {}
+    layout = next(iter(portioned.values())).layout
+    about_own = layout.each(lambda group: group.statistic in layout.about_own_mean)
+    averages = layout.averages & ~about_own
+    for target in measured:
+        name, clear = target.condition.id, target.clear_frames
+        apart = portioned[name].element_noise(PORTIONS, target.frames, clear)
+        # Departures from the mean of the other clear frames are larger than those from the mean of all.
+        apart *= np.where(averages, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
+        apart *= np.where(about_own, math.sqrt(squares_go_together(min(target.frames, clear), clear)), 1.0)
+        scatter[name] = np.sqrt((apart**2).sum(1).mean(0))
+        unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
+        unit = np.where(target.enough, unit, 0.0).reshape(-1, size)
+        total += unit.T @ unit / len(apart)
+    spread = np.sqrt(np.diag(total))
+    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12))
+
+
+def squares_go_together(together: int, clear: int) -> float:
+    """Variance of a sum of squares about an element's own mean, over what so many independent terms of the scatter that
+    they have from frame to frame would give.
+
+    With m frames about their mean the squares have the variance V and correlate by ``1 / (m - 1)^2``, so their sum has
+    ``m V m / (m - 1)``; over K frames in blocks of m they scatter by ``V (1 - 1 / ((m - 1) (K - 1)))`` alone.
+
+    Args:
+        together: m, frames about whose mean they are.
+        clear: K, clear frames from which frames are simulated.
+
+    Returns:
+        The ratio; 1 where two frames cannot tell it, as both squares are one number.
+
+    Example:
+        >>> squares_go_together(3, 3), squares_go_together(6, 6), squares_go_together(2, 2)
+        (2.0, 1.25, 1.0)
+    """
+    if together < 2 or clear < 3:
+        return 1.0
+    m, k = float(together), float(clear)
+    return m / (m - 1.0) / (1.0 - 1.0 / ((m - 1.0) * (k - 1.0)))

@@ -1,0 +1,111 @@
+"""Where the search for an effect starts: settings of its parameters, from weak to strong, of either sign.
+
+Response curves come from finite settings, refined near the identity and of both signs: gradients at the identity vanish
+or are one-sided for half of the effects (GAP.md 3 (5)). An effect with a place (an azimuth) is tried where the residual
+is largest.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from torchweather.gap.inference.effect_forms import tried_values
+from torchweather.pipeline.effect import Effect, Parameter
+
+__all__ = ["Line", "lines"]
+
+# Strengths over the parameter's typical size.
+STEPS = (0.03, 0.25, 1.0, 3.0)
+CUT_STEPS = tuple(0.15 * 1.2**step for step in range(16))  # of what cuts: between two of them it would be stepped over
+FAR_STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinitely far
+PLACES = ("azimuth_rad",)  # parameters that say where
+
+
+@dataclass(frozen=True)
+class Line:
+    """Settings of one effect along which it grows from its identity.
+
+    Args:
+        effect: its class.
+        settings: parameters from weak to strong, without the identity.
+    """
+
+    effect: type[Effect]
+    settings: tuple[Mapping[str, float], ...]
+
+    @property
+    def curved(self) -> bool:
+        """Whether no setting says what the next one does, so that many are tried: of what cuts, or begins at a
+        threshold, or has its identity infinitely far."""
+        return len(self.settings) > len(STEPS)
+
+    @property
+    def first(self) -> tuple[int, ...]:
+        """Places of the settings that are tried at first: one of a typical size, and a weak one, as few counts go as
+        the root and strong effects change other statistics as well; all where the identity is infinitely far."""
+        number = len(self.settings)
+        if self.curved:
+            return tuple(range(number))
+        return (0, number // 2) if number > 2 else (number // 2,)
+
+
+def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = STEPS) -> list[list[float]]:
+    """Values on either side of the identity, from weak to strong in terms of a typical size, inside the bounds."""
+    identity = parameter.identity
+    assert identity is not None
+    found = []
+    for sign in (1.0, -1.0):
+        if math.isinf(identity):
+            values = [size * step for step in FAR_STEPS] if sign > 0 else []
+        elif identity > 0 and parameter.low >= 0:  # a factor
+            values = [identity * math.exp(sign * size * step) for step in steps]
+        else:
+            values = [identity + sign * size * step for step in steps]
+        inside = [value for value in values if parameter.low <= value <= parameter.high]
+        if len(inside) < len(values) and values:
+            bound = parameter.high if values[-1] > (identity if math.isfinite(identity) else 0.0) else parameter.low
+            if math.isfinite(bound) and bound != identity and bound not in inside:
+                inside.append(bound)
+        if inside:
+            found.append(inside)
+    return found
+
+
+def lines(
+    effect: type[Effect], places: Sequence[float], sizes: Mapping[str, float | Sequence[float]] | None = None
+) -> list[Line]:
+    """Lines of settings of an effect.
+
+    Args:
+        effect: its class.
+        places: azimuths, rad, at which it is tried if it has one.
+        sizes: of parameters whose typical size is a matter of the data, such as an intensity; several are all values
+            that are tried, from weak to strong.
+    """
+    deciding = [parameter for parameter in effect.arguments if parameter.identity is not None]
+    telling = [parameter for parameter in effect.arguments if parameter.identity is None]
+    choices: list[list[tuple[str, float]]] = []
+    for parameter in telling:
+        if parameter.name in PLACES:
+            values = list(places)
+        elif tried := tried_values(effect, parameter.name):
+            values = list(tried)
+        else:
+            around = parameter.value
+            values = [around] if around * 3.0 > parameter.high else [around, min(3.0 * around, parameter.high)]
+        choices.append([(parameter.name, value) for value in values])
+    found = []
+    for fixed in itertools.product(*choices):
+        for parameter in deciding:
+            size = (sizes or {}).get(parameter.name, parameter.scale)
+            if isinstance(size, Sequence):
+                along = [list(size)]
+            else:
+                along = _strengths(parameter, size, CUT_STEPS if effect.cuts else STEPS)
+            found += [
+                Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values)) for values in along
+            ]
+    return found

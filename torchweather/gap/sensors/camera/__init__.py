@@ -1,0 +1,1 @@
+"""Camera frames: simulation, and statistics of brightness, sharpness, texture and tails."""

@@ -1,0 +1,396 @@
+"""Camera frames for the gap workflow: the conditions of a study simulated, and frames reduced to statistics.
+
+What is looked at is in ``camera_scene.py`` (what frames are compared with) and ``camera_sums.py`` (what is summed up
+along which axes). A simulated frame starts from a clear frame of its scene that its seed chooses: the mean of the
+others goes through the weather and the optics, and its own noise is added behind them, grown with the light. Particles
+are rendered once for each seed, at a few rates, and taken between them: what happens behind or in front of them does
+not move them.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchweather.camera.airlight import towards_horizon
+from torchweather.camera.bayer import cfa_colour_index
+from torchweather.camera.effects.all import EFFECTS
+from torchweather.camera.fog import ExtinctionAndAirlight
+from torchweather.camera.particles.veil import REFLECTED_SHARE, ParticleVeil
+from torchweather.camera.rays import rays_of
+from torchweather.camera.sensor import Camera
+from torchweather.camera.state import CameraState
+from torchweather.camera.transform import BayerWeather
+from torchweather.core.random import keyed_stream
+from torchweather.gap.inference.effect_forms import counted_form
+from torchweather.gap.sensors.camera.particles import LEAST_STEP, MOST_STEP, Rendered
+from torchweather.gap.sensors.camera.scene import COLOURS, CameraScene, camera_scene, cell_colours
+from torchweather.gap.sensors.camera.scene_change import refuse_changed
+from torchweather.gap.sensors.camera.sums import CameraSums, camera_layout, colours_of
+from torchweather.gap.sensors.camera.systematics import AirlightError, ParticleContrast
+from torchweather.gap.statistics.frame_statistics import Reduced
+from torchweather.gap.study.study import Condition, Study
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, with_effects
+from torchweather.pipeline.stage import Stage
+
+__all__ = ["CameraFrames"]
+
+CONTRAST_SD = 0.01  # relative, of how much particles stand out; what two implementations of one physics differ by
+DROP_LIGHT_SD = 0.01  # relative, of each colour of drops: they show more of the surroundings than the frame does
+# Of the scatter of the sky's light from place to place, by which the airlight may be off; order of magnitude.
+UNEVEN_SHARE = 0.25
+LEAST_UNEVEN = 0.2  # of the noise's variance, below which a sky is even
+# Of the signal, that one pixel in a thousand exceeds: frames saturate near it, if they do. Levels that are tried.
+HIGHEST = 0.999
+LEVELS = (1.0, 0.985, 0.97, 0.955, 0.93, 0.9, 0.8, 0.6, 0.3)
+TOGETHER = 6  # frames: those of a response; particles of several are rendered faster
+KEPT_FRAMES = 6000  # reduced ones
+FARTHEST_SD = 5.0  # standard deviations of the record for which, and for a step of rates more, a draw has slots
+# Stages in front of the first of which the noise of the clear frame comes in; the last of them is in every chain.
+BEHIND_THE_NOISE = ("sensor_noise", "saturation", "tone_curve", "quantise")
+OF_THE_CONDITION = "adherent_drops"  # stages whose draw is one for all frames of a condition
+
+
+class CameraFrames:
+    """Simulates frames of a study's conditions and reduces frames to statistics.
+
+    Args:
+        study: of kind ``camera``.
+        options: of ``BayerWeather`` (the model under test).
+        effects: that the model has already.
+
+    Raises:
+        TorchweatherError: a scene has a single clear frame, or is another one in weather.
+    """
+
+    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+        assert isinstance(study.sensor, Camera)
+        self.options, self.effects = dict(options or {}), list(effects)
+        self.fit, self.holdout = (
+            [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
+        )
+        self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
+        self.sensor = replace(study.sensor, response_knots=None)  # the frames of a study are linear already
+        pattern = self.sensor.bayer_pattern
+        colours = colours_of(cfa_colour_index(pattern))
+        self.scenes: dict[str, CameraScene] = {
+            name: camera_scene(scene, self.sensor) for name, scene in study.scenes.items()
+        }
+        with_normals = all(scene.normal is not None for scene in self.scenes.values())
+        self.catalogue = [
+            name
+            for name, effect in EFFECTS.items()
+            if name.startswith("camera.") and (with_normals or "normal" not in effect.needs)
+        ]
+        # A line along a diagonal blurs nearly as a disk does; with two numbers it always explains a little more.
+        self.forms = {name: counted_form(EFFECTS[name]) for name in self.catalogue if len(EFFECTS[name].arguments) > 1}
+        self.as_record: AbstractSet[str] = frozenset()
+        self.open_shifts: AbstractSet[str] = frozenset()
+        self.map_cells: list[tuple[float, float]] = []
+        # Of the conditions that are fitted to: those held out tell nothing before the end.
+        highest = max((float(np.quantile(one.frames[0]["bayer"], HIGHEST)) for one in self.fit), default=1.0)
+        self.sizes: Mapping[str, float | Sequence[float]] = {"level": tuple(share * highest for share in LEVELS)}
+        self.layout = camera_layout(next(iter(self.scenes.values())), colours)
+        self._pattern, self._colours = pattern, colours
+        self.transforms: dict[str, BayerWeather] = {}
+        self._sums: dict[str, CameraSums] = {}
+        self._clear_sums = {
+            name: CameraSums(scene, self.layout, pattern, colours, scene.reference)
+            for name, scene in self.scenes.items()
+        }
+        self._airlight = {name: self._sky(scene) for name, scene in self.scenes.items()}
+        self._rendered: dict[str, Rendered] = {}
+        self._kept: OrderedDict[object, Reduced] = OrderedDict()
+        self._lock = threading.Lock()
+        for name in self.scenes:
+            self._refuse_changed(name)
+
+    # ---- frames --------------------------------------------------------------------------------------------------
+
+    def measured(self, condition: Condition) -> Reduced:
+        """The condition's own frames."""
+        bayer = _frames(condition)
+        # Compared with all clear frames but one, as simulated frames are.
+        row = torch.arange(len(bayer)) % len(self.scenes[condition.scene].clear)
+        return self._of(condition)(bayer, row)
+
+    def clear(self, scene_id: str, portions: int = 1) -> Reduced:
+        """The clear frames of a scene, each compared with the others; ``portions`` as in ``CameraSums``."""
+        clear = self.scenes[scene_id].clear
+        return self._clear_sums[scene_id](clear, torch.arange(len(clear)), portions)
+
+    def transform(self, condition: Condition) -> BayerWeather:
+        """The ready-made chain of a condition's weather."""
+        with self._lock:
+            if condition.id not in self.transforms:
+                weather, options = condition.weather, dict(self.options)
+                assert weather is not None
+                if len(weather.parts) == 1 and weather.kind != "fog":
+                    farthest = FARTHEST_SD * max(condition.rel_sd, LEAST_STEP) + MOST_STEP
+                    options.setdefault("rate_capacity_mm_per_h", float(weather.knob) * math.exp(farthest))
+                options.setdefault("ego_speed_m_per_s", condition.ego_speed_m_per_s or 0.0)
+                camera = self.sensor
+                if condition.exposure_s is not None:
+                    camera = replace(camera, exposure_s=condition.exposure_s)
+                airlight, _ = self._airlight[condition.scene]
+                if condition.airlight is not None:
+                    options["airlight"] = condition.airlight
+                elif airlight is not None:  # of all clear frames, which knows it better than one
+                    options.setdefault("airlight", airlight)
+                self.transforms[condition.id] = BayerWeather(weather, camera, **options)
+            return self.transforms[condition.id]
+
+    def open(self, condition: Condition) -> dict[str, float]:
+        """Names of what the model of a condition leaves open, with the least strength each can have."""
+        assert condition.weather is not None
+        found = {f"airlight {colour} {condition.scene}": -math.inf for colour in self._airlight_sd(condition)}
+        if any(part.kind != "fog" for part in condition.weather.parts):
+            found["particle contrast"] = -math.inf
+        return found
+
+    def _airlight_sd(self, condition: Condition) -> dict[str, float]:
+        """Relative standard deviation of the airlight by colour: in fog of a noisy sky, in rain as drops show it."""
+        airlight, sky_sd = self._airlight[condition.scene]
+        if condition.airlight is not None:  # measured: nothing of it is open but what drops show
+            airlight, sky_sd = condition.airlight, {}
+        assert condition.weather is not None
+        kinds = {part.kind for part in condition.weather.parts}
+        if "fog" in kinds:
+            return sky_sd if "airlight" not in self.options else {}
+        if "rain" not in kinds:
+            return {}
+        mean = self._mean_light(self.scenes[condition.scene])
+        sky = mean if airlight is None else dict(zip(COLOURS, airlight, strict=True))
+        return {
+            colour: DROP_LIGHT_SD * mean[colour] / (REFLECTED_SHARE * sky[colour])
+            for colour in self._colours
+            if sky[colour] > 0 and mean[colour] > 0
+        }
+
+    def misplaced(self, condition: Condition) -> float:
+        """No statistic has particles along their own range."""
+        return 0.0
+
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """Render particles at this rate, and at those about it."""
+        with self._lock:
+            if condition.id in self._rendered:
+                self._rendered[condition.id].log_rate = log_knob
+
+    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+        """Stages of what is left open, at strengths in standard deviations; none at 0."""
+        given = {name: strengths.get(name, 0.0) for name in self.open(condition)}
+        found: list[Effect] = []
+        contrast = given.get("particle contrast", 0.0) * CONTRAST_SD
+        if contrast != 0:
+            found.append(ParticleContrast(share=min(max(contrast, -0.9), 4.0)))
+        light = {
+            colour: min(max(given[f"airlight {colour} {condition.scene}"] * sd, -0.9), 4.0)
+            for colour, sd in self._airlight_sd(condition).items()
+        }
+        if any(value != 0 for value in light.values()):
+            found.append(AirlightError(**light))
+        return found
+
+    def simulated(
+        self,
+        condition: Condition,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: Sequence[int],
+        portions: int = 1,
+    ) -> Reduced:
+        """Frames of a condition, one for each seed, each from the clear frame that its seed is, modulo their number.
+
+        Args:
+            condition: its scene and weather.
+            effects: put into the chain, beside those that the model has.
+            log_knob: logarithm of the weather's knob over its record.
+            seeds: of the frames; the same seeds give the same clear frames and random numbers for every effect.
+            portions: as in ``CameraSums``.
+        """
+        chain = self._chain(condition, effects)
+        clear = len(self.scenes[condition.scene].clear)
+        # Without randomness all seeds of one clear frame give one frame.
+        random = any(stage.variates() for name, stage in chain.stages.items() if name != OF_THE_CONDITION)
+        wanted = list(seeds) if random else [seed % clear for seed in seeds]
+        setting = (condition.id, str([effect.to_dict() for effect in effects]), float(log_knob), portions)
+        found: dict[int, Reduced] = {}
+        for seed in dict.fromkeys(wanted):
+            kept = self._recall((setting, seed))
+            if kept is not None:
+                found[seed] = kept
+        missing = [seed for seed in dict.fromkeys(wanted) if seed not in found]
+        for first in range(0, len(missing), TOGETHER):
+            some = missing[first : first + TOGETHER]
+            row = torch.tensor([seed % clear for seed in some])
+            with torch.no_grad():
+                bayer = self._through(chain, condition, row, log_knob, some)
+            reduced = self._of(condition)(bayer, row, portions)
+            for number, seed in enumerate(some):
+                own = slice(number * portions, (number + 1) * portions)
+                names = ("weight", "value", "square", "scalar", "maps")
+                found[seed] = Reduced(*(getattr(reduced, name)[own] for name in names))
+                if portions == 1:
+                    self._keep((setting, seed), found[seed])
+        return Reduced.joined([found[seed] for seed in wanted])
+
+    def _refuse_changed(self, scene_id: str) -> None:
+        """Raise where the scene is another one in weather (``camera_change.py``)."""
+        scene = self.scenes[scene_id]
+        own = [one for one in (*self.fit, *self.holdout) if one.scene == scene_id]
+        measured = {one.id: self._of(one).mean_level(_frames(one)) for one in own}
+        modelled = {one.id: self._of(one).modelled_level for one in own}
+        level = None if scene.normal is None else scene.level_ground
+        refuse_changed(scene_id, measured, modelled, level)
+
+    # ---- the chain -----------------------------------------------------------------------------------------------
+
+    def _of(self, condition: Condition) -> CameraSums:
+        """What reduces frames of a condition."""
+        found = self._sums.get(condition.id)
+        if found is None:
+            scene, transform = self.scenes[condition.scene], self.transform(condition)
+            fog = {
+                name: stage
+                for name, stage in transform.chain.stages.items()
+                if isinstance(stage, ExtinctionAndAirlight)
+            }
+            with torch.no_grad():
+                state = transform.state_of(scene.reference, scene.depth_m[None])
+                modelled = Chain(fog)(state, {}).signal if fog else scene.reference
+            edges = self._clear_sums[condition.scene].edges
+            found = CameraSums(scene, self.layout, self._pattern, self._colours, modelled, edges)
+            with self._lock:
+                self._sums[condition.id] = found
+        return found
+
+    def _sky(self, scene: CameraScene) -> tuple[tuple[float, float, float] | None, dict[str, float]]:
+        """Airlight per colour, from the sky of all clear frames, and the relative error of each by their noise."""
+        if not bool(scene.depth_m.isinf().any()):
+            return None, {}
+        sky = torch.isinf(scene.depth_m[0])
+        cells = sky[0::2, 0::2] & sky[0::2, 1::2] & sky[1::2, 0::2] & sky[1::2, 1::2]
+        if not bool(cells.any()):
+            return None, {}
+        place = cell_colours(scene.clear, self._pattern)[:, :, cells].double()  # (K, C, cells)
+        weight = self._towards_horizon(sky, cells)
+        found = (place * weight).sum(2)  # (K, C)
+        each = torch.zeros(len(found), len(COLOURS), dtype=torch.float64)
+        each[:, [COLOURS.index(colour) for colour in self._colours]] = found
+        mean = each.mean(0)
+        # Which part of an uneven sky lights the air is not known.
+        uneven = torch.zeros(len(COLOURS), dtype=torch.float64)
+        pixels = (place.var(0) * weight).sum(1) / len(each)  # noise of the mean frame
+        apart = (place.mean(0) - found.mean(0)[:, None]).square()
+        uneven[[COLOURS.index(colour) for colour in self._colours]] = ((apart * weight).sum(1) - pixels).clamp_min(0.0)
+        square = each.var(0) / len(each) + UNEVEN_SHARE**2 * uneven.where(uneven > LEAST_UNEVEN * pixels.max(), 0.0)
+        error = square.sqrt() / mean.clamp_min(1e-6)
+        red, green, blue = mean.clamp(0.0, 1.0).tolist()
+        known = {colour: float(error[COLOURS.index(colour)]) for colour in self._colours}
+        return (red, green, blue), {colour: sd for colour, sd in known.items() if sd > 0}
+
+    def _towards_horizon(self, sky: Tensor, cells: Tensor) -> Tensor:
+        """Weight of each cell of sky for the airlight, as the model's own estimate has it; they sum to 1."""
+        height, width = sky.shape
+        x, y, _ = self.sensor.ray_directions(height, width, dtype=torch.float64)
+        sine = rays_of(self.sensor, x, y).sine_elevation[0, 0, 0::2, 0::2]
+        weight = towards_horizon(cells[None].double(), sine[None])[0][cells]
+        return weight / weight.sum()
+
+    def _mean_light(self, scene: CameraScene) -> dict[str, float]:
+        """Of each colour, over the clear frames."""
+        mean = cell_colours(scene.reference[-1:], self._pattern).mean((0, 2, 3)).tolist()
+        return dict(zip(self._colours, mean, strict=True))
+
+    def _chain(self, condition: Condition, effects: Sequence[Effect]) -> Chain:
+        """The chain of a condition with effects, those of the catalogue and those of ``camera_nuisance.py``."""
+        catalogue = [one for one in effects if one.id in EFFECTS]
+        chain = with_effects(self.transform(condition).chain, [*self.effects, *catalogue])
+        for one in effects:
+            if one.id not in EFFECTS:  # of camera_nuisance.py
+                chain = chain.insert(one, before=next(iter(chain.stages)))
+        return chain
+
+    def _through(self, chain: Chain, condition: Condition, row: Tensor, log_knob: float, seeds: list[int]) -> Tensor:
+        """Frames ``(F, 1, H, W)`` that come out of a chain."""
+        scene = self.scenes[condition.scene]
+        normal = None if scene.normal is None else scene.normal[None]
+        # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
+        state = self.transform(condition).state_of(scene.reference[row], scene.depth_m[None], normal)
+        state, noisy = replace(state, keep_truth=True), False
+        for name, stage in chain.stages.items():
+            if not noisy and name in BEHIND_THE_NOISE:
+                light = scene.with_noise(state.signal, state.transmission, _covered(state), row)
+                state, noisy = replace(state, signal=light), True
+            if isinstance(stage, ParticleVeil):
+                state = self._veiled(stage, condition, state, log_knob, seeds)
+            else:
+                with_knob = isinstance(stage, ExtinctionAndAirlight) and log_knob != 0
+                found = _at_visibility(stage, math.exp(log_knob)) if with_knob else stage
+                state = found(state, self._noise(stage, name, condition, state, seeds))
+        return state.signal
+
+    def _noise(
+        self, stage: Stage, name: str, condition: Condition, state: CameraState, seeds: list[int]
+    ) -> dict[str, Tensor]:
+        """Random numbers of a stage for the frames of some seeds."""
+        if not stage.variates():
+            return {}
+        if name == OF_THE_CONDITION:
+            seeds = [int(keyed_stream(0, f"gap.{name}.{condition.id}").integers(2**62))] * len(seeds)
+        return stage.draw(state, seed=torch.tensor(seeds), name=name)
+
+    def _veiled(
+        self, stage: ParticleVeil, condition: Condition, state: CameraState, log_knob: float, seeds: list[int]
+    ) -> CameraState:
+        """The state behind its particles."""
+        with self._lock:
+            if condition.id not in self._rendered:
+                self._rendered[condition.id] = Rendered(stage, condition)
+        return self._rendered[condition.id](state, log_knob, seeds)
+
+    def _recall(self, key: object) -> Reduced | None:
+        with self._lock:
+            found = self._kept.get(key)
+            if found is not None:
+                self._kept.move_to_end(key)
+            return found
+
+    def _keep(self, key: object, reduced: Reduced) -> None:
+        with self._lock:
+            self._kept[key] = reduced
+            while len(self._kept) > KEPT_FRAMES:
+                self._kept.popitem(last=False)
+
+
+def _frames(condition: Condition) -> Tensor:
+    """Frames of a condition ``(F, 1, H, W)``."""
+    frames = [condition.frames[number]["bayer"] for number in range(len(condition.frames))]
+    return torch.stack([torch.from_numpy(np.array(frame, dtype=np.float32)) for frame in frames])[:, None]
+
+
+def _covered(state: CameraState) -> Tensor | None:
+    """Share of the exposure in which particles hide what is behind them, ``(F, 1, H, W)``."""
+    mask, contrast = state.particle_mask, state.particle_contrast
+    return mask if mask is None or contrast is None else (mask * contrast.view(-1, 1, 1, 1)).clamp(0.0, 1.0)
+
+
+def _at_visibility(stage: Stage, factor: float) -> ExtinctionAndAirlight:
+    """A fog of another visibility."""
+    assert isinstance(stage, ExtinctionAndAirlight)
+    found = ExtinctionAndAirlight.__new__(ExtinctionAndAirlight)
+    torch.nn.Module.__init__(found)
+    found.__dict__.update(stage.__dict__)
+    found._buffers = {**stage._buffers, "mor_m": stage.mor_m * factor}
+    return found

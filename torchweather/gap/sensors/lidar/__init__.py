@@ -1,0 +1,1 @@
+"""LiDAR sweeps: simulation, and statistics of what became of each beam."""

@@ -1,0 +1,309 @@
+"""LiDAR frames for the gap workflow: the conditions of a study simulated, and frames reduced to statistics.
+
+What is looked at is in ``lidar_scene.py`` (what frames are compared with) and ``lidar_sums.py`` (what is counted along
+which axes). A simulated frame starts from a clear frame of its scene that its seed chooses.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchweather.gap.sensors.lidar.forms import LIDAR_FORMS
+from torchweather.gap.sensors.lidar.scene import LidarScene, lidar_scene
+from torchweather.gap.sensors.lidar.sums import LidarSums, lidar_layout, map_cells
+from torchweather.gap.sensors.lidar.systematics import (
+    ClearScale,
+    EchoGain,
+    FogEchoRange,
+    ParticleReading,
+    WeakSignalNoise,
+)
+from torchweather.gap.statistics.frame_random_effects import widened
+from torchweather.gap.statistics.frame_statistics import Reduced
+from torchweather.gap.study.study import Condition, Study
+from torchweather.lidar.effects.all import EFFECTS
+from torchweather.lidar.sensor import Lidar
+from torchweather.lidar.stages import Extinction, ParticleReturns, ToEnergy, ToPoints
+from torchweather.lidar.state import LidarState
+from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.effect import Effect, with_effects
+
+__all__ = ["LidarFrames"]
+
+# Of points whose intensity says less than the threshold; beams that are compared stand above it by their own signal.
+LEAST_MARGIN_DB = 1e-3
+TOGETHER = 8  # frames: more do not fit into the processor's cache
+KEPT = 48  # states, so that those of a setting are kept for every condition
+GAIN_SD = 0.02  # relative, of the brightness of drops and flakes; what two implementations of one physics differ by
+# Standard deviations of a reading at the threshold, by which two implementations of one physics differ in the largest.
+FOG_GAIN_SD = 0.1
+FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
+FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
+DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
+
+
+class LidarFrames:
+    """Simulates frames of a study's conditions and reduces frames to statistics.
+
+    Args:
+        study: of kind ``lidar``.
+        options: of ``LidarWeather`` (the model under test).
+        effects: that the model has already.
+    """
+
+    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+        assert isinstance(study.sensor, Lidar)
+        self.options, self.effects = dict(options or {}), list(effects)
+        self.fit, self.holdout = (
+            [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
+        )
+        self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
+        self.catalogue = [name for name in EFFECTS if name.startswith("lidar.")]
+        self.forms: Mapping[str, type[Effect]] = LIDAR_FORMS
+        self.as_record: AbstractSet[str] = frozenset()
+        direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))
+        self.grid = (direction.shape[0], direction.shape[1])
+        self.direction = direction.reshape(-1, 3)
+        self.sensor = replace(study.sensor, directions=None, margin_db=LEAST_MARGIN_DB)
+        self.energy = ToEnergy(self.sensor)
+        with_intensity = self.sensor.intensity_unit != "none"
+        self.scenes: dict[str, LidarScene] = {
+            name: lidar_scene(scene, self.direction, self.grid, self.energy, with_intensity)
+            for name, scene in study.scenes.items()
+        }
+        self.open_shifts: AbstractSet[str] = {"log_intensity_ratio"} if with_intensity else set()
+        self.clear_scale_sd = _clear_scale_sd(self.scenes)
+        some = next(iter(self.scenes.values()))
+        self.layout = lidar_layout(some.edges, with_intensity, int(some.stable.sum()))
+        azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
+        self._sums = {name: LidarSums(scene, self.layout, self.grid, azimuth) for name, scene in self.scenes.items()}
+        self.map_cells = map_cells()
+        self.sizes: Mapping[str, float | Sequence[float]] = {
+            "saturation": max(float(scene.intensity.max()) for scene in self.scenes.values())
+        }
+        self.transforms: dict[str, LidarWeather] = {}
+        self._kept: dict[object, LidarState] = {}
+        self._drawn: dict[object, dict[str, Tensor]] = {}
+        self._lock = threading.Lock()
+
+    # ---- frames --------------------------------------------------------------------------------------------------
+
+    def measured(self, condition: Condition) -> Reduced:
+        """The condition's own frames."""
+        frames = [condition.frames[number] for number in range(len(condition.frames))]
+        range_m, intensity = (
+            torch.stack([torch.from_numpy(np.asarray(frame[name], dtype=np.float32)).reshape(-1) for frame in frames])
+            for name in ("range_m", "intensity")
+        )
+        # Compared with all clear frames but one, as simulated frames are.
+        row = torch.arange(len(frames)) % len(self.scenes[condition.scene].range_m)
+        return self.reduce(condition.scene, range_m, intensity, row)
+
+    def clear(self, scene_id: str, portions: int = 1) -> Reduced:
+        """The clear frames of a scene, each compared with the others; ``portions`` as in ``reduce``."""
+        scene = self.scenes[scene_id]
+        return self.reduce(scene_id, scene.range_m, scene.intensity, torch.arange(len(scene.range_m)), portions)
+
+    def transform(self, condition: Condition) -> LidarWeather:
+        """The ready-made chain of a condition's weather."""
+        if condition.id not in self.transforms:
+            assert condition.weather is not None
+            # Beams without return go to the maximum range, as in the studies that the search was measured on.
+            options = {"beam_ends": "max_range", **self.options}
+            self.transforms[condition.id] = LidarWeather(condition.weather, self.sensor, **options)
+        return self.transforms[condition.id]
+
+    def open(self, condition: Condition) -> dict[str, float]:
+        """Names of what the model of a condition leaves open, with the least strength each can have."""
+        assert condition.weather is not None
+        found = {"noise": 0.0} if self.scenes[condition.scene].variance_at_threshold > 0 else {}
+        if "fog" in {part.kind for part in condition.weather.parts}:
+            found |= {"fog shift": -math.inf, "fog spread": 0.0}
+        if self.clear_scale_sd[condition.scene] > 0:
+            found[f"clear scale {condition.scene}"] = -math.inf
+        return {**found, "particle gain": -math.inf}
+
+    def misplaced(self, condition: Condition) -> float:
+        """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
+        assert condition.weather is not None
+        return FOG_MISPLACED if "fog" in {part.kind for part in condition.weather.parts} else 0.0
+
+    def render_near(self, condition: Condition, log_knob: float) -> None:
+        """Every weather is simulated as it is asked for."""
+
+    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+        """Stages of what is left open, at strengths in standard deviations; none at 0.
+
+        Args:
+            condition: of the study.
+            strengths: by name; what cannot be negative is not below 0.
+        """
+        given = {name: strengths.get(name, 0.0) for name in self.open(condition)}
+        photons = self.sensor.photons_at_threshold
+        found: list[Effect] = []
+        if given.get("noise", 0.0) > 0:
+            variance = given["noise"] * self.scenes[condition.scene].variance_at_threshold
+            found.append(WeakSignalNoise(variance_at_threshold=min(variance, 1.0)))
+        if given["particle gain"] != 0:
+            fog = "fog shift" in given
+            one_sd = FOG_GAIN_SD / math.sqrt(photons) if fog else GAIN_SD
+            found.append(EchoGain(share=min(max(given["particle gain"] * one_sd, -0.9), 9.0)))
+        scale = given.get(f"clear scale {condition.scene}", 0.0) * self.clear_scale_sd[condition.scene]
+        if scale != 0:
+            found.append(ClearScale(log_scale=min(max(scale, -2.0), 2.0)))
+        shift, spread = given.get("fog shift", 0.0), max(given.get("fog spread", 0.0), 0.0)
+        if shift != 0 or spread > 0:
+            share = FOG_RANGE_SHARE * self.sensor.pulse_length_m
+            found.append(FogEchoRange(shift_m=shift * share, spread_m=spread * share))
+        return found
+
+    def simulated(
+        self,
+        condition: Condition,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: Sequence[int],
+        portions: int = 1,
+    ) -> Reduced:
+        """Frames of a condition, one for each seed, each from the clear frame that its seed is, modulo their number.
+
+        Args:
+            condition: its scene and weather.
+            effects: put into the chain, beside those that the model has.
+            log_knob: logarithm of the weather's knob over its record.
+            seeds: of the frames; the same seeds give the same clear frames and random numbers for every effect.
+            portions: as in ``reduce``.
+        """
+        scene = self.scenes[condition.scene]
+        parts = []
+        for first in range(0, len(seeds), TOGETHER):
+            some = list(seeds[first : first + TOGETHER])
+            row = torch.tensor([seed % len(scene.range_m) for seed in some])
+            with torch.no_grad():
+                out = self._through(condition, scene, row, effects, log_knob, some)
+            parts.append(self.reduce(condition.scene, *out, row, portions))
+        return Reduced.joined(parts)
+
+    def _through(
+        self,
+        condition: Condition,
+        scene: LidarScene,
+        row: Tensor,
+        effects: Sequence[Effect],
+        log_knob: float,
+        seeds: list[int],
+    ) -> tuple[Tensor, Tensor]:
+        """Range and intensity ``(F, N)`` that come out of the chain."""
+        transform = self.transform(condition)
+        chain = with_effects(transform.chain, [*self.effects, *(one for one in effects if one.id in EFFECTS)])
+        others = [one for one in effects if one.id not in EFFECTS]
+        if scene.reading_std > 0:
+            others.append(ParticleReading(std=min(scene.reading_std, 1.0)))
+        for one in others:  # of lidar_nuisance.py
+            chain = chain.insert(one, before={"particle_returns": "detection"}.get(one.after, "to_points"))
+        # What comes before the first effect of the catalogue is the same for all settings of it: kept.
+        names = [name for name in chain.stages if name != ToPoints.default_name]
+        own = [names.index(one.default_name) for one in effects if one.id in EFFECTS]
+        first = min(own, default=len(names))
+        before = tuple(
+            (name, str(chain.stages[name].config())) for name in names[:first] if name not in transform.chain.stages
+        )
+        key = (condition.id, log_knob, tuple(seeds), first, before)
+        kept = self._kept.get(key)
+        if kept is None:
+            # The scale of a frame is one of the reading: detection does not know of it.
+            range_m, intensity = scene.range_m[row], scene.intensity[row] / scene.gain[row, None]
+            points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
+            state = transform.state_of(points, self.direction)
+            state = replace(state, grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
+            kept = self._part(chain, condition, log_knob, state, seeds, 0, first)
+            if own:
+                self._keep(key, kept)
+        state = self._part(chain, condition, log_knob, kept, seeds, first, len(names))
+        last = chain.stages[ToPoints.default_name]
+        assert isinstance(last, ToPoints)
+        range_m, intensity = last.measurement(state, self._noise(chain, last.default_name, condition, state, seeds))
+        return range_m, intensity * scene.gain[row, None]
+
+    def _part(
+        self, chain: Chain, condition: Condition, log_knob: float, state: LidarState, seeds: list[int], *ends: int
+    ) -> LidarState:
+        """The state after some of the stages of a chain."""
+        part = Chain(dict(list(chain.stages.items())[slice(*ends)]))
+        noise = {
+            f"{name}.{variate}": drawn
+            for name in part.stages
+            for variate, drawn in self._noise(part, name, condition, state, seeds).items()
+        }
+        with _knob(part, condition, log_knob):
+            found: LidarState = part(state, noise)
+        return found
+
+    def _noise(
+        self, chain: Chain, name: str, condition: Condition, state: LidarState, seeds: list[int]
+    ) -> dict[str, Tensor]:
+        """Random numbers of a stage for the frames of some seeds, kept: they depend on its name alone."""
+        key = (condition.id, name, tuple(seeds))
+        drawn = self._drawn.get(key)
+        if drawn is None:
+            drawn = chain.stages[name].draw(state, seed=torch.tensor(seeds), name=name)
+            with self._lock:
+                while len(self._drawn) >= DRAWN:
+                    self._drawn.pop(next(iter(self._drawn)))
+                self._drawn[key] = drawn
+        return drawn
+
+    def _keep(self, key: object, state: LidarState) -> None:
+        with self._lock:
+            while len(self._kept) >= KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = state
+
+    def reduce(self, scene_id: str, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
+        """Sums of frames ``(F, N)`` of a scene; arguments as ``LidarSums``."""
+        return self._sums[scene_id](range_m, intensity, row, portions)
+
+
+def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
+    """Standard deviation of the logarithm of the scale of each scene's clear mean, from how frames of all differ."""
+    squares = sum(float(scene.log_scale.square().sum()) for scene in scenes.values())
+    degrees = sum(len(scene.log_scale) - 1 for scene in scenes.values())
+    if degrees < 1:
+        return dict.fromkeys(scenes, 0.0)
+    one_frame = squares / degrees * widened(degrees)
+    return {name: math.sqrt(one_frame / len(scene.log_scale)) for name, scene in scenes.items()}
+
+
+@contextmanager
+def _knob(chain: Chain, condition: Condition, log_knob: float) -> Iterator[None]:
+    """The weather's knob times ``exp(log_knob)`` in all stages of a chain, while the block lasts."""
+    weather = condition.weather
+    assert weather is not None
+    changed = []
+    for stage in chain.stages.values():
+        if isinstance(stage, (Extinction, ParticleReturns)):
+            for part in weather.parts:
+                buffers = stage.parts[part.kind]
+                changed.append((buffers, part.knob_name, getattr(buffers, part.knob_name)))
+    try:
+        for buffers, name, before in changed:
+            setattr(buffers, name, before * math.exp(log_knob))
+        yield
+    finally:
+        for buffers, name, before in changed:
+            setattr(buffers, name, before)
+
+
+def _row(values: Tensor | None) -> Tensor | None:
+    return None if values is None else values[None]

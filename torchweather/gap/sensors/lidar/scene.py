@@ -1,0 +1,232 @@
+"""What frames of a LiDAR scene are compared with: its clear frames, beam by beam, and the bins that beams are put into.
+
+A beam is *stable* where all clear frames see one surface, well above the threshold of detection, and *empty* where none
+sees anything; others are left out. A simulated frame starts from one clear frame and is compared with the others, a
+measured one with all but one too: both differ from what they are compared with by the noise of a frame of their own.
+
+References:
+    GAP.md 3 (1, 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchweather.gap.study.study import StudyScene
+from torchweather.lidar.stages import ToEnergy
+
+__all__ = ["CLUSTER_M", "FAINTEST", "SAME_SURFACE_M", "LidarScene", "has_neighbour", "lidar_scene"]
+
+RANGE_M = (0.0, 4.0, 8.0, 12.0, 17.0, 23.0, 30.0, 40.0, 55.0, 75.0, 110.0, 1000.0)
+MARGIN_DB = (-10.0, 0.7, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 60.0)
+AZIMUTH_SECTORS, ELEVATION_BINS, LEVEL_BINS = 16, 8, 5
+COS_INCIDENCE = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0001)
+UP = (-1.0001, -0.5, 0.5, 1.0001)
+ISOLATED = (0.0, 0.5, 1.5)
+# Nearer to the surface than this a return is the surface's: several times the range noise of a scanner.
+SAME_SURFACE_M = 0.35
+SPREAD_TIMES = 6.0
+CLUSTER_M = 0.5  # returns of one thing in neighbouring beams
+FAINTEST = 1e-6  # of intensities in logarithms
+# A beam nearer to the threshold than so many standard deviations of the noise of beams is chosen by that noise: seen in
+# all clear frames, it was lucky. (Beams at the threshold are about twice as noisy as the mean one.)
+FLICKER_SD = 6.0
+DB_PER_NEPER = 10.0 / math.log(10.0)  # of a power
+LEAST_NOISE_M = 2e-3  # a range that is written in millimetres
+
+
+@dataclass(frozen=True)
+class LidarScene:
+    """The clear frames of a scene and what each frame is compared with.
+
+    Args:
+        range_m, intensity: ``(K, N)`` clear frames.
+        reference_range_m, reference_intensity: ``(K + 1, N)`` mean over the clear frames other than k, the last row
+            over all; 0 where it is not defined.
+        stable, empty: ``(N,)`` which beams count as what.
+        tolerance_m: how near to the reference a return is the surface's.
+        noise_m: standard deviation of the range of the clear frames.
+        log_scale: ``(K,)`` logarithm of the intensities of each clear frame over the mean of all, averaged: what a
+            sensor's scale does from frame to frame.
+        gain: ``(K,)`` the scale that a frame is divided by; 1 where intensities are whole numbers.
+        reading_std: relative standard deviation of the intensity that does not depend on the signal.
+        variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.
+        bins: axis to the bin of each beam ``(K + 1, N)``, -1 for none, after the clear frames other than k: a frame
+            must not choose the bin that it is put into.
+        edges: axis to the edges of its bins.
+        cos_incidence, up: ``(N,)`` or None.
+    """
+
+    range_m: Tensor
+    intensity: Tensor
+    reference_range_m: Tensor
+    reference_intensity: Tensor
+    stable: Tensor
+    empty: Tensor
+    tolerance_m: float
+    noise_m: float
+    log_scale: Tensor
+    gain: Tensor
+    reading_std: float
+    variance_at_threshold: float
+    bins: dict[str, Tensor]
+    edges: dict[str, tuple[float, ...]]
+    cos_incidence: Tensor | None
+    up: Tensor | None
+
+
+def lidar_scene(
+    scene: StudyScene, direction: Tensor, grid: tuple[int, int], energy: ToEnergy, with_intensity: bool
+) -> LidarScene:
+    """A scene of a study, reduced to what frames are compared with.
+
+    Args:
+        scene: of the study.
+        direction: ``(N, 3)`` unit vectors of the beams.
+        grid: their rows and columns.
+        energy: of the sensor; tells how far above the threshold a beam is.
+        with_intensity: whether intensities mean anything.
+    """
+    frames = [scene.clear[number] for number in range(len(scene.clear))]
+    range_m, intensity = (
+        torch.stack([torch.from_numpy(np.asarray(frame[name], dtype=np.float32)).reshape(-1) for frame in frames])
+        for name in ("range_m", "intensity")
+    )
+    number = len(frames)
+    seen = (range_m > 0).double()
+    # Row k leaves frame k out, the last row takes all; of a single frame, itself.
+    keep = torch.ones(number + 1, number, dtype=torch.float64)
+    if number > 1:
+        keep[:number] -= torch.eye(number, dtype=torch.float64)
+    count, frames_of = keep @ seen, keep.sum(1, keepdim=True)
+    mean_range = (keep @ range_m.double()) / count.clamp_min(1.0)
+    mean_intensity = (keep @ (intensity.double() * seen)) / count.clamp_min(1.0)
+    far, near = range_m.amax(0), torch.where(range_m > 0, range_m, torch.inf).amin(0)
+    one_surface = torch.where(far > 0, far - near, 0.0) < 2.0 * SAME_SURFACE_M
+    # Of all frames: a beam that a single frame sees is not empty, nor is one stable that a single frame lacks.
+    stable = (keep @ seen == frames_of).all(0) & one_surface
+    empty = count[-1] == 0
+    usual = _spread(range_m.double() - mean_range[-1], (seen > 0) & one_surface)
+    geometry = {
+        name: torch.from_numpy(np.asarray(scene.geometry[name], dtype=np.float32)).reshape(-1)
+        for name in ("cos_incidence", "up")
+        if name in scene.geometry
+    }
+    with torch.no_grad():
+        signal = energy.signal_of_intensity(mean_intensity.float(), mean_range.float())
+    margin_db = 10.0 * torch.log10((signal / energy.beam.threshold).clamp_min(1e-6))
+    log_scale, gain = torch.zeros(number, dtype=torch.float64), torch.ones(number)
+    variance_at_threshold, reading_std = 0.0, 0.0
+    if with_intensity:
+        apart = intensity.double().clamp_min(FAINTEST).log() - mean_intensity[-1].clamp_min(FAINTEST).log()
+        noise_db = DB_PER_NEPER * _spread(apart, stable)
+        stable = stable & (margin_db[-1] > FLICKER_SD * noise_db)
+        if bool(stable.any()) and number > 1:
+            log_scale = apart[:, stable].mean(1)
+            if not bool((intensity == intensity.round()).all()):  # whole numbers would not stay whole
+                gain = log_scale.exp().float()
+            constant, variance_at_threshold = _variances(apart[:, stable] - log_scale[:, None], margin_db[-1, stable])
+            reading_std = math.sqrt(constant)
+    isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M)[0]
+    bins, edges = _bins(direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry)
+    return LidarScene(
+        range_m=range_m,
+        intensity=intensity,
+        reference_range_m=mean_range.float(),
+        reference_intensity=mean_intensity.float(),
+        stable=stable,
+        empty=empty,
+        tolerance_m=max(SAME_SURFACE_M, SPREAD_TIMES * min(usual, 0.2)),
+        noise_m=max(usual, LEAST_NOISE_M),
+        log_scale=log_scale,
+        gain=gain,
+        reading_std=reading_std,
+        variance_at_threshold=variance_at_threshold,
+        bins=bins,
+        edges=edges,
+        cos_incidence=geometry.get("cos_incidence"),
+        up=geometry.get("up"),
+    )
+
+
+def _spread(departure: Tensor, where: Tensor) -> float:
+    """Root mean square of departures from the mean of the frames ``(K, N)``, of the beams that count."""
+    counted = where.expand(departure.shape)
+    number = int(counted.sum())
+    share = (len(departure) - 1) / len(departure)  # the mean was taken from the frames themselves
+    if number == 0 or share == 0:
+        return 0.0
+    return float((torch.where(counted, departure, 0.0).square().sum() / (number * share)).sqrt())
+
+
+def _variances(apart: Tensor, margin_db: Tensor) -> tuple[float, float]:
+    """c and v, 0 or more, of a variance ``c + v / M`` of departures ``(K, S)`` of beams M times over the threshold."""
+    variance = apart.square().sum(0) / (len(apart) - 1)
+    weak = 10.0 ** (-0.1 * margin_db)
+    centred = weak - weak.mean()
+    growing = max(0.0, float((centred * variance).sum() / centred.square().sum().clamp_min(1e-12)))
+    return max(0.0, float(variance.mean() - growing * weak.mean())), growing
+
+
+def _bins(
+    direction: Tensor,
+    range_m: Tensor,
+    intensity: Tensor,
+    margin_db: Tensor,
+    isolated: Tensor,
+    stable: Tensor,
+    with_intensity: bool,
+    geometry: Mapping[str, Tensor],
+) -> tuple[dict[str, Tensor], dict[str, tuple[float, ...]]]:
+    """Bins of each beam along every axis that a beam has."""
+    azimuth = torch.atan2(direction[:, 1], direction[:, 0])
+    elevation = torch.asin(direction[:, 2].clamp(-1.0, 1.0))
+    low, high = float(elevation.min()), float(elevation.max())
+    axes: dict[str, tuple[Tensor, tuple[float, ...]]] = {
+        "range_m": (range_m, RANGE_M),
+        "azimuth_rad": (azimuth, _evenly(-math.pi, math.pi, AZIMUTH_SECTORS)),
+        "elevation_rad": (elevation, _evenly(low, high, ELEVATION_BINS)),
+        "isolated": (isolated.float(), ISOLATED),
+    }
+    if with_intensity:
+        level = intensity.clamp_min(FAINTEST).log()
+        shares = torch.linspace(0, 1, LEVEL_BINS + 1, dtype=torch.float64)[1:-1]
+        inner = torch.quantile(level[-1, stable], shares).tolist() if bool(stable.any()) else []
+        axes["log_intensity"] = (level, (-30.0, *inner, 30.0))
+        axes["margin_db"] = (margin_db, MARGIN_DB)
+    if "cos_incidence" in geometry:
+        axes["cos_incidence"] = (geometry["cos_incidence"].abs(), COS_INCIDENCE)
+    if "up" in geometry:
+        axes["up"] = (geometry["up"], UP)
+    bins, edges = {}, {}
+    for axis, (value, bounds) in axes.items():
+        place = torch.bucketize(value.double().contiguous(), torch.tensor(bounds, dtype=torch.float64), right=True) - 1
+        inside = (place >= 0) & (place < len(bounds) - 1)
+        bins[axis] = torch.where(inside, place, -1).expand(range_m.shape)
+        edges[axis] = tuple(bounds)
+    return bins, edges
+
+
+def _evenly(low: float, high: float, bins: int) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.linspace(low - 1e-6, high + 1e-6, bins + 1))
+
+
+def has_neighbour(range_m: Tensor, grid: tuple[int, int], within_m: float) -> Tensor:
+    """Whether a neighbour of a return ``(F, N)``, of eight around it, is a return of nearly its range."""
+    image = torch.where(range_m > 0, range_m, torch.nan).reshape(-1, *grid)  # nothing is near a NaN
+    found = torch.zeros_like(image, dtype=torch.bool)
+    if grid[1] > 1:
+        beside = (image - image.roll(1, -1)).abs() < within_m
+        found |= beside | beside.roll(-1, -1)
+    upper, lower = image[:, :-1], image[:, 1:]
+    for aside in (-1, 0, 1):
+        near = (lower - upper.roll(aside, -1)).abs() < within_m
+        found[:, 1:] |= near
+        found[:, :-1] |= near.roll(-aside, -1)
+    return found.reshape(range_m.shape)

@@ -1,0 +1,293 @@
+"""LiDAR frames to sums over bins: what became of each beam, counted along the axes of its scene.
+
+Against the mean of the clear frames a stable beam is *lost*, sees something *before* or *beyond* its surface, or sees
+the *same* surface, with another intensity (``ratio``, of logarithms) at another range (``apart``). Returns of empty
+beams and those before the surface are *particles*.
+
+References:
+    GAP.md 3 (1).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchweather.gap.sensors.lidar.scene import CLUSTER_M, FAINTEST, LidarScene, has_neighbour
+from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
+
+__all__ = ["LidarSums", "lidar_layout", "map_cells"]
+
+PARTICLE_RANGE_M = (0.0, 1.5, 2.5, 3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 1000.0)
+TICKS_PER_M = 2  # of which the edges are multiples
+MAP_SECTORS, MAP_RANGES_M = 64, (0.0, 3.0, 6.0, 10.0, 15.0, 22.0, 32.0, 50.0, 1000.0)
+# Weight, value and square of each statistic.
+SUMS = {
+    "lost_share": ("stable", "lost", "lost"),
+    "new_share": ("stable", "before", "before"),
+    "new_share_of_empty_beams": ("empty", "of_empty", "of_empty"),
+    "beyond_share": ("stable", "beyond", "beyond"),
+    "log_intensity_ratio": ("same", "ratio", "ratio2"),
+    "log_intensity_spread": ("same", "even", "even2"),
+    "range_residual_m": ("same", "apart", "apart2"),
+    "range_residual_spread": ("same", "wide", "wide2"),
+    "particles_before_objects": ("frame", "before", "before"),
+    "particles_of_empty_beams": ("frame", "of_empty", "of_empty"),
+    "clustered_share": ("particle", "clustered", "clustered"),
+    "log_particle_intensity": ("particle", "level", "level2"),
+    "log_particle_intensity_spread": ("particle", "level", "level2"),
+    "lost_share_of_thin_targets": ("stable", "lost", "lost"),
+}
+OF_SURFACES = ("lost", "before", "beyond", "ratio", "ratio2")
+OF_THE_SAME = ("apart", "apart2", "wide", "wide2", "even", "even2")
+OF_PARTICLES = ("frame", "before", "of_empty", "particle", "clustered", "level", "level2")
+SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
+STEADY_COUNT = 0.35  # of 0.5, the scatter of a stabilised count, below which frames are called alike
+STEADY_RATIO = 1e-3  # of a mean logarithm over thousands of beams
+MAPS = ("particles",)
+FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that simulated frames have from clear ones
+
+
+def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, beams: int) -> Layout:
+    """Which statistics along which of the axes that a scene has.
+
+    Args:
+        edges: of the bins of each axis.
+        with_intensity: whether intensities mean anything.
+        beams: that see a surface in a frame.
+    """
+    groups: list[Group] = []
+
+    def add(statistic: str, kind: str, axes: Sequence[str]) -> None:
+        groups.extend(Group(statistic, axis, kind, edges[axis]) for axis in axes if axis in edges)
+
+    everywhere = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "cos_incidence", "up")
+    add("lost_share", "share", everywhere)
+    add("new_share", "share", ("range_m", "azimuth_rad", "elevation_rad"))
+    add("new_share_of_empty_beams", "share", ("azimuth_rad", "elevation_rad"))
+    add("beyond_share", "share", ("range_m", "azimuth_rad"))
+    if with_intensity:
+        add("log_intensity_ratio", "mean", (*everywhere, "log_intensity"))
+        add("log_intensity_spread", "spread", ("range_m",))
+    add("range_residual_m", "mean", ("range_m", "margin_db"))
+    add("range_residual_spread", "mean", ("range_m", "margin_db"))
+    groups.append(Group("particles_before_objects", "particle_range_m", "count", PARTICLE_RANGE_M))
+    groups.append(Group("particles_of_empty_beams", "particle_range_m", "count", PARTICLE_RANGE_M))
+    groups.append(Group("clustered_share", "particle_range_m", "share", PARTICLE_RANGE_M))
+    if with_intensity:
+        groups.append(Group("log_particle_intensity", "particle_range_m", "mean", PARTICLE_RANGE_M))
+        groups.append(Group("log_particle_intensity_spread", "particle_range_m", "spread", PARTICLE_RANGE_M))
+    add("lost_share_of_thin_targets", "share", ("isolated",))
+    steady = (STEADY_COUNT / math.sqrt(max(beams, 1)), STEADY_COUNT, STEADY_RATIO, STEADY_COUNT)
+    return Layout(tuple(groups), SCALARS, steady, MAPS, FROM_CLEAR)
+
+
+def map_cells() -> list[tuple[float, float]]:
+    """Azimuth, rad, and range, m, of the middle of each cell of the map; the last ring counts as twice its start."""
+    rings = [0.5 * (near + min(far, 3.0 * near)) for near, far in itertools.pairwise(MAP_RANGES_M)]
+    rings[0] = 0.5 * MAP_RANGES_M[1]
+    sectors = [(place + 0.5) / MAP_SECTORS * 2.0 * math.pi - math.pi for place in range(MAP_SECTORS)]
+    return [(azimuth, ring) for azimuth in sectors for ring in rings]
+
+
+class _Beams:
+    """Some beams of a scene, summed over along some of its axes."""
+
+    def __init__(self, scene: LidarScene, which: Tensor, axes: Sequence[str]) -> None:
+        self.beam = which.nonzero()[:, 0]
+        self.place: dict[str, slice] = {}
+        self._bins = {axis: scene.bins[axis][:, self.beam] for axis in axes}  # (K + 1, S)
+        self._count = {axis: len(scene.edges[axis]) - 1 for axis in axes}
+        # One row where the bins are the same whatever a frame is compared with.
+        shared = all(bool((bins == bins[:1]).all()) for bins in self._bins.values())
+        start = 0
+        hot = []
+        for axis in axes:
+            bins, count = self._bins[axis][: 1 if shared else None], self._count[axis]
+            one = torch.zeros(*bins.shape, count + 1)
+            one.scatter_(2, bins.where(bins >= 0, count)[..., None], 1.0)
+            hot.append(one[..., :count])
+            self.place[axis] = slice(start, start + count)
+            start += count
+        self._hot = torch.cat(hot, 2)
+        self._number = self._hot.sum(1, dtype=torch.float64)
+
+    def number(self, row: Tensor) -> Tensor:
+        """Number of beams in each bin ``(F, bins)``."""
+        return self._number[row.clamp_max(len(self._number) - 1)]
+
+    def whole(self, values: Tensor, row: Tensor) -> Tensor:
+        """Sums ``(F, R, bins)`` of values ``(F, R, S)``; frames with the same bins in one product."""
+        row = row.clamp_max(len(self._hot) - 1)
+        found = torch.empty(*values.shape[:2], self._hot.shape[2], dtype=torch.float64)
+        for number in sorted(set(row.tolist())):
+            of_row = row == number
+            some = values if bool(of_row.all()) else values[of_row]
+            found[of_row] = (some.flatten(0, 1) @ self._hot[number]).double().reshape(*some.shape[:2], -1)
+        return found
+
+    def portioned(self, values: Tensor, row: Tensor, portion: Tensor, portions: int) -> Tensor:
+        """Sums ``(F * portions, R, bins)``, each over the beams of one portion ``(N,)``."""
+        own = portion[self.beam]
+        parts = []
+        for axis, bins in self._bins.items():
+            count = self._count[axis]
+            index = torch.where(bins[row] >= 0, own * count + bins[row], portions * count)[:, None].expand(values.shape)
+            sums = torch.zeros(*values.shape[:2], portions * count + 1, dtype=torch.float64)
+            sums.scatter_add_(2, index, values.double())
+            parts.append(sums[..., :-1].reshape(*sums.shape[:2], portions, count))
+        return torch.cat(parts, 3).transpose(1, 2).flatten(0, 1)
+
+
+class LidarSums:
+    """Reduces frames of one scene.
+
+    Args:
+        scene: with its clear frames.
+        layout: of the statistics.
+        grid: rows and columns of the scan.
+        azimuth: ``(N,)`` of the beams, rad.
+    """
+
+    def __init__(self, scene: LidarScene, layout: Layout, grid: tuple[int, int], azimuth: Tensor) -> None:
+        self.scene, self.layout = scene, layout
+        axes = {group.axis for group in layout.binned} - {"particle_range_m"}
+        # Bins along these come from the clear frames that a frame is compared with; the others do not move.
+        seen = axes & {"range_m", "margin_db", "log_intensity"}
+        self.surfaces, self.standing = (_Beams(scene, scene.stable, sorted(some)) for some in (seen, axes - seen))
+        self.nothing = _Beams(scene, scene.empty, ("azimuth_rad", "elevation_rad"))
+        self._reference, self._reference_intensity = (
+            values[:, self.surfaces.beam]
+            for values in (scene.reference_range_m, scene.reference_intensity.clamp_min(FAINTEST))
+        )
+        self.grid = grid
+        ticks = torch.arange(int(PARTICLE_RANGE_M[-2] * TICKS_PER_M) + 1) / TICKS_PER_M
+        self._bin, self._ring = (
+            torch.bucketize(ticks, torch.tensor(bounds[1:-1]), right=True)
+            for bounds in (PARTICLE_RANGE_M, MAP_RANGES_M)
+        )
+        sector = (azimuth + math.pi) / (2.0 * math.pi) * MAP_SECTORS
+        self._sector = sector.long().clamp(0, MAP_SECTORS - 1)
+        self._portion: dict[int, Tensor] = {}
+
+    def __call__(self, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
+        """Sums of frames ``(F, N)``.
+
+        Args:
+            range_m, intensity: ``(F, N)``; 0 where no return.
+            row: ``(F,)`` what each is compared with (``LidarScene``).
+            portions: into which the beams are divided at random, the same ones in each frame; the result then has
+                ``F * portions`` rows, one for each frame and portion, frame by frame.
+        """
+        compared, before = self._compared(range_m, intensity, row)
+        of_empty = range_m[:, self.nothing.beam] > 0
+        portion = self._portions(range_m.shape[1], portions)
+        particles, maps, near = self._particles(range_m, intensity, before, of_empty, portion, portions)
+        sums: dict[tuple[str, str], Tensor] = {}  # of a value along an axis, ``(F, bins)``
+        everywhere = compared[:, : len(OF_SURFACES)]
+        for beams, names, values in (
+            (self.surfaces, (*OF_SURFACES, *OF_THE_SAME), compared),
+            (self.standing, OF_SURFACES, everywhere),
+            (self.nothing, ("of_empty",), of_empty[:, None].float()),
+        ):
+            if portions == 1:
+                number, summed = beams.number(row), beams.whole(values, row)
+            else:
+                one = torch.ones(len(row), 1, len(beams.beam))
+                number = beams.portioned(one, row, portion, portions)[:, 0]
+                summed = beams.portioned(values, row, portion, portions)
+            for axis, place in beams.place.items():
+                sums |= {(name, axis): summed[:, line, place] for line, name in enumerate(names)}
+                sums["empty" if beams is self.nothing else "stable", axis] = number[:, place]
+        for name, values in zip(OF_PARTICLES, particles.unbind(1), strict=True):
+            sums[name, "particle_range_m"] = values
+        for axis in (*self.surfaces.place, *self.standing.place):
+            elsewhere = sums["lost", axis] + sums["before", axis] + sums["beyond", axis]
+            sums["same", axis] = sums["stable", axis] - elsewhere
+        weight, value, square = (
+            torch.cat([sums[SUMS[group.statistic][which], group.axis] for group in self.layout.binned], 1).numpy()
+            for which in range(3)
+        )
+        total = {name: sums[name, "azimuth_rad"].sum(1) for name in ("stable", "lost", "same", "ratio")}
+        scalar = torch.stack(
+            [
+                torch.asin(((total["lost"] + 0.375) / (total["stable"] + 0.75)).sqrt()),
+                (particles[:, OF_PARTICLES.index("particle")].sum(1) + 0.375).sqrt(),
+                total["ratio"] / total["same"].clamp_min(1.0),
+                (near + 0.375).sqrt(),
+            ],
+            1,
+        )
+        return Reduced(weight, value, square, scalar.numpy(), maps[:, None].numpy())
+
+    def _compared(self, range_m: Tensor, intensity: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        """What became of each stable beam ``(F, rows, S)``, and which of them see a particle ``(F, S)``."""
+        beam, tolerance_m = self.surfaces.beam, self.scene.tolerance_m
+        range_m = range_m[:, beam]
+        seen = range_m > 0
+        apart = range_m - self._reference[row]
+        before, beyond = seen & (apart <= -tolerance_m), seen & (apart >= tolerance_m)
+        same = seen & ~before & ~beyond
+        ratio = torch.log(intensity[:, beam].clamp_min(FAINTEST) / self._reference_intensity[row])
+        found = torch.empty(len(row), len(OF_SURFACES) + len(OF_THE_SAME), len(beam))
+        found[:, 0], found[:, 1], found[:, 2], weight = ~seen, before, beyond, same
+        torch.mul(ratio, weight, out=found[:, 3])
+        torch.mul(ratio, found[:, 3], out=found[:, 4])
+        torch.mul(apart, weight, out=found[:, 5])
+        torch.mul(apart, found[:, 5], out=found[:, 6])
+        # Spreads are about the frame's own mean: a clock and a scale move whole frames.
+        number = weight.sum(1, keepdim=True).clamp_min(1)
+        common_ratio, common_m = (found[:, which].sum(1, keepdim=True) / number for which in (3, 5))
+        # Grows with the spread, and hardly with what lies far out: flakes right before the surface.
+        torch.log1p(((apart - common_m) * weight / self.scene.noise_m).square(), out=found[:, 7])
+        torch.mul(found[:, 7], found[:, 7], out=found[:, 8])
+        torch.mul(ratio - common_ratio, weight, out=found[:, 9])
+        torch.mul(found[:, 9], found[:, 9], out=found[:, 10])
+        return found, before
+
+    def _particles(
+        self,
+        range_m: Tensor,
+        intensity: Tensor,
+        before: Tensor,
+        of_empty: Tensor,
+        portion: Tensor,
+        portions: int,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Sums of particles over range ``(F, rows, bins)``, their map ``(F, cells)``, number of near ones ``(F,)``."""
+        frame_1, place_1 = before.nonzero(as_tuple=True)
+        frame_2, place_2 = of_empty.nonzero(as_tuple=True)
+        frame = torch.cat([frame_1, frame_2])
+        beam = torch.cat([self.surfaces.beam[place_1], self.nothing.beam[place_2]])
+        flat = frame * range_m.shape[1] + beam
+        own = range_m.flatten()[flat]
+        clustered = has_neighbour(range_m, self.grid, CLUSTER_M).flatten()[flat]
+        level = intensity.flatten()[flat].clamp_min(FAINTEST).double().log()
+        slot = frame if portions == 1 else frame * portions + portion[beam]
+        slots, bins, rings = len(range_m) * portions, len(PARTICLE_RANGE_M) - 1, len(MAP_RANGES_M) - 1
+        tick = (own * TICKS_PER_M).long().clamp_max(len(self._bin) - 1)
+        cell = slot * bins + self._bin[tick]
+
+        def summed(values: Tensor | None, which: slice = slice(None)) -> Tensor:
+            """Sums ``(slots, bins)`` over some particles, or their number."""
+            weights = None if values is None else values[which].double()
+            return torch.bincount(cell[which], weights, slots * bins).double().reshape(slots, bins)
+
+        numbers = [summed(None, slice(0, len(frame_1))), summed(None, slice(len(frame_1), None))]
+        everywhere = torch.ones(slots, bins, dtype=torch.float64)
+        particles = [*numbers, numbers[0] + numbers[1], summed(clustered), summed(level), summed(level * level)]
+        sector = slot * MAP_SECTORS + self._sector[beam]
+        maps = torch.bincount(sector * rings + self._ring[tick], None, slots * MAP_SECTORS * rings).double()
+        maps = maps.reshape(slots, MAP_SECTORS, rings)
+        return torch.stack([everywhere, *particles], 1), maps.flatten(1), maps[..., 0].sum(1)
+
+    def _portions(self, beams: int, portions: int) -> Tensor:
+        """Portion of each beam ``(N,)``."""
+        if portions not in self._portion:
+            order = torch.randperm(beams, generator=torch.Generator().manual_seed(0))
+            self._portion[portions] = order * portions // beams
+        return self._portion[portions]

@@ -1,0 +1,1 @@
+"""Microwave links: records sorted by rain, and the statistics of their attenuation."""

@@ -1,0 +1,1 @@
+"""Radar frames: simulation, and statistics of targets, empty cells and further detections."""

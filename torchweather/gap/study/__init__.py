@@ -1,0 +1,1 @@
+"""Study: scenes and conditions, the folder that holds them, recorded and simulated frames."""

@@ -1,0 +1,83 @@
+"""Scenes and conditions, and the study that they make up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.sensor import Camera
+from torchweather.gap.study.frames import Frame, Frames
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
+
+__all__ = ["Condition", "StudyContent", "StudyScene"]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyScene:
+    """A place that the sensor looked at in clear air.
+
+    Args:
+        id: its name in the study.
+        clear: frames in clear air, each with its own sensor noise.
+        geometry: arrays that all frames of the scene share; empty where a LiDAR study has none.
+    """
+
+    id: str
+    clear: Frames
+    geometry: Frame
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """A scene in one weather.
+
+    Args:
+        id: its name in the study.
+        scene: name of its scene; empty for links.
+        weather: as recorded; ``None`` is clear air (links: the record is in the frames).
+        frames: as measured in this weather.
+        rel_sd: relative standard deviation of the recorded rate or visibility, 0 where none is stated.
+        time_s: ``(frames,)`` when each was taken, s; ``None`` is unknown.
+        split: ``fit`` or ``holdout``.
+        ego_speed_m_per_s: speed of the vehicle; ``None`` is unknown.
+        exposure_s: of the camera, where it is not the sensor's.
+        airlight: measured light of the fog or sky of a camera's condition: red, green, blue, linear, in units of
+            saturation; ``None`` is estimated from the clear frames.
+    """
+
+    id: str
+    scene: str
+    weather: Weather | None
+    frames: Frames
+    rel_sd: float
+    time_s: NDArray[Any] | None
+    split: str
+    ego_speed_m_per_s: float | None
+    exposure_s: float | None
+    airlight: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StudyContent:
+    """The content of a study. `Study` adds reading, checks and writing.
+
+    Args:
+        kind: ``lidar``, ``camera``, ``radar`` or ``link``.
+        sensor: that took the frames; ``None`` for links.
+        beams: LiDAR: ``direction (H, W, 3)``; else empty.
+        scenes: by name; empty for links.
+        conditions: each with a split, ``fit`` or ``holdout``.
+        links: links: ``length_km, frequency_ghz, polarisation, split``, ``(L,)`` each; else empty.
+    """
+
+    kind: str
+    sensor: Lidar | Camera | Radar | None
+    beams: Frame
+    scenes: Mapping[str, StudyScene]
+    conditions: tuple[Condition, ...]
+    links: Frame

@@ -1,0 +1,334 @@
+"""The folder of a study: ``study.yaml`` and ``.npz`` files, read without trust and written whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+import yaml
+
+from torchweather.camera.sensor import Camera
+from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.gap.study.conditions import Condition, StudyContent
+from torchweather.gap.study.content_hash import plain
+from torchweather.gap.study.frames import Frame, Frames, NpzFile
+from torchweather.gap.study.parts import CLEAR, KINDS, SENSORS, WEATHERS, refuse_unknown
+from torchweather.io import atomic_folder
+from torchweather.io.arrays import write_archive
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
+
+__all__ = ["FORMAT", "STUDY_FILE", "StudyValues", "read_values", "write_folder"]
+
+FORMAT = "torchweather-study/1"
+STUDY_FILE = "study.yaml"
+KEYS = ("format", "sensor", "scenes", "conditions", "links", "series")
+SENSOR_KEYS = ("kind", "preset", "overrides", "beams", "links")
+# A file of a hundred thousand frames has a tenth of these.
+MOST_BYTES = 64 * 2**20
+MOST_NODES = 10_000_000
+SERIES = "series"
+LINK_REL_SD = "rain_rel_sd"  # of a condition of links: relative standard deviation of the rain in its frames
+
+
+@dataclass(frozen=True)
+class StudyValues:
+    """What ``study.yaml`` says, with the sensor built and each file found.
+
+    Args:
+        owner: path of ``study.yaml``, for messages.
+        kind: of the sensor.
+        sensor: ``None`` for links.
+        beams, links: files.
+        scenes, conditions: as ``Study.from_arrays`` takes them, with files for frames.
+    """
+
+    owner: str
+    kind: str
+    sensor: Lidar | Camera | Radar | None
+    beams: NpzFile | None
+    links: NpzFile | None
+    scenes: list[dict[str, Any]]
+    conditions: list[dict[str, Any]]
+
+
+# ---- reading ---------------------------------------------------------------------------------------------------------
+
+
+def read_values(folder: Path) -> StudyValues:
+    """What the folder's ``study.yaml`` says; every path lies inside the folder and is a file."""
+    path = folder / STUDY_FILE
+    owner, values = str(path), _yaml(path)
+    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
+        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
+        raise TorchweatherError(f"{owner}: format must be {FORMAT!r}; got {got!r}.")
+    refuse_unknown(values, KEYS, "", owner)
+    sensor = values.get("sensor")
+    if not isinstance(sensor, Mapping):
+        raise TorchweatherError(f"{owner}: sensor must have keys {', '.join(SENSOR_KEYS)}; got {sensor!r}.")
+    refuse_unknown(sensor, SENSOR_KEYS, "sensor", owner)
+    kind = sensor.get("kind")
+    if kind not in KINDS:
+        raise TorchweatherError(
+            f"{owner}: sensor.kind must be one of {', '.join(KINDS)}; got {kind!r}.{nearest_name(kind, KINDS)}"
+        )
+    files = _Files(folder, owner)
+    links = {"sensor.links": sensor.get("links"), "links": values.get("links")}
+    given = {key: value for key, value in links.items() if value is not None}
+    if len(given) > 1:
+        raise TorchweatherError(f"{owner}: links stands twice, in sensor and by itself; name it once.")
+    return StudyValues(
+        owner=owner,
+        kind=str(kind),
+        sensor=_sensor(sensor, str(kind), owner),
+        beams=None if sensor.get("beams") is None else files.one(sensor["beams"], "sensor.beams"),
+        links=next((files.one(value, key) for key, value in given.items()), None),
+        scenes=[
+            {
+                **row,
+                "clear": files.several(row.get("clear"), f"scenes[{place}].clear"),
+                "geometry": None
+                if row.get("geometry") is None
+                else files.one(row["geometry"], f"scenes[{place}].geometry"),
+            }
+            for place, row in enumerate(_rows(values.get("scenes", []), "scenes", owner))
+        ],
+        conditions=_conditions(values, str(kind), files, owner),
+    )
+
+
+def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str) -> list[dict[str, Any]]:
+    rows = _rows(values.get("conditions", []), "conditions", owner)
+    for place, row in enumerate(rows):
+        if "rel_sd" in row:
+            known = [LINK_REL_SD] if kind == "link" else sorted({spread for _, spread in WEATHERS.values()})
+            raise TorchweatherError(
+                f"{owner}: unknown key 'conditions[{place}].rel_sd'; in a file it is {' or '.join(known)}"
+                f"{'' if kind == 'link' else ' of weather'}."
+            )
+    built = [
+        # A key without a value counts as absent.
+        {
+            **{
+                "rel_sd" if (kind, key) == ("link", LINK_REL_SD) else key: value
+                for key, value in row.items()
+                if value is not None
+            },
+            "frames": files.several(row.get("frames"), f"conditions[{place}].frames"),
+        }
+        for place, row in enumerate(rows)
+    ]
+    if values.get(SERIES) is None:
+        return built
+    if kind != "link" or built:
+        raise TorchweatherError(
+            f"{owner}: series is the one condition of a study of links; this one is {kind} with {len(built)} "
+            "conditions. Name the file in conditions."
+        )
+    return [{"id": SERIES, "frames": [files.one(values[SERIES], SERIES)]}]
+
+
+def _rows(values: Any, what: str, owner: str) -> list[Mapping[str, Any]]:
+    if not isinstance(values, list) or not all(isinstance(row, Mapping) for row in values):
+        raise TorchweatherError(f"{owner}: {what} must be a list of entries with keys; got {type(values).__name__}.")
+    return values
+
+
+@dataclass(frozen=True)
+class _Files:
+    """The files of a folder, by the paths of its ``study.yaml``."""
+
+    folder: Path
+    owner: str
+
+    def one(self, text: Any, key: str) -> NpzFile:
+        """A file that lies inside the folder, links followed."""
+        if not isinstance(text, str) or not text:
+            raise TorchweatherError(f"{self.owner}: {key} must be the path of a .npz file; got {text!r}.")
+        windows = PureWindowsPath(text)
+        if Path(text).is_absolute() or windows.drive or windows.root:
+            raise TorchweatherError(
+                f"{self.owner}: {key} must be a path relative to the study's folder; got the absolute {text!r}."
+            )
+        try:
+            found = (self.folder / text).resolve()
+            inside = found.is_relative_to(self.folder.resolve())
+            there = inside and found.is_file()
+        except (OSError, ValueError, RuntimeError) as error:  # loops of links, names that no file can have
+            raise TorchweatherError(f"{self.owner}: {key}: {text!r} cannot be a file ({error}).") from error
+        if not inside:
+            raise TorchweatherError(
+                f"{self.owner}: {key} must stay inside the study's folder; {text!r} leads out of it. Copy the file in."
+            )
+        if not there:
+            raise TorchweatherError(f"{self.owner}: {key}: {self.folder / text}: no such file.")
+        return NpzFile(found)
+
+    def several(self, texts: Any, key: str) -> list[NpzFile]:
+        """Files of a list."""
+        if not isinstance(texts, list):
+            raise TorchweatherError(f"{self.owner}: {key} must be a list of .npz files; got {texts!r}.")
+        return [self.one(text, f"{key}[{place}]") for place, text in enumerate(texts)]
+
+
+def _sensor(values: Mapping[str, Any], kind: str, owner: str) -> Lidar | Camera | Radar | None:
+    preset, overrides = values.get("preset"), values.get("overrides") or {}
+    if kind == "link":
+        refuse_unknown(values, ("kind", "links"), "sensor", owner)
+        return None
+    sensor = SENSORS[kind]
+    if not isinstance(overrides, Mapping):
+        raise TorchweatherError(f"{owner}: sensor.overrides must be fields with values; got {overrides!r}.")
+    known = [field.name for field in fields(sensor) if field.name != "directions"]
+    refuse_unknown(overrides, known, "sensor.overrides", owner)
+    try:
+        if preset is None:
+            return sensor.from_dict(overrides)
+        check_one_of("preset", preset, sensor.presets(), owner=sensor)
+        return sensor.preset(str(preset), **overrides)
+    except (TypeError, ValueError) as error:
+        raise TorchweatherError(f"{owner}: sensor: {error}") from error
+
+
+def _yaml(path: Path) -> Any:
+    """Plain values of a file: no objects, no key twice, no more than a study can need."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise TorchweatherError(f"{path}: wanted at most {MOST_BYTES} bytes of YAML; it has {path.stat().st_size}.")
+        loader = yaml.SafeLoader(path.read_text(encoding="utf-8"))
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                return None
+            _check_nodes(node, path)
+            return loader.construct_document(node)
+        finally:
+            loader.dispose()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise TorchweatherError(f"{path}: no such file. Wanted the folder of a study, with {STUDY_FILE}.") from error
+    except (OSError, UnicodeDecodeError, ValueError, TypeError, RecursionError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise TorchweatherError(f"{path}: wanted a study in YAML; it cannot be read ({reason}).") from error
+
+
+def _check_nodes(root: yaml.Node, path: Path) -> None:
+    """Refuse keys that stand twice, and aliases that would unfold into millions of values or into themselves."""
+    sizes: dict[int, int] = {}
+    open_nodes: set[int] = set()
+
+    def size(node: yaml.Node) -> int:
+        if id(node) in sizes:
+            return sizes[id(node)]
+        if id(node) in open_nodes:
+            raise TorchweatherError(f"{path}: an alias holds itself (line {node.start_mark.line + 1}).")
+        open_nodes.add(id(node))
+        total = 1
+        if isinstance(node, yaml.SequenceNode):
+            total += sum(size(item) for item in node.value)
+        elif isinstance(node, yaml.MappingNode):
+            names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            for key, value in node.value:
+                if isinstance(key, yaml.ScalarNode) and names.count(key.value) > 1:
+                    raise TorchweatherError(
+                        f"{path}: the key {key.value!r} stands twice (line {key.start_mark.line + 1})."
+                    )
+                total += size(key) + size(value)
+        open_nodes.discard(id(node))
+        if total > MOST_NODES:
+            raise TorchweatherError(f"{path}: wanted at most {MOST_NODES} values; its aliases unfold into more.")
+        sizes[id(node)] = total
+        return total
+
+    size(root)
+
+
+# ---- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write_folder(study: StudyContent, folder: Path) -> None:
+    """Write ``study.yaml`` and one ``.npz`` file per frame; nothing is left where it fails."""
+    if folder.is_dir() and any(folder.iterdir()):
+        raise TorchweatherError(f"{folder}: wanted a new or an empty folder; it holds files. Choose another one.")
+    with atomic_folder(folder) as unfinished:
+        (unfinished / "frames").mkdir()
+        write = _Writer(unfinished)
+        sensor: dict[str, Any] = {"kind": study.kind}
+        if study.sensor is not None:
+            sensor |= _preset_and_overrides(study.sensor)
+        if study.beams:
+            sensor["beams"] = write.one(study.beams, "beams.npz")
+        if study.links:
+            sensor["links"] = write.one(study.links, "links.npz")
+        values: dict[str, Any] = {"format": FORMAT, "sensor": sensor}
+        if study.scenes:
+            values["scenes"] = [
+                {
+                    "id": scene.id,
+                    "clear": write.several(scene.clear, f"scene-{place:02d}"),
+                    **(
+                        {"geometry": write.one(scene.geometry, f"frames/scene-{place:02d}-geometry.npz")}
+                        if scene.geometry
+                        else {}
+                    ),
+                }
+                for place, scene in enumerate(study.scenes.values())
+            ]
+        values["conditions"] = [
+            _condition_values(one, write.several(one.frames, f"condition-{place:02d}"))
+            for place, one in enumerate(study.conditions)
+        ]
+        text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=120)
+        (unfinished / STUDY_FILE).write_text(text, encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class _Writer:
+    """Writes frames into a folder and gives their paths."""
+
+    folder: Path
+
+    def one(self, frame: Frame, name: str) -> str:
+        write_archive(self.folder / name, frame, compressed=True)
+        return name
+
+    def several(self, frames: Frames, stem: str) -> list[str]:
+        return [self.one(frame, f"frames/{stem}-{place:03d}.npz") for place, frame in enumerate(frames)]
+
+
+def _condition_values(one: Condition, frames: Sequence[str]) -> dict[str, Any]:
+    values: dict[str, Any] = {"id": one.id}
+    if one.scene:
+        values["scene"] = one.scene
+    if one.weather is not None:
+        values["weather"] = plain(one.weather.to_dict())
+        if one.rel_sd:
+            values["weather"][WEATHERS[one.weather.kind][1]] = one.rel_sd
+    elif one.scene:
+        values["weather"] = {"kind": CLEAR}
+    elif one.rel_sd:
+        values[LINK_REL_SD] = one.rel_sd
+    values["frames"] = list(frames)
+    if one.time_s is not None:
+        values["time_s"] = one.time_s.tolist()
+    values["split"] = one.split
+    for name in ("ego_speed_m_per_s", "exposure_s"):
+        if getattr(one, name) is not None:
+            values[name] = getattr(one, name)
+    if one.airlight is not None:
+        values["airlight"] = list(one.airlight)
+    return values
+
+
+def _preset_and_overrides(sensor: Lidar | Camera | Radar) -> dict[str, Any]:
+    """The preset with the fewest other fields, and those fields."""
+    mine = plain({key: value for key, value in sensor.to_dict().items() if key != "directions"})
+    choices = []
+    for name in sensor.presets():
+        preset = plain(sensor.preset(name).to_dict())
+        choices.append((name, {key: value for key, value in mine.items() if value != preset[key]}))
+    name, overrides = min(choices, key=lambda choice: len(choice[1]))
+    if type(sensor).preset(name, **overrides) != sensor:  # fields that follow from others, such as a camera's centre
+        overrides = mine
+    return {"preset": name, "overrides": overrides}

@@ -1,0 +1,343 @@
+"""The parts of a study out of plain values, each checked; the same for values of a file and of a call."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import numbers
+import reprlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weather, weather_from_dict
+from torchweather.camera.airlight import airlight_argument
+from torchweather.camera.sensor import Camera
+from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.gap.study.checks import ARRAYS, FrameRule
+from torchweather.gap.study.conditions import Condition, StudyScene
+from torchweather.gap.study.frames import Frame, Frames, FrameSource, load
+from torchweather.gap.study.splits import SPLITS, resolve_splits
+from torchweather.lidar.intensity import FULL_SCALE
+from torchweather.lidar.sensor import Lidar
+from torchweather.radar.sensor import Radar
+
+__all__ = ["KINDS", "Parts", "SENSORS", "build_parts", "refuse_unknown"]
+
+KINDS = ("lidar", "camera", "radar", "link")
+SENSORS: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"lidar": Lidar, "camera": Camera, "radar": Radar}
+# What a weather's knob is called, and the relative standard deviation of its record.
+WEATHERS: dict[str, tuple[str, str]] = {
+    Rain.kind: (Rain.knob_name, "rate_rel_sd"),
+    Snow.kind: (Snow.knob_name, "rate_rel_sd"),
+    Fog.kind: (Fog.knob_name, "mor_rel_sd"),
+}
+CLEAR = "clear"
+SCENE_KEYS = ("id", "clear", "geometry")
+CONDITION_KEYS = (
+    *("id", "scene", "weather", "rel_sd", "frames", "time_s", "split"),
+    *("ego_speed_m_per_s", "exposure_s", "airlight"),
+)
+# Guards against another unit. A record that is off by its own value says nothing; 10 % is 0.1.
+MOST_REL_SD = 1.0
+FASTEST_M_PER_S = 150.0  # 540 km/h
+LONGEST_EXPOSURE_S = 10.0
+
+Values = Mapping[str, Any]
+
+
+class Parts(NamedTuple):
+    """What a study is made of."""
+
+    beams: Frame
+    scenes: dict[str, StudyScene]
+    conditions: tuple[Condition, ...]
+    links: Frame
+
+
+def build_parts(
+    kind: str,
+    sensor: Camera | Lidar | Radar | None,
+    *,
+    beams: FrameSource | None,
+    scenes: Any,
+    conditions: Any,
+    links: FrameSource | None,
+    owner: str,
+) -> Parts:
+    """Build scenes and conditions and check them; ``owner`` (a file or a function) stands in front of each message."""
+    frame_rule, held_beams, held_links = FrameRule(kind, "frame"), {}, {}
+    if kind == "lidar":
+        assert isinstance(sensor, Lidar)
+        if beams is None:
+            raise TorchweatherError(
+                f"{owner}: beams is missing: a LiDAR study needs direction (H, W, 3), unit vectors."
+            )
+        held_beams = dict(load(beams, f"{owner}: beams", FrameRule(kind, "beams")))
+        height, width, _ = held_beams["direction"].shape
+        full_scale = FULL_SCALE[sensor.intensity_unit]
+        frame_rule = FrameRule(kind, "frame", {"H": height, "W": width}, "the beams", full_scale)
+    elif kind == "camera":
+        assert isinstance(sensor, Camera)
+        if sensor.height % 2 or sensor.width % 2:
+            raise TorchweatherError(
+                f"{owner}: sensor: height and width of a Bayer mosaic must be even, px; got {sensor.height} x "
+                f"{sensor.width}. Crop the frames, and the camera with camera.cropped(top, left, height, width)."
+            )
+        frame_rule = FrameRule(kind, "frame", {"H": sensor.height, "W": sensor.width}, "the sensor (height, width)")
+    elif kind == "link":
+        if links is None:
+            raise TorchweatherError(
+                f"{owner}: links is missing: a study of links needs length_km, frequency_ghz, polarisation, split (L,)."
+            )
+        held_links = dict(load(links, f"{owner}: links", FrameRule(kind, "links")))
+        frame_rule = FrameRule(kind, "frame", {"L": len(held_links["length_km"])}, "the links")
+    for name, given, belongs in (("beams", beams, "lidar"), ("links", links, "link")):
+        if given is not None and kind != belongs:
+            raise TorchweatherError(f"{owner}: {name} belongs to a study of kind {belongs}; this one is {kind}.")
+    built = _scenes(scenes, kind, frame_rule, owner)
+    return Parts(held_beams, built, _conditions(conditions, kind, built, frame_rule, owner), held_links)
+
+
+# ---- scenes and conditions -------------------------------------------------------------------------------------------
+
+
+def _scenes(values: Any, kind: str, frame_rule: FrameRule, owner: str) -> dict[str, StudyScene]:
+    rows = _rows(values, "scenes", SCENE_KEYS, owner)
+    if kind == "link":
+        if rows:
+            raise TorchweatherError(f"{owner}: scenes: links have no clear frames (dry samples are the clear set).")
+        return {}
+    if not rows:
+        raise TorchweatherError(f"{owner}: scenes must hold at least one scene with clear frames; got none.")
+    built: dict[str, StudyScene] = {}
+    for key, row in rows.items():
+        name = _name(row, key, built, owner)
+        needed = kind in ("camera", "radar")
+        given = row.get("geometry")
+        if given is None and needed:
+            raise TorchweatherError(
+                f"{owner}: {key}.geometry is missing: a {kind} study needs {', '.join(_needed(kind))} of each scene."
+            )
+        geometry: Frame = {}
+        if given is not None:
+            rule = FrameRule(kind, "geometry", frame_rule.sizes, frame_rule.sizes_from)
+            geometry = load(given, f"{owner}: {key}.geometry", rule)
+        built[name] = StudyScene(
+            id=name,
+            clear=_frames(row, "clear", key, _frame_rule(kind, frame_rule, name, geometry), owner),
+            geometry=geometry,
+        )
+    return built
+
+
+def _conditions(
+    values: Any, kind: str, scenes: Mapping[str, StudyScene], frame_rule: FrameRule, owner: str
+) -> tuple[Condition, ...]:
+    rows = _rows(values, "conditions", CONDITION_KEYS, owner)
+    if not rows:
+        raise TorchweatherError(f"{owner}: conditions must hold at least one condition with frames; got none.")
+    built: dict[str, Condition] = {}
+    for key, row in rows.items():
+        name = _name(row, key, built, owner)
+        rule = frame_rule
+        if kind != "link":
+            scene = row.get("scene")
+            if scene not in list(scenes):
+                raise TorchweatherError(
+                    f"{owner}: {key}.scene must be one of {', '.join(scenes)}; got {_shown(scene)}."
+                    f"{nearest_name(scene, scenes)}"
+                )
+            rule = _frame_rule(kind, frame_rule, str(scene), scenes[str(scene)].geometry)
+        weather, rel_sd = _weather(row, kind, key, owner)
+        frames = _frames(row, "frames", key, rule, owner)
+        split = row.get("split")
+        if split not in (*SPLITS, None):
+            raise TorchweatherError(
+                f"{owner}: {key}.split must be fit or holdout; got {_shown(split)}.{nearest_name(split, SPLITS)} Leave "
+                "it out to have the conditions split."
+            )
+        built[name] = Condition(
+            id=name,
+            scene="" if kind == "link" else str(row["scene"]),
+            weather=weather,
+            frames=frames,
+            rel_sd=rel_sd,
+            time_s=_times(row.get("time_s"), len(frames), f"{owner}: {key}.time_s"),
+            split=split or "",
+            ego_speed_m_per_s=_optional(row, "ego_speed_m_per_s", key, FASTEST_M_PER_S, "m/s", owner),
+            exposure_s=_optional(row, "exposure_s", key, LONGEST_EXPOSURE_S, "s", owner),
+            airlight=_airlight(row, kind, key, owner),
+        )
+    return resolve_splits(tuple(built.values()))
+
+
+def _airlight(row: Values, kind: str, key: str, owner: str) -> tuple[float, float, float] | None:
+    """The measured airlight of a camera's condition, red, green, blue."""
+    given = row.get("airlight")
+    if given is None:
+        return None
+    if kind != "camera":
+        raise TorchweatherError(f"{owner}: {key}.airlight belongs to a camera; the study is of a {kind}. Leave it out.")
+    try:
+        found = airlight_argument(given, f"{key}")
+    except (TypeError, ValueError) as error:
+        raise TorchweatherError(f"{owner}: {key}.airlight: {error}") from error
+    if isinstance(found, str):
+        raise TorchweatherError(
+            f"{owner}: {key}.airlight must be a number or (red, green, blue) in 0..1, linear, as measured; got "
+            f"{found!r}."
+        )
+    return found
+
+
+def _needed(kind: str) -> list[str]:
+    return [name for name, rule in ARRAYS[kind, "geometry"].items() if rule.required]
+
+
+def _frame_rule(kind: str, rule: FrameRule, scene: str, geometry: Frame) -> FrameRule:
+    """The rule of a scene's frames: a radar has as many targets as the scene's geometry says."""
+    if kind != "radar":
+        return rule
+    return FrameRule(kind, "frame", {"N": len(geometry["range_m"])}, f"the geometry of scene {scene}")
+
+
+def _frames(row: Values, what: str, key: str, rule: FrameRule, owner: str) -> Frames:
+    given = row.get(what)
+    if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, (Sequence, Iterable)):
+        raise TorchweatherError(f"{owner}: {key}.{what} must be a list of frames; got {_shown(given)}.")
+    frames = Frames(given, rule, f"{owner}: {key}.{what}")
+    if not len(frames):
+        raise TorchweatherError(f"{owner}: {key}.{what} must hold at least one frame; got none.")
+    return frames
+
+
+def _rows(values: Any, what: str, keys: Sequence[str], owner: str) -> dict[str, Values]:
+    """Entries of a list by the name under which messages know them."""
+    if not isinstance(values, (list, tuple)):
+        raise TorchweatherError(f"{owner}: {what} must be a list of entries with keys; got {_shown(values)}.")
+    rows = {}
+    for place, row in enumerate(values):
+        if not isinstance(row, Mapping):
+            raise TorchweatherError(f"{owner}: {what}[{place}] must have keys {', '.join(keys)}; got {_shown(row)}.")
+        refuse_unknown(row, keys, f"{what}[{place}]", owner)
+        rows[f"{what}[{place}]"] = row
+    return rows
+
+
+def _name(row: Values, key: str, known: Mapping[str, Any], owner: str) -> str:
+    name = row.get("id")
+    if not isinstance(name, str) or not name:
+        raise TorchweatherError(
+            f"{owner}: {key}.id must be text, such as 's0' (numbers in quotes); got {_shown(name)}."
+        )
+    if name in known:
+        raise TorchweatherError(f"{owner}: {key}.id must differ from the others; {name!r} stands twice.")
+    return name
+
+
+# ---- values ----------------------------------------------------------------------------------------------------------
+
+
+def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | None, float]:
+    """The weather of a condition and the relative standard deviation of its record."""
+    given, where = row.get("weather"), f"{key}.weather"
+    rel_sd = _number(row.get("rel_sd", 0.0), f"{owner}: {key}.rel_sd", 0.0, MOST_REL_SD, "")
+    if given == CLEAR or (given is None and (kind == "link" or "weather" in row)):
+        return None, rel_sd if kind == "link" else 0.0
+    if isinstance(given, Mapping):
+        given = dict(given)
+        name = given.get("kind")
+        if name == CLEAR:
+            refuse_unknown(given, ("kind",), where, owner)
+            return None, 0.0
+        _check_kind(name, where, owner)
+        knob, spread = WEATHERS[str(name)]
+        if knob not in given:
+            raise TorchweatherError(
+                f"{owner}: {where}.{knob} is missing: {name} needs it.{nearest_name(knob, map(str, given))}"
+            )
+        _number(given[knob], f"{owner}: {where}.{knob}", 0.0, math.inf, "")
+        rel_sd = _number(given.pop(spread, rel_sd), f"{owner}: {where}.{spread}", 0.0, MOST_REL_SD, "")
+    if given is None:
+        raise TorchweatherError(
+            f"{owner}: {where} is missing: wanted kind rain, fog or snow with its rate_mm_per_h or mor_m, or clear."
+        )
+    try:
+        if isinstance(given, Mapping):
+            weather = weather_from_dict(given)
+        else:
+            weather = parse_weather(given) if isinstance(given, str) else given
+    except (TypeError, ValueError, KeyError) as error:
+        raise TorchweatherError(f"{owner}: {where}: {error}") from error
+    if not isinstance(weather, Weather):
+        raise TorchweatherError(
+            f"{owner}: {where} must be a weather such as Rain(25.0), 'rain:rate=25' or 'clear'; got {_shown(weather)}."
+        )
+    _check_kind(weather.kind, where, owner)
+    if isinstance(weather.knob, Tensor):
+        raise TorchweatherError(f"{owner}: {where}: {weather.knob_name} must be one number; got a tensor.")
+    return weather, rel_sd
+
+
+def _check_kind(name: Any, where: str, owner: str) -> None:
+    kinds = (*WEATHERS, CLEAR)
+    if name not in kinds:
+        raise TorchweatherError(
+            f"{owner}: {where}.kind must be one of {', '.join(kinds)}; got {_shown(name)}.{nearest_name(name, kinds)}"
+        )
+
+
+def _times(values: Any, frames: int, name: str) -> np.ndarray[Any, np.dtype[np.float64]] | None:
+    if values is None:
+        return None
+    if isinstance(values, (str, Mapping)) or not hasattr(values, "__len__"):
+        raise TorchweatherError(f"{name} must be a list of seconds, one for each frame; got {_shown(values)}.")
+    if len(values) != frames:
+        raise TorchweatherError(
+            f"{name} must have one value in seconds for each of the {frames} frames; got {len(values)}."
+        )
+    found = [_number(value, f"{name}[{k}]", -math.inf, math.inf, "s") for k, value in enumerate(values)]
+    for place, (before, after) in enumerate(itertools.pairwise(found), 1):
+        if after < before:
+            raise TorchweatherError(
+                f"{name} must not fall from frame to frame, s; got {after:g} at {place} after {before:g}. Sort the "
+                "frames by time."
+            )
+    return np.array(found, dtype=np.float64)
+
+
+def _optional(row: Values, what: str, key: str, most: float, unit: str, owner: str) -> float | None:
+    value = row.get(what)
+    if value is None:
+        return None
+    return _number(value, f"{owner}: {key}.{what}", 0.0, most, unit)
+
+
+def _number(value: Any, name: str, low: float, high: float, unit: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        advice = ""
+        if isinstance(value, str):
+            advice = " It is text: YAML wants 1.0e-3 for 1e-3, .inf for infinity, and no unit."
+        raise TorchweatherError(f"{name} must be a number{' in ' + unit if unit else ''}; got {_shown(value)}.{advice}")
+    found = float(value)
+    infinite = math.isinf(found) and name.endswith(Fog.knob_name)  # infinite visibility: no fog
+    if not low <= found <= high or (math.isinf(found) and not infinite):
+        raise TorchweatherError(f"{name} must lie in {low:g}..{high:g}{' ' + unit if unit else ''}; got {found:g}.")
+    return found
+
+
+def refuse_unknown(values: Values, known: Sequence[str], key: str, owner: str) -> None:
+    """Raise for a key that is none of the known ones, with the nearest of them."""
+    for name in values:
+        if name not in known:
+            at = f"{key}.{name}" if key else str(name)
+            raise TorchweatherError(
+                f"{owner}: unknown key {at!r}; known are {', '.join(known)}.{nearest_name(name, known)}"
+            )
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else reprlib.repr(value)
