@@ -16,25 +16,20 @@ import argparse
 import json
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
 import torch
 from parts import car_detector, lidar_segmenter
-from parts.car_detector import Batch, Frame, picture
-from parts.lidar_segmenter import NONE, SENSOR, WEATHER, Cloud
-from torch import Tensor
-from torch.utils.data import DataLoader, RandomSampler
+from parts.car_detector import picture
+from parts.lidar_segmenter import SENSOR
+from parts.shared import command_line
+from parts.training_data import camera_batches, camera_samples, cloud_samples, lidar_batches, loader_of, relabelled
+from parts.training_results import draw, table
 
 import torchweather as tw
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
-BATCH = 4
 # What is trained on; a third stays clear.
 TRAINED_ON = tw.Choice(
     [
@@ -57,23 +52,6 @@ TESTS: list[tuple[str, tw.Rain | tw.Fog | tw.Snow | tw.Mixture | None, bool]] = 
     ("snow 6 mm/h", tw.Snow(6.0), False),
     ("rain 25 mm/h in fog 80 m", tw.Mixture(tw.Rain(25.0), tw.Fog(mor_m=80.0)), False),
 ]
-
-
-# ---- camera ----------------------------------------------------------------------------------------------------------
-
-
-def camera_samples(frames: list[Frame]) -> list[dict[str, Any]]:
-    parts = [car_detector.targets(each) for each in frames]
-    return [
-        {"image": each.bayer, "depth": each.depth_m, "targets": part} for each, part in zip(frames, parts, strict=True)
-    ]
-
-
-def camera_batches(loader: DataLoader[Any], camera: tw.Camera) -> Iterator[Batch]:
-    for samples in loader:
-        seen = torch.stack([picture(sample["image"], camera) for sample in samples])
-        positive, counts, edges = (torch.stack([sample["targets"][k] for sample in samples]) for k in range(3))
-        yield seen, positive, counts, edges
 
 
 def camera_study(arguments: argparse.Namespace) -> Callable[[bool, int], list[float]]:
@@ -104,30 +82,9 @@ def camera_study(arguments: argparse.Namespace) -> Callable[[bool, int], list[fl
     return run
 
 
-# ---- LiDAR -----------------------------------------------------------------------------------------------------------
-
-
-def cloud_samples(clouds: list[Cloud]) -> list[dict[str, Any]]:
-    return [{"points": each.points, "beams": each.directions, "classes": each.classes} for each in clouds]
-
-
-def relabelled(sample: dict[str, Any], results: dict[str, Any]) -> dict[str, Any]:
-    """Classes after the weather: its own points are weather, lost ones are of no class."""
-    if not results:
-        return sample
-    kind = results["points"].kind
-    classes = torch.where(kind == tw.PointKind.PARTICLE, WEATHER, sample["classes"])
-    return {**sample, "classes": torch.where(kind == tw.PointKind.LOST, NONE, classes)}
-
-
 def in_weather_of(weather: Any, p: float = 1.0) -> tw.Compose:
     lidar = tw.LidarWeather(tw.Rain(10.0), SENSOR)
     return tw.Compose({"points": lidar}, weather=weather, p=p, inputs={"points": {"directions": "beams"}})
-
-
-def lidar_batches(loader: DataLoader[Any]) -> Iterator[tuple[Tensor, Tensor]]:
-    for samples in loader:
-        yield torch.stack([one["points"] for one in samples]), torch.stack([one["classes"] for one in samples])
 
 
 def lidar_study(arguments: argparse.Namespace) -> Callable[[bool, int], list[float]]:
@@ -148,64 +105,8 @@ def lidar_study(arguments: argparse.Namespace) -> Callable[[bool, int], list[flo
     return run
 
 
-# ---- both ------------------------------------------------------------------------------------------------------------
-
-
-def loader_of(
-    samples: list[dict[str, Any]], transform: tw.Compose, seed: int, steps: int, after: Any = None
-) -> DataLoader[Any]:
-    """Batches of samples drawn at random, each in a weather of its own, whoever draws it again."""
-    order = torch.Generator().manual_seed(seed)
-    draws = RandomSampler(range(steps * BATCH), replacement=False, generator=order)
-    repeated = [samples[k % len(samples)] for k in range(steps * BATCH)]
-    data = tw.WeatherDataset(repeated, transform, seed=seed, after=after)
-    return DataLoader(data, batch_size=BATCH, sampler=draws, collate_fn=list)
-
-
-def table(scores: dict[str, Any], name: str) -> str:
-    lines = [f"{name}, mean of {len(scores['clear'])} seeds (largest distance from it)", ""]
-    lines.append(f"{'tested in':28s} {'trained clear':>16s} {'trained in weather':>20s} {'gain':>16s}")
-    clear, weather = (np.array(scores[arm]) for arm in ("clear", "weather"))
-    for k, (test, _, inside) in enumerate(TESTS):
-        cells = [f"{v.mean():.2f} ({abs(v - v.mean()).max():.2f})" for v in (clear[:, k], weather[:, k])]
-        gain = weather[:, k] - clear[:, k]
-        cells.append(f"{gain.mean():+.2f} ({abs(gain - gain.mean()).max():.2f})")
-        mark = "" if inside else " *"
-        lines.append(f"{test + mark:28s} {cells[0]:>16s} {cells[1]:>20s} {cells[2]:>16s}")
-    return "\n".join([*lines, "* outside of what was trained on"])
-
-
-def spread(values: np.ndarray) -> np.ndarray:
-    """Distances of the least and the greatest from the mean, ``(2, tests)``."""
-    mean = values.mean(0)
-    return np.stack([mean - values.min(0), values.max(0) - mean])
-
-
-def draw(results: dict[str, Any], path: Path) -> None:
-    figure, axes = plt.subplots(1, len(results), figsize=(6.4 * len(results), 4.6), constrained_layout=True)
-    names = [name if inside else f"{name} *" for name, _, inside in TESTS]
-    place = np.arange(len(names))
-    kinds = [name.split()[0] if "in" not in name.split() else "mixture" for name, _, _ in TESTS]
-    groups = [[k for k, one in enumerate(kinds) if one == kind] for kind in dict.fromkeys(kinds)]
-    for axis, (title, scores) in zip(np.atleast_1d(axes), results.items(), strict=True):
-        for arm, colour, label in (("clear", "0.45", "trained clear"), ("weather", "tab:blue", "trained in weather")):
-            values = np.array(scores[arm])
-            for group in groups:  # of one weather, light to heavy
-                axis.plot(place[group], values.mean(0)[group], "o-", color=colour, label=label)
-                axis.errorbar(place[group], values.mean(0)[group], spread(values)[:, group], color=colour, capsize=3)
-                label = None
-        axis.set_xticks(place, names, rotation=40, ha="right")
-        axis.set_ylim(0, 1)
-        axis.set_ylabel(title)
-        axis.grid(alpha=0.3)
-    said = "mean of the seeds, bars: all of them; *: outside of what was trained on"
-    handles, labels = np.atleast_1d(axes)[0].get_legend_handles_labels()
-    figure.legend(handles, labels, title=said, loc="outside upper center", ncols=2, frameon=False)
-    figure.savefig(path, dpi=110)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--out", type=Path, default=Path("train_in_weather"), help="folder for numbers and picture")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--train", type=int, default=24, help="scenes to learn from")
@@ -216,6 +117,7 @@ def main() -> None:
     if arguments.quick:
         arguments.seeds, arguments.train, arguments.test, arguments.steps = 1, 2, 1, 2
         del TESTS[3:]
+    tests = [(name, inside) for name, _, inside in TESTS]
     began = time.perf_counter()
     studies = {
         "average precision of cars (camera)": camera_study(arguments),
@@ -227,14 +129,14 @@ def main() -> None:
             arm: [run(in_weather, seed) for seed in range(arguments.seeds)]
             for arm, in_weather in (("clear", False), ("weather", True))
         }
-        print(f"{table(results[title], title)}\n", flush=True)
+        print(f"{table(results[title], title, tests)}\n", flush=True)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    draw(results, arguments.out / "train_in_weather.png")
+    draw(results, tests, arguments.out / "train_in_weather.png")
     found = {
         "machine": platform.processor() or platform.machine(),
         "seconds": round(time.perf_counter() - began),
         "settings": {key: value for key, value in vars(arguments).items() if key != "out"},
-        "tests": [{"name": name, "trained_on": inside} for name, _, inside in TESTS],
+        "tests": [{"name": name, "trained_on": inside} for name, inside in tests],
         "scores": results,
     }
     (arguments.out / "train_in_weather.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
