@@ -80,7 +80,7 @@ MUTANTS = (
         "torchweather.recipes.files",
         'return yaml.safe_load(path.read_text(encoding="utf-8"))',
         'return yaml.unsafe_load(path.read_text(encoding="utf-8"))',
-        ("tests/transforms/test_recipes.py::test_a_missing_key_and_a_file_that_is_no_yaml_are_named",),
+        ("tests/recipes/test_recipes.py::test_a_missing_key_and_a_file_that_is_no_yaml_are_named",),
     ),
     Mutant(
         "sensor_file_runs_code",
