@@ -6,6 +6,7 @@ import base64
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,8 @@ VALID = {"s": base64.b64encode(b"VALID").decode()}
 
 @pytest.fixture(scope="module")
 def example() -> Any:
-    return load_example(EXAMPLE)
+    parts = (vars(load_example(name)) for name in ("parts/nanodet.py", "parts/fog_and_detector.py"))
+    return SimpleNamespace(**{name: value for part in parts for name, value in part.items()})
 
 
 def listed(*numbers: int) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import sys
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.report.made_up_gaps import report
+from tests.running_examples import load_example
 from torchweather.atmosphere.weather import Rain, Weather
 from torchweather.gap import find_gap
 from torchweather.gap.study import hidden as module
@@ -167,13 +167,8 @@ def test_what_cannot_be_a_study_is_refused(arguments: dict[str, Any], said: str)
 @pytest.fixture
 def suspicions(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The example, its search replaced by one that always says window loss; the studies that it was given."""
-    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    example: Any = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, EXAMPLE.stem, example)  # its dataclasses look themselves up
-    spec.loader.exec_module(example)
-    example.searched_studies = []
+    example = load_example(EXAMPLE.name)
+    monkeypatch.setattr(example, "searched_studies", [], raising=False)
 
     def made_up(study: Study, **arguments: Any) -> Any:
         assert not arguments  # no effect is suggested to it
@@ -217,8 +212,8 @@ def test_the_example_writes_what_it_found_and_says_where_it_is_wrong(
 
 def test_a_camera_exposes_longer_in_rain_than_in_clear_air(suspicions: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Near by, where rain hardly takes anything, light is 10 % more; the noise is that of the light on the sensor."""
-    monkeypatch.setattr(suspicions, "CAMERA_PX", (64, 48))
-    monkeypatch.setattr(suspicions, "RATES_MM_PER_H", {0.5: "fit", 1.0: "holdout"})
+    monkeypatch.setattr("parts.d34_studies.CAMERA_PX", (64, 48))
+    monkeypatch.setattr("parts.d34_studies.RATES_MM_PER_H", {0.5: "fit", 1.0: "holdout"})
     hidden = suspicions.camera_study(suspicions.SUSPICIONS["exposure"].effects[0], 3)
     assert [(one.id, one.split) for one in hidden.study.conditions] == [("rain-0.5", "fit"), ("rain-1", "holdout")]
     assert all(0.6 < factor < 1.6 and factor != 1.0 for factor in hidden.weather_factor.values())
