@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.lidar.effects.empirical import Empirical
 

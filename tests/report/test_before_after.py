@@ -33,6 +33,7 @@ from torchweather.report.before_after import (
     reduced,
     write_before_after,
 )
+from torchweather.report.page import html_of
 from torchweather.report.photo_demo import SEVERITIES, Photo, write_photo_demo
 from torchweather.sensors import Camera
 
@@ -90,7 +91,7 @@ def test_the_page_carries_its_pictures_captions_and_a_slider(tmp_path: Path) -> 
 @pytest.mark.parametrize(("height", "width"), [(900, 3300), (2000, 900)])
 def test_large_pictures_are_reduced_and_the_page_says_so(height: int, width: int) -> None:
     clear = picture(height, width)
-    page = Page(before_after_page(clear, [("fog 50 m", "Depth guessed.", clear)]))
+    page = Page(html_of(before_after_page(clear, [("fog 50 m", "Depth guessed.", clear)])))
     for shown in pictures_of(page):
         assert max(shown.shape[-2:]) == LONGEST_PX
         assert shown.shape[-1] / shown.shape[-2] == pytest.approx(width / height, rel=0.002)
@@ -108,7 +109,7 @@ def test_reducing_averages_light_and_not_its_code() -> None:
 def test_names_captions_and_notes_are_text_and_not_markup() -> None:
     evil = '<script>alert("1")</script>'
     comparison = Comparison(evil, picture(), [(evil, evil, picture())], [evil], evil)
-    text = comparisons_page([comparison], lead=evil)
+    text = html_of(comparisons_page([comparison], lead=evil))
     page = Page(text)
     assert "<script>alert" not in text
     assert len(page.all("script")) == 1

@@ -20,7 +20,7 @@ from torch import Tensor
 from tests.recordings import recording
 from torchweather.atmosphere.weather import Weather, parse_weather
 from torchweather.core.errors import TorchweatherError
-from torchweather.io import read_kitti_points
+from torchweather.datasets import read_kitti_points
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.report.cloud_view import MOST_POINTS, write_cloud_view
 from torchweather.report.view_points import counts_by_range, thinned, view_points
@@ -124,7 +124,7 @@ def test_counts_are_those_of_the_cloud(tmp_path: Path, options: dict[str, Any], 
     rows = np.array(shown).reshape(-1, 4)
     assert rows[:-1].sum(0).tolist() == rows[-1].tolist()
     assert rows[-1].tolist() == [summary[name] for name in ("points", "objects", "particles", "lost")]
-    assert [str(row["data-range"]) for row in page.all("tr") if "data-range" in row][-1] == "all"
+    assert [str(row["data-range"]) for row in page.all("th") if "data-range" in row][-1] == "all"
 
 
 def test_points_of_each_range_are_counted_where_they_are() -> None:

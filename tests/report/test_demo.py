@@ -14,6 +14,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.io import read_image, write_image
 from torchweather.report import demo as demo_module
 from torchweather.report.demo import SECTIONS, write_demo
+from torchweather.report.demo_words import NAMES, WHY
 from torchweather.report.tables import number_text
 from torchweather.sensors import Camera
 
@@ -150,7 +151,7 @@ def test_a_failure_half_way_leaves_no_file(tmp_path: Path, monkeypatch: pytest.M
     def stop(*_: object, **__: object) -> str:
         raise RuntimeError("disk on fire")
 
-    monkeypatch.setattr(demo_module, "html_page", stop)
+    monkeypatch.setattr(demo_module, "write_report", stop)
     monkeypatch.setattr(demo_module, "SECTIONS", SECTIONS[1:2])
     frame = tmp_path / "frame.png"
     write_image(frame, torch.full((1, 16, 24), 900, dtype=torch.uint16))
@@ -173,5 +174,7 @@ def test_depths_must_fit_the_images(tmp_path: Path) -> None:
 
 def test_templates_are_part_of_the_package() -> None:
     folder = Path(next(iter(report.__path__))) / "templates"
-    kinds = {section.kind for section in SECTIONS}
-    assert {f"why_{kind}.html" for kind in kinds} | {"demo.html", "page.css"} <= {p.name for p in folder.iterdir()}
+    assert {"report.html", "page.css", "slider.html", "slider.js", "cloud_view.js"} <= {
+        p.name for p in folder.iterdir()
+    }
+    assert {section.kind for section in SECTIONS} == set(WHY) == set(NAMES)

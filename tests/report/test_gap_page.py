@@ -15,7 +15,7 @@ from tests.gap import studies
 from tests.report.made_up_gaps import EMPIRICAL, UNKNOWN, WINDOW_LOSS, report
 from tests.report.parsed_page import Page
 from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response, read_model
-from torchweather.gap.study import Study
+from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
 from torchweather.report.gap_page import write_gap

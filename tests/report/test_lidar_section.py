@@ -20,16 +20,19 @@ from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.io import read_points
 from torchweather.lidar.scan import scan_directions
 from torchweather.report import demo as demo_module
+from torchweather.report import parts
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.report.demo import SECTIONS, write_demo
 from torchweather.report.lidar_figures import COLOURS, _cells, _colours, birds_eye_uri, range_images_uri
-from torchweather.report.lidar_section import lidar_part
+from torchweather.report.lidar_section import COLUMNS, lidar_part
 from torchweather.report.lidar_views import LidarScene, WeatherCloud, lidar_scene
+from torchweather.report.report import Section
 from torchweather.scenes import test_track as track
 from torchweather.sensors import Camera, Lidar
 from torchweather.stages import PointKind
 from torchweather.transforms import LidarWeather
 
+Written = tuple[Path, dict[str, Any], Section]
 # A few rings and columns show the same in a fraction of the time.
 SMALL: dict[str, Any] = {
     "elevations_deg": (2.0, 0.0, -1.0, -3.0, -6.0, -12.0),
@@ -168,7 +171,7 @@ def test_range_images_stand_one_below_the_other(seen: LidarScene) -> None:
 
 
 @pytest.fixture(scope="module")
-def part(seen: LidarScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], dict[str, Any]]:
+def part(seen: LidarScene, tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("part")
     steps: list[int] = []
     weathers = [("rain-50", "Rain 50 mm/h", "rain", Rain(50.0)), ("fog-30", "Fog 30 m", "fog", Fog(mor_m=30.0))]
@@ -177,7 +180,7 @@ def part(seen: LidarScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return folder, summary, page
 
 
-def test_clouds_are_written_with_their_kind(part: tuple[Path, dict[str, Any], dict[str, Any]]) -> None:
+def test_clouds_are_written_with_their_kind(part: Written) -> None:
     folder, summary, _ = part
     files = {record["name"]: record.get("file") for record in summary["weathers"]}
     assert files == {"clear": "clouds/track_clear.pcd", "rain-50": None, "fog-30": "clouds/track_fog-30.pcd"}
@@ -193,22 +196,25 @@ def test_clouds_are_written_with_their_kind(part: tuple[Path, dict[str, Any], di
     json.dumps(summary, allow_nan=False)
 
 
-def test_the_table_has_a_row_for_each_weather_in_per_cent_and_milliseconds(
-    part: tuple[Path, dict[str, Any], dict[str, Any]],
-) -> None:
-    _, summary, page = part
-    assert [row["label"] for row in page["rows"]] == ["Clear", "Rain 50 mm/h", "Fog 30 m"]
-    for record, row in zip(summary["weathers"], page["rows"], strict=True):
-        cells = {cell["key"]: cell for cell in row["cells"]}
+def test_the_table_has_a_row_for_each_weather_in_per_cent_and_milliseconds(part: Written) -> None:
+    _, summary, section = part
+    (table,) = (one for one in section.parts if isinstance(one, parts.Table))
+    assert [label for label, *_ in table.rows] == ["Clear", "Rain 50 mm/h", "Fog 30 m"]
+    for record, (_, *cells) in zip(summary["weathers"], table.rows, strict=True):
         values = {**record["numbers"], **record["times_s"]}
-        assert all(cell["value"] == values.get(key) for key, cell in cells.items())
+        written = {}
+        for (key, _, _), cell in zip(COLUMNS, cells, strict=True):
+            assert isinstance(cell, parts.Cell)
+            wanted = {"lidar-key": key, "lidar-value": values[key]} if values.get(key) is not None else {}
+            assert cell.data == wanted
+            written[key] = cell.text
         share = values["share_objects"]
-        assert float(cells["share_objects"]["text"]) == pytest.approx(100 * share, abs=0.051)
+        assert float(written["share_objects"]) == pytest.approx(100 * share, abs=0.051)
         if "render_s" in values:
-            written = float(cells["render_s"]["text"].replace(" ", ""))
-            assert written == pytest.approx(1000 * values["render_s"], rel=6e-3)
+            shown = float(written["render_s"].replace(" ", ""))
+            assert shown == pytest.approx(1000 * values["render_s"], rel=6e-3)
         else:
-            assert cells["render_s"]["text"] == "–"
+            assert written["render_s"] == "–"
 
 
 @pytest.fixture(scope="module")

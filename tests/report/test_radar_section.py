@@ -18,15 +18,18 @@ from torchweather.atmosphere.weather import Rain
 from torchweather.io import read_radar
 from torchweather.radar import FmcwRadar, map_noise_dbm
 from torchweather.report import demo as demo_module
+from torchweather.report import parts
 from torchweather.report.demo import SECTIONS, write_demo
 from torchweather.report.lidar_views import lidar_scene
 from torchweather.report.radar_figures import OTHER, above_uri, bar_uri, map_uri, power_scale
-from torchweather.report.radar_section import RADAR_WEATHERS, WALKING, radar_part
+from torchweather.report.radar_section import COLUMNS, RADAR_WEATHERS, WALKING, radar_part
 from torchweather.report.radar_views import LOSS_AT_M, RadarFrame, RadarScene, radar_scene
+from torchweather.report.report import Section
 from torchweather.scenes import radar_view
 from torchweather.scenes import test_track as track
 from torchweather.sensors import Camera, Lidar, Radar
 
+Written = tuple[Path, dict[str, Any], Section]
 RADAR = Radar.preset("awr1843-like")
 # A few rings and columns are enough beside the radar.
 LIDAR = Lidar.preset("velodyne-vlp-16", elevations_deg=(0.0, -3.0), columns=60, azimuth_offsets_deg=None)
@@ -172,7 +175,7 @@ def test_the_bars_are_pictures_of_their_own_colours() -> None:
 
 
 @pytest.fixture(scope="module")
-def part(seen: RadarScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], dict[str, Any]]:
+def part(seen: RadarScene, tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("part")
     steps: list[int] = []
     summary, page = radar_part(seen, "radar:awr1843-like", 0, folder, "track", steps.append)
@@ -180,20 +183,21 @@ def part(seen: RadarScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return folder, summary, page
 
 
-def test_points_are_written_with_their_kind(part: tuple[Path, dict[str, Any], dict[str, Any]]) -> None:
-    folder, summary, page = part
+def test_points_are_written_with_their_kind(part: Written) -> None:
+    folder, summary, section = part
+    *_, above = (one.figures for one in section.parts if isinstance(one, parts.Pictures))
     assert [record["name"] for record in summary["weathers"]] == ["clear", *(name for name, *_ in RADAR_WEATHERS)]
-    for record, figure in zip(summary["weathers"], page["figures"], strict=True):
+    for record, figure in zip(summary["weathers"], above, strict=True):
         found = read_radar(folder / record["file"])
         assert found.columns[:6] == ("x_m", "y_m", "z_m", "speed_m_per_s", "power_dbm", "rcs_dbsm")
         kind = found.column("kind")
         assert int((kind == 0).sum()) == record["numbers"]["points_scene"]
         assert int((kind == 1).sum()) == record["numbers"]["points_other"]
-        assert figure["facts"][0] == f"{record['numbers']['points_scene']} points of the scene"
+        assert figure.facts[0] == f"{record['numbers']['points_scene']} points of the scene"
     json.dumps(summary, allow_nan=False)
 
 
-def test_more_weather_takes_more(part: tuple[Path, dict[str, Any], dict[str, Any]]) -> None:
+def test_more_weather_takes_more(part: Written) -> None:
     numbers = {record["name"]: record["numbers"] for record in part[1]["weathers"]}
     for names in (("clear", "rain-10", "rain-25", "rain-50"), ("clear", "fog-50", "fog-30", "fog-20", "fog-10")):
         losses = [numbers[name]["loss_56_m_db"] for name in names]
@@ -202,16 +206,18 @@ def test_more_weather_takes_more(part: tuple[Path, dict[str, Any], dict[str, Any
     assert numbers["snow-19"]["loss_56_m_db"] < numbers["rain-10"]["loss_56_m_db"]  # dry
 
 
-def test_the_table_has_a_row_for_each_weather(part: tuple[Path, dict[str, Any], dict[str, Any]]) -> None:
-    _, summary, page = part
-    for record, row in zip(summary["weathers"], page["rows"], strict=True):
+def test_the_table_has_a_row_for_each_weather(part: Written) -> None:
+    _, summary, section = part
+    (table,) = (one for one in section.parts if isinstance(one, parts.Table))
+    for record, (label, *cells) in zip(summary["weathers"], table.rows, strict=True):
         values = {**record["numbers"], **record["times_s"]}
-        assert row["label"] == record["label"]
-        for cell in row["cells"]:
-            assert cell["value"] == values[cell["key"]]
-            written = float(cell["text"].replace("\u2212", "-").replace(" ", ""))
+        assert label == record["label"]
+        for (key, _, _), cell in zip(COLUMNS, cells, strict=True):
+            assert isinstance(cell, parts.Cell)
+            assert cell.data == {"radar-key": key, "radar-value": values[key]}
+            written = float(cell.text.replace("\u2212", "-").replace(" ", ""))
             # Three digits, or one decimal of a power.
-            assert written == pytest.approx(cell["value"], rel=6e-3, abs=0.06 if cell["key"].endswith("dbm") else 0)
+            assert written == pytest.approx(values[key], rel=6e-3, abs=0.06 if key.endswith("dbm") else 0)
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ import pytest
 
 from tests.gap import studies
 from tests.report.parsed_page import Page
+from torchweather.evaluation.validation.run import Validation, validate
 from torchweather.gap.diagnosis import Finding
-from torchweather.gap.embedded_study import embedded_study
-from torchweather.gap.study import Study
-from torchweather.gap.validation import Validation, validate
+from torchweather.gap.study.embedded import embedded_study
+from torchweather.gap.study.study import Study
 from torchweather.report import validation_page
 from torchweather.report.validation_figures import lidar_above_uri
 from torchweather.report.validation_page import write_validation
@@ -146,7 +146,7 @@ def test_a_failure_leaves_no_file(radar: Written, tmp_path: Path, monkeypatch: p
     def stop(*_: object, **__: object) -> str:
         raise RuntimeError("disk on fire")
 
-    monkeypatch.setattr(validation_page, "html_page", stop)
+    monkeypatch.setattr(validation_page, "write_report", stop)
     with pytest.raises(RuntimeError, match="disk on fire"):
         write_validation(tmp_path / "a" / "b", radar[1], radar[2])
     assert list(tmp_path.iterdir()) == []

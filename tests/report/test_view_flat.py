@@ -18,7 +18,7 @@ from torch import Tensor
 
 from tests.recordings import recording
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.io import read_kitti_points
+from torchweather.datasets import read_kitti_points
 from torchweather.lidar import fit_ground
 from torchweather.report.view_flat import BELOW_COLOUR, flat_view, under_ground
 from torchweather.report.view_points import ViewPoints, view_points

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
@@ -16,9 +15,10 @@ from torchweather.atmosphere.weather import Weather
 from torchweather.camera.depth.scene_depth import CONFIDENCES
 from torchweather.camera.tone import normalise, quantise, srgb_decode, srgb_encode
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
-from torchweather.io import atomic_write
-from torchweather.report.page import html_page
+from torchweather.report import parts
+from torchweather.report.page import write_report
 from torchweather.report.pictures import jpeg_uri, png_uri
+from torchweather.report.report import Report, Section
 from torchweather.report.view_words import weather_words
 
 __all__ = [
@@ -138,42 +138,57 @@ def size_within(height: int, width: int, longest_px: int) -> tuple[int, int]:
 
 def before_after_page(
     clear: Tensor, panels: Sequence[Panel], *, title: str = "Before and after", notes: Sequence[str] = ()
-) -> str:
-    """HTML of a page with one picture; arguments as ``write_before_after``."""
+) -> Report:
+    """The page of one picture; arguments as ``write_before_after``."""
     return comparisons_page([Comparison(title, clear, panels, notes)])
 
 
-def comparisons_page(comparisons: Sequence[Comparison], *, lead: str = "") -> str:
-    """HTML of a self-contained page with one slider for each clear picture.
+def comparisons_page(comparisons: Sequence[Comparison], *, lead: str = "") -> Report:
+    """A page with one slider for each clear picture.
 
     Args:
         comparisons: pictures, one after another.
         lead: a sentence below the heading.
     """
-    subjects = []
-    for comparison in comparisons:
-        clear = reduced(comparison.clear)
-        height, width = comparison.clear.shape[-2:]
-        shown_height, shown_width = clear.shape[-2:]
-        size = f"{width} × {height} px"
-        if (shown_height, shown_width) != (height, width):
-            size += f", shown at {shown_width} × {shown_height} px (the page holds {LONGEST_PX} px at most)"
-        subjects.append(
-            {
-                "title": comparison.title,
-                "alert": comparison.alert,
-                "notes": list(comparison.notes),
-                "size": size,
-                "width": shown_width,
-                "height": shown_height,
-                "before": _uri(clear),
-                "panels": [
-                    {"title": title, "caption": caption, "picture": _uri(reduced(picture))}
-                    for title, caption, picture in comparison.panels
-                ],
-            }
-        )
-    return html_page("before_after.html", version=__version__, subjects=subjects, lead=lead)
+    fine = f"""Drag the picture or the slider, or use the arrow keys: on the left of the line the photograph is as it
+        was taken, on the right it is in the weather. Made by torchweather {__version__}."""
+    first, *others = comparisons
+    return Report(
+        title=first.title,
+        head=f"{first.title}: before and after",
+        lead=[parts.Paragraph(lead, "lead")] if lead else [],
+        sections=[
+            Section("", _compared(first, 1)),
+            *(Section(one.title, _compared(one, number)) for number, one in enumerate(others, start=2)),
+            Section("", [parts.Fine(fine)]),
+        ],
+        styles=["slider.css"],
+        scripts=["slider.js"],
+    )
+
+
+def _compared(comparison: Comparison, number: int) -> list[parts.Part]:
+    """The slider of one picture, and what was assumed."""
+    clear = reduced(comparison.clear)
+    height, width = comparison.clear.shape[-2:]
+    shown_height, shown_width = clear.shape[-2:]
+    size = f"{width} × {height} px"
+    if (shown_height, shown_width) != (height, width):
+        size += f", shown at {shown_width} × {shown_height} px (the page holds {LONGEST_PX} px at most)"
+    values = {
+        "number": number,
+        "title": comparison.title,
+        "before": _uri(clear),
+        "panels": [(title, caption, _uri(reduced(picture))) for title, caption, picture in comparison.panels],
+        "size": size,
+        "width": shown_width,
+        "height": shown_height,
+    }
+    found: list[parts.Part] = [parts.Alert(comparison.alert, grave=True)] if comparison.alert else []
+    found.append(parts.Widget("slider.html", values))
+    if comparison.notes:
+        found += [parts.Heading("What was assumed"), parts.Listing(comparison.notes)]
+    return found
 
 
 def write_before_after(
@@ -194,9 +209,7 @@ def write_before_after(
         title: heading.
         notes: sentences about what was guessed.
     """
-    page = before_after_page(clear, panels, title=title, notes=notes)
-    with atomic_write(Path(path)) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_report(before_after_page(clear, panels, title=title, notes=notes), path)
 
 
 def _uri(image: Tensor) -> str:

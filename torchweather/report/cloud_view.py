@@ -14,14 +14,16 @@ from torch import Tensor
 from torchweather import __version__
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import check_at_least
-from torchweather.io import atomic_write
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult
-from torchweather.report.page import html_page
+from torchweather.report import parts
+from torchweather.report.page import write_report
+from torchweather.report.report import Report, Section
 from torchweather.report.view_flat import flat_view, under_ground
 from torchweather.report.view_points import (
     INT16_MAX,
     UINT16_MAX,
+    RangeCounts,
     ViewPoints,
     counts_by_range,
     packed,
@@ -98,31 +100,20 @@ def write_cloud_view(
     notes = list(notes)
     if isinstance(result.second, Tensor):
         notes.append("The sensor reports two returns of a beam; second returns are shown and counted, too.")
-    page = html_page(
-        "cloud_view.html",
-        version=__version__,
-        name=name,
-        weather=weather_words(weather),
-        seed=seed,
-        sensor=sensor_name,
-        scan=result.scan,
-        counts=counts,
-        most=max(1, *(max(row.clear, row.objects + row.particles) for row in counts[:-1])),
-        share_text=share_text,
-        count_text=count_text,
-        stride=stride,
-        shown_clear=len(shown_clear),
-        shown_weather=len(shown_seen),
-        scales=scales,
-        flat=flat,
-        under=under,
-        colours=COLOURS,
-        notes=notes,
-        alerts=list(alerts),
+    page = Report(
+        title=f"{name} in {weather_words(weather)}",
+        lead=[parts.Paragraph(_lead(weather_words(weather), seed, sensor_name, bool(notes)), "lead")],
+        sections=[
+            Section("", [*(parts.Alert(alert, grave=True) for alert in alerts), _stage(scales, flat, under, counts)]),
+            Section("Points by range", _by_range(counts)),
+            *([Section("What was assumed", [parts.Listing(notes)], id="notes")] if notes else []),
+            Section("", [parts.Fine(_shown(len(shown_clear), len(shown_seen), stride, result.scan, scales))]),
+        ],
+        styles=["cloud.css"],
+        scripts=["cloud_flat.js", "cloud_view.js"],
         data=data,
     )
-    with atomic_write(path) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_report(page, path)
     total = counts[-1]
     return {
         "points": total.clear,
@@ -135,6 +126,66 @@ def write_cloud_view(
         "stride": stride,
         "bytes": Path(path).stat().st_size,
     }
+
+
+def _lead(weather: str, seed: int, sensor: str, assumed: bool) -> str:
+    below = (
+        parts.markup("{} stands below.", parts.link("#notes", "What was assumed"))
+        if assumed
+        else "Nothing was assumed."
+    )
+    text = "Weather: {}, seed {}. Sensor: {}. Made by torchweather {}. {}"
+    return parts.markup(text, weather, seed, sensor, __version__, below)
+
+
+def _stage(scales: dict[str, Any], flat: dict[str, Any], under: int, counts: Sequence[RangeCounts]) -> parts.Widget:
+    """The points with what turns and colours them, and the flat views."""
+    values = {
+        "scales": scales,
+        "flat": flat,
+        "colours": COLOURS,
+        "under": under,
+        "under_text": count_text(under),
+        "particles_text": count_text(counts[-1].particles),
+    }
+    return parts.Widget("cloud_stage.html", values)
+
+
+def _by_range(counts: Sequence[RangeCounts]) -> list[parts.Part]:
+    """Counts by range with bars; the last row is their sum."""
+    most = max(1, *(max(row.clear, row.objects + row.particles) for row in counts[:-1]))
+    rows: list[list[parts.Cell | str]] = []
+    for row in counts:
+        numbers = (row.clear, row.objects, row.particles, row.lost)
+        cells = (parts.Cell(count_text(number), data={"count": number}) for number in numbers)
+        bars = parts.markup(
+            """<div class="two" aria-hidden="true"><div><i class="was" style="width:{:.2f}%"></i></div><div><i
+            class="is" style="width:{:.2f}%"></i><i class="new" style="width:{:.2f}%"></i></div></div>""",
+            *(100 * number / most for number in numbers[:3]),
+        )
+        head = parts.Cell(row.label, data={"range": row.label})
+        rows.append([head, *cells, share_text(row.objects, row.clear), bars if row is not counts[-1] else ""])
+    heads = ["range, m", "clear", "objects", "particles", "lost", "left"]
+    keys = {"clear air": "var(--was)", "objects in weather": "var(--is)", "particles": "var(--new)"}
+    fine = """Objects and particles count at the range that the sensor reports, lost points at their range in clear
+        air. A beam that reports a particle in place of its object counts as a particle, not as lost. Left: objects in
+        weather, as a share of the points in clear air."""
+    return [
+        parts.Legend([parts.Key(text, colour, look="stroke") for text, colour in keys.items()]),
+        parts.Table([*heads, parts.Column("", "bars")], rows, look="counts"),
+        parts.Fine(fine),
+    ]
+
+
+def _shown(clear: int, seen: int, stride: int, scan: str, scales: dict[str, Any]) -> str:
+    """How much of the clouds the picture shows."""
+    text = "The picture shows all points."
+    if stride > 1:
+        text = f"""The picture shows one beam in {stride} ({count_text(clear)} points in clear air, {count_text(seen)}
+            in weather and lost); the table counts all."""
+    rings = ", ".join(f"{ring:.0f}" for ring in scales["rings_m"])
+    return f"""{text} Scan: {scan}. Rings lie at {rings} m from the sensor, level; the arrow points along x. The page
+        holds positions in steps of {scales["step_mm"]:.1f} mm."""
 
 
 def _data(clear: ViewPoints, seen: ViewPoints, sensor: Lidar) -> tuple[dict[str, Any], dict[str, Any]]:

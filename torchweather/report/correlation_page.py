@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +13,15 @@ from torchweather.io import atomic_folder, write_table
 from torchweather.metrics.coefficients import Coefficient, abs_interval
 from torchweather.metrics.correlation import Correlation, MetricCorrelation
 from torchweather.metrics.d34_claim import D34_CLAIM
-from torchweather.report.correlation_figures import (
-    MARKS,
-    metric_name,
-    ranking_uri,
-    scatter_uri,
-    weather_colours,
-)
-from torchweather.report.page import html_page
+from torchweather.report import parts
+from torchweather.report.correlation_figures import MARKS, metric_name, ranking_uri, scatter_uri, weather_colours
+from torchweather.report.page import write_report
+from torchweather.report.report import Report, Section
+from torchweather.report.tables import NO_VALUE, fixed_text
 
-__all__ = ["correlation_summary", "write_correlation"]
+__all__ = ["correlation_page", "correlation_summary", "write_correlation"]
 
 GLYPHS = dict(zip(MARKS, "●■▲◆▼✚", strict=True))
-NO_VALUE = "–"
 SURE = 0.05  # p-value from which on a partial correlation is set in bold
 FEW = 4  # names that a sentence can hold
 VERDICTS = ("agrees", "contradicts", "cannot be judged")
@@ -50,7 +47,7 @@ def write_correlation(
         write_table(staging / "conditions.csv", found.to_dict()["table"])
         text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
         (staging / "correlation.json").write_text(text, encoding="utf-8")
-        (staging / "index.html").write_text(_page(found, summary, performance), encoding="utf-8")
+        write_report(correlation_page(found, summary), staging / "index.html")
     return summary
 
 
@@ -93,91 +90,156 @@ def _storable(value: Any) -> Any:
 # ---- the page ------------------------------------------------------------------------------------------------------
 
 
-def _page(found: Correlation, summary: dict[str, Any], performance: str) -> str:
+def correlation_page(found: Correlation, summary: Mapping[str, Any]) -> Report:
+    """The page of a correlation.
+
+    Args:
+        found: by ``correlate``.
+        summary: of ``correlation_summary``.
+    """
+    what = summary["performance"]
     ranked = [each for each in found.metrics if each.rank is not None]
-    kinds = found.data.kind or ["all conditions"] * len(found.data.performance)
-    colours = weather_colours(kinds)
-    return html_page(
-        "correlation.html",
-        summary=summary,
-        best=_best(ranked[0], found) if ranked else None,
-        high=sum(abs_interval(each.spearman)[0] >= found.highly for each in ranked),
-        ranked=len(ranked),
-        ranking=ranking_uri(ranked, found.highly, [each.metric for each in found.claim if not each.claimed_high])
-        if ranked
-        else None,
-        legend=[
-            {"name": kind, "colour": colour, "glyph": GLYPHS[MARKS[number % len(MARKS)]]}
-            for number, (kind, colour) in enumerate(colours.items())
-        ]
-        if found.data.kind
-        else [],
-        charts=[
-            {
-                "name": metric_name(each.metric, unit=False),
-                "picture": scatter_uri(
-                    each, found.data.scores[each.metric], found.data.performance, kinds, performance
-                ),
-            }
-            for each in found.metrics
+    facts = [
+        ("version", summary["torchweather"]),
+        ("conditions", f"{summary['conditions']}" + (f", by {', '.join(summary['by'])}" if summary["by"] else "")),
+        ("bootstrap", f"{summary['resamples']} resamples of conditions, seed {summary['seed']}"),
+    ]
+    if summary["scored_only"] or summary["performed_only"]:
+        left_out = f"{summary['scored_only']} without performance, {summary['performed_only']} without scores"
+        facts.append(("left out", left_out))
+    claims = [one for one in (_ranking(found, ranked), _claim(found)) if one is not None]
+    return Report(
+        title=f"What scores say about {what}",
+        head=f"torchweather: scores against {what}",
+        lead=[
+            parts.Paragraph(_lead(found, ranked, summary), "lead"),
+            parts.Facts(facts),
+            *map(parts.Note, summary["notes"]),
         ],
-        rows=[_row(each) for each in found.metrics],
-        infinite=[metric_name(each.metric, unit=False) for each in found.metrics if each.infinite],
-        reasons=_reasons(found),
-        claims=[
-            {
-                "name": metric_name(each.metric, unit=False),
-                "says": "high" if each.claimed_high else "not high",
-                "found": _number(each.found),
-                "interval": _interval(each.low, each.high),
-                "verdict": each.verdict,
-            }
-            for each in found.claim
+        sections=[
+            *([Section("", [parts.Columns(claims)])] if claims else []),
+            Section(f"{what[:1].upper()}{what[1:]} against each score", _charts(found, what)),
+            Section("Numbers", [_numbers(found), *(parts.Paragraph(reason, "key") for reason in _reasons(found))]),
         ],
+        footer=_how_to_read(found, summary),
     )
 
 
-def _best(each: MetricCorrelation, found: Correlation) -> dict[str, str]:
+def _lead(found: Correlation, ranked: list[MetricCorrelation], summary: Mapping[str, Any]) -> str:
+    if not ranked:
+        return f"No score has a coefficient over these {summary['conditions']} conditions."
+    best, rho = ranked[0], ranked[0].spearman
     shared = [
         metric_name(other.metric, unit=False)
         for other in found.metrics
-        if other is not each and other.rank_interval is not None and other.rank_interval[0] == 1
+        if other is not best and other.rank_interval is not None and other.rank_interval[0] == 1
     ]
-    return {
-        "name": metric_name(each.metric, unit=False),
-        "rho": _number(each.spearman.value),
-        "interval": _interval(each.spearman.low, each.spearman.high),
-        "shared": ", ".join(shared) if len(shared) <= FEW else f"{len(shared)} other scores",
-        "they": "it" if len(shared) == 1 else "each of them",
-    }
+    text = (
+        f"Over {summary['conditions']} conditions of weather {metric_name(best.metric, unit=False)} goes with "
+        f"{summary['performance']} most closely: Spearman's rho {_number(rho.value)}, 95\u00a0% interval "
+        f"{_interval(rho.low, rho.high)}."
+    )
+    if shared:
+        names = ", ".join(shared) if len(shared) <= FEW else f"{len(shared)} other scores"
+        each = "it" if len(shared) == 1 else "each of them"
+        text += f" {names} may be as close: the bootstrap puts {each} first, too."
+    high = sum(abs_interval(each.spearman)[0] >= found.highly for each in ranked)
+    return f"""{text} {high} of {len(ranked)} scores have a rho of {found.highly:g} or more in size over their
+        whole interval."""
 
 
-def _row(each: MetricCorrelation) -> dict[str, Any]:
+def _ranking(found: Correlation, ranked: list[MetricCorrelation]) -> tuple[str, list[parts.Part]] | None:
+    if not ranked:
+        return None
+    hollow = [each.metric for each in found.claim if not each.claimed_high]
+    key = f"Dashed: {found.highly:g}, from which on a correlation counts as high here."
+    if found.claim:
+        key += " Hollow: D3.4 says that it does not correlate highly."
+    picture = ranking_uri(ranked, found.highly, hollow)
+    alt = "Size of Spearman's rho of every score, with intervals"
+    return "Ranking", [parts.Figure(picture, alt, look="chart medium"), parts.Paragraph(key, "key")]
+
+
+def _claim(found: Correlation) -> tuple[str, list[parts.Part]] | None:
+    """What D3.4 says of each score, beside what was found."""
+    if not found.claim:
+        return None
+    looks = {"agrees": "left", "contradicts": "left no"}
+    rows = [
+        (
+            metric_name(each.metric, unit=False),
+            "high" if each.claimed_high else "not high",
+            parts.markup('{} <span class="pale">{}</span>', _number(each.found), _interval(each.low, each.high)),
+            parts.Cell(each.verdict, look=looks.get(each.verdict, "pale")),
+        )
+        for each in found.claim
+    ]
+    agrees, contradicts, open_ = (_count(found, verdict) for verdict in VERDICTS)
+    note = f"""From {D34_CLAIM.place}; it gives no threshold. What is found here agrees for {agrees} of
+        {len(found.claim)} scores, contradicts for {contradicts} and cannot be judged for {open_}: a score is judged
+        only where its whole interval lies on one side of {found.highly:g}. D3.4's VIF rises with fog, which swapped
+        arguments give."""
+    heads = [parts.Column(title, "left") for title in ("D3.4 says", "Size of rho, 95 %", "Found")]
+    return (
+        "The claim of D3.4",
+        [parts.Paragraph(D34_CLAIM.text, "says"), parts.Note(note), parts.Table(["Score", *heads], rows, look="tight")],
+    )
+
+
+def _charts(found: Correlation, what: str) -> list[parts.Part]:
+    data = found.data
+    kinds = data.kind or ["all conditions"] * len(data.performance)
+    keys = [
+        parts.Key(kind, colour, glyph=GLYPHS[MARKS[number % len(MARKS)]])
+        for number, (kind, colour) in enumerate(weather_colours(kinds).items())
+    ]
+    key = "A mark is a condition: the mean of its frames and seeds."
+    infinite = [metric_name(each.metric, unit=False) for each in found.metrics if each.infinite]
+    if infinite:
+        key += f" Infinite scores (equal images) are not drawn: {', '.join(infinite)}."
+    figures = [
+        parts.Figure(
+            scatter_uri(each, data.scores[each.metric], data.performance, kinds, what),
+            f"{what} against {metric_name(each.metric, unit=False)}",
+            look="chart",
+        )
+        for each in found.metrics
+    ]
+    legend = [parts.Legend(keys, chart=True)] if data.kind else []
+    return [*legend, parts.Paragraph(key, "key"), parts.Pictures(figures, across=4)]
+
+
+def _numbers(found: Correlation) -> parts.Table:
+    heads = (
+        *("Rank", "Spearman's<br>rho", "Kendall's<br>tau-b", "Pearson's<br>r", "Given level,<br>ranks"),
+        *("Given level,<br>linear", "Error by<br>score", "by<br>level", "by<br>mean", "Condi-<br>tions"),
+    )
+    return parts.Table(["Score", *map(parts.markup, heads)], [_row(each) for each in found.metrics], look="roomy tops")
+
+
+def _row(each: MetricCorrelation) -> list[parts.Cell | str]:
     """A metric in the table."""
-    ranks = each.rank_interval
-    return {
-        "name": metric_name(each.metric, unit=False),
-        "conditions": each.conditions,
-        "rank": NO_VALUE if each.rank is None else str(each.rank),
-        "ranks": "" if ranks is None else f"{ranks[0]} to {ranks[1]}",
-        "coefficients": [_cell(c) for c in (each.spearman, each.kendall, each.pearson)],
-        "partial": [
-            {"text": _number(p.value), "p": _p_value(p.p_value), "sure": p.p_value < SURE}
-            for p in (each.partial_rank, each.partial)
-        ],
-        "error": _number(each.prediction.rmse, digits=3),
-        "of_level": _number(each.prediction.rmse_of_level, digits=3),
-        "of_mean": _number(each.prediction.rmse_of_mean, digits=3),
-        "better": each.prediction.rmse < each.prediction.rmse_of_level,
-    }
+    ranks, error = each.rank_interval, each.prediction
+    bold = "strong" if error.rmse < error.rmse_of_level else ""
+    return [
+        metric_name(each.metric, unit=False),
+        parts.Cell(
+            NO_VALUE if each.rank is None else f"{each.rank}", [] if ranks is None else [f"{ranks[0]} to {ranks[1]}"]
+        ),
+        *(_coefficient(one) for one in (each.spearman, each.kendall, each.pearson)),
+        *(
+            parts.Cell(_number(one.value), [_p_value(one.p_value)], "strong" if one.p_value < SURE else "")
+            for one in (each.partial_rank, each.partial)
+        ),
+        parts.Cell(_number(error.rmse, 3), look=bold),
+        _number(error.rmse_of_level, 3),
+        _number(error.rmse_of_mean, 3),
+        f"{each.conditions}",
+    ]
 
 
-def _cell(coefficient: Coefficient) -> dict[str, str]:
-    return {
-        "text": _number(coefficient.value),
-        "interval": _interval(coefficient.low, coefficient.high),
-        "p": _p_value(coefficient.p_value),
-    }
+def _coefficient(one: Coefficient) -> parts.Cell:
+    return parts.Cell(_number(one.value), [_interval(one.low, one.high), _p_value(one.p_value)])
 
 
 def _reasons(found: Correlation) -> list[str]:
@@ -198,11 +260,39 @@ def _reasons(found: Correlation) -> list[str]:
     ]
 
 
-def _number(value: float, *, digits: int = 2) -> str:
+def _how_to_read(found: Correlation, summary: Mapping[str, Any]) -> Section:
+    coefficients = """
+        - Spearman's rho and Kendall's tau ask for the order only, Pearson's r for a straight line. The sign is that of
+          the score: those that are better when lower have a negative one.
+        - Intervals hold 95 % of bootstrap samples of whole conditions. They are too narrow for few conditions, and for
+          conditions that share a scene.
+        - Small under a rank: the places that 95 % of the samples give the score.
+    """
+    level = f"""
+        - Scores and detectors both get worse in heavier weather, so both go together even where a score says nothing
+          about a detector. Here the kind of weather and a straight line in its severity are taken out first.
+        - Bold: p below {SURE:g}. Of {len(found.metrics)} scores that say nothing more, one in twenty would be bold.
+    """
+    error = f"""
+        - Root mean square error of {summary["performance"]} predicted for a condition from all others: by a straight
+          line in the score, by one in the level for each weather, by their mean.
+        - Bold: the score predicts better than the level of the weather does.
+        - An infinite score is left out of lines; ranks take it.
+    """
+    files = parts.markup(
+        "torchweather {} · all conditions in {}, all numbers of this page in {}",
+        summary["torchweather"],
+        parts.link("conditions.csv"),
+        parts.link("correlation.json"),
+    )
+    named = {"Coefficients": coefficients, "Given the level": level, "Error": error}
+    columns = parts.Columns([(title, [parts.Listing(parts.items(text))]) for title, text in named.items()])
+    return Section("How to read it", [columns, parts.Fine(files)])
+
+
+def _number(value: float, digits: int = 2) -> str:
     """A number with a proper minus; a dash where there is none."""
-    if not math.isfinite(value):
-        return NO_VALUE
-    return f"{value:.{digits}f}".replace("-", "−")
+    return fixed_text(value, digits) if math.isfinite(value) else NO_VALUE
 
 
 def _interval(low: float, high: float) -> str:

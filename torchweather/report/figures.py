@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,17 @@ from numpy.typing import NDArray
 
 from torchweather.report.pictures import data_uri
 
-__all__ = ["SHADES", "STYLE", "Curve", "histogram_uri", "map_uri", "plain_axes", "svg_uri", "transmission_uri"]
+__all__ = [
+    "SHADES",
+    "STYLE",
+    "Curve",
+    "histogram_uri",
+    "map_uri",
+    "plain_axes",
+    "png_figure_uri",
+    "svg_uri",
+    "transmission_uri",
+]
 
 Array = NDArray[np.float64]
 
@@ -71,10 +82,18 @@ class Curve:
 
 
 def svg_uri(figure: Figure) -> str:
-    """The figure as an SVG that a page can carry; the same numbers give the same text."""
+    """The figure as an SVG that a page can carry, on no ground; the same numbers give the same text."""
     memory = io.BytesIO()
-    figure.savefig(memory, format="svg", metadata={"Date": None, "Creator": None})
-    return data_uri(memory.getvalue(), "image/svg+xml")
+    nameless = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(memory, format="svg", metadata=nameless, transparent=True)
+    return data_uri(re.sub(rb"\n\s*", b"\n", memory.getvalue()), "image/svg+xml")
+
+
+def png_figure_uri(figure: Figure, dpi: int) -> str:
+    """The figure as a PNG that a page can carry."""
+    memory = io.BytesIO()
+    figure.savefig(memory, format="png", dpi=dpi, metadata={"Software": None})
+    return data_uri(memory.getvalue(), "image/png")
 
 
 def plain_axes(axes: Axes) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +18,11 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import normalise, quantise, srgb_decode
 from torchweather.camera.transform import BayerWeather
-from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.image.depth import FlatGround, as_depth_source
 from torchweather.io import read_image, write_image
 from torchweather.io.depth_maps import map_source
+from torchweather.report.machine import library_warnings
 from torchweather.report.pictures import Look, look_of
 from torchweather.scenes import fog_tunnel, test_track
 from torchweather.scenes.raw_frame import raw_frame
@@ -106,8 +106,7 @@ class Frame:
     def render(self, weather: Weather, seed: int) -> Rendered:
         """The frame in a weather, drawn with ``seed``."""
         started = time.perf_counter()
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with library_warnings() as said:
             transform = BayerWeather(weather, self.camera, airlight=self.airlight)
             taker = AsBayer(transform) if self.is_rgb else transform
             built = time.perf_counter()
@@ -116,12 +115,6 @@ class Frame:
             with torch.no_grad():
                 result = taker.run(self.data, self.depth_m, noise)
             done = time.perf_counter()
-        said = []
-        for warning in caught:
-            if issubclass(warning.category, TorchweatherWarning):
-                said.append(str(warning.message))
-            else:
-                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
         data = result.rgb if self.is_rgb else result.bayer  # type: ignore[union-attr]
         return Rendered(
             data=data,
@@ -130,7 +123,7 @@ class Frame:
             particle_mask=result.particle_mask,
             transform=transform,
             times_s={"set_up_s": built - started, "draw_s": drawn - built, "render_s": done - drawn},
-            warnings=tuple(dict.fromkeys(said)),
+            warnings=tuple(said),
         )
 
     def write(self, path: Path, data: Tensor) -> None:

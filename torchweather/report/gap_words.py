@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from torchweather.report.tables import number_text
+from torchweather.report.tables import number_text, signed_text
 from torchweather.stages.catalogue import EFFECTS
 
 __all__ = [
@@ -256,19 +256,6 @@ def edge_text(axis: str, edge: float) -> str:
     else:
         value = round(math.exp(edge) if axis.startswith("log_") else edge, 2)
     return "∞" if value >= NO_END else f"{value + 0.0:g}".replace("-", "−")
-
-
-def signed_text(value: float | str) -> str:
-    """A number with three significant digits and its sign; infinities, which the answer holds as text, as ∞.
-
-    Example:
-        >>> [signed_text(value) for value in (-0.02, 3.0, "inf", "nan")]
-        ['−0.0200', '3.00', '∞', '–']
-    """
-    number = float(value)
-    if math.isnan(number):
-        return "–"
-    return ("−" if number < 0 else "") + ("∞" if math.isinf(number) else number_text(abs(number)))
 
 
 def probability_text(p: float) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -17,9 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.pipeline.point_kind import PointKind
-from torchweather.report.figures import STYLE
+from torchweather.report.figures import STYLE, png_figure_uri
 from torchweather.report.lidar_views import WeatherCloud
-from torchweather.report.pictures import data_uri
 
 __all__ = ["COLOURS", "birds_eye_uri", "range_images_uri", "range_rings"]
 
@@ -56,7 +54,7 @@ def birds_eye_uri(cloud: WeatherCloud, clear: WeatherCloud) -> str:
         axes.set_yticks([-25, 0, 25, 50, 75])
         axes.set_xlabel("left and right, m", labelpad=1)
         axes.set_ylabel("ahead, m", labelpad=-3)
-        return _png(figure, 190)
+        return png_figure_uri(figure, dpi=190)
 
 
 def range_rings(axes: Axes) -> None:
@@ -106,7 +104,7 @@ def range_images_uri(clouds: Sequence[tuple[str, WeatherCloud]], directions: Ten
             axes.set_ylabel("elevation, °", labelpad=1)
             if last:
                 axes.set_xlabel("azimuth, ° (0 is ahead, 90 is left)", labelpad=1)
-        return _png(figure, 130)
+        return png_figure_uri(figure, dpi=130)
 
 
 def _cells(directions: Tensor, grid: tuple[int, int]) -> tuple[Array, Array, Array]:
@@ -133,9 +131,3 @@ def _colours(cloud: WeatherCloud) -> Array:
     found[(cloud.kind == PointKind.PARTICLE).numpy()] = mpl.colors.to_rgb(COLOURS["particle"])
     found[cloud.lost.numpy()] = mpl.colors.to_rgb(COLOURS["lost"])
     return found
-
-
-def _png(figure: Figure, dpi: int) -> str:
-    memory = io.BytesIO()
-    figure.savefig(memory, format="png", dpi=dpi, metadata={"Software": None})
-    return data_uri(memory.getvalue(), "image/png")

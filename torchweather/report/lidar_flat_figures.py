@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,10 +15,9 @@ from torch import Tensor
 
 from torchweather.lidar import GroundPlane, fit_ground
 from torchweather.pipeline.point_kind import PointKind
-from torchweather.report.figures import STYLE
+from torchweather.report.figures import STYLE, png_figure_uri
 from torchweather.report.lidar_figures import AZIMUTHS_DEG, COLOURS
 from torchweather.report.lidar_views import WeatherCloud
-from torchweather.report.pictures import data_uri
 from torchweather.report.view_flat import UNDER_M, USUAL_HEIGHT_M, WITHIN_M
 from torchweather.report.view_words import count_text
 
@@ -154,6 +152,4 @@ def _stacked(
                 axes.tick_params(labelbottom=False)
             if last:
                 axes.set_xlabel(across, labelpad=1)
-        memory = io.BytesIO()
-        figure.savefig(memory, format="png", dpi=130, metadata={"Software": None})
-    return data_uri(memory.getvalue(), "image/png")
+        return png_figure_uri(figure, dpi=130)

@@ -11,10 +11,13 @@ import torch
 from torchweather.atmosphere.weather import Weather
 from torchweather.io import PointCloud, write_points
 from torchweather.pipeline.point_kind import PointKind
+from torchweather.report import parts
 from torchweather.report.lidar_figures import COLOURS, birds_eye_uri, range_images_uri
 from torchweather.report.lidar_flat_figures import UNDER_COLOUR, side_views_uri
 from torchweather.report.lidar_views import LidarScene, WeatherCloud
-from torchweather.report.tables import number_text
+from torchweather.report.report import Section
+from torchweather.report.tables import number_text, weathers_table
+from torchweather.report.view_words import count_text
 
 __all__ = ["lidar_part"]
 
@@ -34,7 +37,9 @@ COLUMNS = (
     ("points_pedestrian", "Points on the pedestrian", ""),
     ("render_s", "Rendering", "ms"),
 )
-FACTORS = {"%": 100.0, "ms": 1000.0}
+FINE = """Shares of points are of those in clear air; of empty beams, of those without a return there. The PCD files
+    hold x, y, z, intensity, ring and kind (0 object, 1 weather). Extinction is the effective one: light that drops
+    and flakes diffract forward stays in the beam."""
 FILE_COLUMNS = ("x", "y", "z", "intensity", "ring", "kind")
 
 
@@ -47,7 +52,7 @@ def lidar_part(
     folder: Path,
     prefix: str,
     step: Callable[[int], object],
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[dict[str, Any], Section]:
     """Render the scene in every weather.
 
     Args:
@@ -61,7 +66,7 @@ def lidar_part(
         step: told of each weather done.
 
     Returns:
-        The record for the summary, and the part of the page.
+        The record for the summary, and the section of the page.
     """
     clear = seen.clear
     (folder / "clouds").mkdir(exist_ok=True)
@@ -78,48 +83,95 @@ def lidar_part(
         if name in shown:
             pictured.append((label, cloud, record))
         step(1)
+    named = [(label, cloud) for label, cloud, _ in pictured]
     figures = []
     for label, cloud, record in pictured:
         file = f"clouds/{prefix}_{record['name']}.pcd"
         record["file"] = file
         _write(folder / file, cloud)
-        figures.append(
-            {
-                "label": label,
-                "picture": birds_eye_uri(cloud, clear),
-                "file": file,
-                "facts": list(_facts(record)),
-            }
-        )
-    named = [(label, cloud) for label, cloud, _ in pictured]
-    grid = seen.view.grid
-    ranges = None
-    if grid is not None:
-        ranges = range_images_uri(named, seen.view.directions, grid)
+        picture, facts = birds_eye_uri(cloud, clear), [*_facts(record), parts.link(file, "cloud (PCD)")]
+        figures.append(parts.Figure(picture, f"Point cloud from above, {label}", caption=label, facts=facts))
     beams = len(clear.kind)
     summary = {"sensor": sensor, "lidar": seen.lidar.to_dict(), "beams": beams, "weathers": records}
-    page = {
-        "sensor": sensor,
-        "lidar": seen.lidar,
-        "beams": number_text(beams) if beams < 1000 else f"{beams:,}".replace(",", "\u202f"),
-        "clear_points": f"{int(seen.view.hit.sum()):,}".replace(",", "\u202f"),
-        "colours": COLOURS,
-        "figures": figures,
-        "sides": side_views_uri(named, clear),
-        "under_colour": UNDER_COLOUR,
-        "ranges": ranges,
-        "rain": _rain(records),
-        "columns": [{"heading": heading, "unit": unit} for _, heading, unit in COLUMNS],
-        "rows": [{"label": record["label"], "cells": list(_cells(record))} for record in records],
-    }
+    under = parts.markup(
+        """ahead is right, all points in one plane, heights drawn larger than lengths; the line is the ground, and
+        <span style="color:{}">particles under it</span> would be an error""",
+        UNDER_COLOUR,
+    )
+    sides = parts.Figure(
+        side_views_uri(named, clear),
+        "Point clouds from the side with the ground: clear, rain, fog, snow",
+        title="From the side",
+        small=under,
+        look="wide plain",
+    )
+    page = Section(
+        "LiDAR: the same scene, the same weather",
+        [
+            parts.Prose(list(_words(seen, sensor, records))),
+            parts.Legend(
+                [
+                    parts.Key("object", COLOURS["object"]),
+                    parts.Key("weather: drop, flake or fog", COLOURS["particle"]),
+                    parts.Key("lost: where the point was in clear air", COLOURS["lost"]),
+                ]
+            ),
+            parts.Heading("From above", "the sensor is the triangle, ahead is up, rings in metres"),
+            parts.Pictures(figures, across=4, look="stacked"),
+            sides,
+            *_around(seen, named),
+            weathers_table("LiDAR, in numbers", COLUMNS, records, "lidar", _text),
+            parts.Fine(FINE),
+        ],
+        id=f"{prefix}-lidar",
+        short="LiDAR",
+    )
     return summary, page
+
+
+def _around(seen: LidarScene, named: Sequence[tuple[str, WeatherCloud]]) -> list[parts.Part]:
+    """Range images, where the beams form a grid."""
+    if seen.view.grid is None:
+        return []
+    picture = range_images_uri(named, seen.view.directions, seen.view.grid)
+    title, small = "All around, as the sensor sees it", "objects from dark (near) to light grey (far); white: no return"
+    return [parts.Figure(picture, "Range images: clear, rain, fog, snow", title=title, small=small, look="wide plain")]
+
+
+def _words(seen: LidarScene, sensor: str, records: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Why the clouds look as they do."""
+    lidar, count = seen.lidar, len(seen.clear.kind)
+    beams = number_text(count) if count < 1000 else count_text(count)
+    reported = lidar.return_mode if lidar.return_mode != "dual" else "strongest"
+    yield parts.markup(
+        """The scene of the pictures above as the sensor <code>{}</code> measures it from the roof: {} beams at {:g} nm,
+        {} of which meet something that returns enough light. Each beam reports one point, its {} return. Weather dims
+        the objects on the way out and back, and what is in the air returns light of its own.""",
+        *(sensor, beams, lidar.wavelength_nm, count_text(int(seen.view.hit.sum())), reported),
+    )
+    rain = [record for record in records if record.get("kind") == "rain"]
+    if rain:
+        drops = rain[-1]["numbers"]["particles"]
+        yield parts.markup(
+            """<strong>Almost no raindrop is seen, and that is right.</strong> A drop fills a tiny part of the beam, and
+            returns little: {} of {} beams {} one ({}). Rain takes the points that were barely detected in clear air.
+            Near drops are hidden by the receiver itself: its response rises from nothing at {:g} m to all at {:g} m
+            (plausible values, not measured on this sensor).""",
+            *(drops or "none", beams, "reports" if drops == 1 else "report", rain[-1]["label"]),
+            *(lidar.near_start_m, lidar.near_full_m),
+        )
+    yield """Fog is a cloud of countless droplets: its echo peaks some metres ahead, where the receiver begins to see,
+        and beats every object behind that is fainter. So most beams report a shell of fog around the sensor, also
+        those that met nothing before."""
+    yield """A snowflake is large enough to be seen one by one, in the first ten to twenty metres. A beam into the empty
+        sky reports even a faint flake; a beam that also meets a near, bright object reports that."""
 
 
 def _facts(record: dict[str, Any]) -> Iterator[str]:
     """What stands under a picture from above."""
     numbers = record["numbers"]
     if record["name"] == "clear":
-        yield f"{int(numbers['objects']):,} points".replace(",", "\u202f")
+        yield f"{count_text(int(numbers['objects']))} points"
         return
     yield f"{_percent(numbers['share_objects'])} of the points left"
     if numbers["particles"] < 1000:
@@ -130,23 +182,6 @@ def _facts(record: dict[str, Any]) -> Iterator[str]:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f}\u202f%"
-
-
-def _rain(records: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """The heaviest rain, and how many beams see a drop of it."""
-    rain = [record for record in records if record.get("kind") == "rain"]
-    if not rain:
-        return None
-    heaviest = rain[-1]
-    return {"label": heaviest["label"], "drops": heaviest["numbers"]["particles"]}
-
-
-def _cells(record: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    values = {**record["numbers"], **record["times_s"]}
-    for key, _, unit in COLUMNS:
-        value = values.get(key)
-        text = "–" if value is None else _text(key, value * FACTORS.get(unit, 1.0))
-        yield {"key": key, "value": value, "text": text}
 
 
 def _text(key: str, value: float) -> str:

@@ -1,19 +1,23 @@
-"""A page from its template: everything that is filled in is escaped, a name that is missing is an error."""
+"""The HTML of a report: self-contained, every value escaped, a name that is missing is an error."""
 
 from __future__ import annotations
 
+import os
+import re
+from pathlib import Path
+
 import jinja2
+from markupsafe import Markup
 
-__all__ = ["html_page"]
+from torchweather import __version__
+from torchweather.io import atomic_write
+from torchweather.report.report import Report
+
+__all__ = ["html_of", "write_report"]
 
 
-def html_page(template: str, **values: object) -> str:
-    """HTML of a template of this package.
-
-    Args:
-        template: its file name in ``report/templates``.
-        values: what it shows.
-    """
+def html_of(report: Report) -> str:
+    """HTML of a page, with its style, pictures and scripts in itself."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("torchweather.report"),
         autoescape=True,
@@ -21,4 +25,23 @@ def html_page(template: str, **values: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(**values)
+    environment.filters |= {"terse": _terse, "flush": _flush}
+    return environment.get_template("report.html").render(report=report, version=__version__)
+
+
+def write_report(report: Report, path: str | os.PathLike[str]) -> None:
+    """Write a page under a temporary name, then rename it: ``path`` is the whole page or what it was before."""
+    text = html_of(report)
+    with atomic_write(Path(path)) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def _terse(style: str) -> Markup:
+    """A style sheet without comments and line ends."""
+    bare = re.sub(r"/\*.*?\*/", "", style, flags=re.DOTALL)
+    return Markup(re.sub(r"\s*([{};,])\s*|\s+", lambda found: found[1] or " ", bare))
+
+
+def _flush(script: str) -> Markup:
+    """A script without indentation."""
+    return Markup(re.sub(r"\n\s+", "\n", script))

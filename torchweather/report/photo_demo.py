@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import normalise, quantise
 from torchweather.camera.transform import BayerWeather
-from torchweather.core.errors import InputValueError, TorchweatherWarning
+from torchweather.core.errors import InputValueError
 from torchweather.io import atomic_folder, write_image
 from torchweather.report.before_after import (
     LONGEST_PX,
@@ -35,6 +34,8 @@ from torchweather.report.before_after import (
     reduced,
     size_within,
 )
+from torchweather.report.machine import library_warnings
+from torchweather.report.page import write_report
 
 __all__ = ["SEVERITIES", "Photo", "write_photo_demo"]
 
@@ -151,7 +152,7 @@ def write_photo_demo(
         summary = {"torchweather": __version__, "seed": seed, "subjects": subjects}
         text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
         (staging / "summary.json").write_text(text, encoding="utf-8")
-        (staging / "index.html").write_text(comparisons_page(comparisons), encoding="utf-8")
+        write_report(comparisons_page(comparisons), staging / "index.html")
     found: dict[str, Any] = json.loads(text)
     return found
 
@@ -197,16 +198,9 @@ def _weathered(
     clear: Tensor, camera: Camera, scene: SceneDepth, weather: Weather, seed: int, airlight: Sequence[float] | None
 ) -> tuple[Tensor, list[float], list[str]]:
     """The picture in a weather, the airlight that was used, and what the library warned of."""
-    with warnings.catch_warnings(record=True) as caught, torch.no_grad():
-        warnings.simplefilter("always")
+    with library_warnings() as said, torch.no_grad():
         taker = AsBayer(BayerWeather(weather, camera, airlight=airlight))
         result = taker.run(clear, scene, taker.draw(clear, seed=seed))
-    said = []
-    for warning in caught:
-        if issubclass(warning.category, TorchweatherWarning):
-            said.append(str(warning.message))
-        else:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
     used = [round(float(value), 4) for value in result.airlight.reshape(-1)[:3]]
     return result.rgb, used, said
 

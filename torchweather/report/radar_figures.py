@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 import matplotlib as mpl
@@ -16,8 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torchweather.radar.sensor import Radar
-from torchweather.report.figures import STYLE
-from torchweather.report.pictures import data_uri
+from torchweather.report.figures import STYLE, png_figure_uri
 from torchweather.report.radar_views import RadarFrame
 
 __all__ = ["OTHER", "above_uri", "bar_uri", "map_uri", "power_scale"]
@@ -79,7 +77,7 @@ def map_uri(frame: RadarFrame, radar: Radar, scale_dbm: tuple[float, float]) -> 
         axes.yaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, steps=[1, 2, 5, 10]))
         axes.set_xlabel("range, m", labelpad=1)
         axes.set_ylabel("speed, m/s", labelpad=-2)
-        return _png(figure)
+        return png_figure_uri(figure, dpi=190)
 
 
 def above_uri(frame: RadarFrame, boxes: Tensor, radar: Radar, scale_dbm: tuple[float, float]) -> str:
@@ -112,7 +110,7 @@ def above_uri(frame: RadarFrame, boxes: Tensor, radar: Radar, scale_dbm: tuple[f
         axes.set_xticks([-20, 0, 20], labels=["20", "0", "20"])
         axes.set_xlabel("left and right, m", labelpad=1)
         axes.set_ylabel("ahead, m", labelpad=0)
-        return _png(figure)
+        return png_figure_uri(figure, dpi=190)
 
 
 def _outline(axes: Axes, box: list[float]) -> None:
@@ -140,10 +138,4 @@ def bar_uri(kind: str, scale_dbm: tuple[float, float], label: str) -> str:
         bar.outline.set_visible(False)
         bar.set_label(label, labelpad=1)
         axes.tick_params(labelsize=9, length=2)
-        return _png(figure)
-
-
-def _png(figure: Figure) -> str:
-    memory = io.BytesIO()
-    figure.savefig(memory, format="png", dpi=190, metadata={"Software": None})
-    return data_uri(memory.getvalue(), "image/png")
+        return png_figure_uri(figure, dpi=190)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from torchweather.io import RADAR_COLUMNS, RadarPoints, write_radar
+from torchweather.radar.sensor import Radar
+from torchweather.report import parts
 from torchweather.report.radar_figures import OTHER, above_uri, bar_uri, map_uri, power_scale
 from torchweather.report.radar_views import RadarFrame, RadarScene
-from torchweather.report.tables import number_text
+from torchweather.report.report import Section
+from torchweather.report.tables import number_text, weathers_table
 from torchweather.scenes.primitives import Point
 
 __all__ = ["RADAR_WEATHERS", "WALKING", "radar_part"]
@@ -41,12 +44,16 @@ COLUMNS = (
     ("points_other", "Points of weather and noise", ""),
     ("render_s", "Simulation", "s"),
 )
+FINE = """A point counts as the scene's where the scene's echo, known from the simulation without noise and weather, is
+    stronger in its beam than everything else. The CSV files hold position, radial speed, power, cross section (of clear
+    air: weather makes it smaller) and kind (0 scene, 1 weather or noise). Attenuation of rain after ITU-R P.838-3, of
+    fog after P.840, of snow by Mie theory over the flakes."""
 FILE_COLUMNS = (*RADAR_COLUMNS, "kind")
 
 
 def radar_part(
     seen: RadarScene, sensor: str, seed: int, folder: Path, prefix: str, step: Callable[[int], object]
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[dict[str, Any], Section]:
     """Simulate the scene in clear air and in every weather.
 
     Args:
@@ -58,7 +65,7 @@ def radar_part(
         step: told of each weather done.
 
     Returns:
-        The record for the summary, and the part of the page.
+        The record for the summary, and the section of the page.
     """
     (folder / "clouds").mkdir(exist_ok=True)
     frames = [("clear", "Clear", "clear", seen.render(None, seed))]
@@ -69,7 +76,8 @@ def radar_part(
     scale = power_scale(frames[0][3].power_dbm, 0.5, 0.999)
     points_dbm = torch.cat([frame.points[frame.of_scene, 4] for *_, frame in frames])
     point_scale = power_scale(points_dbm, 0.1, 0.9) if len(points_dbm) else scale
-    records, figures = [], []
+    records: list[dict[str, Any]] = []
+    maps, above = [], []
     for name, label, kind, frame in frames:
         file = f"clouds/{prefix}_radar_{name}.csv"
         kinds = (~frame.of_scene)[:, None].to(frame.points)
@@ -85,15 +93,11 @@ def radar_part(
                 "file": file,
             }
         )
-        figures.append(
-            {
-                "label": label,
-                "map": map_uri(frame, seen.radar, scale),
-                "above": above_uri(frame, seen.view.boxes, seen.radar, point_scale),
-                "file": file,
-                "facts": list(_facts(frame)),
-            }
-        )
+        picture = map_uri(frame, seen.radar, scale)
+        maps.append(parts.Figure(picture, f"Range-Doppler map, {label}", caption=label))
+        picture = above_uri(frame, seen.view.boxes, seen.radar, point_scale)
+        facts = [*_facts(frame), parts.link(file, "points (CSV)")]
+        above.append(parts.Figure(picture, f"Radar points from above, {label}", caption=label, facts=facts))
     notes = list(dict.fromkeys(said for *_, frame in frames for said in frame.warnings))
     summary = {
         "sensor": sensor,
@@ -102,19 +106,63 @@ def radar_part(
         "notes": notes,
         "weathers": records,
     }
-    page = {
-        "sensor": sensor,
-        "radar": seen.radar,
-        "notes": notes,
-        "other": OTHER,
-        "figures": figures,
-        "map_bar": bar_uri("map", scale, "mean power of the channels, dBm"),
-        "point_bar": bar_uri("points", point_scale, "power of the scene's points, dBm"),
-        "columns": [{"heading": heading, "unit": unit} for _, heading, unit in COLUMNS],
-        "rows": [{"label": record["label"], "cells": list(_cells(record))} for record in records],
-        "said": {record["name"]: record["numbers"] for record in records},
-    }
+    map_bar = bar_uri("map", scale, "mean power of the channels, dBm")
+    point_bar = bar_uri("points", point_scale, "power of the scene's points, dBm")
+    rings = parts.markup(
+        """rings: cells that became points; white: of the scene, <span style="color:{}">orange</span>: of weather or
+        noise""",
+        OTHER,
+    )
+    triangle = parts.markup(
+        """the radar is the triangle, ahead is up; outlines: cars, pedestrian, cyclist; <span style="color:{}">×</span>:
+        weather or noise""",
+        OTHER,
+    )
+    page = Section(
+        f"Radar: the same scene at {seen.radar.frequency_ghz:g} GHz",
+        [
+            parts.Prose(list(_words(seen.radar, sensor, records))),
+            *(parts.Note(f"{note} The frame is shown all the same.") for note in notes),
+            parts.Heading("Range and speed", rings),
+            parts.Figure(map_bar, "Colours of the maps", look="bar plain"),
+            parts.Pictures(maps, across=4),
+            parts.Heading("From above", triangle),
+            parts.Figure(point_bar, "Colours of the points", look="bar plain"),
+            parts.Pictures(above, across=4, look="stacked"),
+            weathers_table("Radar, in numbers", COLUMNS, records, "radar", _text),
+            parts.Fine(FINE),
+        ],
+        id=f"{prefix}-radar",
+        short="Radar",
+    )
     return summary, page
+
+
+def _words(radar: Radar, sensor: str, records: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Why the frames look as they do."""
+    lost_db = {record["name"]: record["numbers"]["loss_56_m_db"] for record in records}
+    yield parts.markup(
+        """One frame of the FMCW radar <code>{}</code> in the bumper: {} virtual channels, {} chirps of {} samples,
+        thermal noise, range-Doppler map, CFAR detector, points. A range bin is {:.2f} m, a speed bin {:.2f} m/s. The
+        cars are facets of metal skin with small corners in them; two corner reflectors of 10 dBsm stand beside the
+        road at 20 and 45 m; pedestrian, cyclist, boards, posts, guard rail and trees are points of generic cross
+        section. Road users go at walking pace here, all else stands.""",
+        *(sensor, radar.virtual_channels, radar.chirps, radar.samples),
+        *(radar.range_resolution_m, radar.speed_resolution_m_per_s),
+    )
+    yield parts.markup(
+        """<strong>Fog hides the scene from eyes and lasers, not from the radar.</strong> Its droplets are hundreds of
+        times smaller than the wave: fog of 10 m visibility takes {:.2f} dB of the echo from 56 m.""",
+        lost_db["fog-10"],
+    )
+    yield parts.markup(
+        """<strong>Rain adds points, and they are echoes.</strong> It weakens the scene a little ({:.1f} dB from 56 m
+        and back at 25 mm/h) and sends some of the wave back itself. That falls with the square of the range, a
+        target's echo with the fourth power, so it shows near the radar, around the speed of the falling drops as seen
+        from the side, which is near 0. The receiver's noise is the same in all frames. Dry snow does either far
+        less.""",
+        lost_db["rain-25"],
+    )
 
 
 def _facts(frame: RadarFrame) -> Iterator[str]:
@@ -122,13 +170,6 @@ def _facts(frame: RadarFrame) -> Iterator[str]:
     scene, other = frame.numbers["points_scene"], frame.numbers["points_other"]
     yield f"{scene} points of the scene"
     yield f"{other} of {'noise' if frame.weather is None else 'weather and noise'}"
-
-
-def _cells(record: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    values = {**record["numbers"], **record["times_s"]}
-    for key, _, _ in COLUMNS:
-        value = values[key]
-        yield {"key": key, "value": value, "text": "–" if value is None else _text(key, value)}
 
 
 def _text(key: str, value: float) -> str:

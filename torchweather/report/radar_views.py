@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,11 +11,11 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Weather, parse_weather
-from torchweather.core.errors import TorchweatherWarning
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.radar import FmcwRadar, range_doppler
 from torchweather.radar.fmcw.detection import beam_amplitude
 from torchweather.radar.sensor import Radar
+from torchweather.report.machine import library_warnings
 from torchweather.scenes import RadarView, Scene, radar_view
 from torchweather.scenes.primitives import Point
 
@@ -68,8 +67,7 @@ class RadarScene:
     def render(self, weather: str | None, seed: int) -> RadarFrame:
         """The frame in a weather, such as ``rain:rate=25``, or in clear air, drawn with ``seed``."""
         started = time.perf_counter()
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with library_warnings() as said:
             parsed = None if weather is None else parse_weather(weather)
             transform = FmcwRadar(self.radar, parsed)
             built = time.perf_counter()
@@ -81,12 +79,6 @@ class RadarScene:
                 result = transform.process(cube)
                 done = time.perf_counter()
                 channels = range_doppler(cube, self.radar, transform.window_name)
-        said = []
-        for warning in caught:
-            if issubclass(warning.category, TorchweatherWarning):
-                said.append(str(warning.message))
-            else:
-                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
         points, cell = result.points, result.cell
         assert isinstance(points, Tensor)
         assert isinstance(cell, Tensor)
@@ -100,7 +92,6 @@ class RadarScene:
             "corner_45_m_dbm": self._strongest_dbm(CORNER, points),
         }
         times_s = {"set_up_s": built - started, "draw_s": drawn - built, "render_s": done - drawn}
-        said = list(dict.fromkeys(said))
         return RadarFrame(parsed, points, of_scene, cell, result.power_dbm, numbers, times_s, tuple(said))
 
     def _of_scene(self, channels: Tensor, points: Tensor, cell: Tensor, attenuation_db_per_km: float) -> Tensor:

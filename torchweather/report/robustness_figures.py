@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -16,9 +15,9 @@ from torch import Tensor
 from torchweather.evaluation.robustness import BoxTruth, ConditionResult
 from torchweather.evaluation.robustness.frames import Look
 from torchweather.evaluation.sweep import Level
-from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, svg_uri
+from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
 from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, BEHIND_M, range_rings
-from torchweather.report.pictures import data_uri, jpeg_uri
+from torchweather.report.pictures import jpeg_uri
 
 __all__ = ["FOUND", "LEGENDS", "TRUE", "WRONG", "look_uri", "performance_uri"]
 
@@ -132,6 +131,4 @@ def _cloud_uri(look: Look) -> str:
         axes.set_ylim(-BEHIND_M, AHEAD_M)
         axes.set_xlabel("left and right, m", labelpad=1)
         axes.set_ylabel("ahead, m", labelpad=-3)
-        memory = io.BytesIO()
-        figure.savefig(memory, format="png", dpi=130, metadata={"Software": None})
-    return data_uri(memory.getvalue(), "image/png")
+        return png_figure_uri(figure, dpi=130)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import matplotlib as mpl
@@ -13,9 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.evaluation.sweep import Series
-from torchweather.report.figures import INK, MUTED, SHADES, STYLE, plain_axes, svg_uri
+from torchweather.report.figures import INK, MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
 from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, COLOURS, range_rings
-from torchweather.report.pictures import data_uri
 
 __all__ = ["AXES", "MISS", "NAMES", "points_above_uri", "score_uri"]
 
@@ -108,6 +106,4 @@ def points_above_uri(points: Tensor, clear: Tensor) -> str:
         axes.set_ylim(-8.0, AHEAD_M + 20.0)
         axes.set_xlabel("left and right, m", labelpad=1)
         axes.set_ylabel("ahead, m", labelpad=-3)
-        memory = io.BytesIO()
-        figure.savefig(memory, format="png", dpi=150, metadata={"Software": None})
-    return data_uri(memory.getvalue(), "image/png")
+        return png_figure_uri(figure, dpi=150)

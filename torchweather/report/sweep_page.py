@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 from tqdm import tqdm
 
 from torchweather import __version__
@@ -22,7 +18,6 @@ from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.evaluation.sweep import (
     CameraSubject,
     Level,
-    LidarSubject,
     Series,
     Subject,
     columns_of,
@@ -34,21 +29,20 @@ from torchweather.evaluation.sweep.misses import explain_miss
 from torchweather.evaluation.sweep.run import plan
 from torchweather.evaluation.sweep.trends import BY_RANKS, Judgement, SeriesTrends
 from torchweather.io import atomic_folder, atomic_write, write_table
-from torchweather.report.figures import SHADES
-from torchweather.report.frames import Frame
-from torchweather.report.lidar_figures import COLOURS, birds_eye_uri
-from torchweather.report.page import html_page
-from torchweather.report.pictures import jpeg_uri, shrunk
-from torchweather.report.sweep_clouds import flat_pictures, weather_clouds
-from torchweather.report.sweep_figures import AXES, MISS, NAMES, points_above_uri, score_uri
+from torchweather.report import parts
+from torchweather.report.machine import machine, machine_text
+from torchweather.report.page import write_report
+from torchweather.report.report import Report, Section
+from torchweather.report.sweep_figures import AXES, NAMES, score_uri
+from torchweather.report.sweep_pictures import flat_pictures, legend, level_pictures
+from torchweather.report.tables import NO_VALUE
 
-__all__ = ["TABLES", "write_sweep"]
+__all__ = ["TABLES", "sweep_page", "write_sweep"]
 
 TABLES = ("csv", "parquet")
 """Formats of the table."""
 
 SMALL, LARGE = 1e-4, 1e4  # numbers beyond are written with an exponent, or as whole ones
-PICTURE_PX = 480  # columns of a picture
 SENSORS = {"camera": "camera frames", "lidar": "LiDAR clouds", "radar": "radar detections"}
 
 
@@ -103,27 +97,15 @@ def write_sweep(
             "table": f"scores.{table}",
             "notes": list(notes),
             "depth": least_sure(*(getattr(subject, "depth_confidence", EXACT) for subject in subjects)),
-            "machine": {
-                "torch": torch.__version__,
-                "processor": platform.machine(),
-                "cores": os.cpu_count(),
-                "threads": torch.get_num_threads(),
-                "device": "cpu",
-            },
+            "machine": machine(),
             "series": records,
             "seconds": round(time.perf_counter() - started, 3),
         }
-        by_name = {subject.name: subject for subject in subjects}
-        parts = [
-            _part(record, one, trend, by_name[one.subjects[0]])
-            for record, one, trend in zip(records, series, trends, strict=True)
-        ]
         text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
         with atomic_write(staging / "summary.json") as unfinished:
             unfinished.write_text(text, encoding="utf-8")
-        with atomic_write(staging / "index.html") as unfinished:
-            page = html_page("sweep.html", summary=summary, parts=parts, kind=SENSORS[subjects[0].sensor], miss=MISS)
-            unfinished.write_text(page, encoding="utf-8")
+        page = sweep_page(summary, series, trends, subjects)
+        write_report(page, staging / "index.html")
     return summary
 
 
@@ -175,64 +157,6 @@ def _metric(series: Series, judgement: Judgement) -> dict[str, Any]:
 
 # ---- the page -------------------------------------------------------------------------------------------------------
 
-
-def _part(record: dict[str, Any], series: Series, trends: SeriesTrends, subject: Subject) -> dict[str, Any]:
-    """A series for the page."""
-    level = series.levels[0]
-    shades = SHADES[level.kind]
-    return {
-        **record,
-        "title": _title(series),
-        "axis": AXES[level.knob],
-        "colour": shades[len(shades) // 2],
-        "pictures": _pictures(series, subject),
-        "flats": flat_pictures(series, subject),
-        "legend": _legend(subject),
-        "upright": not isinstance(subject, CameraSubject),
-        "charts": [
-            {"name": NAMES.get(name, name), "picture": score_uri(series, name, follows=one.follows)}
-            for name, one in trends.metrics.items()
-        ],
-        "rows": [_row(name, record["metrics"][name], one) for name, one in trends.metrics.items()],
-        "misses": [
-            {"name": NAMES.get(name, name).split(",")[0], "why": record["metrics"][name]["why"]}
-            for name, one in trends.metrics.items()
-            if not one.follows
-        ],
-        "by_ranks": [NAMES[name].split(",")[0] for name, one in trends.metrics.items() if name in BY_RANKS],
-        "labels": [f"{one.value:g} {one.unit}" for one in series.levels],
-        "facts_rows": _facts_rows(series),
-    }
-
-
-def _title(series: Series) -> str:
-    level = series.levels[0]
-    values = ", ".join(f"{one.value:g}" for one in series.levels)
-    more = level.name.removeprefix(level.kind).lstrip(":")
-    return f"{level.kind.capitalize()} {values}\N{NO-BREAK SPACE}{level.unit}" + (f" ({more})" if more else "")
-
-
-def _row(name: str, record: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
-    if judgement.follows:
-        verdict = "yes" if judgement.page_p is None else "yes, by the seeds' ranks"
-    else:
-        verdict = {"tied": "no: equal levels", "reversed": "no: reversed", "unjudged": "not judged"}.get(
-            judgement.trend.verdict, "no"
-        )
-    cells = [
-        {"mean": _text(mean), "std": "" if std == "nan" else f"{std:.2g}"}
-        for mean, std in zip(record["mean"], record["std"], strict=True)
-    ]
-    arrow = "↑" if record["better"] == "up" else "↓"
-    return {
-        "name": NAMES.get(name, name),
-        "arrow": arrow,
-        "cells": cells,
-        "verdict": verdict,
-        "follows": judgement.follows,
-    }
-
-
 FACTS = {
     "mean": "Mean of the frame (linear light, 1 is white)",
     "contrast": "Its standard deviation",
@@ -242,61 +166,162 @@ FACTS = {
 }
 
 
-def _facts_rows(series: Series) -> list[dict[str, Any]]:
-    return [
-        {"name": FACTS[name], "clear": _text(series.clear[name]), "cells": [_text(value) for value in values.mean(1)]}
-        for name, values in series.facts.items()
+def sweep_page(
+    summary: Mapping[str, Any], series: Sequence[Series], trends: Sequence[SeriesTrends], subjects: Sequence[Subject]
+) -> Report:
+    """The page of a sweep.
+
+    Args:
+        summary: what ``summary.json`` holds.
+        series, trends: of the sweep, and what was judged of each.
+        subjects: that were swept.
+    """
+    kind, names, by_name = SENSORS[subjects[0].sensor], summary["subjects"], {one.name: one for one in subjects}
+    lead = """The same clear data in weather of rising severity, scored against the clear data. A score follows the
+        weather if its mean gets worse at every step."""
+    facts = [
+        ("version", summary["torchweather"]),
+        ("sensor", summary["sensor"]),
+        ("subjects", f"{len(names)}" if len(names) > 3 else ", ".join(names)),
+        ("seeds", ", ".join(map(str, summary["seeds"]))),
+        ("machine", machine_text(summary["machine"])),
     ]
+    read = parts.markup("""How to read it. Over the levels of one weather a seed keeps its random field: the storm
+        stays, the rate rises. The noise of the sensor is in the clear and in the weathered data alike. Times are
+        means of one sample on this machine, the first of its kind included. Scores are defined in the documentation
+        under Metrics. A score that follows sees the weather; whether a detector suffers is another question
+        (<code>torchweather correlate</code>).""")
+    made = parts.markup(
+        "torchweather {} · {:.0f} s in all · every score in {}, all numbers of this page in {}",
+        *(summary["torchweather"], summary["seconds"], parts.link(summary["table"]), parts.link("summary.json")),
+    )
+    sections = [
+        _section(number, record, one, judged_, by_name[one.subjects[0]])
+        for number, (record, one, judged_) in enumerate(zip(summary["series"], series, trends, strict=True), start=1)
+    ]
+    return Report(
+        title=f"Scores of {kind} against weather" + (": depth guessed" if summary["depth"] == "guessed" else ""),
+        head=f"torchweather: scores of {kind} against weather",
+        lead=[parts.Paragraph(lead, "lead"), parts.Facts(facts), *map(parts.Note, summary["notes"])],
+        sections=[Section("", [_overview(summary["series"], series)]), *sections],
+        footer=Section("", [parts.Fine(read), parts.Fine(made)]),
+    )
+
+
+def _overview(records: Sequence[Mapping[str, Any]], series: Sequence[Series]) -> parts.Table:
+    scenes = len({one.scene for one in series})
+    rows = []
+    for number, (record, one) in enumerate(zip(records, series, strict=True), start=1):
+        times, title = record["times_s"], parts.link(f"#part-{number}", _title(one))
+        rows.append(
+            (
+                parts.markup("{}, {}", title, one.scene) if scenes > 1 else title,
+                parts.Cell(
+                    f"{record['expected']} of {record['out_of']}",
+                    look="no" if any(not metric["follows"] for metric in record["metrics"].values()) else "",
+                ),
+                NO_VALUE if record["interval"] is None else "{} to {}".format(*record["interval"]),
+                *(f"{times['render_s']:.2f}", f"{times['score_s']:.2f}"),
+            )
+        )
+    heads = ["Weather", "Scores that follow", "95 % of resamples", "Rendering, s", "Scoring, s"]
+    return parts.Table(heads, rows, look="half")
+
+
+def _section(number: int, record: Mapping[str, Any], series: Series, trends: SeriesTrends, subject: Subject) -> Section:
+    """A series: its count, its pictures, its curves, and why scores do not follow."""
+    misses = [
+        (NAMES.get(name, name).split(",")[0], " ".join(record["metrics"][name]["why"]))
+        for name, one in trends.metrics.items()
+        if not one.follows
+    ]
+    drawn_from = "frames and seeds" if len(series.subjects) > 1 else "the seeds"
+    upright = not isinstance(subject, CameraSubject)
+    count = parts.markup("<strong>{} of {}</strong> scores follow the weather.", record["expected"], record["out_of"])
+    keys = legend(subject)
+    small = f"clear to heaviest, seed {series.seeds[0]}" + ("" if upright else ", one development for all")
+    axis = f"line: mean; band: lowest to highest of {drawn_from}; heavier to the right"
+    if misses:
+        axis = parts.markup('{}; <span class="no">orange: does not follow</span>', axis)
+    charts = [
+        parts.Figure(
+            score_uri(series, name, follows=one.follows),
+            f"{NAMES.get(name, name)} against {AXES[series.levels[0].knob]}",
+            look="chart",
+        )
+        for name, one in trends.metrics.items()
+    ]
+    found: list[parts.Part] = [
+        parts.Paragraph(count, "count"),
+        parts.Note(_chance(record, series, trends, drawn_from)),
+        parts.Heading(series.subjects[0], small),
+        *([parts.Legend(keys)] if keys else []),
+        parts.Pictures(level_pictures(series, subject), across=6 if upright else 3, look="keep"),
+        *flat_pictures(series, subject),
+        parts.Heading("Scores", axis),
+        parts.Pictures(charts, across=3 if len(charts) <= 6 else 4, look="keep"),
+    ]
+    if misses:
+        scores = "one score does" if len(misses) == 1 else f"{len(misses)} scores do"
+        found += [parts.Heading(f"Why {scores} not follow"), parts.Definitions(misses)]
+    found.append(_numbers(record, series, trends))
+    return Section(f"{_title(series)}, {series.scene}", found, id=f"part-{number}")
+
+
+def _title(series: Series) -> str:
+    level = series.levels[0]
+    values = ", ".join(f"{one.value:g}" for one in series.levels)
+    more = level.name.removeprefix(level.kind).lstrip(":")
+    return f"{level.kind.capitalize()} {values}\N{NO-BREAK SPACE}{level.unit}" + (f" ({more})" if more else "")
+
+
+def _chance(record: Mapping[str, Any], series: Series, trends: SeriesTrends, drawn_from: str) -> str:
+    """How many scores resamples let follow, and how many would by chance."""
+    text = ""
+    if record["interval"] is not None:
+        low, high = record["interval"]
+        text = f"In 95 % of bootstrap samples of {drawn_from}, {low} to {high} do. "
+    flip = ": a coin flip" if len(series.levels) == 2 else ""
+    text += f"A score in random order would follow with a probability of {record['chance']:.2g}{flip}."
+    by_ranks = ", ".join(NAMES[name].split(",")[0] for name in trends.metrics if name in BY_RANKS)
+    if by_ranks and len(series.seeds) > 1:
+        text += f""" {by_ranks} follows too if the seeds agree in ranking the levels (Page's test, 5 %): it is the
+            distance of a single point."""
+    return text
+
+
+def _numbers(record: Mapping[str, Any], series: Series, trends: SeriesTrends) -> parts.Table:
+    """Means of the scores, and of the data themselves."""
+    rows: list[Sequence[parts.Cell | str] | str] = []
+    for name, one in trends.metrics.items():
+        metric = record["metrics"][name]
+        arrow = "↑" if metric["better"] == "up" else "↓"
+        cells = [
+            parts.Cell(_text(mean), () if std == "nan" else [f"± {std:.2g}"])
+            for mean, std in zip(metric["mean"], metric["std"], strict=True)
+        ]
+        verdict = parts.Cell(_verdict(one), look="" if one.follows else "no")
+        rows.append([f"{NAMES.get(name, name)} {arrow}", "", *cells, verdict])
+    rows.append("The data themselves")
+    for name, values in series.facts.items():
+        rows.append([FACTS[name], _text(series.clear[name]), *map(_text, values.mean(1)), ""])
+    mean = parts.Column(parts.markup("Mean <small>± standard deviation</small>"))
+    levels = [f"{level.value:g} {level.unit}" for level in series.levels]
+    return parts.Table([mean, "Clear", *levels, parts.Column("Follows", "left")], rows, look="roomy inline")
+
+
+def _verdict(judgement: Judgement) -> str:
+    if judgement.follows:
+        return "yes" if judgement.page_p is None else "yes, by the seeds' ranks"
+    words = {"tied": "no: equal levels", "reversed": "no: reversed", "unjudged": "not judged"}
+    return words.get(judgement.trend.verdict, "no")
 
 
 def _text(value: float | str) -> str:
     if isinstance(value, str):
         return value.replace("inf", "∞")
     if not math.isfinite(value):
-        return "–" if math.isnan(value) else "∞"
+        return NO_VALUE if math.isnan(value) else "∞"
     if value == 0 or abs(value) < SMALL:
         return "0" if value == 0 else f"{value:.1e}"
     return f"{value:,.0f}".replace(",", " ") if abs(value) >= LARGE else f"{value:.4g}"
-
-
-def _pictures(series: Series, subject: Subject) -> list[dict[str, str]]:
-    """The first subject of the series, clear and in every level, with the first seed."""
-    draw = _camera_pictures if isinstance(subject, CameraSubject) else _cloud_pictures
-    labels = ["Clear", *(level.text for level in series.levels)]
-    return [
-        {"label": label, "picture": picture}
-        for label, picture in zip(labels, draw(subject, series.levels, series.seeds[0]), strict=True)
-    ]
-
-
-def _camera_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[str]:
-    frame = Frame(subject.name, subject.name, subject.data, subject.depth_m, subject.camera)
-    data = [subject.reference, *(subject.render(level.weather, seed) for level in levels)]
-    return [jpeg_uri(shrunk(frame.picture(one), PICTURE_PX)) for one in data]
-
-
-def _cloud_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[str]:
-    if not isinstance(subject, LidarSubject):
-        clear = _there(subject.clear)
-        clouds = [clear, *(_there(subject.render(level.weather, seed)) for level in levels)]
-        return [points_above_uri(cloud, clear) for cloud in clouds]
-    found = weather_clouds(subject, levels, seed)
-    return [birds_eye_uri(cloud, found[0]) for cloud in found]
-
-
-def _there(points: Tensor) -> Tensor:
-    return points[(points[:, :3] != 0).any(-1)]
-
-
-def _legend(subject: Subject) -> list[dict[str, str]]:
-    if isinstance(subject, CameraSubject):
-        return []
-    if isinstance(subject, LidarSubject):
-        names = {
-            "object": "objects",
-            "particle": "returns of the weather",
-            "lost": "points that are lost, where they were",
-        }
-    else:
-        names = {"object": "detections", "lost": "detections of clear air"}
-    return [{"colour": COLOURS[kind], "name": name} for kind, name in names.items()]

@@ -15,9 +15,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from torchweather.gap.comparison import Comparison
-from torchweather.gap.frame_scores import radar_points
-from torchweather.gap.study import Frame
+from torchweather.evaluation.validation.comparison import Comparison
+from torchweather.evaluation.validation.frame_scores import radar_points
+from torchweather.gap.study.study import Frame
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
 from torchweather.report.lidar_figures import birds_eye_uri

@@ -5,42 +5,29 @@ from __future__ import annotations
 import json
 import math
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
+from markupsafe import Markup
 
 from torchweather.atmosphere.weather import Weather
-from torchweather.camera.sensor import Camera
-from torchweather.gap.comparison import FAMILY_LEVEL, Comparison
-from torchweather.gap.severity import TrendComparison, knob_value
-from torchweather.gap.simulation import simulate
-from torchweather.gap.splits import severity
-from torchweather.gap.study import Condition, Frame, Study
-from torchweather.gap.validation import ConditionResult, Validation
+from torchweather.evaluation.validation.comparison import FAMILY_LEVEL, Comparison
+from torchweather.evaluation.validation.run import ConditionResult, Validation
+from torchweather.evaluation.validation.severity import TrendComparison, knob_value
+from torchweather.gap.study.splits import severity
+from torchweather.gap.study.study import Study
 from torchweather.io import atomic_folder
-from torchweather.radar.sensor import Radar
-from torchweather.report.lidar_figures import COLOURS
-from torchweather.report.page import html_page
-from torchweather.report.pictures import jpeg_uri, look_of, shrunk
-from torchweather.report.radar_figures import bar_uri, power_scale
-from torchweather.report.tables import number_text
-from torchweather.report.validation_figures import (
-    DIFFERS,
-    NEARER_M,
-    SIMULATED,
-    Group,
-    lidar_above_uri,
-    link_series_uri,
-    radar_above_uri,
-    score_uri,
-)
+from torchweather.report import parts
+from torchweather.report.findings import study_alerts, study_section
+from torchweather.report.page import write_report
+from torchweather.report.report import Report, Section
+from torchweather.report.tables import NO_VALUE, signed_text
+from torchweather.report.validation_figures import DIFFERS, FLOOR, SIMULATED, Group, score_uri
+from torchweather.report.validation_pictures import side_by_side
 
-__all__ = ["write_validation"]
+__all__ = ["validation_page", "write_validation"]
 
-PICTURE_PX = 640
 AXES = {"rate_mm_per_h": "mm/h", "mor_m": "visibility, m"}
 KINDS = {"lidar": "LiDAR", "camera": "camera", "radar": "radar", "link": "microwave links"}
 TITLES = {
@@ -75,45 +62,56 @@ def write_validation(
         What ``validation.json`` holds.
     """
     summary = {**validation.to_dict(), "self_check": self_check}
-    groups = _groups(study, validation)
-    names = list(groups[0].cells[0]) if groups and groups[0].cells else []
-    page = html_page(
-        "validation.html",
-        summary=summary,
-        kind=KINDS[study.kind],
-        kind_id=study.kind,
-        self_check=self_check,
-        verdict=validation.verdict(),
-        agrees=not validation.differing(),
-        groups=groups,
-        colours={**COLOURS, "differs": DIFFERS, "simulated": SIMULATED},
-        nearer_m=NEARER_M,
-        pictures=list(_pictures(study, validation)),
-        bar=_bar(study),
-        figures=[
-            {"title": _title(name), "says": _says(groups[0].cells[0][name]), "picture": score_uri(name, groups)}
-            for name in names
-        ],
-        matrix=[
-            {"title": _title(name), "cells": [_cell(cell[name]) for g in groups for cell in g.cells]} for name in names
-        ],
-        trends=[_trend(trend, len(study.scenes) > 1 or study.kind == "link") for trend in validation.trends],
-        numbers=[_numbers(group, names) for group in groups],
-        quantities=_quantities(validation),
-        findings=validation.findings,
-        chance=f"{100 * FAMILY_LEVEL:g}",
-        time=_time(validation),
-        frames=_frames(validation),
-        left_out=[f"{_title(name)}: {why}" for name, why in validation.left_out.items()],
-    )
+    page = validation_page(study, validation, summary)
     with atomic_folder(Path(out_dir)) as staging:
         text = json.dumps(summary, indent=1, allow_nan=False)
         (staging / "validation.json").write_text(text + "\n", encoding="utf-8")
-        (staging / "index.html").write_text(page, encoding="utf-8")
+        write_report(page, staging / "index.html")
     return summary
 
 
-# ---- groups of conditions --------------------------------------------------------------------------------------------
+def validation_page(study: Study, validation: Validation, summary: Mapping[str, Any]) -> Report:
+    """The page of a validation.
+
+    Args:
+        study: that was validated.
+        validation: of the study.
+        summary: what ``validation.json`` holds.
+    """
+    kind, is_link = KINDS[study.kind], study.kind == "link"
+    groups = _groups(study, validation)
+    names = list(groups[0].cells[0]) if groups and groups[0].cells else []
+    counts = sorted({result.frames for result in validation.conditions})
+    facts = [
+        ("version", summary["torchweather"]),
+        ("seed", f"{summary['seed']}"),
+        ("series" if is_link else "conditions", f"{len(summary['conditions'])}"),
+    ]
+    if not is_link:
+        facts.append(("frames of each", f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"))
+    checked = """The frames called measured come from the library itself, with clear frames and random numbers of their
+        own. So everything should agree: this page shows what agreement looks like, and how far apart two runs of one
+        model are."""
+    self_check = [parts.Alert(checked, "Nothing was measured here.")] if summary["self_check"] else []
+    beside = "simulation" if summary["self_check"] else "measurement"
+    return Report(
+        title=f"Simulation beside {beside}: {kind}",
+        head=f"torchweather: simulation beside measurement, {kind}",
+        lead=[
+            parts.Verdict(validation.verdict()),
+            *study_alerts(validation.findings),
+            *self_check,
+            parts.Facts(facts),
+        ],
+        sections=[
+            Section("Side by side", side_by_side(study, validation)),
+            _scores(groups, names, validation, is_link=is_link),
+            *_trends(validation, named=len(study.scenes) > 1 or is_link),
+            _distributions(validation, is_link=is_link),
+            study_section(validation.findings),
+        ],
+        footer=_how_to_read(validation, summary, is_link=is_link),
+    )
 
 
 def _groups(study: Study, validation: Validation) -> list[Group]:
@@ -151,72 +149,60 @@ def _groups(study: Study, validation: Validation) -> list[Group]:
     return groups
 
 
-# ---- pictures --------------------------------------------------------------------------------------------------------
+# ---- scores ----------------------------------------------------------------------------------------------------------
 
 
-def _pictures(study: Study, validation: Validation) -> Iterator[dict[str, Any]]:
-    """Clear, measured and simulated frame side by side, for the strongest of each weather of each scene."""
-    if study.kind == "link":
-        for condition in study.conditions:
-            measured = condition.frames[0]
-            simulated = simulate(study, condition, seed=validation.seed)
-            rain = np.nanmean(np.nan_to_num(np.asarray(measured["rain_mm_per_h"], dtype=np.float64)), axis=(0, 2))
-            link = int(rain.argmax())
-            about = f"{condition.id}, link {link}: the one with the most rain"
-            yield {"label": about, "wide": link_series_uri(measured, simulated, link)}
-        return
-    strongest: dict[tuple[str, str], Condition] = {}
-    for condition in study.conditions:
-        if condition.weather is not None:
-            key = (condition.scene, condition.weather.kind)
-            held = strongest.get(key)
-            if held is None or held.weather is None or severity(condition.weather) > severity(held.weather):
-                strongest[key] = condition
-    labels = {result.id: result.label for result in validation.conditions}
-    for condition in strongest.values():
-        scene = study.scene_of(condition)
-        clear = scene.clear[0]
-        simulated = simulate(study, condition, seed=validation.seed)
-        where = f"{condition.scene}: " if len(study.scenes) > 1 else ""
-        drawn = _drawn(study, clear, [clear, condition.frames[0], simulated], scene.geometry)
-        yield {
-            "label": f"{where}{labels[condition.id]}",
-            "row": [
-                {"label": label, "picture": picture}
-                for label, picture in zip(("clear", "measured", "simulated"), drawn, strict=True)
-            ],
-        }
-
-
-def _drawn(study: Study, clear: Frame, frames: Sequence[Frame], geometry: Frame) -> list[str]:
-    if isinstance(study.sensor, Camera):
-        linear = [torch.from_numpy(np.array(frame["bayer"], dtype=np.float32))[None] for frame in (clear, *frames)]
-        depth_m = torch.from_numpy(np.array(geometry["depth_m"], dtype=np.float32))[None]
-        look = look_of(linear[0], depth_m, study.sensor)
-        pattern = study.sensor.bayer_pattern
-        return [jpeg_uri(shrunk(look.develop(each, pattern), PICTURE_PX), quality=90) for each in linear[1:]]
-    if study.kind == "lidar":
-        return [lidar_above_uri(frame, clear, study.beams["direction"]) for frame in frames]
-    scale, far_m = _radar_scale(study)
-    return [radar_above_uri(frame, clear, geometry, scale, far_m) for frame in frames]
-
-
-def _radar_scale(study: Study) -> tuple[tuple[float, float], float]:
-    """Ends of the scale of powers, dB, and of the pictures ahead, m."""
-    powers = [np.asarray(scene.clear[0]["power_db"], dtype=np.float64) for scene in study.scenes.values()]
-    known = np.concatenate([power[np.isfinite(power)] for power in powers])
-    farthest = max(float(np.max(scene.geometry["range_m"])) for scene in study.scenes.values())
-    scale = power_scale(torch.from_numpy(known), 0.05, 0.95) if len(known) else (-10.0, 0.0)
-    return scale, 10.0 * math.ceil(farthest / 10.0)
-
-
-def _bar(study: Study) -> str | None:
-    if not isinstance(study.sensor, Radar):
-        return None
-    return bar_uri("points", _radar_scale(study)[0], "power of the detections, dB")
-
-
-# ---- words and numbers -----------------------------------------------------------------------------------------------
+def _scores(groups: Sequence[Group], names: Sequence[str], validation: Validation, *, is_link: bool) -> Section:
+    if is_link:
+        text = """Mean attenuation of the links in classes of rain. A link in one rain is a pair, measured and
+            simulated, so what counts is the scatter of the differences from link to link. The floor is dry air."""
+    else:
+        text = """Every measured and every simulated frame is scored against a clear frame. Where both score alike, the
+            simulated weather did to the frame what the real one did, as far as this score sees. The floor is what clear
+            frames score against each other."""
+    marks = [
+        parts.Key("measured", "#1b2733"),
+        parts.Key("simulated", SIMULATED, look="diamond"),
+        parts.Key("floor: clear against clear", FLOOR, look="band edge"),
+        parts.Key("they differ", DIFFERS, look="gap"),
+        parts.Key("bars: two standard errors"),
+    ]
+    figures = [
+        parts.Figure(
+            score_uri(name, groups),
+            f"{_title(name)} over the weather, measured and simulated",
+            title=_title(name),
+            small=_says(groups[0].cells[0][name]),
+            look="chart",
+        )
+        for name in names
+    ]
+    cells = {
+        "": "they agree",
+        "pale": "they agree, and neither can be told from clear air",
+        "differs": "they differ",
+        "pale ": "cannot be judged",
+    }
+    key = Markup(" &ensp; ").join(
+        parts.markup('<span class="mark {}">{}</span> {}', look, NO_VALUE if look == "pale " else "+0.0", text)
+        for look, text in cells.items()
+    )
+    fine = """Means over frames ± standard error. Gap over effect: the gap as a share of what the measured weather did
+        to the score, its distance from the floor."""
+    return Section(
+        "Scores against clear air",
+        [
+            parts.Paragraph(text),
+            parts.Legend(marks, chart=True),
+            parts.Pictures(figures, across=3),
+            parts.Heading("Gap, simulated less measured, in standard errors"),
+            parts.Paragraph(key, "key wide"),
+            _matrix(groups, names),
+            *(parts.Note(f"Left out. {_title(name)}: {why}.") for name, why in validation.left_out.items()),
+            parts.Details("All numbers", [*(_numbers(group, names) for group in groups), parts.Fine(fine)]),
+        ],
+        id="scores",
+    )
 
 
 def _title(name: str) -> str:
@@ -229,107 +215,122 @@ def _says(cell: Comparison) -> str:
     return f"{cell.meaning.unit}; {better}" if cell.meaning.unit else better
 
 
-def _text(value: float, sign: bool = False) -> str:
-    if math.isnan(value):
-        return "–"
-    text = "∞" if math.isinf(value) else number_text(abs(value))
-    before = "−" if value < 0 else "+" if sign and value > 0 else ""
-    return before + text
+def _matrix(groups: Sequence[Group], names: Sequence[str]) -> parts.Table:
+    """The gap of every score in every condition, in standard errors."""
+    return parts.Table(
+        ["Score", *(tick for group in groups for tick in group.ticks)],
+        [(_title(name), *(_cell(cell[name]) for group in groups for cell in group.cells)) for name in names],
+        look="matrix",
+        over=[("", 1), *((group.axis, len(group.ticks)) for group in groups)],
+    )
 
 
-def _cell(cell: Comparison) -> dict[str, str]:
+def _cell(cell: Comparison) -> parts.Cell:
     """Gap in standard errors, and how to show it."""
     at_floor = cell.side_of_floor("measured") == cell.side_of_floor("simulated") == "at"
     value = cell.in_errors
-    text = "–" if math.isnan(value) else f"{value:+.1f}".replace("-", "−") if math.isfinite(value) else "∞"
+    text = NO_VALUE if math.isnan(value) else f"{value:+.1f}".replace("-", "−") if math.isfinite(value) else "∞"
     if cell.verdict == "differs":
-        return {"text": text if text != "–" else "∞", "look": "differs"}
+        return parts.Cell(text if text != NO_VALUE else "∞", look="differs")
     if cell.verdict == "unjudged":
-        return {"text": "–", "look": "unjudged"}
-    return {"text": text, "look": "floor" if at_floor else "agrees"}
+        return parts.Cell(NO_VALUE, look="pale")
+    return parts.Cell(text, look="pale" if at_floor else "")
 
 
-def _numbers(group: Group, names: Sequence[str]) -> dict[str, Any]:
+def _numbers(group: Group, names: Sequence[str]) -> parts.Table:
     """All numbers of a group, a row for each condition and score."""
-    rows = []
+    rows: list[Sequence[parts.Cell | str]] = []
     for tick, cells in zip(group.ticks, group.cells, strict=True):
         for name in names:
             cell = cells[name]
+            sides = (cell.measured, cell.simulated, cell.floor)
+            share = cell.share_of_effect
             rows.append(
-                {
-                    "tick": tick,
-                    "title": _title(name),
-                    "measured": _with_error(cell.measured.mean, cell.measured.standard_error),
-                    "simulated": _with_error(cell.simulated.mean, cell.simulated.standard_error),
-                    "floor": _with_error(cell.floor.mean, cell.floor.standard_error),
-                    "gap": _text(cell.gap, sign=True),
-                    "share": "–"
-                    if math.isnan(cell.share_of_effect)
-                    else f"{100 * cell.share_of_effect:+.0f}\u202f%".replace("-", "−"),
-                    "look": cell.verdict,
-                }
+                (
+                    *(tick, _title(name), *(_with_error(side.mean, side.standard_error) for side in sides)),
+                    parts.Cell(signed_text(cell.gap, plus=True), look="differs" if cell.verdict == "differs" else ""),
+                    NO_VALUE if math.isnan(share) else f"{100 * share:+.0f}\u202f%".replace("-", "−"),
+                )
             )
-    return {"title": group.axis, "rows": rows}
+    heads = ["Measured", "Simulated", "Floor", "Gap", "Gap over effect"]
+    return parts.Table([group.axis, parts.Column("Score", "left"), *heads], rows)
 
 
 def _with_error(mean: float, error: float) -> str:
-    return _text(mean) if math.isnan(error) else f"{_text(mean)} ± {_text(error)}"
+    return signed_text(mean) if math.isnan(error) else f"{signed_text(mean)} ± {signed_text(error)}"
 
 
-def _trend(trend: TrendComparison, named: bool) -> dict[str, Any]:
+# ---- trends and distributions ----------------------------------------------------------------------------------------
+
+
+def _trends(validation: Validation, *, named: bool) -> list[Section]:
+    if not validation.trends:
+        return []
+    text = "A score follows the weather where it gets worse at every step of severity."
+    heads: parts.Heads = ["Weather", "Steps", "Follow, measured", "Follow, simulated", "Go alike"]
+    heads.append(parts.Column("Where not", "words"))
+    table = parts.Table(heads, [_trend(trend, named) for trend in validation.trends])
+    return [Section("Trends over severity", [parts.Paragraph(text), table], id="trends")]
+
+
+def _trend(trend: TrendComparison, named: bool) -> tuple[str, ...]:
     agreement = {name: trend.agreement(name) for name in trend.measured.metrics}
-    apart = [
+    words = "; ".join(
         f"{_title(name)}: measured {GOES[trend.measured.metrics[name].verdict]}, simulated "
         f"{GOES[trend.simulated.metrics[name].verdict]}"
         for name, agrees in agreement.items()
         if agrees is False
-    ]
-    close = [_title(name) for name, agrees in agreement.items() if agrees is None]
-    return {
-        "label": f"{trend.scene}: {trend.weather}" if named else trend.weather,
-        "levels": len(trend.values),
-        "measured": trend.measured.expected,
-        "simulated": trend.simulated.expected,
-        "out_of": len(agreement),
-        "agree": sum(agrees is True for agrees in agreement.values()),
-        "apart": apart,
-        "close": close,
-    }
+    )
+    close = ", ".join(_title(name) for name, agrees in agreement.items() if agrees is None)
+    if close:
+        words += f"{'. ' if words else ''}Too close to call: {close}"
+    return (
+        f"{trend.scene}: {trend.weather}" if named else trend.weather,
+        f"{len(trend.values)}",
+        f"{trend.measured.expected} of {len(agreement)}",
+        f"{trend.simulated.expected} of {len(agreement)}",
+        f"{sum(agrees is True for agrees in agreement.values())} of {len(agreement)}",
+        words,
+    )
 
 
-def _quantities(validation: Validation) -> list[dict[str, Any]]:
-    return [
-        {
-            "label": result.label
-            if len({each.scene for each in validation.conditions}) < 2
-            else f"{result.scene}: {result.label}",
-            "rows": [
-                {
-                    "name": each.name + (f", {each.unit}" if each.unit else ""),
-                    "measured": _text(each.measured_median),
-                    "simulated": _text(each.simulated_median),
-                    "bias": _text(each.bias, sign=True),
-                    "floor_bias": _text(abs(each.floor_bias)),
-                    "scatter": _text(each.scatter),
-                    "floor_scatter": _text(each.floor_scatter),
-                    "rmse": None if math.isnan(each.rmse) else _text(each.rmse),
-                }
-                for each in result.quantities
-            ],
-        }
-        for result in validation.conditions
-    ]
+def _distributions(validation: Validation, *, is_link: bool) -> Section:
+    text = f"""The double validation metric of sensor-model validation. Bias: simulated less measured median. Scatter:
+        area between the two distribution functions once the bias is taken off. In brackets the same for one half of the
+        clear frames against the other{": dry samples here" if is_link else ""}."""
+    several = len({each.scene for each in validation.conditions}) > 1
+    rows: list[Sequence[parts.Cell | str] | str] = []
+    for result in validation.conditions:
+        rows.append(f"{result.scene}: {result.label}" if several else result.label)
+        for each in result.quantities:
+            floors = (signed_text(abs(each.floor_bias)), signed_text(each.floor_scatter))
+            found = (signed_text(each.bias, plus=True), signed_text(each.scatter))
+            row = [
+                each.name + (f", {each.unit}" if each.unit else ""),
+                signed_text(each.measured_median),
+                signed_text(each.simulated_median),
+                *(parts.markup('{} <span class="pale">({})</span>', *pair) for pair in zip(found, floors, strict=True)),
+            ]
+            rows.append([*row, signed_text(each.rmse)] if is_link else row)
+    heads = ["Quantity, unit", "Measured median", "Simulated median", "Bias", "Scatter"]
+    table = parts.Table([*heads, "RMS difference"] if is_link else heads, rows)
+    return Section("Distributions", [parts.Paragraph(text), table], id="quantities")
 
 
-def _time(validation: Validation) -> dict[str, str]:
+def _how_to_read(validation: Validation, summary: Mapping[str, Any], *, is_link: bool) -> Section:
+    differ = f"""Two means differ where their gap exceeds what chance does: Student's t with the scatter of the
+        measured, the simulated and the clear frames, at a level that leaves {100 * FAMILY_LEVEL:g} % for one false
+        difference or more on the whole page. Few frames make that bound wide: agreement then means that these frames
+        cannot tell. Frames count as independent; those that follow each other within seconds are not, and then
+        differences are called too readily. The uncertainty of the weather record is not in the scatter."""
+    why = parts.markup("""The page says what disagrees, not why: <code>torchweather gap</code> looks for the effect that
+        is missing.""")
     seconds = [each for result in validation.conditions for each in result.simulation_s]
-    return {
-        "median": f"{1e3 * statistics.median(seconds):.3g}",
-        "most": f"{1e3 * max(seconds):.3g}",
-        "count": str(len(seconds)),
-    }
-
-
-def _frames(validation: Validation) -> str:
-    counts = sorted({result.frames for result in validation.conditions})
-    return str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    made = parts.markup(
+        "Run time: {} ms a simulated {} (median of {}; {} ms at most, with the set-up of a transform). "
+        "torchweather {} · seed {} · study {} · all numbers in {}",
+        *(f"{1e3 * statistics.median(seconds):.3g}", "series" if is_link else "frame", len(seconds)),
+        *(f"{1e3 * max(seconds):.3g}", summary["torchweather"], summary["seed"], summary["study_sha256"]),
+        parts.link("validation.json"),
+    )
+    return Section("How to read this page", [parts.Fine(text) for text in (differ, why, made)])

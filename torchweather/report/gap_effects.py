@@ -1,0 +1,276 @@
+"""The gap's page about effects: what was found, what it could be mistaken for, what no effect explains, the ranking."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from torchweather.gap.gap_report import Curve, Response
+from torchweather.gap.study.study import Study
+from torchweather.report import parts
+from torchweather.report.gap_figures import response_uri, unknown_uri
+from torchweather.report.gap_words import (
+    WHOLE,
+    axis_name,
+    confidence_text,
+    edge_text,
+    effect_name,
+    exact_twins,
+    formula_words,
+    group_name,
+    parameter_rows,
+    statistic_name,
+)
+from torchweather.report.report import Section
+from torchweather.report.tables import number_text, signed_text
+from torchweather.stages.catalogue import EFFECTS
+
+__all__ = ["along", "by_statistic", "ranking_section", "what_section"]
+
+BAR_PX = 150
+Drawn = TypeVar("Drawn", Curve, Response)
+
+
+def along(axis: str) -> str:
+    """An axis without its unit, behind ``by``."""
+    return axis_name(axis).partition(",")[0].removesuffix(" in clear air")
+
+
+def by_statistic(curves: Sequence[Drawn]) -> dict[tuple[str, str], list[Drawn]]:
+    """Curves of each statistic along each axis."""
+    found: dict[tuple[str, str], list[Drawn]] = {}
+    for one in curves:
+        found.setdefault((one.statistic, one.axis), []).append(one)
+    return found
+
+
+# ---- what ------------------------------------------------------------------------------------------------------------
+
+
+def what_section(answer: Mapping[str, Any], searched: Sequence[str], study: Study) -> Section:
+    """Effects that were found, and what none explains.
+
+    Args:
+        answer: in the format ``torchweather-gap/1``.
+        searched: ids of the effects that were searched for.
+        study: that was searched.
+    """
+    found = [part for effect in answer["effects"] for part in _found(effect, answer, searched, study)]
+    if answer["unknown"]:
+        found += _unknown(answer["unknown"], found=bool(answer["effects"]))
+    elif not answer["effects"]:
+        text = """No single bin stands out once the best effect is fitted: the departure is spread over many
+            statistics."""
+        found.append(parts.Paragraph(text))
+    return Section("What", found, id="what")
+
+
+def _found(
+    effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str], study: Study
+) -> list[parts.Part]:
+    """An effect with its parameters, and what it could be mistaken for."""
+    name = effect["name"]
+    declared = EFFECTS[name]
+    small = f"{declared.title}; in the literature: {declared.term}"
+    if declared.percollect:
+        small += f"; PerCollECT: {declared.percollect}"
+    heads: parts.Heads = ["Parameter", "Value", parts.Column("Unit", "unit"), "90 % interval", "Does nothing at"]
+    rows = [
+        (
+            parts.markup("<code>{}</code>", row["name"]),
+            *(row["value"], row["unit"], row["interval"] or "not fitted", row["identity"] or "any value"),
+        )
+        for row in parameter_rows(effect)
+    ]
+    confidence = confidence_text(effect["confidence"])
+    found: list[parts.Part] = [
+        parts.Heading(effect_name(name).capitalize(), small),
+        parts.Table(heads, rows, look="short"),
+        parts.Note(f"Confidence {confidence}: its weight among the effects that were fitted."),
+    ]
+    rivals = dict.fromkeys([*effect["confusable_with"], *declared.confusable_with])
+    rivals = {rival: None for rival in rivals if rival in answer["catalogue"]}
+    if rivals:
+        heads = ["Could be mistaken for", parts.Column("With these data", "left")]
+        rows_of_rivals = [
+            (
+                effect_name(rival),
+                parts.Cell(
+                    _status(rival, effect, answer, searched), look="far" if rival in effect["confusable_with"] else ""
+                ),
+                _data_between(name, rival),
+            )
+            for rival in rivals
+        ]
+        found.append(parts.Table([*heads, parts.Column("What tells them apart", "words")], rows_of_rivals, look="tops"))
+    else:
+        found.append(parts.Note("The catalogue knows of nothing that it could be mistaken for."))
+    with_intensity = getattr(study.sensor, "intensity_unit", "none") != "none"
+    found += [
+        parts.Alert(f"{twin} acts exactly alike. It would be with {data}.", "Cannot be told apart with these data:")
+        for twin, data in exact_twins(name, with_intensity=with_intensity)
+    ]
+    return found
+
+
+def _status(rival: str, effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str]) -> str:
+    """What these data say of an effect that another could be mistaken for."""
+    if rival in effect["confusable_with"]:
+        return "cannot be excluded"
+    if rival in {one["name"] for one in answer["effects"]}:
+        return "found, too"
+    if rival in {one["name"] for one in answer["candidates"]}:
+        return "fits worse"
+    return "explains less; not refitted" if rival in searched else "was not searched for"
+
+
+def _data_between(name: str, rival: str) -> str:
+    """What data would tell two effects apart, as the catalogue says it of either."""
+    other = EFFECTS[rival].confusable_with if rival in EFFECTS else {}
+    return EFFECTS[name].confusable_with.get(rival) or other.get(name) or "the catalogue does not say"
+
+
+# ---- what no effect explains -----------------------------------------------------------------------------------------
+
+
+def _unknown(one: Mapping[str, Any], *, found: bool) -> list[parts.Part]:
+    """The bin, the curve, the formula and the stage of what no effect explains; ``found``: beside effects."""
+    name = group_name(one["statistic"], one["axis"])
+    z = f"{one['z']:+.1f}".replace("-", "−")
+    best = "the simulation with what was found" if found else "the best that the catalogue can do"
+    text = f"""{name}: no other statistic departs as significantly from {best}, what the weather record and the clear
+        frames leave open counted, and spreads less what means along other axes make of them."""
+    if one["axis"] in WHOLE:
+        text += f" {z} standard deviations."
+    else:
+        ends = " to ".join(edge_text(one["axis"], one[end]) for end in ("from", "to"))
+        text += f" It is loudest from {ends} ({axis_name(one['axis'])}): {z} standard deviations."
+    shown: list[parts.Part] = [
+        parts.Heading("What is left" if found else "What no effect explains", name, id="rest"),
+        parts.Paragraph(text),
+    ]
+    curve, stage = one["curve"], one["empirical"]
+    if len(curve["value"]) > 1:
+        alt = f"{name}, measured less simulated, {curve['unit']}"
+        shown.append(parts.Figure(unknown_uri(one["axis"], curve, one["formula"]), alt, look="chart medium"))
+    rows = [_formula(one), ("Empirical stage", _stage(one))]
+    shown.append(parts.Table(["", parts.Column("", "words")], rows, look="short bare"))
+    copies = """The empirical stage copies the curve and has no cause: it does nothing outside the measured range, and
+        other weather, scenes or sensors may differ. """
+    missing = parts.markup(
+        "{}An effect that shows here is missing from the catalogue; it can be added as a {}.",
+        copies if stage else "",
+        parts.link("#add", "stage of one's own"),
+    )
+    return [*shown, parts.Note(missing)]
+
+
+def _formula(one: Mapping[str, Any]) -> tuple[str, str]:
+    curve, formula = one["curve"], one["formula"]
+    if len(curve["value"]) == 1:
+        return "Measured less simulated", f"{_single(curve)}, {curve['unit']}" if _single(curve) else ""
+    if formula is None:
+        return (
+            "Simplest formula",
+            """none: no constant, line, logarithm, power, exponential approach, parabola, step or
+            sine describes it""",
+        )
+    return "Simplest formula", parts.markup(
+        "{}: <code>{}</code>, {}; χ² per degree of freedom {}",
+        *(formula_words(formula["name"]), formula["text"].replace("-", "−")),
+        *(curve["unit"], number_text(formula["chi2_per_dof"])),
+    )
+
+
+def _single(curve: Mapping[str, Any]) -> str:
+    """A curve of one bin in words."""
+    value, low, high = (curve[name][0] for name in ("value", "low", "high"))
+    if value is None:
+        return ""
+    return f"{signed_text(value)} ({signed_text(low)} to {signed_text(high)})"
+
+
+def _stage(one: Mapping[str, Any]) -> str:
+    """The empirical stage in words, or why there is none."""
+    stage = one["empirical"]
+    if stage is None:
+        return f"none: {one['why_not']}"
+    valid = "every beam alike"
+    if stage["axis"] != "every_beam":
+        low, high = (edge_text(stage["axis"], stage[end]) for end in ("measured_from", "measured_to"))
+        valid = f"valid between {low} and {high} ({axis_name(stage['axis'])})" if low else valid
+    return parts.markup(
+        "{}, {}; in {}, {} where it is wanted",
+        *(stage["kind"].replace("_", " "), valid, parts.link("model.yaml"), parts.link("#add", "to be added")),
+    )
+
+
+# ---- ranking ---------------------------------------------------------------------------------------------------------
+
+
+def ranking_section(answer: Mapping[str, Any], responses: Sequence[Response]) -> Section:
+    """Candidates that were fitted, best first, and what each of them would do."""
+    if not answer["candidates"]:
+        return Section("Ranking", [parts.Paragraph("No effect was fitted.")], id="ranking")
+    text = """Effects that were fitted in the simulator, one at a time. The gain is how much of the misfit each takes
+        away: the sum of squared departures, with the weather record and the mean of the clear frames fitted beside
+        it."""
+    if not answer["effects"]:
+        text += " No effect explains enough to be named."
+    heads: parts.Heads = [
+        "Effect",
+        parts.Column("Best parameters", "words"),
+        parts.Column("Gain", "left"),
+        "Misfit left",
+    ]
+    found: list[parts.Part] = [parts.Paragraph(text), parts.Table(heads, list(_candidates(answer)), look="tops")]
+    if responses:
+        curves = """Response curves: by how much each effect, at its best parameters, changes the simulation of the
+            statistics that depart most, and what was measured. All conditions together, in units of the simulation's
+            scatter."""
+        figures = [
+            parts.Figure(
+                response_uri(members),
+                f"{statistic_name(statistic)} by {along(axis)}: measured, and what each fitted effect would do",
+                title=statistic_name(statistic),
+                small=f"by {along(axis)}",
+                look="chart",
+            )
+            for (statistic, axis), members in by_statistic(responses).items()
+        ]
+        found += [parts.Heading("What each of them would do"), parts.Paragraph(curves)]
+        found.append(parts.Pictures(figures, across=2, look="roomy"))
+    return Section("Ranking", found, id="ranking")
+
+
+def _candidates(answer: Mapping[str, Any]) -> Sequence[Sequence[parts.Cell | str]]:
+    """Fitted candidates, best first."""
+    most = max((one["gain"] for one in answer["candidates"]), default=0.0)
+    named = {effect["name"] for effect in answer["effects"]}
+    rivals = {rival for effect in answer["effects"] for rival in effect["confusable_with"]}
+    rows = []
+    for one in answer["candidates"]:
+        name = one["name"]
+        known = EFFECTS.get(name)
+        interval = {key: [value, value] for key, value in one["parameters"].items() if _departs(known, key, value)}
+        values = [
+            f"{row['name']} {row['value']} {row['unit']}".strip()
+            for row in parameter_rows({**one, "interval": interval})
+        ]
+        look = "named" if name in named else "rival" if name in rivals else ""
+        bar = round(BAR_PX * max(one["gain"], 0.0) / most) if most > 0 else 0
+        rows.append(
+            (
+                parts.Cell(effect_name(name), [known.title if known else ""], "strong" if name in named else ""),
+                ", ".join(values),
+                parts.Cell(number_text(max(one["gain"], 0.0)), look=look, bar_px=bar),
+                number_text(one["misfit"]),
+            )
+        )
+    return rows
+
+
+def _departs(effect: Any, parameter: str, value: float | str) -> bool:
+    """Whether a parameter is elsewhere than where it does nothing."""
+    declared = {one.name: one.identity for one in effect.arguments} if effect else {}
+    return declared.get(parameter) != float(value)
