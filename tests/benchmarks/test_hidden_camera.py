@@ -9,7 +9,8 @@ import pytest
 from benchmarks.gap_bench.generator.camera.cases import Case, Places, build
 from benchmarks.gap_bench.generator.camera.design import Size
 from benchmarks.gap_bench.generator.camera.detectability import Table
-from benchmarks.gap_bench.generator.camera.effects import KINDS, path_weights
+from benchmarks.gap_bench.generator.camera.effects import path_weights
+from benchmarks.gap_bench.generator.camera.outside import KINDS
 from benchmarks.gap_bench.generator.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
 from benchmarks.gap_bench.generator.camera.scene import Eye, Street
 from benchmarks.gap_bench.sealed import plain

@@ -12,7 +12,8 @@ from benchmarks.gap_bench.generator.lidar.decoys import DECOYS
 from benchmarks.gap_bench.generator.lidar.design import Size, draw_design, study_of, with_record
 from benchmarks.gap_bench.generator.lidar.detectability import KINDS, Detector, brighter, cosine, independent, length
 from benchmarks.gap_bench.generator.lidar.effects import CATALOGUE
-from benchmarks.gap_bench.generator.lidar.lidar_sensor import PARTICLE, TARGET, View, Weather, shoot, study_sensor
+from benchmarks.gap_bench.generator.lidar.lidar_sensor import shoot, study_sensor
+from benchmarks.gap_bench.generator.lidar.lidar_shot import PARTICLE, TARGET, View, Weather
 from benchmarks.gap_bench.generator.lidar.particles import air_of, draw_drops
 from benchmarks.gap_bench.generator.lidar.rays import Target, cast, scan_pattern
 from benchmarks.gap_bench.generator.lidar.scene import SENSOR_HEIGHT_M, Box, Scene, draw_scene

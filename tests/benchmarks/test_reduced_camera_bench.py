@@ -9,7 +9,8 @@ import pytest
 from benchmarks.gap_bench.generator.bench_sensor import bench_sensor
 from benchmarks.gap_bench.generator.camera.cases import SENSOR, Places, build, plan
 from benchmarks.gap_bench.generator.camera.design import Size
-from benchmarks.gap_bench.generator.camera.effects import CATALOGUE, OUTSIDE
+from benchmarks.gap_bench.generator.camera.effects import CATALOGUE
+from benchmarks.gap_bench.generator.camera.outside import OUTSIDE
 from benchmarks.gap_bench.generator.planning import Case
 from torchweather.camera.effects.all import EFFECTS
 from torchweather.gap import find_gap

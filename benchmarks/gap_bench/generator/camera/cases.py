@@ -18,7 +18,8 @@ from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from .decoys import DECOYS
 from .design import Design, Size, draw_design, study_of, with_record
 from .detectability import STRENGTHS, Detector, Table, confusable
-from .effects import CATALOGUE, KINDS, OUTSIDE
+from .effects import CATALOGUE
+from .outside import KINDS, OUTSIDE
 
 __all__ = ["GROUPS", "SENSOR", "Case", "Places", "build", "plan"]
 

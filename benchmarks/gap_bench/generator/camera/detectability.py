@@ -16,7 +16,8 @@ import numpy as np
 
 from .camera_sensor import Effect, Weather, shoot
 from .design import Design
-from .effects import CATALOGUE, KINDS
+from .effects import CATALOGUE
+from .outside import KINDS
 from .scene import SKY, FloatArray, Street
 
 __all__ = ["IDENTIFIABLE_BELOW", "STRENGTHS", "Detector", "Table"]

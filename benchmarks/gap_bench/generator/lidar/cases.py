@@ -17,8 +17,9 @@ from ..planning import Case, Row, cases_of, label_key, null_rows, screen_rows
 from .decoys import DECOYS, STRENGTHS_OF
 from .design import Condition, Design, Size, study_of, with_record
 from .detectability import KINDS
-from .effects import CATALOGUE, Known
-from .lidar_sensor import Effect
+from .effects import CATALOGUE
+from .known import Known
+from .lidar_shot import Effect
 from .other_metrics import other_metrics
 from .outside import OUTSIDE
 from .streets import LEVELS, Street, street

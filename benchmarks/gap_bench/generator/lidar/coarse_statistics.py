@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .lidar_sensor import Report, View
+from .lidar_shot import Report, View
 from .scene import FloatArray
 
 __all__ = ["BROAD", "Tally"]

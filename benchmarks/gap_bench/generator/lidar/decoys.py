@@ -9,7 +9,7 @@ import numpy as np
 
 from .design import Condition, Design
 from .effects import CATALOGUE
-from .lidar_sensor import Echoes, Effect, Shot, View
+from .lidar_shot import Echoes, Effect, Shot, View
 from .rays import cast
 from .scene import move_a_car
 

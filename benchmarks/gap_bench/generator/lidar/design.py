@@ -12,7 +12,8 @@ from torchweather.gap.study.study import Study
 from torchweather.sensors import Lidar
 
 from ..records import WORST_RECORD_SD, drawn_amounts, recorded_weather
-from .lidar_sensor import Effect, Report, View, Weather, shoot, study_sensor
+from .lidar_sensor import shoot, study_sensor
+from .lidar_shot import Effect, Report, View, Weather
 from .rays import Scan, cast, scan_pattern
 from .scene import Scene, draw_scene
 

@@ -17,8 +17,10 @@ import numpy as np
 
 from .coarse_statistics import BROAD, Tally
 from .design import Design
-from .effects import CATALOGUE, Known
-from .lidar_sensor import SCALE_SPREAD, Effect, View, Weather, shoot
+from .effects import CATALOGUE
+from .known import Known
+from .lidar_sensor import SCALE_SPREAD, shoot
+from .lidar_shot import Effect, View, Weather
 from .outside import OUTSIDE
 from .scene import FloatArray
 

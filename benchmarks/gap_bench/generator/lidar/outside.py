@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .effects import Known
-from .lidar_sensor import NO_ECHO, OTHER, TARGET, Echoes, Report, Shot, View
+from .known import Known
+from .lidar_shot import NO_ECHO, OTHER, TARGET, Echoes, Report, Shot, View
 from .rays import Scan, Target, cast
 from .scene import SENSOR_HEIGHT_M, FloatArray
 
