@@ -18,6 +18,7 @@ from torchweather.camera.bayer import cfa_colour_index
 from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.levels import check_bayer, raw_from_linear, raw_to_linear
+from torchweather.camera.options import CameraOptions
 from torchweather.camera.overcast_sky import OvercastSky
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.rays import Rays, rays_of
@@ -25,9 +26,10 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.random import sample_seeds, sizes_of
+from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
-from torchweather.pipeline.sensor_transform import Sizes, WeatherTransform, options_of
+from torchweather.pipeline.sensor_transform import Sizes, WeatherTransform
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
 
@@ -115,9 +117,24 @@ class BayerWeather(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
-        arguments = locals()
         super().__init__()
-        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
+        self.options = CameraOptions(
+            depth=depth,
+            airlight=airlight,
+            layer_top_m=layer_top_m,
+            sky=sky,
+            extinction=extinction,
+            near_m=near_m,
+            far_m=far_m,
+            cut=cut,
+            crowding=crowding,
+            ego_speed_m_per_s=ego_speed_m_per_s,
+            drop_view=drop_view,
+            rate_capacity_mm_per_h=rate_capacity_mm_per_h,
+            variant=variant,
+            effects=effects,
+            p=p,
+        )
         self._check_weather(weather)
         self._check_p(p)
         self._check_sensor(camera, Camera, "lucid-triton")
@@ -159,6 +176,7 @@ class BayerWeather(WeatherTransform):
         stages["quantise"] = Quantise()
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
         self.chain = with_effects(Chain(stages), built)
+        self.as_built = AsBuilt.of(self.chain)
         self._rays: dict[tuple[Any, ...], Rays] = {}
 
     def extra_repr(self) -> str:

@@ -86,7 +86,7 @@ def plan_of(transform: nn.Module) -> Plan:
             f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one "
             f"of a camera); got {type(transform).__name__}."
         )
-    plan = Plan(type(inner), sensor_of(inner), dict(inner.given))
+    plan = Plan(type(inner), sensor_of(inner), inner.options.arguments())
     inner.refuse_changes()
     if isinstance(transform, AsBayer):
         return replace(plan, rgb=True, through_mosaic=transform.through_mosaic, method=transform.method)

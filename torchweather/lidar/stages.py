@@ -55,7 +55,7 @@ def _sensor(sensor: Lidar | Mapping[str, Any]) -> Lidar:
 
 def _config(sensor: Lidar) -> dict[str, Any]:
     """Plain values of a sensor; the directions belong to the data, not to the stage."""
-    return replace(sensor, directions=None).to_dict()
+    return sensor.to_dict(without=("directions",))
 
 
 def _azimuth_and_level(state: LidarState) -> tuple[Tensor, Tensor]:

@@ -21,16 +21,18 @@ from torchweather.lidar.clouds import check_points
 from torchweather.lidar.expected_detection import expected_detection
 from torchweather.lidar.frame_check import warn_of_frame
 from torchweather.lidar.intensity import are_integers, zero_intensity
+from torchweather.lidar.options import LidarOptions
 from torchweather.lidar.returns.soft_return import SoftReturn
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.stages import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.lidar.state import LidarState
 from torchweather.lidar.sweep.beam_ends import BeamEnd
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask, checked_own_vehicle
+from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
 from torchweather.pipeline.point_kind import PointKind
-from torchweather.pipeline.sensor_transform import WeatherTransform, options_of
+from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["LidarFog", "LidarRain", "LidarResult", "LidarSnow", "LidarWeather"]
@@ -152,9 +154,20 @@ class LidarWeather(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
-        arguments = locals()
         super().__init__()
-        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
+        self.options = LidarOptions(
+            q_eff=q_eff,
+            q_back=q_back,
+            fog_extinction=fog_extinction,
+            fog_backscatter=fog_backscatter,
+            lost=lost,
+            complete_scan=complete_scan,
+            beam_ends=beam_ends,
+            own_vehicle=own_vehicle,
+            variant=variant,
+            effects=effects,
+            p=p,
+        )
         self._check_weather(weather)
         self._check_p(p)
         self._check_sensor(sensor, Lidar, "ouster-os1-128")
@@ -189,6 +202,7 @@ class LidarWeather(WeatherTransform):
         )
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
         self.chain = with_effects(plain, built)
+        self.as_built = AsBuilt.of(self.chain)
 
     def _check_variant(self, weather: Weather, variant: str | None) -> None:
         name, kinds = type(self).__name__, [part.kind for part in weather.parts]

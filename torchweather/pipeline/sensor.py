@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
 from functools import lru_cache
 from importlib import resources
@@ -108,10 +108,10 @@ class Sensor:
         except (ValueError, TypeError) as error:
             raise TorchweatherError(f"{path}: {error}") from error
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values that ``from_dict`` takes and YAML can hold."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
-        return {key: _plain(value) for key, value in values.items()}
+    def to_dict(self, *, without: Collection[str] = ()) -> dict[str, Any]:
+        """Plain values that ``from_dict`` takes and YAML can hold; the fields in ``without`` are None."""
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return {name: None if name in without else _plain(getattr(self, name)) for name in names}
 
 
 def _plain(value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,22 +13,14 @@ from torch import Tensor, nn
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import InputTypeError, InputValueError, check_between
 from torchweather.core.random import flat_noise, sample_seeds
+from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.at_call import weather_at_call
 from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.options import TransformOptions
 from torchweather.pipeline.sensor import Sensor
 from torchweather.pipeline.stage import State
 
-__all__ = ["Sizes", "WeatherTransform", "class_for", "options_of"]
-
-
-def options_of(transform: type[nn.Module]) -> dict[str, Any]:
-    """Keyword arguments that a kind of transform takes, and their defaults."""
-    parameters = inspect.signature(transform.__init__).parameters
-    return {
-        name: parameter.default
-        for name, parameter in parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-    }
+__all__ = ["Sizes", "WeatherTransform", "class_for"]
 
 
 @dataclass(frozen=True)
@@ -51,11 +42,11 @@ class WeatherTransform(nn.Module):
     takes_all: ClassVar[str] = ""
     weather: Weather
     chain: Chain
-    given: dict[str, Any]
+    options: TransformOptions
     """Keyword arguments of the constructor, with which it can be built for another weather."""
+    as_built: AsBuilt
     p: float = 1.0
     """Probability that a sample gets the weather."""
-    _checked: object = None
 
     def with_weather(self, weather: Weather) -> WeatherTransform:
         """The same transform for another weather; tables that both need are shared.
@@ -94,13 +85,10 @@ class WeatherTransform(nn.Module):
         seeds = sample_seeds(tuple(batch), generator, flat)
         chosen = self
         if self.is_random:
-            now = id(self.chain), self.chain.to_dict(), [buffer._version for buffer in self.buffers()]
-            if now != self._checked:  # checked in 20 ms, and known to be as it was in 1
-                self.refuse_changes()
-                self._checked = now
+            self.refuse_changes()
             weather = weather_at_call(self.weather, self.p, batch, seeds, self)
             kind: Any = type(self)
-            chosen = kind(weather, self.own_sensor(), **{**self.given, "p": 1.0})
+            chosen = kind(weather, self.own_sensor(), **{**self.options.arguments(), "p": 1.0})
             some = next(self.buffers(), None)
             chosen = chosen if some is None else chosen.to(some.device)
         return chosen, torch.tensor(seeds, dtype=torch.int64).reshape(tuple(batch))
@@ -129,19 +117,19 @@ class WeatherTransform(nn.Module):
         return sensor
 
     def refuse_changes(self) -> None:
-        """Raise where the chain was changed after the transform was built: it could not be built anew.
+        """Raise where the chain was changed after the transform was built: the change would be lost in another build.
 
         Raises:
             ValueError: a stage, a parameter or a buffer is not what the constructor makes.
         """
-        changed = _changed(self, self._built_for(self.weather))
+        changed = self.as_built.changed(self.chain)
         if changed:
             name = type(self).__name__
             raise InputValueError(f"{name}: {changed}; it cannot be built anew. Give changes as effects=[...].")
 
     def _built_for(self, weather: Weather) -> WeatherTransform:
         kind: Any = class_for(type(self), weather)
-        built: WeatherTransform = kind(weather, self.own_sensor(), **self.given)
+        built: WeatherTransform = kind(weather, self.own_sensor(), **self.options.arguments())
         return built
 
     def _check_weather(self, weather: Weather) -> None:
@@ -193,25 +181,3 @@ def class_for(kind: type[WeatherTransform], weather: Weather) -> type[WeatherTra
         if all(part.kind in takes for part in weather.parts):
             return base
     raise InputTypeError(f"{kind.__name__}: no class takes {type(weather).__name__}.")
-
-
-def _changed(transform: Any, again: Any) -> str:
-    """In words, what of a transform's chain is not what its constructor makes; empty where it is the same."""
-    if list(again.chain.stages) != list(transform.chain.stages):
-        return (
-            f"the chain has the stages {', '.join(transform.chain.stages)}, the transform makes "
-            f"{', '.join(again.chain.stages)}"
-        )
-    if again.chain.to_dict() != transform.chain.to_dict():
-        return "a stage of the chain was changed after the transform was built"
-    was, now = transform.state_dict(), again.state_dict()
-    other = [name for name, value in now.items() if not _same(value, was[name])]
-    if other:
-        return f"{other[0].removeprefix('chain._stages.')} was changed after the transform was built"
-    return ""
-
-
-def _same(value: Tensor, was: Tensor) -> bool:
-    """Whether a buffer is what the constructor made it, wherever the transform was moved since."""
-    was = was.to(value)
-    return value.shape == was.shape and bool(((value == was) | (value.isnan() & was.isnan())).all())

@@ -13,10 +13,12 @@ from torch import Tensor
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
+from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
 from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
+from torchweather.radar.map_options import RadarMapOptions
 from torchweather.radar.power_map import (
     MapAxes,
     MapClutter,
@@ -117,24 +119,24 @@ class RadarMapWeather(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         super().__init__()
-        self.given = {
-            "axes": axes,
-            "scale": scale,
-            "noise_floor_db": noise_floor_db,
-            "looks": looks,
-            "oversampling": oversampling,
-            "rain_model": rain_model,
-            "fog_model": fog_model,
-            "snow_model": snow_model,
-            "radome_loss_db": radome_loss_db,
-            "radome_film_db": radome_film_db,
-            "radome_film_exponent": radome_film_exponent,
-            "clutter": clutter,
-            "clutter_share": clutter_share,
-            "ego_speed_m_per_s": ego_speed_m_per_s,
-            "effects": effects,
-            "p": p,
-        }
+        self.options = RadarMapOptions(
+            axes=axes,
+            scale=scale,
+            noise_floor_db=noise_floor_db,
+            looks=looks,
+            oversampling=oversampling,
+            rain_model=rain_model,
+            fog_model=fog_model,
+            snow_model=snow_model,
+            radome_loss_db=radome_loss_db,
+            radome_film_db=radome_film_db,
+            radome_film_exponent=radome_film_exponent,
+            clutter=clutter,
+            clutter_share=clutter_share,
+            ego_speed_m_per_s=ego_speed_m_per_s,
+            effects=effects,
+            p=p,
+        )
         self._check_weather(weather)
         self._check_p(p)
         self._check_sensor(sensor, Radar, "imaging-77ghz")
@@ -166,6 +168,7 @@ class RadarMapWeather(WeatherTransform):
                 echo = MapClutter(part, sensor, axes, clutter_share, ego_speed_m_per_s=ego_speed_m_per_s)
                 chain = chain.insert(echo, before="map_receiver", name=f"{part.kind}_clutter")
         self.chain = chain
+        self.as_built = AsBuilt.of(self.chain)
 
     @property
     def attenuation_db_per_km(self) -> Tensor:

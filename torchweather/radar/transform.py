@@ -17,13 +17,15 @@ from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.lidar.clouds import FARTHEST_M
+from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
 from torchweather.pipeline.point_kind import PointKind
-from torchweather.pipeline.sensor_transform import WeatherTransform, options_of
+from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.pipeline.tiling import is_exporting
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.clutter import VolumeClutter
+from torchweather.radar.options import RadarOptions
 from torchweather.radar.sensor import Radar
 from torchweather.radar.stages import POWER, RadarDetection, ToRadarPoints
 from torchweather.radar.state import RadarState
@@ -119,9 +121,22 @@ class RadarAttenuation(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
-        arguments = locals()
         super().__init__()
-        self.given = {name: arguments[name] for name in options_of(type(self)) if name in arguments}
+        self.options = RadarOptions(
+            rain_model=rain_model,
+            fog_model=fog_model,
+            snow_model=snow_model,
+            radome_loss_db=radome_loss_db,
+            radome_film_db=radome_film_db,
+            radome_film_exponent=radome_film_exponent,
+            clutter=clutter,
+            clutter_points=clutter_points,
+            ego_speed_m_per_s=ego_speed_m_per_s,
+            lost=lost,
+            variant=variant,
+            effects=effects,
+            p=p,
+        )
         self._check_weather(weather)
         self._check_p(p)
         self._check_sensor(sensor, Radar, "imaging-77ghz")
@@ -164,6 +179,7 @@ class RadarAttenuation(WeatherTransform):
             if clutter and isinstance(part, (Rain, Snow)):
                 echo = VolumeClutter(part, sensor, capacity=clutter_points, ego_speed_m_per_s=ego_speed_m_per_s)
                 self.chain = self.chain.insert(echo, before="radar_detection", name=f"{part.kind}_clutter")
+        self.as_built = AsBuilt.of(self.chain)
 
     @property
     def attenuation_db_per_km(self) -> Tensor:

@@ -10,15 +10,17 @@ import numpy as np
 from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
+from torchweather.camera.options import CameraOptions
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import plan_of, sensor_of
 from torchweather.core.errors import InputValueError
+from torchweather.lidar.options import LidarOptions
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.effect import Effect
-from torchweather.pipeline.sensor_transform import options_of as options_of_class
+from torchweather.radar.options import RadarOptions
 from torchweather.radar.sensor import Radar
 from torchweather.radar.transform import RadarAttenuation
 
@@ -36,8 +38,9 @@ T = TypeVar("T", bound=RecipeTransform)
 GROUND = "ground"
 # By the kind of the sensor: options of the transform and their defaults.
 OPTIONS: dict[str, dict[str, Any]] = {
-    kind: options_of_class(transform)
-    for kind, transform in (("camera", BayerWeather), ("lidar", LidarWeather), ("radar", RadarAttenuation))
+    "camera": CameraOptions.defaults(),
+    "lidar": LidarOptions.defaults(),
+    "radar": RadarOptions.defaults(),
 }
 
 
@@ -64,7 +67,7 @@ def options_of(transform: RecipeTransform) -> dict[str, Any]:
         options["depth"] = _depth_option(as_depth_source(options["depth"]))
     if options.get("effects"):
         options["effects"] = [one.to_dict() if isinstance(one, Effect) else dict(one) for one in options["effects"]]
-    known = options_of_class(type(transform))
+    known = transform.options.defaults()
     return {name: _plain(name, value) for name, value in options.items() if not _is_default(value, known[name])}
 
 

@@ -1,0 +1,29 @@
+"""Options of the transforms of a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torchweather.pipeline.options import TransformOptions
+
+__all__ = ["CameraOptions"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CameraOptions(TransformOptions):
+    """Keyword arguments of `BayerWeather`, which describes them; metres, metres a second, mm/h."""
+
+    depth: object = None
+    airlight: Sequence[float] | float | str | None = None
+    layer_top_m: float = 200.0
+    sky: str | None = None
+    extinction: str = "mie"
+    near_m: float = 0.5
+    far_m: float = 200.0
+    cut: float = 1 / 1024
+    crowding: float = 0.25
+    ego_speed_m_per_s: float = 0.0
+    drop_view: str = "frame"
+    rate_capacity_mm_per_h: float | None = None
+    variant: str | None = None

@@ -1,0 +1,37 @@
+"""Options of a weather transform: its keyword arguments, as one frozen value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from typing import Any
+
+from torchweather.pipeline.effect import Effect
+
+__all__ = ["TransformOptions"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TransformOptions:
+    """Options that transforms of all sensors have; each sensor's class adds its own.
+
+    The options, the weather and the sensor are all that a transform is built from.
+
+    Args:
+        effects: effects of the sensor, or their dictionaries; each goes to its place in the chain.
+        p: probability that a sample gets the weather, 0..1.
+    """
+
+    effects: Sequence[Effect | Mapping[str, Any]] = ()
+    p: float = 1.0
+
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of the transform's constructor, in its order: those of the sensor first."""
+        common = [one.name for one in fields(TransformOptions)]
+        own = [one.name for one in fields(self) if one.name not in common]
+        return {name: getattr(self, name) for name in (*own, *common)}
+
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """Defaults by name; an option without a default is left out."""
+        return {one.name: one.default for one in fields(cls) if one.default is not MISSING}
