@@ -73,7 +73,7 @@ def test_python_on_a_page_runs_and_prints_what_the_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name_of(page) in NOT_RUN:
-        pytest.skip("slow: a full frame; its calls run in tests/transforms/test_as_bayer.py")
+        pytest.skip("slow: a full frame; its calls run in tests/camera/test_as_bayer.py")
     monkeypatch.chdir(tmp_path)
     # A real module, because classes of a page ask for theirs.
     module = types.ModuleType("a_page_of_the_docs")

@@ -60,7 +60,7 @@ def test_a_section_says_what_the_class_says(name: str) -> None:
     listed = [line for line in lines if line.startswith("- ")]
     assert [line for line in listed if not line.startswith("- **ONNX**")] == facts(effect)
     (onnx,) = [line for line in listed if line.startswith("- **ONNX**")]
-    # Which do not is tested in tests/stages/test_effects_camera.py.
+    # Which do not is tested in tests/camera/effects/test_effects_camera.py.
     assert onnx.startswith("- **ONNX**: no, ") == (name in ("camera.wet_surface", "camera.rolling_shutter"))
 
 

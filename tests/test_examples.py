@@ -70,7 +70,7 @@ MEASURED: dict[str, list[str]] = {
 }
 # Tested in a file of their own.
 ELSEWHERE = {
-    "gap_d34_suspicions.py": "gap/test_hidden_study.py",
+    "gap_d34_suspicions.py": "gap/study/test_hidden_study.py",
     "gap_wads_snow.py": "test_gap_wads_example.py",
     "gap_wet_antenna.py": "test_wet_antenna_example.py",
     "links_against_p838.py": "test_links_example.py",

@@ -16,8 +16,10 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
+from tests.camera.effects import camera_effect_scene
 from tests.gap import tiny_camera_study, tiny_link_study, tiny_radar_study, tiny_study
-from tests.stages import camera_effect_scene, effect_scene, radar_effect_scene
+from tests.lidar.effects import effect_scene
+from tests.radar.effects import radar_effect_scene
 from torchweather import io, metrics, scenes
 from torchweather.export import draw_feed, to_onnx
 from torchweather.gap import Study, find_gap

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from street_corridor import corridor, leaves
 
+from tests.camera.depth.street_corridor import corridor, leaves
 from torchweather.camera.depth.horizon import find_horizon, horizon_of_camera
 from torchweather.camera.depth.line_segments import find_segments
 from torchweather.sensors import Camera

@@ -6,9 +6,9 @@ import math
 
 import pytest
 import torch
-from street_corridor import corridor, leaves
 from torch import Tensor
 
+from tests.camera.depth.street_corridor import corridor, leaves
 from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.sensors import Camera
 

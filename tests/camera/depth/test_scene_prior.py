@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from street_corridor import corridor
 from torch import Tensor
 
+from tests.camera.depth.street_corridor import corridor
 from torchweather.camera.depth.object_boxes import paint_boxes
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import scene_of

@@ -14,7 +14,7 @@ MUTANTS = (
         PATHS,
         'if not relative or pure.is_absolute() or ".." in pure.parts or "\\\\" in relative:',
         "if not relative:",
-        ("tests/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
+        ("tests/datasets/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
     ),
     Mutant(
         "links_out_of_the_folder_followed",
@@ -22,7 +22,7 @@ MUTANTS = (
         PATHS,
         'inside(root, relative, f"{path}: a link")',
         "pass",
-        ("tests/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
+        ("tests/datasets/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
     ),
     Mutant(
         "truncated_output_counts_as_done",
@@ -30,7 +30,7 @@ MUTANTS = (
         MANIFEST,
         "if not path.is_file() or path.stat().st_size != size:",
         "if not path.is_file():",
-        ("tests/augment/test_augment.py::test_what_is_done_is_not_done_again",),
+        ("tests/datasets/augment/test_augment.py::test_what_is_done_is_not_done_again",),
     ),
     Mutant(
         "two_runs_in_one_folder",
@@ -38,7 +38,7 @@ MUTANTS = (
         MANIFEST,
         "fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)",
         "fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)",
-        ("tests/augment/test_augment.py::test_a_manifest_that_is_none_and_a_folder_in_use_are_refused",),
+        ("tests/datasets/augment/test_augment.py::test_a_manifest_that_is_none_and_a_folder_in_use_are_refused",),
     ),
     Mutant(
         "two_outputs_of_one_name",
@@ -46,6 +46,6 @@ MUTANTS = (
         "torchweather.datasets.augment.layouts",
         "if twice:",
         "if False:",
-        ("tests/augment/test_layouts.py::test_two_files_are_never_written_to_one",),
+        ("tests/datasets/augment/test_layouts.py::test_two_files_are_never_written_to_one",),
     ),
 )

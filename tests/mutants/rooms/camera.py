@@ -17,7 +17,7 @@ MUTANTS = (
         CAMERA,
         "seen = torch.lerp(*ends, clear).flatten(2, 3)",
         "seen = torch.lerp(*ends, 1.0 - clear).flatten(2, 3)",
-        ("tests/stages/test_fog_stage.py::test_the_sky_has_no_gradient_and_spoils_none",),
+        ("tests/camera/test_fog_stage.py::test_the_sky_has_no_gradient_and_spoils_none",),
     ),
     Mutant(
         "fog_extinction_of_the_depth_axis",
@@ -25,7 +25,7 @@ MUTANTS = (
         "torchweather.camera.rays",
         "per_depth = torch.sqrt(1 + x.square() + y.square())",
         "per_depth = torch.ones_like(x + y)",
-        (("tests/stages/test_fog_stage.py::test_every_pixel_fades_along_its_ray_at_its_own_colours_extinction"),),
+        ("tests/camera/test_fog_stage.py::test_every_pixel_fades_along_its_ray_at_its_own_colours_extinction",),
     ),
     Mutant(
         "streak_blind_to_depth",
@@ -33,7 +33,7 @@ MUTANTS = (
         STREAKS,
         "before = frame.depth_m < depth_m",
         "before = frame.depth_m > depth_m",
-        ("tests/stages/test_streaks.py::test_area_is_conserved_at_any_width_and_speed",),
+        ("tests/camera/particles/test_streaks.py::test_area_is_conserved_at_any_width_and_speed",),
     ),
     Mutant(
         "mosaic_blur_mixes_colours",
@@ -43,7 +43,7 @@ MUTANTS = (
         "_blurring(variance_px2, width)",
         (
             (
-                "tests/stages/test_mosaic_blur.py::test_a_blur_by_products_with_parts_of_its_band_matrix_is_"
+                "tests/camera/test_mosaic_blur.py::test_a_blur_by_products_with_parts_of_its_band_matrix_is_"
                 "the_convolution"
             ),
         ),
@@ -54,7 +54,7 @@ MUTANTS = (
         BAYER,
         '"RGGB": ((0, 1), (1, 2))',
         '"RGGB": ((2, 1), (1, 0))',
-        ("tests/image/test_bayer.py::test_pattern_name_reads_the_top_left_cell_in_rows",),
+        ("tests/camera/test_bayer.py::test_pattern_name_reads_the_top_left_cell_in_rows",),
     ),
     Mutant(
         "phases_of_a_mosaic_in_columns",
@@ -62,7 +62,7 @@ MUTANTS = (
         BAYER,
         "torch.movedim(cells, (-3, -1), (-4, -3))",
         "torch.movedim(cells, (-1, -3), (-4, -3))",
-        ("tests/image/test_bayer.py::test_planes_split_and_join_without_loss",),
+        ("tests/camera/test_bayer.py::test_planes_split_and_join_without_loss",),
     ),
     Mutant(
         "srgb_knee_dropped",
@@ -70,7 +70,7 @@ MUTANTS = (
         "torchweather.camera.tone",
         "12.92 * linear",
         "1.0 * linear",
-        ("tests/image/test_tone.py::test_srgb_gradient_is_finite_at_black",),
+        ("tests/camera/test_tone.py::test_srgb_gradient_is_finite_at_black",),
     ),
     Mutant(
         "near_mask_left_in_fog",
@@ -78,7 +78,7 @@ MUTANTS = (
         CAMERA,
         ("clear = torch.lerp(clear, torch.ones_like(clear), state.by_cells(state.near_mask[rows]).to(clear.dtype))"),
         "clear = torch.lerp(clear, clear, state.by_cells(state.near_mask[rows]).to(clear.dtype))",
-        ("tests/transforms/test_rgb_planes.py::test_no_weather_lies_in_front_of_the_own_vehicle",),
+        ("tests/camera/test_rgb_planes.py::test_no_weather_lies_in_front_of_the_own_vehicle",),
     ),
     Mutant(
         "blur_adds_light",
@@ -88,7 +88,7 @@ MUTANTS = (
         "/ (0.9 * points_px.shape[1])",
         (
             (
-                "tests/stages/test_effects_camera.py::test_ego_blur_of_parabolas_adds_the_variance_of_its_"
+                "tests/camera/effects/test_effects_camera.py::test_ego_blur_of_parabolas_adds_the_variance_of_its_"
                 "line_along_it_alone"
             ),
         ),
@@ -99,12 +99,7 @@ MUTANTS = (
         AIRLIGHT,
         "REC709 = (0.2126, 0.7152, 0.0722)",
         "REC709 = (0.7152, 0.2126, 0.0722)",
-        (
-            (
-                "tests/transforms/test_rgb_planes.py::test_airlight_is_the_grey_of_the_sky_above_the_"
-                "horizon_not_of_all_sky"
-            ),
-        ),
+        (("tests/camera/test_rgb_planes.py::test_airlight_is_the_grey_of_the_sky_above_the_horizon_not_of_all_sky"),),
     ),
     Mutant(
         "horizon_is_the_zenith",
@@ -112,12 +107,7 @@ MUTANTS = (
         AIRLIGHT,
         "torch.exp(((lowest - sine) / BAND_SINE).clamp_max(0.0))",
         "torch.exp((lowest * 0.0 - 0.0 * sine))",
-        (
-            (
-                "tests/transforms/test_rgb_planes.py::test_airlight_is_the_grey_of_the_sky_above_the_"
-                "horizon_not_of_all_sky"
-            ),
-        ),
+        (("tests/camera/test_rgb_planes.py::test_airlight_is_the_grey_of_the_sky_above_the_horizon_not_of_all_sky"),),
     ),
     Mutant(
         "quantised_upwards",
@@ -125,7 +115,7 @@ MUTANTS = (
         CAMERA,
         "rounded = torch.round(state.signal.clamp(0, 1) * steps) / steps",
         "rounded = torch.ceil(state.signal.clamp(0, 1) * steps) / steps",
-        ("tests/stages/test_quantise.py::test_a_signal_goes_to_the_nearest_of_its_levels",),
+        ("tests/camera/test_quantise.py::test_a_signal_goes_to_the_nearest_of_its_levels",),
     ),
     Mutant(
         "saturation_not_clipped",
@@ -133,7 +123,7 @@ MUTANTS = (
         CAMERA,
         "rounded = torch.round(state.signal.clamp(0, 1) * steps) / steps",
         "rounded = torch.round(state.signal * steps) / steps",
-        ("tests/stages/test_quantise.py::test_a_signal_goes_to_the_nearest_of_its_levels",),
+        ("tests/camera/test_quantise.py::test_a_signal_goes_to_the_nearest_of_its_levels",),
     ),
     Mutant(
         "disk_spread_as_a_square",
@@ -141,6 +131,6 @@ MUTANTS = (
         STREAKS,
         "BOX_OF_DISK = math.sqrt(12 / 16)",
         "BOX_OF_DISK = 1.0",
-        ("tests/stages/test_narrow_marks.py::test_spread_along_the_motion_is_that_of_a_disk",),
+        ("tests/camera/particles/test_narrow_marks.py::test_spread_along_the_motion_is_that_of_a_disk",),
     ),
 )

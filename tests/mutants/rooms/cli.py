@@ -13,7 +13,7 @@ MUTANTS = (
         "torchweather.cli.output",
         "return value if math.isfinite(value) else None",
         "return value",
-        ("tests/test_cli.py::test_demo_hands_over_folder_and_seed",),
+        ("tests/cli/test_cli.py::test_demo_hands_over_folder_and_seed",),
     ),
     Mutant(
         "mistake_ends_with_success",
@@ -21,7 +21,7 @@ MUTANTS = (
         CLI,
         "MISTAKE = 2",
         "MISTAKE = 0",
-        ("tests/test_cli.py::test_a_mistake_gives_one_line_exit_code_2_and_no_file",),
+        ("tests/cli/test_cli.py::test_a_mistake_gives_one_line_exit_code_2_and_no_file",),
     ),
     Mutant(
         "warnings_repeated",
@@ -29,7 +29,7 @@ MUTANTS = (
         CLI,
         "if text not in shown:",
         "if True:",
-        ("tests/test_cli_lidar.py::test_intensities_that_do_not_fit_the_sensor_are_said_once",),
+        ("tests/cli/test_cli_lidar.py::test_intensities_that_do_not_fit_the_sensor_are_said_once",),
     ),
     Mutant(
         "input_overwritten",
@@ -37,7 +37,7 @@ MUTANTS = (
         "torchweather.cli.result_files",
         "if resolved in self.inputs:",
         "if False:",
-        ("tests/test_cli_radar.py::test_a_mistake_gives_one_line_exit_code_2_and_no_file",),
+        ("tests/cli/test_cli_radar.py::test_a_mistake_gives_one_line_exit_code_2_and_no_file",),
     ),
     Mutant(
         "region_axis_given_twice",
@@ -45,7 +45,7 @@ MUTANTS = (
         "torchweather.cli.regions",
         " or name in limits:",
         ":",
-        ("tests/test_cli_metrics.py::test_a_mistake_gives_one_line_and_exit_code_2",),
+        ("tests/cli/test_cli_metrics.py::test_a_mistake_gives_one_line_and_exit_code_2",),
     ),
     Mutant(
         "pairs_of_different_stems",
@@ -53,7 +53,7 @@ MUTANTS = (
         "torchweather.cli.pairs_of_files",
         "if counts[0][name] == counts[1][name] == 1:",
         "if counts[0][name] == 1:",
-        ("tests/test_cli_metrics.py::test_nothing_that_matches_is_a_mistake",),
+        ("tests/cli/test_cli_metrics.py::test_nothing_that_matches_is_a_mistake",),
     ),
     Mutant(
         "a_bug_reported_as_a_mistake",
@@ -61,7 +61,7 @@ MUTANTS = (
         CLI,
         "if args.debug or not is_mistake(error):",
         "if args.debug:",
-        ("tests/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
+        ("tests/cli/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
     ),
     Mutant(
         "every_error_a_mistake",
@@ -69,7 +69,7 @@ MUTANTS = (
         "torchweather.cli.mistakes",
         "return isinstance(error, (TorchweatherError, OSError))",
         "return True",
-        ("tests/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
+        ("tests/cli/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
     ),
     Mutant(
         "any_value_error_a_mistake",
@@ -77,6 +77,6 @@ MUTANTS = (
         "torchweather.cli.mistakes",
         "return isinstance(error, (TorchweatherError, OSError))",
         "return isinstance(error, (TorchweatherError, OSError, ValueError))",
-        ("tests/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
+        ("tests/cli/test_cli_bug.py::test_a_bug_is_no_mistake_of_the_user",),
     ),
 )

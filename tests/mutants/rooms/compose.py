@@ -18,7 +18,7 @@ MUTANTS = (
         RANDOM,
         "return [int(seed) + row for row in range(number)]",
         "return [int(seed) for row in range(number)]",
-        ("tests/test_random.py::test_seeds_come_as_integers_in_row_major_order",),
+        ("tests/core/test_random.py::test_seeds_come_as_integers_in_row_major_order",),
     ),
     Mutant(
         "stage_name_not_in_the_stream",
@@ -26,7 +26,7 @@ MUTANTS = (
         RANDOM,
         "digest = hashlib.blake2b(stream.encode(), digest_size=8).digest()",
         'digest = hashlib.blake2b(b"", digest_size=8).digest()',
-        ("tests/test_random.py::test_another_seed_stage_or_variate_gives_unrelated_numbers",),
+        ("tests/core/test_random.py::test_another_seed_stage_or_variate_gives_unrelated_numbers",),
     ),
     Mutant(
         "epoch_not_in_the_seed",
@@ -34,7 +34,7 @@ MUTANTS = (
         RANDOM,
         "{int(seed)}/{int(epoch)}/",
         "{int(seed)}/{0}/",
-        (("tests/transforms/test_weather_dataset.py::test_the_weather_is_another_one_for_each_sample_and_epoch"),),
+        ("tests/compose/test_weather_dataset.py::test_the_weather_is_another_one_for_each_sample_and_epoch",),
     ),
     Mutant(
         "log_uniform_is_uniform",
@@ -42,7 +42,7 @@ MUTANTS = (
         DISTRIBUTIONS,
         "return float(self.low * (self.high / self.low) ** u)",
         "return float(self.low + u * (self.high - self.low))",
-        ("tests/test_distributions.py::test_shares_of_the_probability_become_values",),
+        ("tests/core/test_distributions.py::test_shares_of_the_probability_become_values",),
     ),
     Mutant(
         "weights_of_a_choice_ignored",
@@ -50,7 +50,7 @@ MUTANTS = (
         DISTRIBUTIONS,
         "weights = self.weights or (1.0,)",
         "weights = (1.0,)",
-        ("tests/test_distributions.py::test_shares_of_the_probability_become_values",),
+        ("tests/core/test_distributions.py::test_shares_of_the_probability_become_values",),
     ),
     Mutant(
         "chain_file_of_pickles",
@@ -58,7 +58,7 @@ MUTANTS = (
         CHAIN,
         "allow_pickle=False",
         "allow_pickle=True",
-        ("tests/stages/test_chain.py::test_pickled_arrays_are_refused",),
+        ("tests/pipeline/test_chain.py::test_pickled_arrays_are_refused",),
     ),
     Mutant(
         "chain_insert_after_is_before",
@@ -72,7 +72,7 @@ MUTANTS = (
             "            if known == after:\n                ordered[new_name] = stage\n            "
             "ordered[known] = present\n            if known == before:"
         ),
-        ("tests/stages/test_chain.py::test_stages_are_put_in_where_asked",),
+        ("tests/pipeline/test_chain.py::test_stages_are_put_in_where_asked",),
     ),
     Mutant(
         "recipe_runs_code",
@@ -88,7 +88,7 @@ MUTANTS = (
         "torchweather.pipeline.sensor",
         'content = yaml.safe_load(path.read_text(encoding="utf-8"))',
         'content = yaml.unsafe_load(path.read_text(encoding="utf-8"))',
-        ("tests/test_sensors.py::test_wrong_sensor_files_name_file_and_field",),
+        ("tests/pipeline/test_sensors.py::test_wrong_sensor_files_name_file_and_field",),
     ),
     Mutant(
         "untouched_pixels_re_encoded",
@@ -96,7 +96,7 @@ MUTANTS = (
         RGB_PLANES,
         "return torch.where(after == before, rgb, seen.to(rgb.dtype))",
         "return seen.to(rgb.dtype)",
-        ("tests/transforms/test_rgb_planes.py::test_no_weather_lies_in_front_of_the_own_vehicle",),
+        ("tests/camera/test_rgb_planes.py::test_no_weather_lies_in_front_of_the_own_vehicle",),
     ),
     Mutant(
         "random_weather_ignores_the_picture",
@@ -106,7 +106,7 @@ MUTANTS = (
         "0",
         (
             (
-                "tests/transforms/test_random_weather.py::test_a_seed_of_the_transform_makes_the_weather_a_"
+                "tests/compose/test_random_weather.py::test_a_seed_of_the_transform_makes_the_weather_a_"
                 "function_of_the_picture"
             ),
         ),
@@ -117,7 +117,7 @@ MUTANTS = (
         WEATHER_DATASET,
         "sample_seed(self.seed, int(index), int(self._epoch))",
         "sample_seed(self.seed, int(index), 0)",
-        (("tests/transforms/test_weather_dataset.py::test_the_weather_is_another_one_for_each_sample_and_epoch"),),
+        ("tests/compose/test_weather_dataset.py::test_the_weather_is_another_one_for_each_sample_and_epoch",),
     ),
     Mutant(
         "dataset_index_ignored",
@@ -125,7 +125,7 @@ MUTANTS = (
         WEATHER_DATASET,
         "sample_seed(self.seed, int(index), int(self._epoch))",
         "sample_seed(self.seed, 0, int(self._epoch))",
-        ("tests/transforms/test_weather_dataset.py::test_labels_follow_with_what_happened_to_the_points",),
+        ("tests/compose/test_weather_dataset.py::test_labels_follow_with_what_happened_to_the_points",),
     ),
     Mutant(
         "completed_beams_kept_for_another_cloud",
@@ -135,7 +135,7 @@ MUTANTS = (
         "if alike and kept is not None:",
         (
             (
-                "tests/lidar/test_scan_completion.py::test_a_draw_and_its_call_find_the_beams_once_and_"
+                "tests/lidar/sweep/test_scan_completion.py::test_a_draw_and_its_call_find_the_beams_once_and_"
                 "changed_points_anew"
             ),
         ),
@@ -146,7 +146,7 @@ MUTANTS = (
         "torchweather.camera.through_mosaic",
         "unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before",
         "unlike = torch.ones_like(after, dtype=torch.bool)",
-        (("tests/transforms/test_rgb_values.py::test_a_picture_whose_mosaic_did_not_change_comes_back_bit_for_bit"),),
+        ("tests/camera/test_rgb_values.py::test_a_picture_whose_mosaic_did_not_change_comes_back_bit_for_bit",),
     ),
     Mutant(
         "planes_not_linearised",
@@ -154,7 +154,7 @@ MUTANTS = (
         RGB_PLANES,
         "return srgb_decode(levels)[rgb.int()]",
         "return levels[rgb.int()]",
-        ("tests/transforms/test_rgb_values.py::test_planes_are_linear_in_light",),
+        ("tests/camera/test_rgb_values.py::test_planes_are_linear_in_light",),
     ),
     Mutant(
         "white_beyond_one_accepted",
@@ -162,7 +162,7 @@ MUTANTS = (
         RGB_PLANES,
         "if not (low >= 0.0 and high <= 1.0):",
         "if False:",
-        ("tests/transforms/test_rgb_values.py::test_float_pictures_outside_0_to_1_are_refused",),
+        ("tests/camera/test_rgb_values.py::test_float_pictures_outside_0_to_1_are_refused",),
     ),
     Mutant(
         "mixture_draw_of_one_stream",
@@ -170,7 +170,7 @@ MUTANTS = (
         WEATHER,
         'f"weather.{self.kind}.{name}"',
         'f"weather.{name}"',
-        ("tests/test_weather_draws.py::test_parts_of_a_mixture_are_drawn_apart",),
+        ("tests/atmosphere/test_weather_draws.py::test_parts_of_a_mixture_are_drawn_apart",),
     ),
     Mutant(
         "densest_fog_is_the_clearest",
@@ -178,7 +178,7 @@ MUTANTS = (
         WEATHER,
         '"mor_m": min',
         '"mor_m": max',
-        ("tests/test_weather_draws.py::test_the_densest_weather_of_a_law",),
+        ("tests/atmosphere/test_weather_draws.py::test_the_densest_weather_of_a_law",),
     ),
     Mutant(
         "samples_are_never_left_clear",
@@ -186,7 +186,7 @@ MUTANTS = (
         "torchweather.pipeline.at_call",
         'wet = [p >= 1.0 or float(keyed_stream(seed, "weather.p").random()) < p for seed in seeds]',
         "wet = [True for seed in seeds]",
-        ("tests/transforms/test_at_call.py::test_the_share_of_samples_in_weather_is_p",),
+        ("tests/pipeline/test_at_call.py::test_the_share_of_samples_in_weather_is_p",),
     ),
     Mutant(
         "one_rate_for_the_whole_batch",
@@ -194,7 +194,7 @@ MUTANTS = (
         "torchweather.pipeline.at_call",
         "drawn = [weather.drawn(seed) for seed in seeds]",
         "drawn = [weather.drawn(seeds[0]) for seed in seeds]",
-        ("tests/transforms/test_at_call.py::test_each_sample_gets_a_rate_of_its_own_the_same_in_any_batch",),
+        ("tests/pipeline/test_at_call.py::test_each_sample_gets_a_rate_of_its_own_the_same_in_any_batch",),
     ),
     Mutant(
         "change_after_the_first_call_unseen",
@@ -202,7 +202,7 @@ MUTANTS = (
         "torchweather.pipeline.sensor_transform",
         "if now != self._checked:",
         "if self._checked is None:",
-        ("tests/transforms/test_at_call.py::test_a_change_after_the_first_call_is_noticed_too",),
+        ("tests/pipeline/test_at_call.py::test_a_change_after_the_first_call_is_noticed_too",),
     ),
     Mutant(
         "catalogue_not_loaded",
@@ -210,6 +210,6 @@ MUTANTS = (
         "torchweather.pipeline.effect",
         "    load_catalogue()\n",
         "",
-        ("tests/stages/test_catalogue_in_a_fresh_process.py::test_an_effect_is_built_from_its_dictionary",),
+        ("tests/pipeline/test_catalogue_in_a_fresh_process.py::test_an_effect_is_built_from_its_dictionary",),
     ),
 )

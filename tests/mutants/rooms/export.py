@@ -15,7 +15,7 @@ MUTANTS = (
         PICTURE,
         'ordered = rgb if self.colour == "RGB" else rgb.flip(-3)',
         "ordered = rgb",
-        ("tests/test_export_fuse.py::test_a_picture_is_normalised_as_the_detector_wants_it",),
+        ("tests/export/test_export_fuse.py::test_a_picture_is_normalised_as_the_detector_wants_it",),
     ),
     Mutant(
         "picture_mean_added",
@@ -23,7 +23,7 @@ MUTANTS = (
         PICTURE,
         "scaled = (ordered * self.scale - self.mean) / self.std",
         "scaled = (ordered * self.scale - self.mean) * self.std",
-        ("tests/test_export_fuse.py::test_a_picture_is_normalised_as_the_detector_wants_it",),
+        ("tests/export/test_export_fuse.py::test_a_picture_is_normalised_as_the_detector_wants_it",),
     ),
     Mutant(
         "feed_ignores_the_seed",
@@ -31,7 +31,7 @@ MUTANTS = (
         FEED,
         "feed.update(draw_variates(seeds, stage, own, sizes))",
         "feed.update(draw_variates([0] * len(seeds), stage, own, sizes))",
-        ("tests/test_export_radar.py::test_draw_feed_gives_the_numbers_of_draw_bit_for_bit[fog]",),
+        ("tests/export/test_export_radar.py::test_draw_feed_gives_the_numbers_of_draw_bit_for_bit[fog]",),
     ),
     Mutant(
         "odd_mosaic_fed",
@@ -39,7 +39,7 @@ MUTANTS = (
         FEED,
         "if height < 2 or width < 2 or height % 2 or width % 2:",
         "if height < 2 or width < 2:",
-        ("tests/test_export.py::test_a_feed_for_a_size_that_is_no_mosaic_is_refused",),
+        ("tests/export/test_export.py::test_a_feed_for_a_size_that_is_no_mosaic_is_refused",),
     ),
     Mutant(
         "dropping_points_exported",
@@ -47,7 +47,7 @@ MUTANTS = (
         LIDAR_GRAPH,
         'if transform.lost == "drop":',
         "if False:",
-        ("tests/test_export_lidar.py::test_what_changes_the_number_of_points_is_refused",),
+        ("tests/export/test_export_lidar.py::test_what_changes_the_number_of_points_is_refused",),
     ),
     Mutant(
         "beams_appended_in_a_graph",
@@ -55,7 +55,7 @@ MUTANTS = (
         LIDAR_GRAPH,
         "if transform.complete_scan:",
         "if False:",
-        ("tests/test_export_lidar.py::test_what_changes_the_number_of_points_is_refused",),
+        ("tests/export/test_export_lidar.py::test_what_changes_the_number_of_points_is_refused",),
     ),
     Mutant(
         "radar_knobs_of_the_graph_fixed",
@@ -63,7 +63,12 @@ MUTANTS = (
         "torchweather.export.radar_graph",
         'found[inputs[part.kind]].append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")',
         "pass",
-        (("tests/test_export_radar.py::test_onnxruntime_gives_what_torch_gives_for_other_lists_and_knobs[3x301-fog]"),),
+        (
+            (
+                "tests/export/test_export_radar.py::"
+                "test_onnxruntime_gives_what_torch_gives_for_other_lists_and_knobs[3x301-fog]"
+            ),
+        ),
     ),
     Mutant(
         "weather_units_not_in_the_graph",
@@ -71,7 +76,7 @@ MUTANTS = (
         "torchweather.export.metadata",
         ('"torchweather_units": json.dumps({name: _unit(name, weather, traceable) for name in traceable.inputs}),'),
         '"torchweather_units": json.dumps({}),',
-        ("tests/test_export_fuse.py::test_the_properties_say_version_equations_and_units",),
+        ("tests/export/test_export_fuse.py::test_the_properties_say_version_equations_and_units",),
     ),
     Mutant(
         "near_mask_not_in_the_graph",
@@ -81,7 +86,7 @@ MUTANTS = (
         "near_mask=None,",
         (
             (
-                "tests/test_export_rgb.py::test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_"
+                "tests/export/test_export_rgb.py::test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_"
                 "knobs[1-fog of a mosaic]"
             ),
         ),

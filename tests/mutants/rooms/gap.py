@@ -15,7 +15,7 @@ MUTANTS = (
         REST,
         "return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0",
         "return float(min(1.0, each.min())) if some.any() else 1.0",
-        ("tests/gap/test_rest.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
+        ("tests/gap/inference/test_residual_tests.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
     ),
     Mutant(
         "residuals_shared_by_conditions_not_scaled",
@@ -23,7 +23,7 @@ MUTANTS = (
         REST,
         "/ np.sqrt(np.maximum(number, 1))",
         "/ np.maximum(number, 1)",
-        ("tests/gap/test_rest.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
+        ("tests/gap/inference/test_residual_tests.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
     ),
     Mutant(
         "t_interval_taken_as_normal",
@@ -31,7 +31,12 @@ MUTANTS = (
         WHOLE_FRAMES,
         "return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)",
         "return 1.0",
-        (("tests/gap/test_whole_frames.py::test_a_scatter_known_from_few_frames_is_widened_as_student_has_it"),),
+        (
+            (
+                "tests/gap/statistics/test_frame_random_effects.py::"
+                "test_a_scatter_known_from_few_frames_is_widened_as_student_has_it"
+            ),
+        ),
     ),
     Mutant(
         "sampling_noise_counted_as_frame_noise",
@@ -39,7 +44,12 @@ MUTANTS = (
         WHOLE_FRAMES,
         "excess = float((even**2).sum()) - (number - 1) * variance",
         "excess = float((even**2).sum())",
-        ("tests/gap/test_whole_frames.py::test_the_noise_of_elements_is_nothing_that_whole_frames_do",),
+        (
+            (
+                "tests/gap/statistics/test_frame_random_effects.py::"
+                "test_the_noise_of_elements_is_nothing_that_whole_frames_do"
+            ),
+        ),
     ),
     Mutant(
         "effects_found_not_taken_out",
@@ -47,7 +57,7 @@ MUTANTS = (
         "torchweather.gap.inference.model_error",
         "found: Floats = (further @ done) ** 2 / norm",
         "found: Floats = 0.0 * (further @ done) ** 2 / norm",
-        ("tests/gap/test_further.py::test_what_nuisances_explain_counts_for_neither",),
+        ("tests/gap/inference/test_model_error.py::test_what_nuisances_explain_counts_for_neither",),
     ),
     Mutant(
         "visibility_taken_as_severity",
@@ -55,7 +65,12 @@ MUTANTS = (
         "torchweather.gap.study.splits",
         'return 1.0 / knob if weather.knob_name == "mor_m" else knob',
         "return knob",
-        (("tests/gap/test_study.py::test_each_kind_of_weather_keeps_a_condition_to_fit_to_and_clear_air_is_fitted"),),
+        (
+            (
+                "tests/gap/study/test_study.py::"
+                "test_each_kind_of_weather_keeps_a_condition_to_fit_to_and_clear_air_is_fitted"
+            ),
+        ),
     ),
     Mutant(
         "p_value_of_clear_air_can_be_zero",
@@ -63,7 +78,7 @@ MUTANTS = (
         "torchweather.gap.inference.clear_air",
         "p_value = (1 + int(",
         "p_value = (0 + int(",
-        ("tests/gap/test_clear_air.py::test_frames_that_are_copies_do_not_differ",),
+        ("tests/gap/inference/test_clear_air.py::test_frames_that_are_copies_do_not_differ",),
     ),
     Mutant(
         "formula_without_penalty",
@@ -71,7 +86,7 @@ MUTANTS = (
         FORMULA,
         "chi2 + free * math.log(n) + 2.0 * math.log(form.choices)",
         "chi2",
-        ("tests/gap/test_formula.py::test_noise_is_a_constant",),
+        ("tests/gap/statistics/test_formula.py::test_noise_is_a_constant",),
     ),
     Mutant(
         "formula_at_bin_centres",
@@ -79,7 +94,7 @@ MUTANTS = (
         FORMULA,
         "share = (np.arange(POINTS) + 0.5) / POINTS",
         "share = 0.0 * (np.arange(POINTS) + 0.5) / POINTS",
-        ("tests/gap/test_formula.py::test_bins_that_are_not_known_count_for_nothing",),
+        ("tests/gap/statistics/test_formula.py::test_bins_that_are_not_known_count_for_nothing",),
     ),
     Mutant(
         "held_out_links_fitted",
@@ -87,7 +102,7 @@ MUTANTS = (
         "torchweather.gap.sensors.link.frames",
         "splits = {FIT: ~held, HOLDOUT: held}",
         "splits = {FIT: held, HOLDOUT: ~held}",
-        ("tests/gap/test_link.py::test_a_film_that_grows_with_the_root_of_the_rain_is_found",),
+        ("tests/gap/sensors/link/test_link.py::test_a_film_that_grows_with_the_root_of_the_rain_is_found",),
     ),
     Mutant(
         "byte_order_in_the_hash",
@@ -95,7 +110,7 @@ MUTANTS = (
         "torchweather.gap.study.content_hash",
         'little = array.astype(array.dtype.newbyteorder("<"), copy=False)',
         "little = array",
-        ("tests/gap/test_content_hash.py::test_byte_order_and_layout_in_memory_do_not_change_the_hash",),
+        ("tests/gap/study/test_content_hash.py::test_byte_order_and_layout_in_memory_do_not_change_the_hash",),
     ),
     Mutant(
         "likelihood_without_variance_term",
@@ -103,7 +118,12 @@ MUTANTS = (
         "torchweather.gap.inference.likelihood",
         "total += 2.0 * float(np.log(wider[used]).sum())",
         "total += 0.0 * float(np.log(wider[used]).sum())",
-        ("tests/gap/test_search_variance.py::test_twice_the_scatter_costs_two_ln_two_an_entry_that_counts",),
+        (
+            (
+                "tests/gap/inference/test_likelihood_variance.py::"
+                "test_twice_the_scatter_costs_two_ln_two_an_entry_that_counts"
+            ),
+        ),
     ),
     Mutant(
         "insensitive_statistics_by_mean_change",
@@ -111,6 +131,11 @@ MUTANTS = (
         "torchweather.gap.inference.insensitive_statistics",
         "float(np.sqrt((values**2).mean())) < TOUCHED",
         "float(np.abs(values.mean())) < TOUCHED",
-        ("tests/gap/test_untouched.py::test_a_statistic_is_touched_as_a_whole_in_all_conditions",),
+        (
+            (
+                "tests/gap/inference/test_insensitive_statistics.py::"
+                "test_a_statistic_is_touched_as_a_whole_in_all_conditions"
+            ),
+        ),
     ),
 )

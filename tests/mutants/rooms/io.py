@@ -15,7 +15,7 @@ MUTANTS = (
         CARLA,
         "[..., 2::-1].transpose(2, 0, 1)",
         "[..., :3].transpose(2, 0, 1)",
-        ("tests/io/test_carla.py::test_the_buffer_may_be_taken_back_after_the_call",),
+        ("tests/datasets/test_carla.py::test_the_buffer_may_be_taken_back_after_the_call",),
     ),
     Mutant(
         "carla_points_left_handed",
@@ -23,7 +23,7 @@ MUTANTS = (
         CARLA,
         "points[:, 1] = 0.0 - points[:, 1]",
         "points[:, 1] = 0.0 + points[:, 1]",
-        ("tests/io/test_carla.py::test_points_right_of_the_sensor_come_out_right_of_it",),
+        ("tests/datasets/test_carla.py::test_points_right_of_the_sensor_come_out_right_of_it",),
     ),
     Mutant(
         "carla_focal_of_the_whole_angle",
@@ -31,7 +31,7 @@ MUTANTS = (
         CARLA,
         "math.tan(0.5 * math.radians(image.fov))",
         "math.tan(math.radians(image.fov))",
-        ("tests/io/test_carla.py::test_the_camera_has_the_field_of_view_across",),
+        ("tests/datasets/test_carla.py::test_the_camera_has_the_field_of_view_across",),
     ),
     Mutant(
         "carla_depth_bytes_reversed",
@@ -39,7 +39,7 @@ MUTANTS = (
         CARLA,
         "for shift in (0, 8, 16)",
         "for shift in (16, 8, 0)",
-        ("tests/io/test_carla.py::test_depth_goes_and_comes_back_to_the_step_of_the_code",),
+        ("tests/datasets/test_carla.py::test_depth_goes_and_comes_back_to_the_step_of_the_code",),
     ),
     Mutant(
         "box_count_not_updated",
@@ -47,7 +47,7 @@ MUTANTS = (
         "torchweather.datasets.box_update",
         'new[count] = new[f"{sensor}_points_left"]',
         "new[count] = record[count]",
-        ("tests/io/test_box_update.py::test_nuscenes_counts_are_replaced_and_the_rest_stays",),
+        ("tests/datasets/test_box_update.py::test_nuscenes_counts_are_replaced_and_the_rest_stays",),
     ),
     Mutant(
         "particles_counted_in_boxes",
@@ -55,7 +55,7 @@ MUTANTS = (
         "torchweather.datasets.box_visibility",
         "left[begin : begin + step] = (seen & is_object[:, None]).sum(dim=0)",
         "left[begin : begin + step] = seen.sum(dim=0)",
-        ("tests/io/test_boxes.py::test_nuscenes_annotations_in_the_global_frame",),
+        ("tests/datasets/test_boxes.py::test_nuscenes_annotations_in_the_global_frame",),
     ),
     Mutant(
         "falling_snow_label_not_written",
@@ -111,7 +111,7 @@ MUTANTS = (
         "torchweather.datasets.yaml_calibration",
         "if any(values) and (model",
         "if False and (model",
-        ("tests/io/test_camera_files.py::test_other_files_are_refused_by_what_they_are",),
+        ("tests/datasets/test_camera_files.py::test_other_files_are_refused_by_what_they_are",),
     ),
     Mutant(
         "exif_focal_of_film_width",

@@ -18,7 +18,7 @@ MUTANTS = (
         LIDAR,
         "clear = torch.exp(-2.0 * extinction[:, None] * state.uniform_m)",
         "clear = torch.exp(-1.0 * extinction[:, None] * state.uniform_m)",
-        ("tests/stages/test_lidar_stages.py::test_an_object_at_half_the_attenuation_length_keeps_one_e_th",),
+        ("tests/lidar/test_lidar_stages.py::test_an_object_at_half_the_attenuation_length_keeps_one_e_th",),
     ),
     Mutant(
         "signal_falls_with_range_once",
@@ -28,7 +28,7 @@ MUTANTS = (
         "* self.beam.near_response(range_m) / (math.pi * range_m)",
         (
             (
-                "tests/stages/test_lidar_stages.py::test_the_near_range_response_dims_a_reflectivity_and_is_"
+                "tests/lidar/test_lidar_stages.py::test_the_near_range_response_dims_a_reflectivity_and_is_"
                 "in_a_photon_count_already"
             ),
         ),
@@ -41,7 +41,7 @@ MUTANTS = (
         "ramp = torch.ones_like(range_m)\n",
         (
             (
-                "tests/stages/test_near_returns.py::test_the_margin_has_the_sensors_mean_in_full_response_"
+                "tests/lidar/test_near_returns.py::test_the_margin_has_the_sensors_mean_in_full_response_"
                 "and_ends_at_a_grey_target_near"
             ),
         ),
@@ -52,7 +52,7 @@ MUTANTS = (
         BEAM,
         '("divergence_rad", sensor.divergence_mrad * 1e-3)',
         '("divergence_rad", sensor.divergence_mrad)',
-        ("tests/stages/test_lidar_oracles.py::test_cone_has_the_oracle_s_volume",),
+        ("tests/lidar/test_lidar_oracles.py::test_cone_has_the_oracle_s_volume",),
     ),
     Mutant(
         "near_ramp_not_clipped",
@@ -60,7 +60,7 @@ MUTANTS = (
         BEAM,
         "return self._ramp(range_m).clamp(0.0, 1.0)",
         "return self._ramp(range_m).clamp_min(0.0)",
-        (("tests/stages/test_lidar_stages.py::test_what_was_detected_stands_on_the_threshold_times_its_margin"),),
+        ("tests/lidar/test_lidar_stages.py::test_what_was_detected_stands_on_the_threshold_times_its_margin",),
     ),
     Mutant(
         "dual_return_repeats_the_strongest",
@@ -68,7 +68,7 @@ MUTANTS = (
         LIDAR,
         "again = end.range_m == strongest.range_m",
         "again = torch.zeros_like(end.range_m, dtype=torch.bool)",
-        ("tests/stages/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
+        ("tests/lidar/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
     ),
     Mutant(
         "last_return_is_the_first",
@@ -76,7 +76,7 @@ MUTANTS = (
         LIDAR,
         'power = -1.0 if self.return_mode == "first" else 1.0',
         "power = -1.0",
-        ("tests/stages/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
+        ("tests/lidar/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
     ),
     Mutant(
         "echoes_of_one_pulse_not_merged",
@@ -84,7 +84,7 @@ MUTANTS = (
         LIDAR,
         "absorbed = absorbed | (stronger",
         "absorbed = absorbed & (stronger",
-        ("tests/stages/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
+        ("tests/lidar/test_lidar_stages.py::test_an_echo_close_to_a_stronger_one_is_part_of_it",),
     ),
     Mutant(
         "particle_label_not_written",
@@ -100,7 +100,7 @@ MUTANTS = (
         INTENSITY,
         "return torch.where(gain == 1.0, intensity, dimmed)",
         "return dimmed",
-        ("tests/stages/test_intensity.py::test_gain_one_is_the_identity",),
+        ("tests/lidar/test_intensity.py::test_gain_one_is_the_identity",),
     ),
     Mutant(
         "calibrated_bytes_above_100_linear",
@@ -110,7 +110,7 @@ MUTANTS = (
         "_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 255.0",
         (
             (
-                "tests/stages/test_intensity.py::test_calibrated_bytes_are_linear_to_white_and_logarithmic_"
+                "tests/lidar/test_intensity.py::test_calibrated_bytes_are_linear_to_white_and_logarithmic_"
                 "to_a_retroreflector"
             ),
         ),
@@ -121,7 +121,7 @@ MUTANTS = (
         INTENSITY,
         "intensity_of_reflectivity(math.pi * signal * range_m.square()",
         "intensity_of_reflectivity(signal * range_m.square()",
-        ("tests/stages/test_intensity.py::test_a_signal_goes_to_an_intensity_and_back",),
+        ("tests/lidar/test_intensity.py::test_a_signal_goes_to_an_intensity_and_back",),
     ),
     Mutant(
         "range_noise_added_to_objects",
@@ -129,7 +129,7 @@ MUTANTS = (
         LIDAR,
         "range_m = torch.where(particle, self._measured(range_m, noise), range_m)",
         "range_m = self._measured(range_m, noise)",
-        ("tests/stages/test_lidar_stages.py::test_range_noise_and_resolution_are_a_particles_only",),
+        ("tests/lidar/test_lidar_stages.py::test_range_noise_and_resolution_are_a_particles_only",),
     ),
     Mutant(
         "strongest_echo_always_at_the_object",
@@ -137,7 +137,7 @@ MUTANTS = (
         "torchweather.lidar.returns.strongest",
         "wanted = place * _lerp(cells, base + column, reach - column)",
         "wanted = _lerp(cells, base + column, reach - column)",
-        ("tests/stages/test_strongest_returns.py::test_tabulated_solutions_are_those_of_the_bisection",),
+        ("tests/lidar/returns/test_strongest_returns.py::test_tabulated_solutions_are_those_of_the_bisection",),
     ),
     Mutant(
         "cloud_pose_not_rotated_back",
@@ -145,7 +145,7 @@ MUTANTS = (
         CLOUD_FRAME,
         "wide = wide @ wide.new_tensor(lidar.rotation).T",
         "wide = wide + 0.0",
-        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+        ("tests/lidar/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
     ),
     Mutant(
         "cloud_pose_rotated_the_wrong_way",
@@ -153,7 +153,7 @@ MUTANTS = (
         CLOUD_FRAME,
         "local = local @ wide.new_tensor(lidar.rotation)",
         "local = local @ wide.new_tensor(lidar.rotation).T",
-        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+        ("tests/lidar/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
     ),
     Mutant(
         "unit_hint_reads_the_brightest_point",
@@ -161,7 +161,7 @@ MUTANTS = (
         "torchweather.lidar.clouds",
         "BULK = 0.9",
         "BULK = 1.0",
-        ("tests/transforms/test_lidar_units.py::test_a_few_points_above_eight_bits_do_not_make_photons",),
+        ("tests/lidar/test_lidar_units.py::test_a_few_points_above_eight_bits_do_not_make_photons",),
     ),
     Mutant(
         "near_response_fit_without_range_square",
@@ -169,7 +169,7 @@ MUTANTS = (
         NEAR_RESPONSE,
         "np.log(s[good] * r[good] ** 2 / rho[good])",
         "np.log(s[good] * r[good] / rho[good])",
-        (("tests/lidar/test_sensor_fit.py::test_the_response_of_a_made_recording_is_found_within_its_intervals"),),
+        ("tests/lidar/sweep/test_sensor_fit.py::test_the_response_of_a_made_recording_is_found_within_its_intervals",),
     ),
     Mutant(
         "near_response_fit_at_white",
@@ -177,7 +177,7 @@ MUTANTS = (
         NEAR_RESPONSE,
         "return 0.1 * self.photon_constant",
         "return self.photon_constant",
-        ("tests/lidar/test_sensor_fit.py::test_a_response_becomes_that_of_the_sensor",),
+        ("tests/lidar/sweep/test_sensor_fit.py::test_a_response_becomes_that_of_the_sensor",),
     ),
     Mutant(
         "sensor_origin_forgets_height",
@@ -185,7 +185,7 @@ MUTANTS = (
         SENSOR_ORIGIN,
         "return np.array([x, y, float(np.nanmedian(heights))])",
         "return np.array([x, y, 0.0])",
-        ("tests/lidar/test_sensor_origin.py::test_the_place_is_found_from_rings_by_order_or_column",),
+        ("tests/lidar/sweep/test_sensor_origin.py::test_the_place_is_found_from_rings_by_order_or_column",),
     ),
     Mutant(
         "sensor_frame_not_shifted",
@@ -193,7 +193,7 @@ MUTANTS = (
         CLOUD_FRAME,
         "local = wide - wide.new_tensor(lidar.origin_m)",
         "local = wide + 0.0",
-        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+        ("tests/lidar/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
     ),
     Mutant(
         "empty_beam_moved",
@@ -201,7 +201,7 @@ MUTANTS = (
         CLOUD_FRAME,
         "moved = torch.where(nothing, torch.zeros_like(here), moved)",
         "moved = moved + 0.0",
-        ("tests/transforms/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
+        ("tests/lidar/test_lidar_frame.py::test_there_and_back_is_the_cloud",),
     ),
     Mutant(
         "ground_slope_reversed",
@@ -209,7 +209,7 @@ MUTANTS = (
         "torchweather.lidar.sweep.ground",
         "- self.slope_x * xyz[..., 0] -",
         "+ self.slope_x * xyz[..., 0] -",
-        (("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one"),),
+        ("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one",),
     ),
     Mutant(
         "sensor_origin_accepts_every_offset",
@@ -217,7 +217,7 @@ MUTANTS = (
         SENSOR_ORIGIN,
         "_SURE * error_m)",
         "0.0)",
-        ("tests/lidar/test_sensor_origin_evidence.py::test_weak_evidence_moves_no_sensor",),
+        ("tests/lidar/sweep/test_sensor_origin_evidence.py::test_weak_evidence_moves_no_sensor",),
     ),
     Mutant(
         "sensor_origin_spread_not_compared",
@@ -225,7 +225,7 @@ MUTANTS = (
         SENSOR_ORIGIN,
         "gains = self.spread_deg * _LEAST_GAIN < self.spread_at_zero_deg",
         "gains = True",
-        ("tests/lidar/test_sensor_origin_evidence.py::test_weak_evidence_moves_no_sensor",),
+        ("tests/lidar/sweep/test_sensor_origin_evidence.py::test_weak_evidence_moves_no_sensor",),
     ),
     Mutant(
         "person_before_the_body_is_the_body",
@@ -233,7 +233,7 @@ MUTANTS = (
         "torchweather.lidar.sweep.own_vehicle",
         "_MARGIN_M = 0.15",
         "_MARGIN_M = 1.5",
-        ("tests/lidar/test_own_vehicle.py::test_a_person_in_front_of_the_body_is_no_part_of_it",),
+        ("tests/lidar/sweep/test_own_vehicle.py::test_a_person_in_front_of_the_body_is_no_part_of_it",),
     ),
     Mutant(
         "standing_still_shows_new_views",
@@ -241,7 +241,7 @@ MUTANTS = (
         "torchweather.lidar.sweep.own_vehicle",
         "weights: Numbers = 1.0 / alike.sum(0)",
         "weights: Numbers = np.ones(len(far))",
-        ("tests/lidar/test_own_vehicle.py::test_a_person_beside_a_standing_car_is_not_in_the_mask",),
+        ("tests/lidar/sweep/test_own_vehicle.py::test_a_person_beside_a_standing_car_is_not_in_the_mask",),
     ),
     Mutant(
         "mask_of_another_sensor_taken",
@@ -249,7 +249,7 @@ MUTANTS = (
         "torchweather.lidar.sweep.own_vehicle",
         "if rings != known:",
         "if False:",
-        ("tests/transforms/test_lidar_own_vehicle.py::test_a_mask_of_another_sensor_is_refused",),
+        ("tests/lidar/test_lidar_own_vehicle.py::test_a_mask_of_another_sensor_is_refused",),
     ),
     Mutant(
         "frame_of_the_sweep_not_judged",
@@ -257,7 +257,7 @@ MUTANTS = (
         "torchweather.lidar.sweep.sweep_check",
         "            and self.frame.fits\n",
         "",
-        ("tests/lidar/test_unfit_sweeps.py::test_an_unfit_sweep_is_refused_with_the_cause",),
+        ("tests/lidar/sweep/test_unfit_sweeps.py::test_an_unfit_sweep_is_refused_with_the_cause",),
     ),
     Mutant(
         "sweep_written_twice_completed",
@@ -265,7 +265,7 @@ MUTANTS = (
         "torchweather.lidar.sweep.sweep_check",
         "_MOST_COPIES = 0.3",
         "_MOST_COPIES = 1.3",
-        ("tests/lidar/test_unfit_sweeps.py::test_an_unfit_sweep_is_refused_with_the_cause",),
+        ("tests/lidar/sweep/test_unfit_sweeps.py::test_an_unfit_sweep_is_refused_with_the_cause",),
     ),
     Mutant(
         "runs_shorter_than_the_width",
@@ -273,6 +273,6 @@ MUTANTS = (
         "torchweather.lidar.sweep.sweep_raster",
         "long = end - start >= width",
         "long = end - start >= 1",
-        ("tests/lidar/test_beam_ends.py::test_long_runs_are_a_morphological_opening",),
+        ("tests/lidar/sweep/test_beam_ends.py::test_long_runs_are_a_morphological_opening",),
     ),
 )

@@ -97,7 +97,7 @@ MUTANTS = (
         "torchweather.physics.radar_equation",
         "- 30.0 * math.log10(4.0 * math.pi)",
         "- 20.0 * math.log10(4.0 * math.pi)",
-        ("tests/radar/test_fmcw_oracles.py::test_the_radar_equation",),
+        ("tests/radar/fmcw/test_fmcw_oracles.py::test_the_radar_equation",),
     ),
     Mutant(
         "snow_denser_than_ice",
@@ -105,7 +105,7 @@ MUTANTS = (
         "torchweather.physics.snow_geometry",
         ".clamp_max(ICE_DENSITY_G_PER_CM3)",
         "",
-        (("tests/physics/test_snow_geometry.py::test_snow_is_never_denser_than_ice_and_the_largest_flake_is_20_mm"),),
+        ("tests/physics/test_snow_geometry.py::test_snow_is_never_denser_than_ice_and_the_largest_flake_is_20_mm",),
     ),
     Mutant(
         "fresnel_reflectance_of_amplitude",

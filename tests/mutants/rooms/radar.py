@@ -19,7 +19,7 @@ MUTANTS = (
         "path_db = 1e-3 * state.attenuation_db_per_km[:, None] * range_m + state",
         (
             (
-                "tests/stages/test_volume_clutter.py::test_powers_above_the_threshold_are_exponential_about_"
+                "tests/radar/test_volume_clutter.py::test_powers_above_the_threshold_are_exponential_about_"
                 "the_mean_of_the_cell"
             ),
         ),
@@ -32,7 +32,7 @@ MUTANTS = (
         "return GAUSSIAN_AREA * azimuth * elevation * radar.range_resolution_m * range_m",
         (
             (
-                "tests/stages/test_volume_clutter.py::test_a_cell_of_heavy_rain_has_the_cross_section_of_"
+                "tests/radar/test_volume_clutter.py::test_a_cell_of_heavy_rain_has_the_cross_section_of_"
                 "the_worked_example"
             ),
         ),
@@ -43,7 +43,7 @@ MUTANTS = (
         RADAR,
         "kind = state.kind.masked_fill(above < 0, LOST)",
         "kind = state.kind.masked_fill(snr < 0, LOST)",
-        ("tests/stages/test_radar_stages.py::test_a_target_is_lost_below_the_floor_plus_the_detection_snr",),
+        ("tests/radar/test_radar_stages.py::test_a_target_is_lost_below_the_floor_plus_the_detection_snr",),
     ),
     Mutant(
         "lost_radar_target_keeps_its_place",
@@ -51,7 +51,7 @@ MUTANTS = (
         RADAR,
         "points[..., :3].masked_fill_(lost[..., None], 0.0)",
         "points[..., :3].masked_fill_(lost[..., None], 1.0)",
-        (("tests/stages/test_radar_stages.py::test_rows_leave_with_their_weakened_power_and_lost_ones_at_the_origin"),),
+        ("tests/radar/test_radar_stages.py::test_rows_leave_with_their_weakened_power_and_lost_ones_at_the_origin",),
     ),
     Mutant(
         "map_noise_without_window",
@@ -59,7 +59,7 @@ MUTANTS = (
         RANGE_DOPPLER,
         "return radar.noise_power_dbm + 10.0 * math.log10(bandwidth)",
         "return radar.noise_power_dbm",
-        (("tests/radar/test_range_doppler.py::test_noise_in_a_bin_is_that_of_the_samples_less_the_transforms"),),
+        ("tests/radar/fmcw/test_range_doppler.py::test_noise_in_a_bin_is_that_of_the_samples_less_the_transforms",),
     ),
     Mutant(
         "doppler_bins_not_centred",
@@ -70,7 +70,7 @@ MUTANTS = (
             "radar.chirps) - 0.5 * radar.chirps"
         ),
         "turns = torch.remainder(doppler_bin - radar.chirps // 2, radar.chirps)",
-        ("tests/radar/test_range_doppler.py::test_receding_targets_are_in_the_upper_half",),
+        ("tests/radar/fmcw/test_range_doppler.py::test_receding_targets_are_in_the_upper_half",),
     ),
     Mutant(
         "beat_frequency_of_one_way",
@@ -78,7 +78,7 @@ MUTANTS = (
         BEAT_SIGNAL,
         "per_metre = 2.0 * radar.slope_hz_per_s",
         "per_metre = 1.0 * radar.slope_hz_per_s",
-        ("tests/radar/test_beat_signal.py::test_the_stated_accuracy_holds_over_a_whole_frame",),
+        ("tests/radar/fmcw/test_beat_signal.py::test_the_stated_accuracy_holds_over_a_whole_frame",),
     ),
     Mutant(
         "received_amplitude_with_range",
@@ -86,7 +86,7 @@ MUTANTS = (
         BEAT_SIGNAL,
         "/ 20.0) / range_m.square()",
         "/ 20.0) / range_m",
-        ("tests/radar/test_beat_signal.py::test_the_stated_accuracy_holds_over_a_whole_frame",),
+        ("tests/radar/fmcw/test_beat_signal.py::test_the_stated_accuracy_holds_over_a_whole_frame",),
     ),
     Mutant(
         "cfar_threshold_without_neighbour_count",
@@ -94,7 +94,7 @@ MUTANTS = (
         CFAR,
         "return total * (_column_factors(self, columns) / _column_cells(self, columns)).to(power)",
         "return total * _column_factors(self, columns).to(power)",
-        ("tests/radar/test_cfar.py::test_single_cells_are_judged_as_the_map_is",),
+        ("tests/radar/fmcw/test_cfar.py::test_single_cells_are_judged_as_the_map_is",),
     ),
     Mutant(
         "cfar_guard_cells_in_training",
@@ -102,7 +102,7 @@ MUTANTS = (
         CFAR,
         "(abs(doppler) > self.guard[0]) | (abs(columns) > self.guard[1])",
         "(abs(doppler) >= self.guard[0]) | (abs(columns) >= self.guard[1])",
-        ("tests/radar/test_cfar.py::test_cell_averaging_has_the_classical_factor",),
+        ("tests/radar/fmcw/test_cfar.py::test_cell_averaging_has_the_classical_factor",),
     ),
     Mutant(
         "window_not_normalised",
@@ -110,7 +110,7 @@ MUTANTS = (
         "torchweather.radar.fmcw.windows",
         "return weights / weights.sum()",
         "return weights",
-        (("tests/radar/test_range_doppler.py::test_noise_in_a_bin_is_that_of_the_samples_less_the_transforms"),),
+        ("tests/radar/fmcw/test_range_doppler.py::test_noise_in_a_bin_is_that_of_the_samples_less_the_transforms",),
     ),
     Mutant(
         "rain_echo_of_the_map_without_range",
@@ -120,7 +120,7 @@ MUTANTS = (
         "* radar.range_resolution_m / safe_m",
         (
             (
-                "tests/radar/test_volume_echo.py::test_the_echo_falls_with_the_square_of_the_range_and_the_"
+                "tests/radar/fmcw/test_volume_echo.py::test_the_echo_falls_with_the_square_of_the_range_and_the_"
                 "way_there_and_back"
             ),
         ),
@@ -131,7 +131,7 @@ MUTANTS = (
         "torchweather.radar.power_map.noise_floor",
         "return median_db - 10.0 * math.log10(float(special.gammaincinv(looks, 0.5)) / looks)",
         "return median_db",
-        ("tests/radar/test_power_scale.py::test_a_map_of_bytes_read_by_its_noise_has_its_floor_at_0_db",),
+        ("tests/radar/power_map/test_power_scale.py::test_a_map_of_bytes_read_by_its_noise_has_its_floor_at_0_db",),
     ),
     Mutant(
         "amplitude_map_read_as_power",
@@ -139,6 +139,6 @@ MUTANTS = (
         "torchweather.radar.power_map.scale",
         "return 20.0 * number.abs().log10()",
         "return 10.0 * number.abs().log10()",
-        ("tests/radar/test_power_scale.py::test_powers_and_amplitudes",),
+        ("tests/radar/power_map/test_power_scale.py::test_powers_and_amplitudes",),
     ),
 )

@@ -13,7 +13,7 @@ MUTANTS = (
         "torchweather.report.view_flat",
         "WITHIN_M, UNDER_M = 40.0, 0.3",
         "WITHIN_M, UNDER_M = 40.0, -1.0",
-        (("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one"),),
+        ("tests/report/test_lidar_flat_figures.py::test_points_under_the_ground_are_those_counted_one_by_one",),
     ),
     Mutant(
         "html_not_escaped",

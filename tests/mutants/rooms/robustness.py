@@ -14,7 +14,7 @@ MUTANTS = (
         "torchweather.evaluation.robustness.rates",
         "_ratio(float(np.sum(v)), len(v) * clear)",
         "_ratio(float(np.sum(v)), clear)",
-        ("tests/robustness/test_rates.py::test_the_rates_are_those_of_the_papers",),
+        ("tests/evaluation/robustness/test_rates.py::test_the_rates_are_those_of_the_papers",),
     ),
     Mutant(
         "interval_of_half_the_confidence",
@@ -22,7 +22,7 @@ MUTANTS = (
         INTERVALS,
         "tail = 50.0 * (1.0 - CONFIDENCE)",
         "tail = 500.0 * (1.0 - CONFIDENCE)",
-        ("tests/robustness/test_intervals.py::test_the_mean_over_frames_has_the_interval_of_the_textbook",),
+        ("tests/evaluation/robustness/test_intervals.py::test_the_mean_over_frames_has_the_interval_of_the_textbook",),
     ),
     Mutant(
         "resamples_ignore_the_seed",
@@ -30,7 +30,12 @@ MUTANTS = (
         INTERVALS,
         "np.random.SeedSequence(seed % 2**64)",
         "np.random.SeedSequence()",
-        (("tests/robustness/test_intervals.py::test_intervals_are_repeated_by_the_seed_and_four_frames_have_none"),),
+        (
+            (
+                "tests/evaluation/robustness/test_intervals.py::"
+                "test_intervals_are_repeated_by_the_seed_and_four_frames_have_none"
+            ),
+        ),
     ),
     Mutant(
         "suppression_across_classes",
@@ -40,7 +45,7 @@ MUTANTS = (
         "places = np.arange(len(labels))",
         (
             (
-                "tests/robustness/test_box_forms.py::test_dense_heads_give_every_class_of_a_place_and_"
+                "tests/evaluation/robustness/test_box_forms.py::test_dense_heads_give_every_class_of_a_place_and_"
                 "suppress_within_a_class"
             ),
         ),
@@ -51,7 +56,7 @@ MUTANTS = (
         BOX_FORMS,
         "active[:, :1] * active[:, 1:]",
         "active[:, 1:]",
-        ("tests/robustness/test_box_forms.py::test_every_layout_gives_the_boxes_in_the_frame",),
+        ("tests/evaluation/robustness/test_box_forms.py::test_every_layout_gives_the_boxes_in_the_frame",),
     ),
     Mutant(
         "detr_background_is_a_class",
@@ -59,7 +64,12 @@ MUTANTS = (
         BOX_FORMS,
         "scores[:, :-1].max(-1), scores[:, :-1].argmax(-1)",
         "scores.max(-1), scores.argmax(-1)",
-        (("tests/robustness/test_box_forms.py::test_of_a_set_the_best_class_counts_though_no_object_is_surer"),),
+        (
+            (
+                "tests/evaluation/robustness/test_box_forms.py::"
+                "test_of_a_set_the_best_class_counts_though_no_object_is_surer"
+            ),
+        ),
     ),
     Mutant(
         "class_lost_in_weather_left_out",
@@ -67,6 +77,11 @@ MUTANTS = (
         "torchweather.evaluation.robustness.performance",
         "by_class[name] = 0.0",
         "by_class[name] = 1.0",
-        (("tests/robustness/test_performance.py::test_a_class_of_which_the_weather_took_all_has_nothing_left"),),
+        (
+            (
+                "tests/evaluation/robustness/test_performance.py::"
+                "test_a_class_of_which_the_weather_took_all_has_nothing_left"
+            ),
+        ),
     ),
 )

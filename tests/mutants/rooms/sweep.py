@@ -14,7 +14,7 @@ MUTANTS = (
         LEVELS,
         'RISES = {"rate_mm_per_h": True, "mor_m": False}',
         'RISES = {"rate_mm_per_h": True, "mor_m": True}',
-        ("tests/sweep/test_levels.py::test_rates_rise_and_visibilities_fall",),
+        ("tests/evaluation/sweep/test_levels.py::test_rates_rise_and_visibilities_fall",),
     ),
     Mutant(
         "level_given_twice_accepted",
@@ -22,7 +22,7 @@ MUTANTS = (
         LEVELS,
         "if twice is not None:",
         "if False:",
-        ("tests/sweep/test_levels.py::test_what_is_no_list_of_levels_is_refused",),
+        ("tests/evaluation/sweep/test_levels.py::test_what_is_no_list_of_levels_is_refused",),
     ),
     Mutant(
         "argument_given_twice_accepted",
@@ -30,7 +30,7 @@ MUTANTS = (
         LEVELS,
         "if last in self.arguments:",
         "if False:",
-        ("tests/sweep/test_levels.py::test_what_is_no_list_of_levels_is_refused",),
+        ("tests/evaluation/sweep/test_levels.py::test_what_is_no_list_of_levels_is_refused",),
     ),
     Mutant(
         "every_trend_significant",
@@ -38,7 +38,7 @@ MUTANTS = (
         TRENDS,
         "SIGNIFICANT = 0.05",
         "SIGNIFICANT = 1.0",
-        ("tests/sweep/test_sweep_trends.py::test_hausdorff_distance_s_miss_names_the_spread_of_the_seeds",),
+        ("tests/evaluation/sweep/test_sweep_trends.py::test_hausdorff_distance_s_miss_names_the_spread_of_the_seeds",),
     ),
     Mutant(
         "page_test_of_the_frames",
@@ -46,7 +46,7 @@ MUTANTS = (
         TRENDS,
         "page_trend_test(worsening.T)",
         "page_trend_test(worsening)",
-        ("tests/sweep/test_sweep_trends.py::test_page_probability_is_that_of_all_orders",),
+        ("tests/evaluation/sweep/test_sweep_trends.py::test_page_probability_is_that_of_all_orders",),
     ),
     Mutant(
         "scatter_is_a_standard_deviation",
@@ -54,6 +54,6 @@ MUTANTS = (
         "torchweather.evaluation.sweep.misses",
         "/ np.sqrt(len(step))",
         "",
-        ("tests/sweep/test_misses.py::test_a_step_is_compared_with_the_error_of_its_mean",),
+        ("tests/evaluation/sweep/test_misses.py::test_a_step_is_compared_with_the_error_of_its_mean",),
     ),
 )
