@@ -71,5 +71,5 @@ def drawn_amounts(
 
 def recorded_weather(kind: str, recorded: float) -> dict[str, Any]:
     """As a study states it."""
-    knob, spread = ("mor_m", "mor_rel_sd") if kind == "fog" else ("rate_mm_per_h", "rate_rel_sd")
-    return {"kind": kind, knob: recorded, spread: REL_SD}
+    amount, spread = ("mor_m", "mor_rel_sd") if kind == "fog" else ("rate_mm_per_h", "rate_rel_sd")
+    return {"kind": kind, amount: recorded, spread: REL_SD}
