@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -48,6 +49,8 @@ class RgbResult:
     particle_mask: Tensor
     depth_confidence: str = EXACT
 
+    sensor: ClassVar[str] = "camera"
+
 
 class AsBayer(nn.Module):
     """A Bayer transform for RGB images.
@@ -83,6 +86,9 @@ class AsBayer(nn.Module):
         >>> foggy(rgb).shape, foggy(rgb).dtype
         (torch.Size([3, 23, 31]), torch.uint8)
     """
+
+    extra_inputs: ClassVar[Mapping[str, int]] = {"depth": 3}
+    data_shape: ClassVar[tuple[str, ...]] = ("3", "H", "W")
 
     def __init__(self, transform: BayerWeather, *, through_mosaic: bool = False, method: str = "malvar") -> None:
         super().__init__()

@@ -64,6 +64,7 @@ class Camera(Sensor):
     """
 
     kind: ClassVar[str] = "camera"
+    data_key: ClassVar[str] = "image"
 
     width: int
     height: int

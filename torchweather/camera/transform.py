@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
-from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, check_knobs
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, check_intensities
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, scaled_airlight
 from torchweather.camera.bayer import cfa_colour_index
 from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
@@ -57,12 +57,14 @@ class CameraResult:
     particle_mask: Tensor
     depth_confidence: str = EXACT
 
+    sensor: ClassVar[str] = "camera"
+
 
 class BayerWeather(WeatherTransform):
     """Any weather on a raw Bayer frame: rain, fog, snow or a ``Mixture``.
 
     Args:
-        weather: what falls; its knob may be a tensor of the batch shape.
+        weather: what falls; its intensity may be a tensor of the batch shape.
         camera: the camera that took the frame.
         depth: depth of the scene where the call gives none: a number of metres, a map, a depth source such as
             ``FlatGround()``, or a function of the image.
@@ -95,6 +97,9 @@ class BayerWeather(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "BayerWeather"
+    sensor_argument: ClassVar[str] = "camera"
+    extra_inputs: ClassVar[Mapping[str, int]] = {"depth": 3, "normal": 3}
+    data_shape = ("1", "H", "W")
 
     def __init__(
         self,
@@ -433,7 +438,7 @@ class BayerWeather(WeatherTransform):
             batch: the batch shape, whose product is B.
             keep_truth: compute transmission and particle mask as well.
         """
-        check_knobs(self.weather, torch.Size(batch), owner=self)
+        check_intensities(self.weather, torch.Size(batch), owner=self)
         rays = self._rays_for(linear, scene.horizon_row)
 
         def flat(name: str) -> Tensor | None:

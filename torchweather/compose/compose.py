@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -15,27 +14,14 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.depth import SceneDepth
-from torchweather.camera.rgb import AsBayer
-from torchweather.camera.sensor import Camera
 from torchweather.compose.plans import Plan, plan_of
 from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
-from torchweather.radar.transform import KNOWN, RadarAttenuation
 
 __all__ = ["Compose", "Draw"]
 
-# Dimensions of one sample's arguments, beside the data: what has one more is of a batch.
-DIMENSIONS = {
-    "depth": 3,
-    "normal": 3,
-    "directions": 2,
-    "target_class": 1,
-    "frame_number": 0,
-    "past_rain_mm_per_h": 1,
-    "past_rain_min": 1,
-}
 KEPT = 16  # transforms that were built for a weather, kept for when it comes again
 Sample = Mapping[str, Any]
 
@@ -289,11 +275,11 @@ class Compose(nn.Module):
         """Whether clear images of a key go through the mosaic."""
         return self._mosaics(self.plans[key])
 
-    def _mosaics(self, plan: Plan) -> bool:
+    def _mosaics(self, plan: Plan[Any]) -> bool:
         """Whether clear data of a key go through the mosaic."""
         return self.mosaic_clear and plan.through_mosaic
 
-    def _clear(self, key: str, plan: Plan, value: Tensor) -> Tensor:
+    def _clear(self, key: str, plan: Plan[Any], value: Tensor) -> Tensor:
         """Data that get no weather."""
         if not self._mosaics(plan):
             return value
@@ -301,7 +287,7 @@ class Compose(nn.Module):
         found: Tensor = self._transform(key, plan, some.to_dict(), value.device).without_weather(value)
         return found
 
-    def _in_weather(self, key: str, plan: Plan, value: Tensor, extras: Mapping[str, Any], draw: Draw) -> Any:
+    def _in_weather(self, key: str, plan: Plan[Any], value: Tensor, extras: Mapping[str, Any], draw: Draw) -> Any:
         """What the transform of a key makes of it; ``None`` without weather."""
         if draw.weather is None:
             return None
@@ -315,13 +301,9 @@ class Compose(nn.Module):
                     f"{name}.{full.removeprefix('air.')}": torch.from_numpy(array[0]) for full, array in shared.items()
                 }
         noise = {name: one.to(value.device) for name, one in noise.items()}
-        if isinstance(plan.sensor, Camera):
-            depth = extras.get("depth")
-            rest = {name: one for name, one in extras.items() if name != "depth"}
-            return transform.run(value, depth, noise, **rest)
-        return transform.run(value, noise, **extras)
+        return transform.run(value, noise=noise, **extras)
 
-    def _transform(self, key: str, plan: Plan, weather: Mapping[str, Any], device: torch.device) -> Any:
+    def _transform(self, key: str, plan: Plan[Any], weather: Mapping[str, Any], device: torch.device) -> Any:
         """The key's transform for a weather, kept for when it comes again."""
         place = (key, json.dumps(weather, sort_keys=True), str(device))
         if place not in self._built:
@@ -351,7 +333,7 @@ class Compose(nn.Module):
         """Samples in a batch; ``None`` where it is a single one."""
         found: dict[str, int | None] = {}
         for key, value in data.items():
-            single = self.plans[key].dimensions
+            single = len(self.plans[key].data_shape)
             if isinstance(value, list):
                 found[key] = len(value)
             elif value.ndim == single:
@@ -359,34 +341,33 @@ class Compose(nn.Module):
             elif value.ndim == single + 1:
                 found[key] = len(value)
             else:
-                what = "(1, H, W) or (3, H, W)" if isinstance(self.plans[key].sensor, Camera) else f"of {single} sizes"
                 raise InputValueError(
-                    f"Compose: {key!r} must have shape {what}, or one dimension more for a batch; got "
-                    f"{tuple(value.shape)}."
+                    f"Compose: {key!r} must have shape ({', '.join(self.plans[key].data_shape)}), or one dimension "
+                    f"more for a batch; got {tuple(value.shape)}."
                 )
         if len(set(found.values())) > 1:
             said = ", ".join(f"{key!r}: {'one sample' if n is None else f'{n} samples'}" for key, n in found.items())
             raise InputValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
         return next(iter(found.values()))
 
-    def _extras(self, sample: Sample, key: str, plan: Plan, element: int | None, number: int) -> dict[str, Any]:
+    def _extras(self, sample: Sample, key: str, plan: Plan[Any], element: int | None, number: int) -> dict[str, Any]:
         """Further arguments of a key's transform, of one sample of a number of them."""
         names = dict(self.inputs.get(key, {}))
-        if isinstance(plan.sensor, Camera) and "depth" not in names and self.depth in sample:
+        if "depth" in plan.extra_inputs and "depth" not in names and self.depth in sample:
             names["depth"] = self.depth
         found = {}
         for argument, where in names.items():
             given = self._value(sample, where)
-            if argument == "depth" and isinstance(given, SceneDepth):
+            if isinstance(given, SceneDepth):
                 found[argument] = given if element is None else given.of_sample(element)
                 continue
-            value = as_tensor(given, where)
-            if isinstance(value, list) or value.ndim > DIMENSIONS[argument]:
+            value, single = as_tensor(given, where), plan.extra_inputs[argument]
+            if isinstance(value, list) or value.ndim > single:  # what has one more dimension is of a batch
                 if element is None or len(value) != number:
                     wanted = "one sample" if element is None else f"one sample, or of each of the {number}"
                     raise InputValueError(
-                        f"Compose: {where!r} ({argument} of {key!r}) must be of {wanted} ({DIMENSIONS[argument]} "
-                        f"dimensions each); got {len(value)} of them."
+                        f"Compose: {where!r} ({argument} of {key!r}) must be of {wanted} ({single} dimensions each); "
+                        f"got {len(value)} of them."
                     )
                 value = value[element]
             found[argument] = value
@@ -399,7 +380,7 @@ class Compose(nn.Module):
                     f"Compose: inputs names {key!r}, for which there is no transform; there are "
                     f"{', '.join(self.plans)}.{nearest_name(key, self.plans)}"
                 )
-            known = _arguments(self.plans[key])
+            known = list(self.plans[key].extra_inputs)
             for argument in names:
                 if argument not in known:
                     raise InputValueError(
@@ -420,7 +401,7 @@ def _no_mapping(given: Any, more: Sequence[object]) -> str:
     )
 
 
-def _plan(key: str, transform: Any) -> Plan:
+def _plan(key: str, transform: Any) -> Plan[Any]:
     if isinstance(transform, (list, tuple)):
         raise InputValueError(
             f"Compose: {key!r} has {len(transform)} transforms; of two weathers the extinctions must add before any "
@@ -443,14 +424,6 @@ def _plan(key: str, transform: Any) -> Plan:
     return plan
 
 
-def _arguments(plan: Plan) -> list[str]:
-    """What a transform can be told beside its data."""
-    if issubclass(plan.kind, RadarAttenuation):
-        return list(KNOWN)
-    run = AsBayer.run if plan.rgb else plan.kind.run
-    return [name for name in inspect.signature(run).parameters if name in DIMENSIONS]
-
-
 def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
     """The weathers to choose from."""
     if weather is None:
@@ -471,13 +444,13 @@ def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
                 f" got {one!r}."
             )
         for part in () if one is None else one.parts:
-            knob = getattr(part, part.knob_name)
-            if isinstance(knob, Tensor) and (knob.requires_grad or knob.numel() != 1):
+            intensity = getattr(part, part.intensity_name)
+            if isinstance(intensity, Tensor) and (intensity.requires_grad or intensity.numel() != 1):
                 # A draw is plain values: a gradient would end there, and each sample has a weather of its own.
                 raise InputValueError(
-                    f"Compose: {part.knob_name} must be a number or a distribution; got a tensor of shape "
-                    f"{tuple(knob.shape)}{' that requires a gradient' if knob.requires_grad else ''}. Call the "
-                    "transform itself with it."
+                    f"Compose: {part.intensity_name} must be a number or a distribution; got a tensor of shape "
+                    f"{tuple(intensity.shape)}{' that requires a gradient' if intensity.requires_grad else ''}. "
+                    "Call the transform itself with it."
                 )
     return choice
 

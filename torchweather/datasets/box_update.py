@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -78,42 +79,29 @@ def update_boxes(
         >>> update_boxes(car, fog.run(points, fog.draw(points, seed=1)), points).records[0]["lidar_points_before"]
         2
     """
-    from torchweather.camera.rgb import RgbResult
-    from torchweather.camera.transform import CameraResult
-    from torchweather.lidar.transform import LidarResult
-    from torchweather.radar.transform import RadarResult
-
-    sensor = "radar" if isinstance(result, RadarResult) else "lidar"
-    if isinstance(result, (CameraResult, RgbResult)):
-        found = _in_rectangles(boxes, result, rectangles)
-    elif result is None:
-        found = {f"lidar_{key}": values for key, values in _in_clear_air(boxes, points).items()}
-    elif isinstance(result, RadarResult):
-        left_over = _in_cloud(boxes, result, result.attenuation_db, points)
-        found = {f"radar_{key}": values for key, values in left_over.items()}
-    elif isinstance(result, LidarResult):
-        left_over = _in_cloud(boxes, result, result.transmission, points)
-        found = {f"lidar_{key}": values for key, values in left_over.items()}
-    else:
+    sensor = "lidar" if result is None else getattr(result, "sensor", "")
+    if sensor not in _EVIDENCE:
         raise InputTypeError(
             "update_boxes: result must be what run() of a transform gives (LidarResult, RadarResult, CameraResult, "
             f"RgbResult); got {type(result).__name__}."
         )
+    values = _in_clear_air(boxes, points) if result is None else _EVIDENCE[sensor](boxes, result, points, rectangles)
+    found = {f"{sensor}_{key}": column for key, column in values.items()}
     records = []
     for number, record in enumerate(boxes.records):
-        new = {**record, **{key: _plain(values[number]) for key, values in found.items()}}
-        count = _NUSCENES_COUNTS[sensor]
-        if count in record and f"{sensor}_points_left" in found:
+        new = {**record, **{key: _plain(column[number]) for key, column in found.items()}}
+        count = _NUSCENES_COUNTS.get(sensor)
+        if count in record:
             new[count] = new[f"{sensor}_points_left"]
         records.append(new)
     return replace(boxes, records=tuple(records))
 
 
 def _in_cloud(
-    boxes: Boxes, result: LidarResult | RadarResult, share: Tensor | list[Tensor], points: Tensor | None
+    boxes: Boxes, result: LidarResult | RadarResult, points: Tensor | None, rectangles: Tensor | None
 ) -> dict[str, list[Any]]:
-    """Counts and mean transmission; ``share`` is the transmission, or the loss in dB of a radar."""
-    after, kind, source = result.points, result.kind, result.source
+    """Counts and mean transmission of the points in each box."""
+    after, kind, source, share = result.points, result.kind, result.source, result.transmission
     parts = (after, kind, source, share)
     if not all(isinstance(part, Tensor) for part in parts) or kind.ndim != 1:  # type: ignore[union-attr]
         shape = f"a list of {len(after)} clouds" if isinstance(after, list) else tuple(after.shape)
@@ -122,8 +110,6 @@ def _in_cloud(
             f"{shape}. Call it for each sample of the batch."
         )
     after, kind, source, share = (torch.as_tensor(part) for part in parts)
-    if hasattr(result, "attenuation_db"):
-        share = torch.pow(10.0, -share / 10.0)
     if points is not None:
         return _as_lists(box_visibility(boxes, points, after, kind, share, source))
     inside = points_in_boxes(after, boxes) & (kind == int(PointKind.OBJECT))[:, None]  # (N, M)
@@ -149,7 +135,10 @@ def _as_lists(seen: BoxVisibility) -> dict[str, list[Any]]:
     }
 
 
-def _in_rectangles(boxes: Boxes, result: CameraResult | RgbResult, rectangles: Tensor | None) -> dict[str, list[Any]]:
+def _in_rectangles(
+    boxes: Boxes, result: CameraResult | RgbResult, points: Tensor | None, rectangles: Tensor | None
+) -> dict[str, list[Any]]:
+    """Mean transmission and particle cover over the rectangle of each box."""
     transmission, mask = result.transmission, result.particle_mask
     if transmission.ndim != 3:
         raise InputValueError(
@@ -172,9 +161,17 @@ def _in_rectangles(boxes: Boxes, result: CameraResult | RgbResult, rectangles: T
             f"box; got {tuple(rectangles.shape)}."
         )
     return {
-        "camera_transmission": _rectangle_means(transmission[0], rectangles).tolist(),
-        "camera_particle_cover": _rectangle_means(mask[0], rectangles).tolist(),
+        "transmission": _rectangle_means(transmission[0], rectangles).tolist(),
+        "particle_cover": _rectangle_means(mask[0], rectangles).tolist(),
     }
+
+
+# By the sensor of a result: values of each box from the result, the cloud before the weather, and the rectangles.
+_EVIDENCE: dict[str, Callable[[Boxes, Any, Tensor | None, Tensor | None], dict[str, list[Any]]]] = {
+    "camera": _in_rectangles,
+    "lidar": _in_cloud,
+    "radar": _in_cloud,
+}
 
 
 def _rectangle_means(image: Tensor, rectangles: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
-from torchweather.atmosphere.weather import Weather, check_knobs
+from torchweather.atmosphere.weather import Weather, check_intensities
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
@@ -84,6 +84,8 @@ class LidarResult:
     scan: str
     own_vehicle_points: Tensor | None = None
 
+    sensor: ClassVar[str] = "lidar"
+
 
 class LidarWeather(WeatherTransform):
     """Weather on LiDAR point clouds, organised or not.
@@ -136,6 +138,8 @@ class LidarWeather(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "LidarWeather"
+    extra_inputs: ClassVar[Mapping[str, int]] = {"directions": 2}
+    data_shape = ("N", "4 or more")
 
     def __init__(
         self,
@@ -222,7 +226,7 @@ class LidarWeather(WeatherTransform):
 
     @property
     def extinction_per_m(self) -> Tensor:
-        """Effective extinction of all weather together, 1/m, one value for each value of the knob."""
+        """Effective extinction of all weather together, 1/m, one value for each value of the weather intensity."""
         stage = self._stage(Extinction)
         values = [part() for part in stage.parts.values()]
         most = max(value.numel() for value in values)
@@ -440,7 +444,7 @@ class LidarWeather(WeatherTransform):
         check_points(points, self.sensor, self)
         if directions is None and self.sensor.directions is None:
             warn_of_frame(points, self.sensor, self)
-        check_knobs(self.weather, points.shape[:-2], owner=self)
+        check_intensities(self.weather, points.shape[:-2], owner=self)
         along = self.sensor.directions if directions is None else directions
         along = directions_in_sensor_frame(along, self.sensor)
         # In the sensor's frame, from where each beam starts, until _outgoing.

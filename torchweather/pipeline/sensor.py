@@ -10,10 +10,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-import yaml
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.yaml_file import parse_yaml, read_yaml
 
 __all__ = ["Sensor"]
 
@@ -26,7 +26,7 @@ _OTHER_KEYS = ("kind", "preset", "source")
 @lru_cache(maxsize=1)
 def _presets() -> dict[str, dict[str, dict[str, Any]]]:
     text = resources.files("torchweather").joinpath("presets", "sensors.yaml").read_text(encoding="utf-8")
-    loaded = yaml.safe_load(text)
+    loaded = parse_yaml(text, "sensors.yaml", "the presets")
     return {kind: dict(loaded[kind]) for kind in SENSOR_KINDS}
 
 
@@ -34,6 +34,8 @@ class Sensor:
     """What the three sensors share: presets, a plain dictionary and back."""
 
     kind: ClassVar[str] = ""
+    data_key: ClassVar[str] = "points"
+    """Key of its data in a sample where no other is given."""
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Self:
@@ -83,7 +85,7 @@ class Sensor:
             if key in _OTHER_KEYS:
                 continue
             if key not in kinds:
-                near = nearest_name(key, kinds)
+                near = nearest_name(key, [*kinds, *_OTHER_KEYS])
                 calibration = "" if near else " A calibration of OpenCV or ROS is read by --camera FILE."
                 raise TorchweatherError(f"{path}: {key}: no field of a {cls.kind}.{near or calibration}")
             wanted = _wanted(kinds[key], value)
@@ -123,15 +125,10 @@ def _plain(value: Any) -> Any:
 
 def _loaded(path: Path, kind: str) -> dict[str, Any]:
     """Keys and values of a sensor file; a file that holds one section named by its kind is taken from there."""
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{path}: no such file.") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
-        raise TorchweatherError(f"{path}: expected YAML with the fields of a {kind}; {error}.") from error
+    content = read_yaml(path, f"the fields of a {kind}")
     if isinstance(content, dict) and list(content) == [kind] and isinstance(content[kind], dict):
         content = content[kind]
-    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+    if not isinstance(content, dict):
         shown = "nothing" if content is None else type(content).__name__
         raise TorchweatherError(
             f"{path}: expected YAML with the fields of a {kind}, one 'name: value' a line; got {shown}."

@@ -40,6 +40,12 @@ class WeatherTransform(nn.Module):
 
     takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
     takes_all: ClassVar[str] = ""
+    sensor_argument: ClassVar[str] = "sensor"
+    """Name of the constructor's argument for the sensor."""
+    extra_inputs: ClassVar[Mapping[str, int]] = {}
+    """Arguments of a call beside the data and the noise, and their dimensions in one sample."""
+    data_shape: tuple[str, ...]
+    """Dimensions of the data of one sample."""
     weather: Weather
     chain: Chain
     options: TransformOptions
@@ -148,8 +154,8 @@ class WeatherTransform(nn.Module):
     def _check_sensor(self, sensor: object, wanted: type[Sensor], example: str) -> None:
         if not isinstance(sensor, wanted):
             raise InputTypeError(
-                f"{type(self).__name__}: {wanted.kind if wanted.kind == 'camera' else 'sensor'} must be a "
-                f"{wanted.__name__}, such as {wanted.__name__}.preset({example!r}); got {sensor!r}."
+                f"{type(self).__name__}: {self.sensor_argument} must be a {wanted.__name__}, such as "
+                f"{wanted.__name__}.preset({example!r}); got {sensor!r}."
             )
 
     def drawn(

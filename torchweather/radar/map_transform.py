@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
-from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
+from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
@@ -144,6 +144,7 @@ class RadarMapWeather(WeatherTransform):
             if not isinstance(value, wanted):
                 raise InputTypeError(f"RadarMapWeather: {name} must be {wanted.__name__}; got {type(value).__name__}.")
         self.weather, self.sensor, self.axes, self.scale = weather, sensor, axes, scale
+        self.data_shape = axes.dims
         self.ego_speed_m_per_s = float(ego_speed_m_per_s)
         dense = weather.densest()
         if oversampling is None:
@@ -154,7 +155,7 @@ class RadarMapWeather(WeatherTransform):
             "path_attenuation": PathAttenuation(dense.parts, sensor, rain_model, fog_model, snow_model),
         }
         if radome_loss_db or radome_film_db:
-            rates = [part.knob for part in dense.parts if isinstance(part, Rain)]
+            rates = [part.intensity for part in dense.parts if isinstance(part, Rain)]
             stages["wet_cover"] = WetRadome(
                 rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent
             )
@@ -172,7 +173,7 @@ class RadarMapWeather(WeatherTransform):
 
     @property
     def attenuation_db_per_km(self) -> Tensor:
-        """Of all weather together, one way, one value for each value of the knob."""
+        """Of all weather together, one way, one value for each value of the intensity."""
         stage = self.chain.stages["path_attenuation"]
         assert isinstance(stage, PathAttenuation)
         return stage.attenuation_db_per_km(max(part().numel() for part in stage.parts.values()))
@@ -290,7 +291,7 @@ class RadarMapWeather(WeatherTransform):
     def _through(self, values: Tensor, noise: Mapping[str, Tensor] | None) -> PowerMapState:
         self._check_values(values)
         batch = values.shape[: values.ndim - len(self.axes.dims)]
-        check_knobs(self.weather, batch, owner=self)
+        check_intensities(self.weather, batch, owner=self)
         flat = values.reshape(math.prod(batch), *self.axes.shape)
         state = map_state(flat, self.axes, self.sensor, self.ego_speed_m_per_s)
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
-from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
+from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.lidar.clouds import FARTHEST_M
 from torchweather.pipeline.as_built import AsBuilt
@@ -62,6 +62,16 @@ class RadarResult:
     attenuation_db: List
     floored_points: Tensor
 
+    sensor: ClassVar[str] = "radar"
+
+    @property
+    def transmission(self) -> List:
+        """``(..., N)`` share of each echo's power that is left."""
+        loss_db = self.attenuation_db
+        if isinstance(loss_db, Tensor):
+            return torch.pow(10.0, -loss_db / 10.0)
+        return [torch.pow(10.0, -one / 10.0) for one in loss_db]
+
 
 class RadarAttenuation(WeatherTransform):
     """Weather on a radar's detections: each weaker by the way through it and back, and lost below the threshold.
@@ -101,6 +111,8 @@ class RadarAttenuation(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "RadarAttenuation"
+    extra_inputs: ClassVar[Mapping[str, int]] = {name: len(sizes) for name, sizes in KNOWN.items()}
+    data_shape = ("N", "6 or more")
 
     def __init__(
         self,
@@ -167,7 +179,7 @@ class RadarAttenuation(WeatherTransform):
         self.chain = with_effects(plain, built)
         # The cover in front of the effects, which may append echoes; the clutter behind them, which may change it.
         if radome_loss_db or radome_film_db:
-            rates = [part.knob for part in weather.parts if isinstance(part, Rain)]
+            rates = [part.intensity for part in weather.parts if isinstance(part, Rain)]
             cover = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
             if cover.default_name in self.chain.stages:
                 raise InputValueError(
@@ -183,7 +195,7 @@ class RadarAttenuation(WeatherTransform):
 
     @property
     def attenuation_db_per_km(self) -> Tensor:
-        """Of all weather together, one way, one value for each value of the knob."""
+        """Of all weather together, one way, one value for each value of the intensity."""
         stage = self.chain.stages["path_attenuation"]
         assert isinstance(stage, PathAttenuation)
         return stage.attenuation_db_per_km(max(part().numel() for part in stage.parts.values()))
@@ -293,7 +305,7 @@ class RadarAttenuation(WeatherTransform):
     def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
         """What the chain takes: the detections before any stage; arguments as ``forward``."""
         check_detections(points, self.sensor, self)
-        check_knobs(self.weather, points.shape[:-2], owner=self)
+        check_intensities(self.weather, points.shape[:-2], owner=self)
         flat = points.reshape(math.prod(points.shape[:-2]), *points.shape[-2:])
         if flat.dtype not in (torch.float32, torch.float64):
             flat = flat.float()

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 import torchweather
+import torchweather.datasets.augment.lidar_file as lidar_file
 import torchweather.datasets.augment.work as work
 from tests.datasets.augment.data_sets import (
     BOTH,
@@ -34,8 +35,8 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.random import sample_seed
 from torchweather.datasets.augment import Manifest, Row, Summary, augment
 from torchweather.datasets.augment.frames import Frame
-from torchweather.io import read_image, read_labels, read_points, write_points
-from torchweather.recipes.recipes import load_recipe
+from torchweather.io import read_image, read_labels, read_points, write_image, write_points
+from torchweather.recipes import load_recipe
 
 
 def run(source: Path, target: Path, text: str = BOTH, **more: Any) -> Summary:
@@ -318,7 +319,7 @@ def test_a_full_disk_stops_the_run_with_nothing_half_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     source, target = folder(tmp_path / "clear"), tmp_path / "rainy"
-    writer = work.write_points
+    writer = lidar_file.write_points
     room = [1]
 
     def full(path: Path, points: Any) -> None:
@@ -330,7 +331,7 @@ def test_a_full_disk_stops_the_run_with_nothing_half_written(
 
     command = ["augment", str(source), str(target), "--recipe", recipe(tmp_path), "--workers", "0"]
     with monkeypatch.context() as patch:
-        patch.setattr(work, "write_points", full)
+        patch.setattr(lidar_file, "write_points", full)
         assert main(command) == 3
     said = capsys.readouterr().out
     assert "1 done now" in said
@@ -461,7 +462,7 @@ def test_a_disk_that_is_full_for_the_manifest_stops_the_run_too(tmp_path: Path) 
 def test_depth_maps_in_the_source_are_carried_along(tmp_path: Path) -> None:
     source, target = folder(tmp_path / "clear", 1), tmp_path / "foggy"
     (source / "depth").mkdir()
-    work.write_image(source / "depth/000.npy", torch.full((1, 24, 40), 30.0))
+    write_image(source / "depth/000.npy", torch.full((1, 24, 40), 30.0))
     summary = augment(source, target, "fog-30m", workers=0, depth=str(source / "depth"))
     assert (summary.frames, summary.broken) == (1, {})
     assert tree(source)["depth/000.npy"] == tree(target)["depth/000.npy"]

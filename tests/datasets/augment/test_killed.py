@@ -15,6 +15,7 @@ import torchweather.datasets.augment.work as work
 from tests.datasets.augment.data_sets import FOG, folder, recipe, tree
 from torchweather.datasets.augment import Manifest, Progress, Row, augment
 from torchweather.datasets.augment.frames import Frame
+from torchweather.datasets.augment.job import Job
 
 ROOT = Path(__file__).parents[3]
 BAD = "day/clouds/001.bin"
@@ -125,7 +126,7 @@ def test_a_frame_that_kills_its_worker_twice_is_reported(tmp_path: Path, monkeyp
     class StandIn:
         """Dies of one frame."""
 
-        def __init__(self, job: work.Job) -> None:
+        def __init__(self, job: Job) -> None:
             self.worker = work.Worker(job)
             self.ready, self.alive, self.exit_code = False, True, -9
             self.task: tuple[Frame, int] | None = None

@@ -7,12 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 
 from torchweather.core.errors import InputValueError
 from torchweather.core.file_names import stem
+from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frames import COPY, Frame, SensorFile
-from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
 
 __all__ = ["carried", "kind_of_file", "name_without_ending", "renamed", "sensor_frames"]
-
-RADAR_SUFFIXES = (".pcd", ".npz", ".csv")
 
 
 def kind_of_file(path: str, kinds: Collection[str]) -> str | None:
@@ -23,11 +21,7 @@ def kind_of_file(path: str, kinds: Collection[str]) -> str | None:
         ('lidar', 'camera', None)
     """
     lower = path.lower()
-    could = [
-        kind
-        for kind, suffixes in (("camera", IMAGE_SUFFIXES), ("lidar", POINT_SUFFIXES), ("radar", RADAR_SUFFIXES))
-        if lower.endswith(tuple(suffixes))
-    ]
+    could = [kind for kind, sensor in FRAME_FILES.items() if lower.endswith(sensor.suffixes)]
     return next((kind for kind in could if kind in kinds), could[0] if could else None)
 
 
@@ -47,7 +41,7 @@ def sensor_frames(paths: Sequence[str], keys: Mapping[str, str], formats: Mappin
             continue
         # A sample of several sensors is found by the name that its files share, whatever folders they stand in.
         name = path if len(keys) == 1 else stem(path)[0]
-        labels = _labels_of(path, there) if kind == "lidar" else None
+        labels = _labels_of(path, there) if FRAME_FILES[kind].takes_labels else None
         grouped[name].append(SensorFile(keys[kind], kind, path, renamed(path, kind, formats), labels))
     for name, files in grouped.items():
         for kind in keys:

@@ -6,42 +6,35 @@ import hashlib
 import tempfile
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from torchweather.camera.sensor import Camera
 from torchweather.compose import Compose
 from torchweather.compose.plans import Plan, plan_of
 from torchweather.core.errors import InputValueError, TorchweatherError
-from torchweather.lidar import OwnVehicleMask
-from torchweather.lidar.sensor import Lidar
-from torchweather.recipes.recipes import load_recipe
+from torchweather.recipes import load_recipe
 
-__all__ = ["FrameRecipe", "SensorUse", "kind_of_sensor", "text_sha256"]
+__all__ = ["FrameRecipe", "SensorUse", "text_sha256"]
 
-KEPT = 8  # pipelines of different cameras: a data set has few
+KEPT = 8  # transforms of different cameras: a data set has few
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SensorUse:
-    """A sensor of a frame.
+    """A sensor of a frame, as its file shows it; uses that look alike share a transform.
 
     Args:
-        kind: ``camera``, ``lidar`` or ``radar``.
-        camera: of the image; ``None`` for other kinds.
-        rgb: whether it is a colour image.
+        kind: of the sensor.
         depth: whether a depth map comes with it.
-        drive: that a cloud belongs to, where there is a mask of it.
-        own_vehicle: that mask.
     """
 
     kind: str
-    camera: Camera | None = None
-    rgb: bool = False
     depth: bool = False
-    drive: str = ""
-    own_vehicle: OwnVehicleMask | None = field(default=None, repr=False, compare=False)
+
+    def changed(self, plan: Plan[Any]) -> Plan[Any]:
+        """The recipe's plan as it is for this sensor."""
+        return plan
 
 
 class FrameRecipe:
@@ -52,7 +45,7 @@ class FrameRecipe:
         name: of the file, for messages.
 
     Example:
-        >>> from torchweather.recipes.recipes import read_recipe
+        >>> from torchweather.recipes import read_recipe
         >>> FrameRecipe(read_recipe("lidar/os1-fog-50m").path.read_text()).keys
         {'lidar': 'points'}
     """
@@ -62,15 +55,15 @@ class FrameRecipe:
             file = Path(folder, "recipe.yaml")
             file.write_text(recipe, encoding="utf-8")
             try:
-                built = load_recipe(file)
+                built = load_recipe(file, kind=("transform", "multi_sensor"))
             except TorchweatherError as error:
                 raise TorchweatherError(str(error).replace(str(file), name)) from error
         if not isinstance(built, Compose):
-            built = Compose({"image" if kind_of_sensor(plan_of(built)) == "camera" else "points": built})
+            built = Compose({plan_of(built).sensor.data_key: built})
         self.compose = built
         self.keys: dict[str, str] = {}
         for key, plan in self.compose.plans.items():
-            kind = kind_of_sensor(plan)
+            kind = plan.sensor.kind
             if kind in self.keys:
                 raise InputValueError(
                     f"augment: wanted a recipe with one sensor of a kind; it has two of a {kind}, {self.keys[kind]!r} "
@@ -79,7 +72,7 @@ class FrameRecipe:
             self.keys[kind] = key
         self._built: OrderedDict[str, Compose] = OrderedDict()
 
-    def plan(self, kind: str) -> Plan:
+    def plan(self, kind: str) -> Plan[Any]:
         """The transform for a kind of sensor."""
         return self.compose.plans[self.keys[kind]]
 
@@ -97,28 +90,13 @@ class FrameRecipe:
         some = next((one for one in self.compose.weather.values if one is not None), None)
         if some is None:
             raise InputValueError("augment: the recipe has no weather, clear air only.")
-        transforms: dict[str, Any] = {}
-        for key, use in uses.items():
-            plan = self.plan(use.kind)
-            if use.camera is not None:
-                plan = replace(plan, sensor=use.camera, rgb=use.rgb, through_mosaic=plan.through_mosaic and use.rgb)
-            if use.own_vehicle is not None:
-                plan = replace(plan, options={**plan.options, "own_vehicle": use.own_vehicle})
-            transforms[key] = plan.build(some)
         return Compose(
-            transforms,
+            {key: use.changed(self.plan(use.kind)).build(some) for key, use in uses.items()},
             weather=self.compose.weather,
             p=self.compose.p,
             inputs={key: {"depth": f"{key} depth"} for key, use in uses.items() if use.depth},
             mosaic_clear=self.compose.mosaic_clear,
         )
-
-
-def kind_of_sensor(plan: Plan) -> str:
-    """``camera``, ``lidar`` or ``radar``."""
-    if isinstance(plan.sensor, Camera):
-        return "camera"
-    return "lidar" if isinstance(plan.sensor, Lidar) else "radar"
 
 
 def text_sha256(text: str) -> str:

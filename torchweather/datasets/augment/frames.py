@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["COPY", "DataSet", "Frame", "SensorFile"]
+__all__ = ["COPY", "FROM_LIDAR", "DataSet", "Frame", "SensorFile"]
 
 COPY = "copy"
+FROM_LIDAR = "lidar"  # source of a camera's depth: the cloud of its frame
 
 
 @dataclass(frozen=True)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from torchweather.datasets.augment.folder import name_without_ending
+from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frames import Frame, SensorFile
-from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
 
 __all__ = ["is_kitti", "kitti_frames"]
 
 # Camera 2 is the left colour camera, for which the calibration is read; that of camera 3 stands beside it.
 CAMERA, LIDAR, CALIBRATION, BOXES, LABELS = "image_2", "velodyne", "calib", "label_2", "labels"
 FOLDERS = {CAMERA: "camera", LIDAR: "lidar", CALIBRATION: "", BOXES: "", LABELS: ""}
-SUFFIXES = {CAMERA: IMAGE_SUFFIXES, LIDAR: tuple(POINT_SUFFIXES), CALIBRATION: (".txt",), BOXES: (".txt",)}
+SUFFIXES = {folder: FRAME_FILES[kind].suffixes for folder, kind in FOLDERS.items() if kind}
+SUFFIXES |= {CALIBRATION: (".txt",), BOXES: (".txt",)}
 PLACE = re.compile(rf"^(?P<split>(?:.*/)?)(?P<folder>{'|'.join(FOLDERS)})/(?P<name>[^/]+)$")
 
 
@@ -44,19 +44,15 @@ def kitti_frames(paths: Sequence[str], keys: Mapping[str, str], *, depth_from_li
         for folder in (CAMERA, LIDAR):
             kind = FOLDERS[folder]
             if folder in there and kind in keys:
-                files.append(SensorFile(keys[kind], kind, there[folder], there[folder]))
+                sensor = FRAME_FILES[kind]
+                labels = there.get(LABELS) if sensor.takes_labels else None
+                cloud = there.get(LIDAR) if sensor.takes_depth and depth_from_lidar else None
+                files.append(SensorFile(keys[kind], kind, there[folder], there[folder], labels, depth_cloud=cloud))
         if not files:
             continue
-        files = [_with_company(one, there, depth_from_lidar) for one in files]
-        boxes = there.get(BOXES) if "lidar" in keys and LIDAR in there else None
-        lidar_key = keys.get("lidar") if LIDAR in there else None
-        needs = boxes is not None or any(one.kind == "camera" for one in files)
+        lidar_key = keys.get(FOLDERS[LIDAR]) if LIDAR in there else None
+        boxes = None if lidar_key is None else there.get(BOXES)
+        needs = boxes is not None or any(FRAME_FILES[one.kind].takes_depth for one in files)
         calibration = there.get(CALIBRATION) if needs else None
         frames.append(Frame(name, tuple(files), name, calibration, boxes, lidar_key=lidar_key))
     return frames
-
-
-def _with_company(file: SensorFile, there: Mapping[str, str], depth_from_lidar: bool) -> SensorFile:
-    if file.kind == "lidar":
-        return replace(file, labels=there.get(LABELS))
-    return replace(file, depth_cloud=there.get(LIDAR) if depth_from_lidar else None)

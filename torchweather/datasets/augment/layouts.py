@@ -8,16 +8,15 @@ from pathlib import Path
 
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.datasets.augment.folder import carried, kind_of_file, sensor_frames
-from torchweather.datasets.augment.frames import DataSet
+from torchweather.datasets.augment.frames import FROM_LIDAR, DataSet
 from torchweather.datasets.augment.kitti import is_kitti, kitti_frames
 from torchweather.datasets.augment.manifest import NAME as MANIFEST
 from torchweather.datasets.augment.nuscenes import annotation_tables, is_nuscenes, nuscenes_frames
 from torchweather.datasets.augment.paths import files_below
 
-__all__ = ["FROM_LIDAR", "LAYOUTS", "find_frames"]
+__all__ = ["LAYOUTS", "find_frames"]
 
 LAYOUTS = ("auto", "folder", "kitti", "nuscenes")
-FROM_LIDAR = "lidar"
 
 
 def find_frames(

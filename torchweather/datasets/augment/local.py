@@ -19,8 +19,9 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.random import sample_seed
 from torchweather.datasets.augment.frame_recipe import text_sha256
 from torchweather.datasets.augment.frames import COPY, Frame
+from torchweather.datasets.augment.job import Job
 from torchweather.datasets.augment.manifest import FAILED, Row
-from torchweather.datasets.augment.work import Job, Worker
+from torchweather.datasets.augment.work import Worker
 
 __all__ = ["LocalEngine", "lost_row"]
 

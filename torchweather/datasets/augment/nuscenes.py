@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from torchweather.core.errors import TorchweatherError
 from torchweather.datasets.augment.folder import kind_of_file
+from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frames import Frame, SensorFile
 from torchweather.datasets.augment.paths import check_relative
 from torchweather.io import atomic_write
@@ -129,11 +130,11 @@ class _Tables:
     def _file(
         self, row: Mapping[str, Any], lidar: Mapping[str, Any] | None, depth_from_lidar: bool, there: set[str]
     ) -> SensorFile:
-        path, kind = row["filename"], _kind(row["filename"])
+        path, kind = row["filename"], str(_kind(row["filename"]))
         # A sweep has the weather of its sample but drops of its own.
         key = _channel(path) if row["is_key_frame"] else path
-        if kind != "camera":
-            return SensorFile(key, str(kind), path, path)
+        if not FRAME_FILES[kind].takes_depth:
+            return SensorFile(key, kind, path, path)
         matrix = self.sensors[row["calibrated_sensor_token"]].get("camera_intrinsic") or None
         cloud = lidar["filename"] if depth_from_lidar and lidar and lidar["filename"] in there else None
         from_lidar = None

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from torchweather.compose.plans import Plan
 from torchweather.core.errors import InputValueError, TorchweatherError
-from torchweather.datasets.augment.frames import Frame
 from torchweather.datasets.augment.paths import inside
 from torchweather.io import read_points
 from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
@@ -39,13 +38,15 @@ def drive_of(path: str) -> str:
     return f"{folder}/{log if ends else ''}"
 
 
-def drive_masks(chosen: str | None, frames: Sequence[Frame], source: Path, plan: Plan) -> dict[str, OwnVehicleMask]:
+def drive_masks(
+    chosen: str | None, sweeps: Sequence[str], source: Path, plan: Plan[Lidar]
+) -> dict[str, OwnVehicleMask]:
     """Drive to its mask.
 
     Args:
         chosen: ``drive``; ``none``; a file of a mask; ``None``: ``drive`` where the recipe completes sweeps and has no
             ``own_vehicle`` of its own.
-        frames: of the data set; at most 50 sweeps of a drive are read, evenly chosen by name.
+        sweeps: paths of the data set's clouds; at most 50 of a drive are read, evenly chosen by name.
         source: root of the data set.
         plan: of the recipe's LiDAR.
 
@@ -56,17 +57,14 @@ def drive_masks(chosen: str | None, frames: Sequence[Frame], source: Path, plan:
         ValueError: ``drive`` was asked for and no drive has a mask.
     """
     drives: dict[str, list[str]] = {}
-    for frame in frames:
-        for file in frame.files:
-            if file.kind == "lidar":
-                drives.setdefault(drive_of(file.path), []).append(file.path)
+    for path in sweeps:
+        drives.setdefault(drive_of(path), []).append(path)
     wanted = bool(plan.options.get("complete_scan")) and plan.options.get("own_vehicle") is None
     if chosen == NONE or (chosen is None and not wanted):
         return {}
     if chosen not in (None, DRIVE):
         mask = OwnVehicleMask.load(chosen)
         return dict.fromkeys(drives, mask)
-    assert isinstance(plan.sensor, Lidar)
     found: dict[str, OwnVehicleMask] = {}
     why = "there are no sweeps"
     for drive, paths in drives.items():

@@ -15,9 +15,10 @@ import torch
 
 from torchweather.core.errors import MissingExtraError
 from torchweather.datasets.augment.frames import Frame
+from torchweather.datasets.augment.job import Job
 from torchweather.datasets.augment.local import TRIES, lost_row
 from torchweather.datasets.augment.manifest import Row
-from torchweather.datasets.augment.work import ATTEMPTS, Job, Worker
+from torchweather.datasets.augment.work import ATTEMPTS, Worker
 
 __all__ = ["RayEngine"]
 

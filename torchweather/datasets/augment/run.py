@@ -8,24 +8,25 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 import torchweather
 from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 from torchweather.core.random import sample_seed
+from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frame_recipe import FrameRecipe, text_sha256
 from torchweather.datasets.augment.frames import COPY, DataSet, Frame, SensorFile
+from torchweather.datasets.augment.job import Job
 from torchweather.datasets.augment.layouts import find_frames
 from torchweather.datasets.augment.local import LocalEngine
 from torchweather.datasets.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row
 from torchweather.datasets.augment.manifest import NAME as MANIFEST
 from torchweather.datasets.augment.nuscenes import write_points_left
-from torchweather.datasets.augment.own_vehicle import drive_masks, masks_from_text, masks_to_text
 from torchweather.datasets.augment.paths import check_folders, inside
-from torchweather.datasets.augment.work import ATTEMPTS, FULL, Job, file_sha256, no_room
-from torchweather.recipes.files import PIPELINE, RECIPE, find
+from torchweather.datasets.augment.work import ATTEMPTS, FULL, file_sha256, no_room
+from torchweather.recipes.files import find
 
 __all__ = ["ENGINES", "Progress", "Summary", "augment"]
 
@@ -141,7 +142,7 @@ def augment(
     check_folders(source, target)
     check_at_least("workers", workers, 0, owner="augment")
     check_one_of("engine", engine, ENGINES, owner="augment")
-    path = find(recipe, "recipe", RECIPE, PIPELINE)
+    path = find(recipe, ("transform", "multi_sensor"))
     text = path.read_text(encoding="utf-8")
     built = FrameRecipe(text, str(path))
     data = find_frames(source, built.keys, recipe=recipe, layout=layout, depth=depth, formats=formats)
@@ -174,12 +175,8 @@ def augment(
         summary = _summary(data, target, to_do, started)
         if dry_run:
             return summary
-        if "lidar" in built.keys and to_do:
-            masks = masks_from_text(before.get("own_vehicle_masks", ""))
-            if not before:
-                masks = drive_masks(own_vehicle, data.frames, source, built.plan("lidar"))
-            settings["own_vehicle_masks"] = masks_to_text(masks)
-            job = replace(job, own_vehicle=masks)
+        for kind in built.keys if to_do else ():
+            job = FRAME_FILES[kind].prepared(job, data.frames, built.plan(kind), settings, before)
         manifest.write_settings(settings)
         _clean(target)  # what a killed run left; its marks of tries must not count
         try:

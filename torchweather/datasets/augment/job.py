@@ -1,0 +1,71 @@
+"""Work of a run on all frames, as plain values, and the files of one frame."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from torchweather.datasets.augment.paths import inside
+from torchweather.io import atomic_write
+from torchweather.lidar import OwnVehicleMask
+
+__all__ = ["FramePaths", "Job"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to do to all frames; plain values, for processes and machines elsewhere.
+
+    Args:
+        source: root of the data set.
+        target: root of the results.
+        recipe: text of the recipe.
+        seed: of the run.
+        depth: where a camera's depth comes from: a file, a folder, metres, ``ground`` or ``lidar``; ``None`` is the
+            LiDAR where the layout has one, else what the recipe says, else ``ground``.
+        depth_encoding: of integer depth maps.
+        own_vehicle: drive to the mask of its vehicle (`drive_of`).
+    """
+
+    source: str
+    target: str
+    recipe: str
+    seed: int
+    depth: str | None = None
+    depth_encoding: str | None = None
+    own_vehicle: Mapping[str, OwnVehicleMask] = field(default_factory=dict, repr=False)
+
+
+class FramePaths:
+    """Files of one frame below source and target; ``written`` lists the results, in order.
+
+    Args:
+        job: with the two roots.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._source, self._target = Path(job.source), Path(job.target)
+        self.written: list[str] = []
+
+    def source(self, path: str) -> Path:
+        """An input file."""
+        return inside(self._source, path, "augment")
+
+    def target(self, path: str) -> Path:
+        """A result."""
+        return inside(self._target, path, "augment")
+
+    def new(self, path: str) -> Path:
+        """Place of a result that is about to be written; its folder is made."""
+        found = self.target(path)
+        found.parent.mkdir(parents=True, exist_ok=True)
+        if path not in self.written:
+            self.written.append(path)
+        return found
+
+    def copy(self, path: str, target: str) -> None:
+        """Carry an input file along as it is."""
+        with atomic_write(self.new(target)) as unfinished:
+            shutil.copyfile(self.source(path), unfinished)
