@@ -27,7 +27,6 @@ from torchweather.report import photo_demo
 from torchweather.report.before_after import (
     LONGEST_PX,
     Comparison,
-    before_after_page,
     comparisons_page,
     panel_caption,
     reduced,
@@ -91,7 +90,7 @@ def test_the_page_carries_its_pictures_captions_and_a_slider(tmp_path: Path) -> 
 @pytest.mark.parametrize(("height", "width"), [(900, 3300), (2000, 900)])
 def test_large_pictures_are_reduced_and_the_page_says_so(height: int, width: int) -> None:
     clear = picture(height, width)
-    page = Page(html_of(before_after_page(clear, [("fog 50 m", "Depth guessed.", clear)])))
+    page = Page(html_of(comparisons_page([Comparison("a.png", clear, [("fog 50 m", "Depth guessed.", clear)])])))
     for shown in pictures_of(page):
         assert max(shown.shape[-2:]) == LONGEST_PX
         assert shown.shape[-1] / shown.shape[-2] == pytest.approx(width / height, rel=0.002)

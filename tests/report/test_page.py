@@ -96,7 +96,7 @@ def test_rows_and_columns_of_a_table_are_headings_and_numbers_stand_right() -> N
     assert [head.get("scope") for head in page.all("th")] == ["col"] * 3 + ["colgroup", "row"]
     assert '<td class="words">b</td><td>3</td>' in text
     style = text[text.index("<style>") : text.index("</style>")]
-    assert re.search(r":is\(th,td\)\{[^}]*text-align: right", style)
+    assert re.search(r":is\(th,td\)\{[^}]*text-align:right", style)
     assert "tabular-nums" in style
     assert [one["aria-label"] for one in page.all("div") if one.get("class") == "scroll"] == ["Name"]
 
@@ -117,16 +117,25 @@ def test_a_chapter_links_to_its_sections() -> None:
 
 
 def test_the_style_has_rules_for_the_dark_for_paper_and_for_narrow_screens() -> None:
-    text = page_of(FIGURE)
+    text = page_of(*SAMPLES.values(), styles=["slider.css", "cloud.css"])
     style = text[text.index("<style>") : text.index("</style>")]
-    assert "@media screen and (prefers-color-scheme: dark)" in style  # paper stays light
+    assert "@media screen and (prefers-color-scheme:dark)" in style  # paper stays light
     assert "@media print" in style
-    assert "@media screen and (max-width: 560px)" in style
+    assert "@media screen and (max-width:560px)" in style
     light, dark = (set(re.findall(r"(--[a-z-]+):", block)) for block in re.findall(r":root\{(.*?)\}", style))
+    assert "filter:invert" in style  # of line charts
     assert dark == light - {"--new"}  # every colour but the orange that both have
     used = set(re.findall(r"var\((--[a-z-]+)\)", style))
-    assert used - light == {"--c", "--shade"}  # given where they are used
+    assert used - light == {"--c", "--shade", "--at"}  # given where they are used
     assert '<meta name="color-scheme" content="light dark">' in text
+
+
+def test_a_page_without_tables_or_figures_carries_no_style_for_them() -> None:
+    plain, full = page_of(parts.Note("n")), page_of(FIGURE, SAMPLES["Table"])
+    assert "table{" not in plain
+    assert ".grid{" not in plain
+    assert "table{" in full
+    assert ".grid{" in full
 
 
 def test_nothing_comes_from_elsewhere_and_no_script_runs_where_none_is_needed() -> None:

@@ -25,7 +25,6 @@ __all__ = [
     "LONGEST_PX",
     "Comparison",
     "Panel",
-    "before_after_page",
     "comparisons_page",
     "panel_caption",
     "reduced",
@@ -136,13 +135,6 @@ def size_within(height: int, width: int, longest_px: int) -> tuple[int, int]:
     return max(1, round(height * scale)), max(1, round(width * scale))
 
 
-def before_after_page(
-    clear: Tensor, panels: Sequence[Panel], *, title: str = "Before and after", notes: Sequence[str] = ()
-) -> Report:
-    """The page of one picture; arguments as ``write_before_after``."""
-    return comparisons_page([Comparison(title, clear, panels, notes)])
-
-
 def comparisons_page(comparisons: Sequence[Comparison], *, lead: str = "") -> Report:
     """A page with one slider for each clear picture.
 
@@ -209,7 +201,7 @@ def write_before_after(
         title: heading.
         notes: sentences about what was guessed.
     """
-    write_report(before_after_page(clear, panels, title=title, notes=notes), path)
+    write_report(comparisons_page([Comparison(title, clear, panels, notes)]), path)
 
 
 def _uri(image: Tensor) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from torchweather.metrics.correlation import Correlation, MetricCorrelation
 from torchweather.metrics.d34_claim import D34_CLAIM
 from torchweather.report import parts
 from torchweather.report.correlation_figures import MARKS, metric_name, ranking_uri, scatter_uri, weather_colours
-from torchweather.report.page import write_report
+from torchweather.report.page import storable, write_json, write_report
 from torchweather.report.report import Report, Section
 from torchweather.report.tables import NO_VALUE, fixed_text
 
@@ -45,8 +44,7 @@ def write_correlation(
     summary = correlation_summary(found, performance=performance, notes=notes)
     with atomic_folder(Path(out_dir)) as staging:
         write_table(staging / "conditions.csv", found.to_dict()["table"])
-        text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
-        (staging / "correlation.json").write_text(text, encoding="utf-8")
+        write_json(staging / "correlation.json", summary)
         write_report(correlation_page(found, summary), staging / "index.html")
     return summary
 
@@ -55,7 +53,7 @@ def correlation_summary(
     found: Correlation, *, performance: str = "performance", notes: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """All numbers, as JSON can hold them."""
-    summary: dict[str, Any] = _storable(
+    summary: dict[str, Any] = storable(
         {
             "torchweather": __version__,
             "performance": performance,
@@ -77,14 +75,6 @@ def correlation_summary(
 
 def _count(found: Correlation, verdict: str) -> int:
     return sum(each.verdict == verdict for each in found.claim)
-
-
-def _storable(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _storable(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_storable(entry) for entry in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # ---- the page ------------------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from torchweather.report.lidar_section import lidar_part
 from torchweather.report.lidar_views import lidar_scene
 from torchweather.report.machine import machine
 from torchweather.report.measure import weather_numbers
-from torchweather.report.page import write_report
+from torchweather.report.page import write_json, write_report
 from torchweather.report.pictures import jpeg_bytes, shrunk
 from torchweather.report.radar_section import RADAR_WEATHERS, WALKING, radar_part
 from torchweather.report.radar_views import radar_scene
@@ -138,11 +137,8 @@ def write_demo(
             "machine": machine(),
             "subjects": subjects,
         }
-        text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
-        with atomic_write(staging / "summary.json") as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+        found = write_json(staging / "summary.json", summary)
         write_report(demo_page(summary, chapters), staging / "index.html")
-    found: dict[str, Any] = json.loads(text)
     return found
 
 

@@ -44,6 +44,7 @@ WHY = {
     ),
 }
 
+# An item of a sensor is shown where the page shows the sensor.
 MODEL = """
     - Single scattering. Fog of a visibility below about 20 m also blurs a real image; here it only fades.
     - Daylight: particles and fog are lit by the sky. Headlights, street lamps and night are not modelled.
@@ -52,46 +53,28 @@ MODEL = """
       of the sky, not a small upside-down image. Snow is dry.
     - Rain and snow reach 200 m far; the sky is seen through that much of them.
     - Particles too faint to be seen one by one enter through the exact mean and variance of their sum.
-"""
-MODEL_LIDAR = """
     - LiDAR: a beam is a uniform cone, one ray stands for it in the scene, and echoes of several scatterings are left
       out. Objects weaken without noise of their own.
-"""
-MODEL_RADAR = """
     - Radar: nothing hides anything, and no echo comes by way of road or guard rail. Ground and walls return nothing.
       The radar's cover is dry.
-"""
-MODEL_NOISE = """
     - Sensor noise belongs to the clear frame; the noise of light that the weather adds is not drawn again.
 """
 CHECKED = """
     - Extinction and visibility: Mie theory against independent computations, in the test suite.
     - Rain and snow: mean, spread, streak correlation and extremes of the mask against a reference that draws every
       particle, in the test suite.
-"""
-CHECKED_LIDAR = """
     - LiDAR: returns of drops and flakes, in every return mode, against a reference that lists every particle in the
       beam; the fog's echo against direct integration, in the test suite.
-"""
-CHECKED_RADAR = """
     - Radar: range, speed, angle and power of corner reflectors through the whole chain, facets against closed forms,
       false alarms of the detector, in the test suite.
-"""
-CHECKED_HERE = """
     - On this page: dots against lines, and the mean of each particle mask against its expectation.
 """
 OPEN = """
     - The finished pictures have not been compared with recordings of the same place in real weather.
     - The size distributions are averages of many events; a single shower may differ by a factor.
-"""
-OPEN_LIDAR = """
-    - Pulse width and near-range response of the LiDAR preset are generic. They decide most of what fog and snow look
+    - LiDAR: pulse width and near-range response of the preset are generic. They decide most of what fog and snow look
       like to it.
-"""
-OPEN_RADAR = """
-    - Cross sections of all but cars and corner reflectors, and the radar's link budget, are generic.
-"""
-OPEN_CAMERA = """
+    - Radar: cross sections of all but cars and corner reflectors, and the link budget, are generic.
     - Exposure time and focus of the camera preset are generic, not measured on the camera.
 """
 TABLE = """How to read the table. Extinction is all light that leaves the straight path, by Mie theory. Visibility is
@@ -108,13 +91,13 @@ def limits(version: str, seed: int, *, lidar: bool, radar: bool) -> Section:
         version, seed: of the demo.
         lidar, radar: whether the page shows one.
     """
-    columns = {
-        "Limits of the model": (MODEL, MODEL_LIDAR * lidar, MODEL_RADAR * radar, MODEL_NOISE),
-        "What is checked": (CHECKED, CHECKED_LIDAR * lidar, CHECKED_RADAR * radar, CHECKED_HERE),
-        "What is not": (OPEN, OPEN_LIDAR * lidar, OPEN_RADAR * radar, OPEN_CAMERA),
-    }
+    hidden = tuple(name for name, shown in (("LiDAR: ", lidar), ("Radar: ", radar)) if not shown)
+    columns = {"Limits of the model": MODEL, "What is checked": CHECKED, "What is not": OPEN}
     made = parts.markup("torchweather {} · seed {} · all numbers in {}", version, seed, parts.link("summary.json"))
-    lists = [(title, [parts.Listing(parts.items("".join(texts)))]) for title, texts in columns.items()]
+    lists = [
+        (title, [parts.Listing([one for one in parts.items(text) if not one.startswith(hidden)])])
+        for title, text in columns.items()
+    ]
     return Section(
         "What these pictures are, and what they are not", [parts.Columns(lists), parts.Fine(TABLE), parts.Fine(made)]
     )

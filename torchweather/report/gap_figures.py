@@ -50,11 +50,7 @@ def curve_uri(curves: Sequence[Curve]) -> str:
     known = [v for one in curves for v in (one.before, one.after) if v is not None and np.isfinite(v).any()]
     with mpl.rc_context({**STYLE, "font.size": 9.5}):
         figure = Figure(figsize=(5.6, 3.1))
-        axes = figure.add_axes((0.125, 0.185, 0.845, 0.785))
-        plain_axes(axes)
-        axes.grid(axis="x", visible=False)
-        axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)
-        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        axes = _departures(figure, (0.125, 0.185, 0.845, 0.785), known, first, "measured − simulated, scatters")
         aside = np.linspace(-0.22, 0.22, len(curves)) if len(curves) > 1 else np.zeros(1)
         for number, (one, shift) in enumerate(zip(curves, aside, strict=True)):
             mark = MARKS[number % len(MARKS)]
@@ -63,12 +59,6 @@ def curve_uri(curves: Sequence[Curve]) -> str:
             if one.after is not None:
                 hollow: dict[str, Any] = {"color": AFTER, "markerfacecolor": "white", "markeredgewidth": 1.2}
                 axes.plot(bins + shift, _scaled(one.after), zorder=4, **hollow, **line)
-        lowest = min([-LEAST_SPAN, *(float(np.nanmin(values)) for values in known)])
-        highest = max([LEAST_SPAN, *(float(np.nanmax(values)) for values in known)])
-        _departures_up(axes, lowest, highest)
-        _bins_along(axes, first.axis, first.edges)
-        axes.set_ylabel("measured − simulated, scatters")
-        axes.yaxis.set_label_coords(-0.1, 0.5)
         return svg_uri(figure)
 
 
@@ -80,25 +70,15 @@ def response_uri(responses: Sequence[Response]) -> str:
     """
     first, *effects = responses
     bins = np.arange(len(first.edges) - 1)
-    known = [one.values[np.isfinite(one.values)] for one in responses]
+    known = [one.values for one in responses if np.isfinite(one.values).any()]
     with mpl.rc_context({**STYLE, "font.size": 9.5}):
         figure = Figure(figsize=(5.6, 3.3))
-        axes = figure.add_axes((0.125, 0.175, 0.845, 0.67))
-        plain_axes(axes)
-        axes.grid(axis="x", visible=False)
-        axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)
-        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        axes = _departures(figure, (0.125, 0.175, 0.845, 0.67), known, first, "change, scatters")
         for one, (colour, dashes) in zip(effects[: len(LINES)], LINES, strict=False):
             label = effect_name(one.effect or "")
             axes.plot(bins, _scaled(one.values), color=colour, linestyle=dashes, linewidth=1.6, zorder=3, label=label)
         dots: dict[str, Any] = {"color": INK, "marker": "o", "linestyle": "none", "markersize": 4.5}
         axes.plot(bins, _scaled(first.values), zorder=4, label="measured", **dots)
-        lowest = min([-LEAST_SPAN, *(float(values.min()) for values in known if len(values))])
-        highest = max([LEAST_SPAN, *(float(values.max()) for values in known if len(values))])
-        _departures_up(axes, lowest, highest)
-        _bins_along(axes, first.axis, first.edges)
-        axes.set_ylabel("change, scatters")
-        axes.yaxis.set_label_coords(-0.1, 0.5)
         figure.legend(loc="upper left", bbox_to_anchor=(0.115, 1.0), ncols=3, frameon=False, fontsize=9.0)
         return svg_uri(figure)
 
@@ -214,11 +194,24 @@ def _bins_along(axes: Axes, axis: str, edges: Sequence[float]) -> None:
     axes.set_xlabel(axis_name(axis), labelpad=3)
 
 
-def _departures_up(axes: Axes, lowest: float, highest: float) -> None:
-    """Departures on the scale of the figure, with some room."""
+def _departures(
+    figure: Figure, box: tuple[float, float, float, float], known: Sequence[Floats], first: Curve | Response, label: str
+) -> Axes:
+    """Axes with departures up, with some room, the bins of a curve along, and a band of chance."""
+    axes = figure.add_axes(box)
+    plain_axes(axes)
+    axes.grid(axis="x", visible=False)
+    axes.axhspan(_scaled(-1.0), _scaled(1.0), color=BAND, linewidth=0, zorder=0)
+    axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+    _bins_along(axes, first.axis, first.edges)
+    axes.set_ylabel(label)
+    axes.yaxis.set_label_coords(-0.1, 0.5)
+    lowest = min([-LEAST_SPAN, *(float(np.nanmin(values)) for values in known)])
+    highest = max([LEAST_SPAN, *(float(np.nanmax(values)) for values in known)])
     axes.set_ylim(_scaled(ROOM * lowest), _scaled(ROOM * highest))
     ticks = [tick for tick in TICKS if ROOM * lowest <= tick <= ROOM * highest]
     axes.set_yticks([_scaled(tick) for tick in ticks], labels=[f"{tick}".replace("-", "−") for tick in ticks])
+    return axes
 
 
 def _numbers(values: Sequence[float | None]) -> Floats:

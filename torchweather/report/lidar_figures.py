@@ -19,7 +19,7 @@ from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.figures import STYLE, png_figure_uri
 from torchweather.report.lidar_views import WeatherCloud
 
-__all__ = ["COLOURS", "birds_eye_uri", "range_images_uri", "range_rings"]
+__all__ = ["COLOURS", "axes_from_above", "birds_eye_uri", "range_images_uri"]
 
 # Orange against blue and grey: told apart by every eye.
 COLOURS = {"object": "#33424f", "particle": "#e8590c", "lost": "#8fb8e3"}
@@ -38,27 +38,26 @@ Array = NDArray[Any]
 def birds_eye_uri(cloud: WeatherCloud, clear: WeatherCloud) -> str:
     """A cloud from above, the sensor at the origin, ahead is up; lost points where they were in clear air."""
     with mpl.rc_context({**STYLE, "font.size": 9.0}):
-        width, height = 3.3, 5.1
-        figure = Figure(figsize=(width, height))
-        axes = figure.add_axes((0.125, 0.085, 0.865, 0.905))
-        range_rings(axes)
+        figure, axes = axes_from_above()
         _dots(axes, clear.points[cloud.lost], COLOURS["lost"], 1.0)
         _dots(axes, cloud.points[cloud.kind == PointKind.OBJECT], COLOURS["object"], 0.9)
         particles = cloud.points[cloud.kind == PointKind.PARTICLE]
         _dots(axes, particles, COLOURS["particle"], 0.9 if len(particles) > FEW else 4.0)
-        axes.plot(0, 0, marker="^", color="white", markeredgecolor="#1b2733", markersize=6, zorder=9)
-        axes.set_aspect("equal")
-        axes.set_xlim(-ASIDE_M, ASIDE_M)
-        axes.set_ylim(-BEHIND_M, AHEAD_M)
-        axes.set_xticks([-25, 0, 25], labels=["25", "0", "25"])
-        axes.set_yticks([-25, 0, 25, 50, 75])
-        axes.set_xlabel("left and right, m", labelpad=1)
-        axes.set_ylabel("ahead, m", labelpad=-3)
         return png_figure_uri(figure, dpi=190)
 
 
-def range_rings(axes: Axes) -> None:
-    """Circles of equal range around the sensor, with their radius."""
+def axes_from_above(behind_m: float = BEHIND_M, ahead_m: float = AHEAD_M) -> tuple[Figure, Axes]:
+    """Axes of a cloud from above, ahead is up: the sensor as a triangle, circles of equal range with their radius."""
+    figure = Figure(figsize=(3.3, 5.1))
+    axes = figure.add_axes((0.125, 0.085, 0.865, 0.905))
+    axes.plot(0, 0, marker="^", color="white", markeredgecolor="#1b2733", markersize=6, zorder=9)
+    axes.set_aspect("equal")
+    axes.set_xlim(-ASIDE_M, ASIDE_M)
+    axes.set_ylim(-behind_m, ahead_m)
+    axes.set_xticks([-25, 0, 25], labels=["25", "0", "25"])
+    axes.set_yticks(np.arange(-25 if behind_m > 25 else 0, ahead_m, 25))
+    axes.set_xlabel("left and right, m", labelpad=1)
+    axes.set_ylabel("ahead, m", labelpad=-3)
     for radius in RINGS_M:
         axes.add_patch(Circle((0, 0), radius, fill=False, edgecolor=RING, linewidth=0.7, zorder=0))
         # On the ring, to the right of straight ahead, where it stays inside the picture.
@@ -66,6 +65,7 @@ def range_rings(axes: Axes) -> None:
         place = (radius * math.sin(angle), radius * math.cos(angle))
         box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
         axes.text(*place, f"{radius:g} m", fontsize=8, color=RING_TEXT, ha="center", va="center", bbox=box, zorder=8)
+    return figure, axes
 
 
 def _dots(axes: Axes, points: Tensor, colour: str, size: float) -> None:

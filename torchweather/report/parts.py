@@ -1,4 +1,4 @@
-"""Parts of a section of a page: text, verdicts, tables, figures, pictures. ``templates/report.html`` draws each.
+"""Parts of a section: text, verdicts, tables, figures, pictures; used as ``parts.Table``.
 
 Plain text is escaped where it is shown. Text with markup comes from ``markup``, which escapes what it fills in.
 """
@@ -8,39 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import quote
 
 from markupsafe import Markup
-
-__all__ = [
-    "Alert",
-    "Big",
-    "Cell",
-    "Code",
-    "Column",
-    "Columns",
-    "Definitions",
-    "Details",
-    "Facts",
-    "Figure",
-    "Fine",
-    "Heading",
-    "Key",
-    "Legend",
-    "Listing",
-    "Note",
-    "Paragraph",
-    "Part",
-    "Pictures",
-    "Prose",
-    "Table",
-    "Verdict",
-    "Widget",
-    "items",
-    "link",
-    "markup",
-]
 
 
 def markup(text: str, *values: object, **named: object) -> Markup:
@@ -71,16 +42,18 @@ def items(text: str) -> list[str]:
 
 
 class Part:
-    """One part of a section; ``macro`` names what draws it in ``templates/report.html``."""
+    """One part of a section; the macro of its name in ``templates/report.html`` draws it."""
 
-    macro: ClassVar[str]
+    @property
+    def macro(self) -> str:
+        """Name of the macro."""
+        return type(self).__name__.lower()
 
 
 @dataclass(frozen=True)
 class Verdict(Part):
     """The answer of the page in one paragraph."""
 
-    macro: ClassVar[str] = "verdict"
     text: str
 
 
@@ -88,7 +61,6 @@ class Verdict(Part):
 class Alert(Part):
     """A warning in a frame, with its first words in bold."""
 
-    macro: ClassVar[str] = "alert"
     text: str
     bold: str = ""
     grave: bool = False
@@ -98,7 +70,6 @@ class Alert(Part):
 class Paragraph(Part):
     """Running text; ``look`` is ``text``, or ``lead``, ``note``, ``fine`` and others of ``page.css``."""
 
-    macro: ClassVar[str] = "paragraph"
     text: str
     look: str = "text"
 
@@ -121,7 +92,6 @@ class Fine(Paragraph):
 class Prose(Part):
     """Paragraphs that flow in two columns where there is room."""
 
-    macro: ClassVar[str] = "prose"
     paragraphs: Sequence[str]
 
 
@@ -129,7 +99,6 @@ class Prose(Part):
 class Heading(Part):
     """A heading within a section, with a remark behind it."""
 
-    macro: ClassVar[str] = "heading"
     text: str
     small: str = ""
     id: str = ""
@@ -139,7 +108,6 @@ class Heading(Part):
 class Facts(Part):
     """Names and values in a row."""
 
-    macro: ClassVar[str] = "facts"
     items: Sequence[tuple[str, str]]
 
 
@@ -147,7 +115,6 @@ class Facts(Part):
 class Big(Part):
     """Large numbers in a row, each with what it is."""
 
-    macro: ClassVar[str] = "big"
     items: Sequence[tuple[str, str]]
 
 
@@ -165,7 +132,6 @@ class Key:
 class Legend(Part):
     """Colours and marks with their meaning; ``chart`` where they belong to line charts, which dark pages turn over."""
 
-    macro: ClassVar[str] = "legend"
     keys: Sequence[Key]
     chart: bool = False
 
@@ -214,7 +180,6 @@ class Table(Part):
         over: headings over several columns, text and number of columns.
     """
 
-    macro: ClassVar[str] = "table"
     columns: Sequence[Column | str]
     rows: Sequence[Sequence[Cell | str] | str]
     look: str = ""
@@ -234,7 +199,6 @@ class Figure(Part):
             sideways), ``bar`` (a bar of colours), ``map`` (in its own size), ``medium``; several with a space.
     """
 
-    macro: ClassVar[str] = "figure"
     picture: str
     alt: str
     title: str = ""
@@ -252,7 +216,6 @@ class Figure(Part):
 class Pictures(Part):
     """Figures side by side, ``across`` of them where there is room."""
 
-    macro: ClassVar[str] = "pictures"
     figures: Sequence[Figure]
     across: int = 3
     look: str = ""
@@ -262,7 +225,6 @@ class Pictures(Part):
 class Listing(Part):
     """A list with bullets."""
 
-    macro: ClassVar[str] = "listing"
     items: Sequence[str]
 
 
@@ -270,7 +232,6 @@ class Listing(Part):
 class Definitions(Part):
     """Terms and what is to be said of each."""
 
-    macro: ClassVar[str] = "definitions"
     items: Sequence[tuple[str, str]]
 
 
@@ -278,7 +239,6 @@ class Definitions(Part):
 class Code(Part):
     """Lines of a program."""
 
-    macro: ClassVar[str] = "code"
     text: str
 
 
@@ -286,7 +246,6 @@ class Code(Part):
 class Details(Part):
     """Parts that open at a click."""
 
-    macro: ClassVar[str] = "details"
     summary: str
     parts: Sequence[Part]
 
@@ -295,7 +254,6 @@ class Details(Part):
 class Columns(Part):
     """Titles with parts side by side, one below the other where there is no room."""
 
-    macro: ClassVar[str] = "columns"
     columns: Sequence[tuple[str, Sequence[Part]]]
 
 
@@ -303,6 +261,5 @@ class Columns(Part):
 class Widget(Part):
     """What a script of the page drives: a template of its own within the page."""
 
-    macro: ClassVar[str] = "widget"
     template: str
     values: Mapping[str, Any]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +34,7 @@ from torchweather.report.before_after import (
     size_within,
 )
 from torchweather.report.machine import library_warnings
-from torchweather.report.page import write_report
+from torchweather.report.page import write_json, write_report
 
 __all__ = ["SEVERITIES", "Photo", "write_photo_demo"]
 
@@ -150,10 +149,8 @@ def write_photo_demo(
                 }
             )
         summary = {"torchweather": __version__, "seed": seed, "subjects": subjects}
-        text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
-        (staging / "summary.json").write_text(text, encoding="utf-8")
+        found = write_json(staging / "summary.json", summary)
         write_report(comparisons_page(comparisons), staging / "index.html")
-    found: dict[str, Any] = json.loads(text)
     return found
 
 

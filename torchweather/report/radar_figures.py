@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -18,7 +20,7 @@ from torchweather.radar.sensor import Radar
 from torchweather.report.figures import STYLE, png_figure_uri
 from torchweather.report.radar_views import RadarFrame
 
-__all__ = ["OTHER", "above_uri", "bar_uri", "map_uri", "power_scale"]
+__all__ = ["OTHER", "above_uri", "axes_ahead", "bar_uri", "coloured_points", "map_uri", "power_scale"]
 
 # Orange on dark and on white: told apart from either scale by every eye.
 OTHER = "#ff7f0e"
@@ -83,34 +85,46 @@ def map_uri(frame: RadarFrame, radar: Radar, scale_dbm: tuple[float, float]) -> 
 def above_uri(frame: RadarFrame, boxes: Tensor, radar: Radar, scale_dbm: tuple[float, float]) -> str:
     """Points from above, the radar at the origin, ahead is up; boxes of the road users."""
     with mpl.rc_context({**STYLE, "font.size": 10.5}):
-        figure = Figure(figsize=(3.3, 4.6))
-        axes = figure.add_axes((0.15, 0.105, 0.83, 0.885))
-        for radius in (20.0, 40.0, 60.0):
-            angle = np.linspace(-np.pi / 2, np.pi / 2, 121)
-            axes.plot(radius * np.sin(angle), radius * np.cos(angle), color=RING, linewidth=0.7, zorder=0)
+        box_in = (0.15, 0.105, 0.83, 0.885)
+        figure, axes = axes_ahead((3.3, 4.6), box_in, ASIDE_M, radar.max_range_m, rings_m=(20.0, 40.0, 60.0), tick_m=20)
         for box in boxes.tolist():
             _outline(axes, box)
         points = frame.points
         other, scene = points[~frame.of_scene], points[frame.of_scene]
         axes.plot(-other[:, 1].numpy(), other[:, 0].numpy(), "x", color=OTHER, markersize=3.6, markeredgewidth=1.0)
-        axes.scatter(
-            -scene[:, 1].numpy(),
-            scene[:, 0].numpy(),
-            c=scene[:, 4].numpy(),
-            s=16.0,
-            cmap=POINT_COLOURS,
-            norm=Normalize(*scale_dbm),
-            linewidths=0.0,
-            zorder=4,
-        )
-        axes.plot(0, 0, marker="^", color="white", markeredgecolor="#1b2733", markersize=6, zorder=9, clip_on=False)
-        axes.set_aspect("equal", adjustable="box")
-        axes.set_xlim(-ASIDE_M, ASIDE_M)
-        axes.set_ylim(0, radar.max_range_m)
-        axes.set_xticks([-20, 0, 20], labels=["20", "0", "20"])
-        axes.set_xlabel("left and right, m", labelpad=1)
-        axes.set_ylabel("ahead, m", labelpad=0)
+        coloured_points(axes, scene, scene[:, 4], scale_dbm, size=16.0)
         return png_figure_uri(figure, dpi=190)
+
+
+def axes_ahead(
+    size: tuple[float, float],
+    box: tuple[float, float, float, float],
+    aside_m: float,
+    far_m: float,
+    *,
+    rings_m: Sequence[float],
+    tick_m: int,
+) -> tuple[Figure, Axes]:
+    """Axes of points from above, ahead is up: the radar as a triangle, arcs of equal range."""
+    figure = Figure(figsize=size)
+    axes = figure.add_axes(box)
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 121)
+    for radius in rings_m:
+        axes.plot(radius * np.sin(angle), radius * np.cos(angle), color=RING, linewidth=0.7, zorder=0)
+    axes.plot(0, 0, marker="^", color="white", markeredgecolor="#1b2733", markersize=6, zorder=9, clip_on=False)
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(-aside_m, aside_m)
+    axes.set_ylim(0, far_m)
+    axes.set_xticks([-tick_m, 0, tick_m], labels=[f"{tick_m}", "0", f"{tick_m}"])
+    axes.set_xlabel("left and right, m", labelpad=1)
+    axes.set_ylabel("ahead, m", labelpad=0)
+    return figure, axes
+
+
+def coloured_points(axes: Axes, points: Tensor, power: Tensor, scale: tuple[float, float], *, size: float) -> None:
+    """Points from above, coloured by their power."""
+    colours: dict[str, Any] = {"cmap": POINT_COLOURS, "norm": Normalize(*scale), "linewidths": 0.0, "zorder": 4}
+    axes.scatter(-points[:, 1].numpy(), points[:, 0].numpy(), c=power.numpy(), s=size, **colours)
 
 
 def _outline(axes: Axes, box: list[float]) -> None:

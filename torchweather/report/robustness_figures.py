@@ -16,7 +16,7 @@ from torchweather.evaluation.robustness import BoxTruth, ConditionResult
 from torchweather.evaluation.robustness.frames import Look
 from torchweather.evaluation.sweep import Level
 from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
-from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, BEHIND_M, range_rings
+from torchweather.report.lidar_figures import axes_from_above
 from torchweather.report.pictures import jpeg_uri
 
 __all__ = ["FOUND", "LEGENDS", "TRUE", "WRONG", "look_uri", "performance_uri"]
@@ -117,18 +117,10 @@ def _cloud_uri(look: Look) -> str:
     particle = np.zeros(len(points), bool) if look.weather is None else look.weather
     wrong = torch.as_tensor((look.found != truth) | particle)
     with mpl.rc_context({**STYLE, "font.size": 9.0}):
-        figure = Figure(figsize=(3.3, 5.1))
-        axes = figure.add_axes((0.125, 0.085, 0.865, 0.905))
-        range_rings(axes)
+        figure, axes = axes_from_above()
         marks: dict[str, Any] = {"markeredgewidth": 0, "zorder": 3}
         for chosen, colour, size in ((~wrong, RIGHT, 1.2), (wrong, WRONG, 1.8)):
             axes.plot(
                 -points[chosen, 1].numpy(), points[chosen, 0].numpy(), ".", color=colour, markersize=size, **marks
             )
-        axes.plot(0, 0, marker="^", color="white", markeredgecolor="#1b2733", markersize=6, zorder=9)
-        axes.set_aspect("equal")
-        axes.set_xlim(-ASIDE_M, ASIDE_M)
-        axes.set_ylim(-BEHIND_M, AHEAD_M)
-        axes.set_xlabel("left and right, m", labelpad=1)
-        axes.set_ylabel("ahead, m", labelpad=-3)
         return png_figure_uri(figure, dpi=130)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,10 +14,10 @@ from torchweather.evaluation.robustness.baseline import reference_of
 from torchweather.evaluation.robustness.frames import Look
 from torchweather.evaluation.robustness.remarks import interval_text, remarks
 from torchweather.evaluation.sweep import Level
-from torchweather.io import atomic_folder, atomic_write, write_table
+from torchweather.io import atomic_folder, write_table
 from torchweather.report import parts
 from torchweather.report.correlation_page import write_correlation
-from torchweather.report.page import write_report
+from torchweather.report.page import write_json, write_report
 from torchweather.report.report import Report, Section
 from torchweather.report.robustness_figures import LEGENDS, look_uri, performance_uri
 from torchweather.report.robustness_summary import correlation_of, plain, summary_of, table_of
@@ -83,10 +82,9 @@ def write_robustness(
                 {"metric": each["metric"], "spearman": each["spearman"]["value"], "rank": each["rank"]}
                 for each in shown["metrics"]
             ]
-        with atomic_write(staging / "robustness.json") as unfinished:
-            unfinished.write_text(json.dumps(plain(summary), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        written: dict[str, Any] = plain(summary)
+        write_json(staging / "robustness.json", written)
         write_report(robustness_page(summary, result, found, declaration, looks), staging / "index.html")
-    written: dict[str, Any] = plain(summary)
     return written
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from torchweather.core.atomic import atomic_write
 from torchweather.lidar import NearResponseFit, PatternFit
@@ -19,6 +22,7 @@ __all__ = ["draw_sensor_fit"]
 # Smaller differences of elevation are rounding: the axis shows no less.
 LEAST_DEG = 0.005
 MEASURED, GIVEN = "#14487f", "#c2570c"
+Floats = NDArray[Any]
 
 
 def draw_sensor_fit(path: Path, pattern: PatternFit, near: NearResponseFit | None, lidar: Lidar, name: str) -> None:
@@ -43,36 +47,25 @@ def draw_sensor_fit(path: Path, pattern: PatternFit, near: NearResponseFit | Non
             figure.savefig(unfinished, format="png", metadata={"Software": None})
 
 
-def _elevations(axes: Axes, pattern: PatternFit, lidar: Lidar, name: str) -> None:
+def _measured(axes: Axes, x: Floats, y: Floats, spread: Floats, label: str = "measured, 95 % interval") -> None:
+    """Measured values with their spread."""
     plain_axes(axes)
+    axes.errorbar(x, y, spread, fmt="o", markersize=3, linewidth=1, color=MEASURED, label=label)
+
+
+def _elevations(axes: Axes, pattern: PatternFit, lidar: Lidar, name: str) -> None:
     known = np.asarray(lidar.elevations_deg) if lidar.elevations_deg is not None else None
+    spread = pattern.elevation_interval_deg
     if known is not None and len(known) == pattern.rings:
         axes.axhline(0.0, color=GIVEN, linewidth=1.5, label=name)
-        axes.errorbar(
-            pattern.elevations_deg,
-            pattern.elevations_deg - known,
-            pattern.elevation_interval_deg,
-            fmt="o",
-            markersize=3,
-            linewidth=1,
-            color=MEASURED,
-            label="measured, 95 % interval",
-        )
+        off = pattern.elevations_deg - known
+        _measured(axes, pattern.elevations_deg, off, spread)
         axes.set_xlabel("elevation, degrees")
         axes.set_ylabel("measured - preset, degrees")
-        if np.nanmax(np.abs(pattern.elevations_deg - known)) < LEAST_DEG:
+        if np.nanmax(np.abs(off)) < LEAST_DEG:
             axes.set_ylim(-LEAST_DEG, LEAST_DEG)
     else:
-        ring = np.arange(pattern.rings)
-        axes.errorbar(
-            ring,
-            pattern.elevations_deg,
-            pattern.elevation_interval_deg,
-            fmt="o",
-            markersize=3,
-            color=MEASURED,
-            label="measured, 95 % interval",
-        )
+        _measured(axes, np.arange(pattern.rings), pattern.elevations_deg, spread)
         if known is not None:
             axes.plot(np.arange(len(known)), known, ".", color=GIVEN, label=name)
         axes.set_xlabel("ring")
@@ -82,25 +75,14 @@ def _elevations(axes: Axes, pattern: PatternFit, lidar: Lidar, name: str) -> Non
 
 
 def _heights(axes: Axes, pattern: PatternFit, lidar: Lidar, name: str) -> None:
-    plain_axes(axes)
     known = np.isfinite(pattern.height_interval_m)
-    axes.errorbar(
-        pattern.elevations_deg[known],
-        pattern.heights_m[known],
-        pattern.height_interval_m[known],
-        fmt="o",
-        markersize=3,
-        linewidth=1,
-        color=MEASURED,
-        label="measured, 95 % interval",
-    )
+    elevations, heights = pattern.elevations_deg, pattern.heights_m
+    _measured(axes, elevations[known], heights[known], pattern.height_interval_m[known])
     if not known.all():
-        axes.plot(
-            pattern.elevations_deg[~known], pattern.heights_m[~known], "x", color=MUTED, label="not told by the sweeps"
-        )
+        axes.plot(elevations[~known], heights[~known], "x", color=MUTED, label="not told by the sweeps")
     if lidar.elevations_deg is not None:
-        heights = lidar.origin_heights_m or (0.0,) * len(lidar.elevations_deg)
-        axes.plot(lidar.elevations_deg, heights, ".", markersize=3, color=GIVEN, label=name)
+        given = lidar.origin_heights_m or (0.0,) * len(lidar.elevations_deg)
+        axes.plot(lidar.elevations_deg, given, ".", markersize=3, color=GIVEN, label=name)
     axes.set_xlabel("elevation, degrees")
     axes.set_ylabel("height of the beams' start, m")
     axes.set_title("Heights over the cloud's origin")
@@ -108,18 +90,7 @@ def _heights(axes: Axes, pattern: PatternFit, lidar: Lidar, name: str) -> None:
 
 
 def _response(axes: Axes, near: NearResponseFit, lidar: Lidar, name: str) -> None:
-    import torch
-
-    plain_axes(axes)
-    axes.errorbar(
-        near.range_m,
-        near.response,
-        near.spread,
-        fmt="o",
-        markersize=3,
-        color=MEASURED,
-        label="measured, spread of a bin",
-    )
+    _measured(axes, near.range_m, near.response, near.spread, "measured, spread of a bin")
     way = np.geomspace(max(1.0, near.range_m.min() / 1.5), near.range_m.max(), 200)
     label = f"min(1, R / {near.near_full_m:.1f} m)^{near.near_power:.2f}"
     axes.plot(way, near.xi(way), color=MEASURED, linewidth=1.5, label=label)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.evaluation.sweep import Series
-from torchweather.report.figures import INK, MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
-from torchweather.report.lidar_figures import AHEAD_M, ASIDE_M, COLOURS, range_rings
+from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
+from torchweather.report.lidar_figures import AHEAD_M, COLOURS, axes_from_above
 
 __all__ = ["AXES", "MISS", "NAMES", "points_above_uri", "score_uri"]
 
@@ -94,16 +94,8 @@ def score_uri(series: Series, metric: str, *, follows: bool) -> str:
 def points_above_uri(points: Tensor, clear: Tensor) -> str:
     """Detections from above, the sensor at the origin, ahead is up; those of clear air as rings."""
     with mpl.rc_context({**STYLE, "font.size": 9.0}):
-        figure = Figure(figsize=(3.3, 5.1))
-        axes = figure.add_axes((0.125, 0.085, 0.865, 0.905))
-        range_rings(axes)
+        figure, axes = axes_from_above(8.0, AHEAD_M + 20.0)
         ring: dict[str, Any] = {"markersize": 7, "markerfacecolor": "none", "markeredgecolor": COLOURS["lost"]}
         axes.plot(-clear[:, 1].numpy(), clear[:, 0].numpy(), "o", zorder=3, **ring)
         axes.plot(-points[:, 1].numpy(), points[:, 0].numpy(), ".", color=COLOURS["object"], markersize=5, zorder=4)
-        axes.plot(0, 0, marker="^", color="white", markeredgecolor=INK, markersize=6, zorder=9)
-        axes.set_aspect("equal")
-        axes.set_xlim(-ASIDE_M, ASIDE_M)
-        axes.set_ylim(-8.0, AHEAD_M + 20.0)
-        axes.set_xlabel("left and right, m", labelpad=1)
-        axes.set_ylabel("ahead, m", labelpad=-3)
         return png_figure_uri(figure, dpi=150)

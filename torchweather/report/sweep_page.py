@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -28,10 +27,10 @@ from torchweather.evaluation.sweep import (
 from torchweather.evaluation.sweep.misses import explain_miss
 from torchweather.evaluation.sweep.run import plan
 from torchweather.evaluation.sweep.trends import BY_RANKS, Judgement, SeriesTrends
-from torchweather.io import atomic_folder, atomic_write, write_table
+from torchweather.io import atomic_folder, write_table
 from torchweather.report import parts
 from torchweather.report.machine import machine, machine_text
-from torchweather.report.page import write_report
+from torchweather.report.page import storable, write_json, write_report
 from torchweather.report.report import Report, Section
 from torchweather.report.sweep_figures import AXES, NAMES, score_uri
 from torchweather.report.sweep_pictures import flat_pictures, legend, level_pictures
@@ -101,17 +100,10 @@ def write_sweep(
             "series": records,
             "seconds": round(time.perf_counter() - started, 3),
         }
-        text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
-        with atomic_write(staging / "summary.json") as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+        write_json(staging / "summary.json", summary)
         page = sweep_page(summary, series, trends, subjects)
         write_report(page, staging / "index.html")
     return summary
-
-
-def _number(value: float) -> float | str:
-    """As JSON can hold it."""
-    return float(value) if math.isfinite(value) else str(float(value))
 
 
 # ---- numbers --------------------------------------------------------------------------------------------------------
@@ -120,7 +112,7 @@ def _number(value: float) -> float | str:
 def _record(series: Series, trends: SeriesTrends) -> dict[str, Any]:
     """A series for the summary."""
     first = series.levels[0]
-    return {
+    record: dict[str, Any] = {
         "scene": series.scene,
         "subjects": list(series.subjects),
         "weather": first.name,
@@ -132,10 +124,12 @@ def _record(series: Series, trends: SeriesTrends) -> dict[str, Any]:
         "interval": None if trends.interval is None else list(trends.interval),
         "chance": 1.0 / math.factorial(len(series.levels)),
         "metrics": {name: _metric(series, one) for name, one in trends.metrics.items()},
-        "facts": {name: [_number(value) for value in values.mean(1)] for name, values in series.facts.items()},
-        "facts_clear": {name: _number(value) for name, value in series.clear.items()},
+        "facts": {name: values.mean(1).tolist() for name, values in series.facts.items()},
+        "facts_clear": {name: float(value) for name, value in series.clear.items()},
         "times_s": {"render_s": round(series.render_s, 6), "score_s": round(series.score_s, 6)},
     }
+    found: dict[str, Any] = storable(record)
+    return found
 
 
 def _metric(series: Series, judgement: Judgement) -> dict[str, Any]:
@@ -145,8 +139,8 @@ def _metric(series: Series, judgement: Judgement) -> dict[str, Any]:
     spread = [float(row.std(ddof=1)) if ok else math.nan for row, ok in zip(scores, finite, strict=True)]
     return {
         "better": series.directions[judgement.metric],
-        "mean": [_number(value) for value in scores.mean(1)],
-        "std": [_number(value) for value in spread],
+        "mean": scores.mean(1).tolist(),
+        "std": spread,
         "follows": judgement.follows,
         "verdict": judgement.trend.verdict,
         "confidence": judgement.trend.confidence,

@@ -11,7 +11,6 @@ import matplotlib as mpl
 import numpy as np
 import torch
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -22,7 +21,7 @@ from torchweather.pipeline.point_kind import PointKind
 from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
 from torchweather.report.lidar_figures import birds_eye_uri
 from torchweather.report.lidar_views import WeatherCloud
-from torchweather.report.radar_figures import POINT_COLOURS, RING
+from torchweather.report.radar_figures import axes_ahead, coloured_points
 
 __all__ = [
     "DIFFERS",
@@ -169,36 +168,16 @@ def radar_above_uri(frame: Frame, clear: Frame, geometry: Frame, scale_db: tuple
         scale_db: ends of the scale of colours.
         far_m: end of the picture ahead.
     """
-    points = radar_points(frame, geometry).numpy()
+    points = radar_points(frame, geometry)
     power = np.asarray(frame["power_db"])
     gone = np.isfinite(clear["power_db"]) & ~np.isfinite(power)
     lost = radar_points({**clear, "power_db": np.where(gone, clear["power_db"], np.nan)}, geometry).numpy()
     with mpl.rc_context({**STYLE, "font.size": 10.0}):
-        figure = Figure(figsize=(3.3, 3.9))
-        axes = figure.add_axes((0.15, 0.12, 0.83, 0.865))
-        for radius in np.arange(25.0, far_m, 25.0):
-            angle = np.linspace(-np.pi / 2, np.pi / 2, 121)
-            axes.plot(radius * np.sin(angle), radius * np.cos(angle), color=RING, linewidth=0.7, zorder=0)
+        half, rings_m = 0.42 * far_m, tuple(np.arange(25.0, far_m, 25.0))
+        box = (0.15, 0.12, 0.83, 0.865)
+        figure, axes = axes_ahead((3.3, 3.9), box, half, far_m, rings_m=rings_m, tick_m=25 if half > 25 else 10)
         axes.plot(-lost[:, 1], lost[:, 0], "x", color=DIFFERS, markersize=4.5, markeredgewidth=1.1, zorder=5)
-        axes.scatter(
-            -points[:, 1],
-            points[:, 0],
-            c=power[np.isfinite(power)],
-            s=15.0,
-            cmap=POINT_COLOURS,
-            norm=Normalize(*scale_db),
-            linewidths=0.0,
-            zorder=4,
-        )
-        axes.plot(0, 0, marker="^", color="white", markeredgecolor=INK, markersize=6, zorder=9, clip_on=False)
-        axes.set_aspect("equal", adjustable="box")
-        half = 0.42 * far_m
-        axes.set_xlim(-half, half)
-        axes.set_ylim(0, far_m)
-        step = 25 if half > 25 else 10
-        axes.set_xticks([-step, 0, step], labels=[f"{step}", "0", f"{step}"])
-        axes.set_xlabel("left and right, m", labelpad=1)
-        axes.set_ylabel("ahead, m", labelpad=0)
+        coloured_points(axes, points, torch.from_numpy(power[np.isfinite(power)]), scale_db, size=15.0)
         return svg_uri(figure)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ from torchweather.gap.study.study import Study
 from torchweather.io import atomic_folder
 from torchweather.report import parts
 from torchweather.report.findings import study_alerts, study_section
-from torchweather.report.page import write_report
+from torchweather.report.page import write_json, write_report
 from torchweather.report.report import Report, Section
 from torchweather.report.tables import NO_VALUE, signed_text
 from torchweather.report.validation_figures import DIFFERS, FLOOR, SIMULATED, Group, score_uri
@@ -64,8 +63,7 @@ def write_validation(
     summary = {**validation.to_dict(), "self_check": self_check}
     page = validation_page(study, validation, summary)
     with atomic_folder(Path(out_dir)) as staging:
-        text = json.dumps(summary, indent=1, allow_nan=False)
-        (staging / "validation.json").write_text(text + "\n", encoding="utf-8")
+        write_json(staging / "validation.json", summary)
         write_report(page, staging / "index.html")
     return summary
 
@@ -141,7 +139,7 @@ def _groups(study: Study, validation: Validation) -> list[Group]:
         groups.append(
             Group(
                 f"{where}{kind}",
-                f"{where}{kind}" + ("" if first is None else f", {AXES[first.knob_name]}"),
+                f"{where}{kind}" + ("" if first is None else f", {AXES[first.intensity_name]}"),
                 tuple("" if weather is None else f"{knob_value(weather):g}" for weather, _ in members),
                 tuple({score.name: score for score in result.scores} for _, result in members),
             )

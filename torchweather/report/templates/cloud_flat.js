@@ -36,7 +36,7 @@
   let state = { cloud: "weather", mode: KIND, shown: [true, true, true] };
 
   const drawn = (picture) => {
-    const { canvas } = picture, ratio = Math.min(window.devicePixelRatio || 1, 2), context = canvas.getContext("2d");
+    const { canvas } = picture, ratio = Math.min(window.devicePixelRatio || 1, 2), context = canvas.getContext("2d", { willReadFrequently: true });
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (!width || !height) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });

@@ -4,7 +4,7 @@
   const FIELD_OF_VIEW_RAD = 0.9, RING_STEPS = 96;
   const data = JSON.parse(document.getElementById("data").textContent);
   const canvas = document.getElementById("canvas"), view = document.getElementById("view"), now = document.getElementById("now");
-  const gl = canvas.getContext("webgl", { antialias: true, alpha: false });
+  const gl = canvas.getContext("webgl", { antialias: true, alpha: false, preserveDrawingBuffer: true });
   if (!gl) return;
 
   const VERTEX = `
@@ -247,6 +247,7 @@
   canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
   canvas.addEventListener("webglcontextrestored", () => location.reload());
   new ResizeObserver(redraw).observe(canvas);
+  window.addEventListener("beforeprint", draw);
 
   document.getElementById("failed").hidden = true;
   words();
