@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[1]
 COLUMNS = (1024, 2048)
 MAKE: dict[str, Callable[[Any], tw.weather.Weather]] = {"rain": tw.Rain, "snow": tw.Snow, "fog": tw.Fog}
 KNOB = {"rain": 25.0, "snow": 2.0, "fog": 50.0}
-WEATHERS = {kind: f"{kind.capitalize()}({knob})" for kind, knob in KNOB.items()}
+WEATHERS = {kind: f"{kind.capitalize()}({intensity})" for kind, intensity in KNOB.items()}
 # What the issue asks for, at the larger cloud.
 TARGETS = {
     "rain.total_ms": 30.0,
@@ -84,8 +84,8 @@ print(json.dumps(dict(import_torch_s=torch_s, import_library_s=library_s, constr
 """
 
 
-def knobs(kind: str, number: int) -> torch.Tensor:
-    """As many values of the knob, all different, around that of the single frame."""
+def intensities(kind: str, number: int) -> torch.Tensor:
+    """As many values of the intensity, all different, around that of the single frame."""
     return KNOB[kind] * (0.6 + 0.8 * torch.arange(1, number + 1) / (number + 1))
 
 
@@ -114,20 +114,20 @@ def frame_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repeats: int)
     }
 
 
-def new_knob_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repeats: int) -> dict[str, float]:
+def new_intensity_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repeats: int) -> dict[str, float]:
     """The same transform at another rate or visibility: the first call at it solves the table of returns anew."""
     transform = tw.LidarWeather(MAKE[kind](KNOB[kind]), sensor)
-    name = MAKE[kind](KNOB[kind]).knob_name
+    name = MAKE[kind](KNOB[kind]).intensity_name
     buffers = [buffer for buffer, _ in transform.named_buffers() if buffer.endswith(name)]
     noise = transform.draw(points, seed=1)
     transform(points, noise)
 
-    def at(knob: torch.Tensor) -> float:
+    def at(intensity: torch.Tensor) -> float:
         start = time.perf_counter()
-        torch.func.functional_call(transform, dict.fromkeys(buffers, knob), (points, noise))
+        torch.func.functional_call(transform, dict.fromkeys(buffers, intensity), (points, noise))
         return 1e3 * (time.perf_counter() - start)
 
-    pairs = [(at(knob), at(knob)) for knob in knobs(kind, repeats)]
+    pairs = [(at(intensity), at(intensity)) for intensity in intensities(kind, repeats)]
     first_ms, later_ms = (statistics.median(times) for times in zip(*pairs, strict=True))
     return {
         "first_call_ms": round(first_ms, 2),
@@ -139,7 +139,7 @@ def new_knob_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repeats: i
 def batch_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repeats: int, size: int) -> dict[str, Any]:
     """As many frames, each at a rate of its own, in one call and one by one."""
     single = tw.LidarWeather(MAKE[kind](KNOB[kind]), sensor)
-    many = tw.LidarWeather(MAKE[kind](knobs(kind, size)), sensor)
+    many = tw.LidarWeather(MAKE[kind](intensities(kind, size)), sensor)
     clouds = points.expand(size, *points.shape).clone()
     noise = many.draw(clouds, seed=1)
     alone = {key: value[:1] for key, value in noise.items()}
@@ -215,7 +215,7 @@ def main() -> None:
             "dual": {kind: frame_times(kind, points, dual, repeats) for kind in WEATHERS},
         }
     largest = clouds[str(len(points))]
-    new_knob = {kind: new_knob_times(kind, points, sensor, repeats) for kind in WEATHERS}
+    new_intensity = {kind: new_intensity_times(kind, points, sensor, repeats) for kind in WEATHERS}
     batches = {kind: batch_times(kind, points, sensor, repeats, batch) for kind in WEATHERS}
     file = Path(f"{arguments.out or 'bench_lidar'}.cloud.pt")
     try:
@@ -237,7 +237,7 @@ def main() -> None:
         "weathers": WEATHERS,
         "d34_table_17_s": D34_TABLE_17_S,
         "clouds": clouds,
-        "new_knob": new_knob,
+        "new_intensity": new_intensity,
         "batch": {"frames": batch, "points": len(points), **batches},
         "setup": setup,
         "summary": {

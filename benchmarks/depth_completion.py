@@ -30,7 +30,8 @@ from torchweather.camera.depth.completion import CompletedDepth
 from torchweather.camera.depth.hidden_points import hidden_points
 from torchweather.camera.depth.points import DepthFromPoints
 from torchweather.camera.depth.projection import project_points
-from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+from torchweather.datasets import read_kitti_calibration, read_kitti_points
+from torchweather.io import read_image
 from torchweather.sensors import Camera
 
 PHASES = 4

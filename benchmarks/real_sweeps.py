@@ -24,7 +24,7 @@ import torch
 from measure import hand_over, machine
 
 import torchweather as tw
-from torchweather.io import read_kitti_points
+from torchweather.datasets import read_kitti_points
 from torchweather.lidar.sweep.completion import complete_scan
 from torchweather.stages import PointKind
 

@@ -26,7 +26,8 @@ from torchweather.camera.depth.horizon import find_horizon
 from torchweather.camera.depth.near_mask import find_near_mask
 from torchweather.camera.depth.scene_depth import SceneDepth
 from torchweather.camera.depth.scene_prior import ScenePrior
-from torchweather.io import read_image, read_kitti_calibration, read_kitti_points
+from torchweather.datasets import read_kitti_calibration, read_kitti_points
+from torchweather.io import read_image
 
 CHOSEN_ON = ("000000", "000002", "000005", "000008", "000015", "000020", "001545")
 HEIGHT_M = 1.65  # of KITTI's cameras over the road

@@ -18,9 +18,10 @@ import torch
 
 import torchweather as tw
 from torchweather.cli import main
+from torchweather.datasets import Boxes, write_kitti_boxes
 from torchweather.datasets.augment import Manifest
 from torchweather.image import develop
-from torchweather.io import Boxes, write_image, write_kitti_boxes, write_points
+from torchweather.io import write_image, write_points
 from torchweather.scenes import lidar_view, test_track
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -25,15 +25,14 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
-from torchweather.image import DepthFromPoints, develop, normalise, srgb_decode
-from torchweather.io import (
-    read_image,
+from torchweather.datasets import (
     read_kitti_calibration,
     read_kitti_points,
     read_nuscenes_calibration,
     read_nuscenes_points,
-    write_image,
 )
+from torchweather.image import DepthFromPoints, develop, normalise, srgb_decode
+from torchweather.io import read_image, write_image
 from torchweather.scenes import test_track
 
 WEATHERS = {"rain": tw.Rain(rate_mm_per_h=50), "fog": tw.Fog(mor_m=60), "snow": tw.Snow(rate_mm_per_h=3)}

@@ -67,11 +67,11 @@ def main() -> None:
         name: [] for name in ("subject", "sensor", "weather", "knob", "value", "severity", "seed", "metric", "score")
     }
     performance: dict[str, list[Any]] = {name: [] for name in ("sensor", "weather", "value", "AP")}
-    for weather, (knob, values) in WEATHERS.items():
+    for weather, (intensity, values) in WEATHERS.items():
         for severity, value in enumerate(values[1::3] if arguments.quick else values, 1):
             pictures = []
             for seed, each in enumerate(frames):
-                bad_weather = tw.BayerWeather(CLASSES[weather](**{knob: value}), each.camera)
+                bad_weather = tw.BayerWeather(CLASSES[weather](**{intensity: value}), each.camera)
                 noise = bad_weather.draw(each.bayer, seed=seed)
                 pictures.append(picture(bad_weather(each.bayer, each.depth_m, noise), each.camera))
             weathered = torch.stack(pictures)
@@ -80,10 +80,10 @@ def main() -> None:
                 column.append(entry)
             for metric, per_frame in image_scores(weathered, clear).items():
                 for seed, score in enumerate(per_frame.tolist()):
-                    row = (f"frame {seed}", "camera", weather, knob, value, severity, seed, metric, score)
+                    row = (f"frame {seed}", "camera", weather, intensity, value, severity, seed, metric, score)
                     for column, entry in zip(scores.values(), row, strict=True):
                         column.append(entry)
-            print(f"{weather} {knob} {value:g}: average precision {found:.2f}")
+            print(f"{weather} {intensity} {value:g}: average precision {found:.2f}")
 
     result = correlate(scores, performance, performance_column="AP")
     note = (

@@ -41,7 +41,7 @@ from torchweather.evaluation.robustness import (
 from torchweather.evaluation.robustness.frames import Look
 from torchweather.evaluation.sweep import CameraSubject
 from torchweather.io import read_image
-from torchweather.recipes.suites import read_suite
+from torchweather.recipes import read_recipe
 from torchweather.report.robustness_page import write_robustness
 
 
@@ -62,7 +62,7 @@ def kitti_frames(folder: Path, detector: OnnxDetector, count: int | None) -> Ite
 
 def run(frames: list[LabelledFrame], detector: OnnxDetector, arguments: argparse.Namespace) -> None:
     """Robustness over the weathers, as `torchweather robustness` writes it."""
-    conditions = read_suite("camera/robustness").conditions()
+    conditions = read_recipe("camera/robustness", "suite").conditions()
     chosen = [each for each in conditions if arguments.weather in ("all", each.name)]
 
     def ask(look: Callable[[Look], object]) -> RobustnessResult:

@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 from PIL import Image
 
-from torchweather.recipes.recipes import load_recipe
+from torchweather.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect, Parameter
 
 ROOT = Path(__file__).parents[1]

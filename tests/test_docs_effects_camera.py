@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from tests.test_docs_effects import HEAD, MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, sections_of
-from torchweather.recipes.recipes import load_recipe
+from torchweather.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect, Parameter
 
 ROOT = Path(__file__).parents[1]

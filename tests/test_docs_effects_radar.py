@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tests.test_docs_effects import MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, picture, sections_of, table
-from torchweather.recipes.recipes import load_recipe
+from torchweather.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect
 
 ROOT = Path(__file__).parents[1]

@@ -6,6 +6,9 @@ import importlib
 
 import pytest
 
+from torchweather import physics
+from torchweather.atmosphere.weather import Rain
+
 MOVED = [
     ("torchweather.errors", "TorchweatherError", "torchweather.core.errors"),
     ("torchweather.random", "keyed_stream", "torchweather.core.random"),
@@ -14,9 +17,7 @@ MOVED = [
     ("torchweather.sweep", "parse_levels", "torchweather.evaluation.sweep"),
     ("torchweather.robustness", "run_robustness", "torchweather.evaluation.robustness"),
     ("torchweather.augment", "augment", "torchweather.datasets.augment"),
-    ("torchweather.transforms.recipes", "load_recipe", "torchweather.recipes.recipes"),
-    ("torchweather.transforms.pipelines", "load_pipeline", "torchweather.recipes.pipelines"),
-    ("torchweather.transforms.suites", "read_suite", "torchweather.recipes.suites"),
+    ("torchweather.transforms.recipes", "load_recipe", "torchweather.recipes"),
     ("torchweather.stages.effects_lidar", "LidarWindowLoss", "torchweather.lidar.effects.all"),
     ("torchweather.stages.effects_camera", "CameraExposureGain", "torchweather.camera.effects.all"),
     ("torchweather.stages.effects_radar", "RadarWetRadome", "torchweather.radar.effects.all"),
@@ -47,3 +48,12 @@ def test_a_name_that_never_was_is_no_name() -> None:
     for old in ("torchweather.errors", "torchweather.transforms"):
         with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
             importlib.import_module(old).nothing  # noqa: B018
+
+
+def test_old_names_of_the_intensity_work_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="Weather.knob is Weather.intensity now"):
+        assert Rain(rate_mm_per_h=10).knob == 10
+    with pytest.warns(DeprecationWarning, match="KnobTable is InterpolationTable now"):
+        assert physics.KnobTable is physics.InterpolationTable
+    with pytest.raises(AttributeError, match="nothing"):
+        physics.nothing  # noqa: B018

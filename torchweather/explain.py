@@ -53,7 +53,7 @@ def explain(
     """The physical numbers of a weather for a sensor, as plain values.
 
     Args:
-        weather: a weather, or its text such as ``rain:rate=25``; its knob a single number.
+        weather: a weather, or its text such as ``rain:rate=25``; its intensity a single number.
         sensor: a sensor, or its text such as ``lidar:ouster-os1-128``.
         wavelength_nm: leaves one band of a camera or LiDAR, at this wavelength, 300-2500 nm.
         frequency_ghz: replaces the radar's carrier, 1-1000 GHz.
@@ -104,7 +104,7 @@ def explain(
     numbers["mor_m"] = _mor_m(present)
     for key in ("particles_per_m3", "liquid_water_g_per_m3"):
         numbers[key] = sum(part[key] for part in described)
-    fogs = [part.knob for part, _ in parts if isinstance(part, Fog)]
+    fogs = [part.intensity for part, _ in parts if isinstance(part, Fog)]
     if fogs:
         numbers["mor_nominal_m"] = float(fogs[0])
     numbers["parts"] = described
@@ -112,13 +112,14 @@ def explain(
 
 
 def _distribution(part: Weather) -> SizeDistribution:
-    knob = part.knob
-    if isinstance(knob, Tensor) and knob.numel() != 1:
+    intensity = part.intensity
+    if isinstance(intensity, Tensor) and intensity.numel() != 1:
         raise InputValueError(
-            f"explain: {part.knob_name} must be one number; got {knob.numel()} of them. Explain one sample at a time."
+            f"explain: {part.intensity_name} must be one number; got {intensity.numel()} of them. "
+            "Explain one sample at a time."
         )
     assert isinstance(part, (Rain, Fog, Snow))  # parse_weather and Mixture know no others
-    return part.distribution(float(knob))
+    return part.distribution(float(intensity))
 
 
 def _radar(radar: Radar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None) -> Radar:
@@ -281,9 +282,9 @@ def aligned(rows: list[list[str]]) -> list[str]:
 def _weather_text(weather: Mapping[str, Any]) -> str:
     if weather["kind"] == "mixture":
         return " with ".join(_weather_text(part) for part in weather["parts"])
-    knob = "mor_m" if weather["kind"] == "fog" else "rate_mm_per_h"
+    intensity = "mor_m" if weather["kind"] == "fog" else "rate_mm_per_h"
     patches = ", in patches, whose mean this is" if weather["patch_log_std"] else ""
-    return f"{weather['kind']} ({knob}={weather[knob]:g}{patches})"
+    return f"{weather['kind']} ({intensity}={weather[intensity]:g}{patches})"
 
 
 def _metres(value: float) -> str:

@@ -26,7 +26,7 @@ def weather_text(weather: Weather) -> str:
     """Weather in words: ``rain, 25 mm/h``."""
     if isinstance(weather, tw.Fog):
         return f"fog, visibility {float(weather.mor_m):g} m"
-    return f"{weather.kind}, {float(weather.knob):g} mm/h" if weather.knob else "clear air"
+    return f"{weather.kind}, {float(weather.intensity):g} mm/h" if weather.intensity else "clear air"
 
 
 def setting_text(name: str, setting: Mapping[str, Any], between: str = ", ") -> str:

@@ -405,9 +405,9 @@ def test_the_way_to_clutter_goes_through_the_patches_of_the_other_weather() -> N
 
 @pytest.mark.parametrize("given", [{"patch_log_std": -0.1}, {"patch_log_std": 3.0}, {"patch_length_m": 1.0}])
 def test_patches_beyond_reason_are_refused(given: dict[str, float]) -> None:
-    for kind, knob in ((Rain, 5.0), (Snow, 1.0), (Fog, 50.0)):
+    for kind, intensity in ((Rain, 5.0), (Snow, 1.0), (Fog, 50.0)):
         with pytest.raises(ValueError, match=next(iter(given))):
-            kind(knob, **given)
+            kind(intensity, **given)
 
 
 def test_what_knows_no_patches_says_so() -> None:

@@ -1,4 +1,4 @@
-"""Rain, Fog, Snow and Mixture: knobs, ranges, distributions, plain dictionaries."""
+"""Rain, Fog, Snow and Mixture: intensities, ranges, distributions, plain dictionaries."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from torchweather.core.distributions import LogUniform, Uniform
 def test_parts_of_a_mixture_are_drawn_apart() -> None:
     """Rain and snow with the same law of the rate would otherwise always fall together."""
     law = Uniform(1.0, 2.0)
-    rates = [[part.knob for part in Mixture(Rain(law), Snow(law)).drawn(seed).parts] for seed in range(20)]
+    rates = [[part.intensity for part in Mixture(Rain(law), Snow(law)).drawn(seed).parts] for seed in range(20)]
     assert all(rain != snow for rain, snow in rates)
     assert Rain(law).drawn(3) == Rain(law).drawn(3)
 
@@ -27,4 +27,4 @@ def test_parts_of_a_mixture_are_drawn_apart() -> None:
     ],
 )
 def test_the_densest_weather_of_a_law(weather: Rain | Snow | Fog, densest: float) -> None:
-    assert math.isclose(float(weather.densest().knob), densest)
+    assert math.isclose(float(weather.densest().intensity), densest)

@@ -24,9 +24,7 @@ from torchweather import io, metrics, scenes
 from torchweather.export import draw_feed, to_onnx
 from torchweather.gap import Study, find_gap
 from torchweather.radar.power_map import MapAxes, PowerScale
-from torchweather.recipes.pipelines import list_pipelines
-from torchweather.recipes.recipes import list_recipes, load_recipe
-from torchweather.recipes.suites import list_suites
+from torchweather.recipes import list_recipes, load_recipe
 from torchweather.stages import EFFECTS
 
 Case = Callable[[], Any]
@@ -192,9 +190,9 @@ def _recipes() -> dict[str, Case]:
         return {"class": type(transform).__name__, "buffers": transform.state_dict()}
 
     return {
-        "recipes/transforms": lambda: {recipe.name: built(recipe.name) for recipe in list_recipes()},
-        "recipes/multi_sensor": lambda: {one.name: _without_path(one) for one in list_pipelines()},
-        "recipes/suites": lambda: {one.name: _without_path(one) for one in list_suites()},
+        "recipes/transforms": lambda: {recipe.name: built(recipe.name) for recipe in list_recipes("transform")},
+        "recipes/multi_sensor": lambda: {one.name: _without_path(one) for one in list_recipes("multi_sensor")},
+        "recipes/suites": lambda: {one.name: _without_path(one) for one in list_recipes("suite")},
         "presets": lambda: [
             {name: repr(kind.preset(name)) for name in kind.presets()} for kind in (tw.Camera, tw.Lidar, tw.Radar)
         ],

@@ -23,7 +23,7 @@ ORACLES = Path(__file__).parents[1] / "oracles" / "physics_oracles.json"
 H, W = 32, 48
 RED_GREEN_BLUE_NM = (600.0, 530.0, 460.0)
 SKY = (0.5, 0.6, 0.7)
-# DESIGN.md 2: a coefficient's table over the knob is within 0.5 % of the coefficient.
+# DESIGN.md 2: a coefficient's table over the intensity is within 0.5 % of the coefficient.
 KNOB = 5e-3
 
 

@@ -263,9 +263,9 @@ def test_list_names_everything(run: Any) -> None:
     assert "ParticleVeil" in names["stages"]
     # Every name of a distribution is one that --weather takes.
     for kind, distributions in names["size_distributions"].items():
-        knob = "mor=30" if kind == "fog" else "rate=1"
+        intensity = "mor=30" if kind == "fog" else "rate=1"
         for distribution in distributions:
-            assert parse_weather(f"{kind}:{knob},size_distribution={distribution}").kind == kind
+            assert parse_weather(f"{kind}:{intensity},size_distribution={distribution}").kind == kind
     _, text, _ = run("list")
     assert "camera/fog-30m" in text
 
@@ -387,7 +387,8 @@ def test_a_recipe_gives_weather_sensor_and_options_and_arguments_go_first(run: A
     write_image(tmp_path / "frame.png", raw_frame())
     recipe = tmp_path / "mine.yaml"
     recipe.write_text(
-        "format: torchweather-recipe/1\ntitle: mine\ntransform: BayerFog\nweather: {kind: fog, mor_m: 40}\n"
+        "format: torchweather-recipe/2\nkind: transform\ntitle: mine\ntransform: BayerFog\n"
+        "weather: {kind: fog, mor_m: 40}\n"
         "sensor: {kind: camera, preset: gopro-hero5-acdc}\noptions: {airlight: 0.6, depth: 25}\n"
     )
     argv = ["apply", "--recipe", recipe, tmp_path / "frame.png", "-o", tmp_path / "out", "--json", "--quiet"]

@@ -20,8 +20,8 @@ def tables(folder: Path, suffix: str = ".csv") -> list[str]:
     rows: list[tuple[Any, ...]] = []
     for number, ((weather, value), ap) in enumerate(zip(LEVELS, AP, strict=True)):
         for seed in (0, 1):
-            knob = "rate_mm_per_h" if weather == "rain" else "mor_m"
-            start = ("track", "camera", weather, knob, value, number % 3 + 1, seed)
+            intensity = "rate_mm_per_h" if weather == "rain" else "mor_m"
+            start = ("track", "camera", weather, intensity, value, number % 3 + 1, seed)
             rows += [(*start, "ssim", ap + 0.01 * seed), (*start, "psnr", [20.0, 35.0, 31.0, 22.0, 30.0, 21.0][number])]
     names = ("subject", "sensor", "weather", "knob", "value", "severity", "seed", "metric", "score")
     write_table(folder / f"scores{suffix}", dict(zip(names, map(list, zip(*rows, strict=True)), strict=True)))

@@ -17,7 +17,7 @@ from torchweather.cli import main
 from torchweather.io import read_points, write_points
 from torchweather.lidar import own_vehicle_mask
 from torchweather.lidar.sweep.drive_sweeps import MOST_SWEEPS, evenly_chosen
-from torchweather.recipes.recipes import save_recipe
+from torchweather.recipes import save_recipe
 from torchweather.transforms import LidarFog
 
 PLACES = (0.0, 0.9, 1.7, 2.8, 4.1)

@@ -27,7 +27,7 @@ def test_severities_lie_on_both_sides_and_within_what_a_draw_holds() -> None:
     assert rates == [40.0, 10.0, 100.0]
     assert [one.rate_mm_per_h for _, one in severities(Snow(1.0))] == [1.0, 0.25, 4.0]
     both = severities(Mixture(Rain(4.0), Fog(mor_m=400.0)))
-    assert [[part.knob for part in one.parts] for _, one in both] == [[400.0, 4.0], [1600.0, 1.0], [100.0, 16.0]]
+    assert [[part.intensity for part in one.parts] for _, one in both] == [[400.0, 4.0], [1600.0, 1.0], [100.0, 16.0]]
 
 
 def test_an_image_gets_a_page_with_three_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

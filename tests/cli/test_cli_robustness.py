@@ -31,8 +31,8 @@ from torchweather.cli import main
 from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.evaluation.sweep import CameraSubject
 from torchweather.io import PointLabels, read_table, write_image, write_labels
-from torchweather.recipes.recipes import recipes_folder
-from torchweather.recipes.suites import Suite, read_suite
+from torchweather.recipes import read_recipe, recipes_folder
+from torchweather.recipes.suite import SuiteRecipe
 from torchweather.sensors import Camera
 
 
@@ -112,7 +112,7 @@ def test_a_frame_keeps_its_storm_over_all_severities_and_frames_differ(tmp_path:
         for name in ("a", "b")
     ]
     detector = OnnxDetector(camera_model(tmp_path), read_declaration(tmp_path / "model.yaml"))
-    suite = Suite(
+    suite = SuiteRecipe(
         "rain", "", {"kind": "camera"}, {"rain": {"kind": "rain", "rate_mm_per_h": [1.0, 5.0, 10.0, 20.0, 40.0]}}
     )
     run_robustness(frames, detector, suite.conditions(), seeds=2, metrics=[])
@@ -237,7 +237,7 @@ WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "recipe of another sensor": (replaced("--recipe", "imaging-fog-20m"), "radar/imaging-fog-20m is for a radar"),
     "unknown recipe": (replaced("--recipe", "camera/robustnes"), "Did you mean 'camera/robustness'"),
     "drawn weather": (drawn_weather, "a condition is one weather"),
-    "several sensors": (replaced("--recipe", "multi_sensor/training-mix"), "where a suite or recipe is wanted"),
+    "several sensors": (replaced("--recipe", "multi_sensor/training-mix"), "is of kind multi_sensor; expected suite or transform"),
     "sensor": (replaced("--sensor", "lidar:os1"), "--sensor is a lidar; the detector is for a camera"),
     "argument of a lidar": (replaced("--max-range-m", "50"), "--max-range-m is for a lidar"),
     "overlap": (replaced("--iou", "50"), "--iou must be numbers in (0, 1]"),
@@ -292,4 +292,4 @@ def test_a_recipe_is_one_condition(done: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_the_default_is_the_suite_of_the_sensor() -> None:
-    assert read_suite("camera/robustness").sensor_kind == "camera"
+    assert read_recipe("camera/robustness", "suite").sensor_kind == "camera"

@@ -25,7 +25,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.evaluation.robustness import BoxTruth, LabelledFrame, OnnxDetector, read_declaration, run_robustness
 from torchweather.evaluation.sweep import CameraSubject
 from torchweather.io import read_table, write_image
-from torchweather.recipes.suites import read_suite
+from torchweather.recipes import read_recipe
 from torchweather.sensors import Camera
 
 
@@ -70,7 +70,7 @@ def test_frames_of_guessed_depth_are_refused_in_python_too(tmp_path: Path) -> No
         for sure in ("measured", "guessed")
     )
     detector = OnnxDetector(camera_model(tmp_path), read_declaration(tmp_path / "model.yaml"))
-    conditions = read_suite(own_suite(tmp_path)).conditions()[:1]
+    conditions = read_recipe(own_suite(tmp_path), "suite").conditions()[:1]
     frames = [LabelledFrame("a", measured, truth), LabelledFrame("b", guessed, truth)]
     with pytest.raises(TorchweatherError, match="depth of b is guessed"):
         run_robustness(frames, detector, conditions, metrics=[])

@@ -79,7 +79,7 @@ def test_the_command_line_knows_ranges_where_they_are_wanted() -> None:
         (lambda: tw.Rain(rate_mm_per_h=(1, 2, 3)), r"a pair \(low, high\)"),
         (lambda: tw.Fog(mor_m=(0, 50)), "mor_m must be.* above 0"),
         (lambda: tw.Snow(rate_mm_per_h=1.0, melt_fraction=Uniform(0, 1.5)), "melt_fraction must lie"),
-        (lambda: tw.Rain(rate_mm_per_h=(1, 5)).knob, "has yet|must be a number here"),
+        (lambda: tw.Rain(rate_mm_per_h=(1, 5)).intensity, "has yet|must be a number here"),
         (lambda: tw.Rain(rate_mm_per_h=(1, 5)).distribution(), "must be a number here"),
     ],
 )

@@ -1,4 +1,4 @@
-"""ONNX: onnxruntime gives what torch gives, at other sizes, knobs and intrinsics than those traced."""
+"""ONNX: onnxruntime gives what torch gives, at other sizes, intensities and intrinsics than those traced."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def mixture(size: tuple[int, int], rate: Any = 10.0, mor_m: Any = 30.0) -> Bayer
 @dataclass(frozen=True)
 class Case:
     make: Callable[..., BayerWeather]
-    knobs: dict[str, float]
+    intensities: dict[str, float]
     """Graph input and a value other than the constructor's."""
 
 
@@ -101,7 +101,7 @@ class Graph:
         self.session = onnxruntime.InferenceSession(self.path, options, providers=["CPUExecutionProvider"])
 
     def __call__(
-        self, of: Camera, bayer: Tensor, depth: Tensor, knobs: dict[str, float], feed: dict[str, Float]
+        self, of: Camera, bayer: Tensor, depth: Tensor, intensities: dict[str, float], feed: dict[str, Float]
     ) -> Float:
         fx, fy, cx, cy = (np.float32(value) for value in of.intrinsics)
         given = {
@@ -111,7 +111,7 @@ class Graph:
             "fy": fy,
             "cx": cx,
             "cy": cy,
-            **{key: np.array([value], np.float32) for key, value in knobs.items()},
+            **{key: np.array([value], np.float32) for key, value in intensities.items()},
             **feed,
         }
         (signal,) = self.session.run(None, {key: np.asarray(value) for key, value in given.items()})
@@ -142,15 +142,15 @@ def scene(size: tuple[int, int]) -> tuple[Tensor, Tensor]:
 
 @every_case
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_knobs(
+def test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_intensities(
     graphs: Callable[[str], Graph], name: str, size: tuple[int, int]
 ) -> None:
     case, graph = CASES[name], graphs(name)
     bayer, depth = scene(size)
-    transform = at_size(case.make(TRACED, *case.knobs.values()), size)
+    transform = at_size(case.make(TRACED, *case.intensities.values()), size)
     wanted = transform(bayer, depth, transform.draw(bayer, seed=5))
     feed = draw_feed(graph.session, height=size[0], width=size[1], seed=5)
-    got = graph(transform.camera, bayer, depth, case.knobs, feed)
+    got = graph(transform.camera, bayer, depth, case.intensities, feed)
     assert got.shape == (1, 1, *size)
     assert float((wanted - bayer).abs().max()) > 100 * TOLERANCE  # there is something to compare
     assert np.abs(got - wanted.numpy()).max() < TOLERANCE
@@ -160,14 +160,14 @@ def test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_knobs(
 def test_the_intrinsics_are_inputs_of_the_graph(graphs: Callable[[str], Graph], name: str) -> None:
     case, graph, size = CASES[name], graphs(name), SIZES[0]
     bayer, depth = scene(size)
-    built = case.make(TRACED, *case.knobs.values())
+    built = case.make(TRACED, *case.intensities.values())
     other = at_size(built, size, fx=100.0, fy=90.0, cx=20.0, cy=15.5)
     noise = other.draw(bayer, seed=9)
     wanted = other(bayer, depth, noise)
     feed = {key: value.numpy() for key, value in noise.items()}
-    got = graph(other.camera, bayer, depth, case.knobs, feed)
+    got = graph(other.camera, bayer, depth, case.intensities, feed)
     assert np.abs(got - wanted.numpy()).max() < TOLERANCE
-    as_traced = graph(at_size(built, size).camera, bayer, depth, case.knobs, feed)
+    as_traced = graph(at_size(built, size).camera, bayer, depth, case.intensities, feed)
     assert np.abs(as_traced - got).max() > 10 * TOLERANCE
 
 
@@ -176,7 +176,7 @@ def test_the_inputs_are_named_in_order(graphs: Callable[[str], Graph], name: str
     graph = graphs(name)
     noise = list(CASES[name].make(TRACED).draw(torch.zeros(1, *TRACED), seed=0))
     assert graph.inputs[:6] == ["bayer", "depth", "fx", "fy", "cx", "cy"]
-    assert sorted(graph.inputs[6:]) == sorted([*CASES[name].knobs, *noise])
+    assert sorted(graph.inputs[6:]) == sorted([*CASES[name].intensities, *noise])
     # Of BayerFog with the frame's own sky the graph needs all of them; an input that nothing reads may be left out.
     assert {node.name for node in graph.session.get_inputs()} <= set(graph.inputs)
 
@@ -277,9 +277,9 @@ def test_the_graph_knows_no_weather_at_zero_rate_and_infinite_visibility(
 ) -> None:
     graph, size = graphs(name), SIZES[0]
     bayer, depth = scene(size)
-    knobs = {key: math.inf if key == "mor_m" else 0.0 for key in CASES[name].knobs}
+    intensities = {key: math.inf if key == "mor_m" else 0.0 for key in CASES[name].intensities}
     feed = draw_feed(graph.session, height=size[0], width=size[1], seed=1)
-    assert np.array_equal(graph(camera(*size), bayer, depth, knobs, feed), bayer.numpy())
+    assert np.array_equal(graph(camera(*size), bayer, depth, intensities, feed), bayer.numpy())
 
 
 def test_more_rain_never_lowers_the_mask_in_the_graph(graphs: Callable[[str], Graph]) -> None:

@@ -52,13 +52,13 @@ def scene(size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     return bayer, depth
 
 
-def camera_feed(of: Camera, bayer: Tensor, depth: Tensor, **knobs: float) -> dict[str, Any]:
+def camera_feed(of: Camera, bayer: Tensor, depth: Tensor, **intensities: float) -> dict[str, Any]:
     intrinsics = dict(zip(("fx", "fy", "cx", "cy"), of.intrinsics, strict=True))
     return {
         "bayer": bayer.numpy(),
         "depth": depth.numpy(),
         **{name: np.array(value, np.float32) for name, value in intrinsics.items()},
-        **{name: np.array([value], np.float32) for name, value in knobs.items()},
+        **{name: np.array([value], np.float32) for name, value in intensities.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""ONNX of the LiDAR transforms: onnxruntime gives what torch gives, for other clouds and knobs than those traced."""
+"""ONNX of the LiDAR transforms: onnxruntime gives what torch gives, for other clouds and intensities than those traced."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def mixture() -> LidarWeather:
 @dataclass(frozen=True)
 class Case:
     make: Callable[[], LidarWeather]
-    knobs: dict[str, tuple[float, ...]]
+    intensities: dict[str, tuple[float, ...]]
     """Graph input, and a value for each sample, none as in the constructor."""
     columns: int = 4
     options: dict[str, Any] = field(default_factory=dict)
@@ -115,24 +115,24 @@ class Graph:
         self.session = onnxruntime.InferenceSession(self.path, options, providers=["CPUExecutionProvider"])
 
     def __call__(
-        self, points: Tensor, along: Tensor | None, knobs: dict[str, Array], noise: dict[str, Array]
+        self, points: Tensor, along: Tensor | None, intensities: dict[str, Array], noise: dict[str, Array]
     ) -> dict[str, Array]:
-        given = {"points": points.numpy(), **knobs, **noise}
+        given = {"points": points.numpy(), **intensities, **noise}
         if along is not None:
             given["directions"] = along.numpy()
         outputs = [output.name for output in self.session.get_outputs()]
         return dict(zip(outputs, self.session.run(None, given), strict=True))
 
-    def knobs(self, batch: int) -> dict[str, Array]:
-        return {key: np.array(values[:batch], np.float32) for key, values in self.case.knobs.items()}
+    def intensities(self, batch: int) -> dict[str, Array]:
+        return {key: np.array(values[:batch], np.float32) for key, values in self.case.intensities.items()}
 
-    def at_knobs(self, batch: int) -> LidarWeather:
+    def at_intensities(self, batch: int) -> LidarWeather:
         """The transform with those values, its number of particles as exported."""
         transform = self.case.make()
         transform.sensor = replace(transform.sensor, directions=None)
-        transform.weather = Mixture(*(replace(part, **{part.knob_name: 1.0}) for part in transform.weather.parts))  # type: ignore[type-var]
+        transform.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in transform.weather.parts))  # type: ignore[type-var]
         for module in transform.modules():
-            for key, values in self.knobs(batch).items():
+            for key, values in self.intensities(batch).items():
                 if key in dict(module.named_buffers(recurse=False)):
                     module.register_buffer(key, torch.from_numpy(values))
         return transform
@@ -166,7 +166,7 @@ def assert_same_cloud(got: Array, wanted: Array) -> None:
 
 @every_case
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_onnxruntime_gives_what_torch_gives_for_other_clouds_and_knobs(
+def test_onnxruntime_gives_what_torch_gives_for_other_clouds_and_intensities(
     graphs: Callable[[str], Graph], name: str, size: tuple[int, int]
 ) -> None:
     graph = graphs(name)
@@ -174,9 +174,9 @@ def test_onnxruntime_gives_what_torch_gives_for_other_clouds_and_knobs(
     directions = along if graph.case.directions else None
     batch, count = size
     noise = draw_feed(graph.session, points=count, seed=range(5, 5 + batch))
-    got = graph(points, directions, graph.knobs(batch), noise)
+    got = graph(points, directions, graph.intensities(batch), noise)
     torch_noise = {key: torch.from_numpy(array) for key, array in noise.items()}
-    wanted = graph.at_knobs(batch).run(points, torch_noise, directions=directions)
+    wanted = graph.at_intensities(batch).run(points, torch_noise, directions=directions)
     assert isinstance(wanted.points, Tensor)
     assert isinstance(wanted.kind, Tensor)
     for kind in (PointKind.OBJECT, PointKind.PARTICLE):  # there is something to compare
@@ -229,9 +229,9 @@ def test_with_a_detector_in_the_graph_it_gives_what_torch_gives(
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     noise = draw_feed(session, points=count, seed=range(5, 5 + batch))
     names = ["logits", "near", "kind"]
-    got = session.run(names, {"points": points.numpy(), **given, **graph.knobs(batch), **noise})
+    got = session.run(names, {"points": points.numpy(), **given, **graph.intensities(batch), **noise})
     torch_noise = {key: torch.from_numpy(array) for key, array in noise.items()}
-    wanted = graph.at_knobs(batch).run(points, torch_noise, directions=along if given else None)
+    wanted = graph.at_intensities(batch).run(points, torch_noise, directions=along if given else None)
     assert isinstance(wanted.points, Tensor)
     assert isinstance(wanted.kind, Tensor)
     logits, near = Detector()(wanted.points)
@@ -249,7 +249,7 @@ def test_the_inputs_are_named_in_order(graphs: Callable[[str], Graph], name: str
     graph = graphs(name)
     noise = list(graph.transform.draw(torch.zeros(TRACED, graph.case.columns), seed=0))
     along = ["directions"] if graph.case.directions else []
-    assert graph.inputs == ["points", *along, *graph.case.knobs, *noise]
+    assert graph.inputs == ["points", *along, *graph.case.intensities, *noise]
     assert [node.name for node in graph.session.get_inputs()] == graph.inputs
 
 
@@ -291,9 +291,9 @@ def test_the_graph_knows_no_weather_at_zero_rate_and_infinite_visibility(
 ) -> None:
     graph = graphs(name)
     points, along = cloud_and_directions(1, 3000, graph.case.columns)
-    knobs = {key: np.array([math.inf if key == "mor_m" else 0.0], np.float32) for key in graph.case.knobs}
+    intensities = {key: np.array([math.inf if key == "mor_m" else 0.0], np.float32) for key in graph.case.intensities}
     noise = draw_feed(graph.session, points=3000, seed=1)
-    got = graph(points, along if graph.case.directions else None, knobs, noise)
+    got = graph(points, along if graph.case.directions else None, intensities, noise)
     assert np.array_equal(got["cloud"], points.numpy())
     empty = (points[..., :3] == 0).all(-1).numpy()
     assert np.array_equal(got["kind"], np.where(empty, PointKind.LOST, PointKind.OBJECT))
@@ -305,14 +305,14 @@ def test_beams_without_return_meet_flakes_only_where_the_graph_knows_their_direc
     points, along = cloud_and_directions(1, 3000)
     empty = (points[..., :3] == 0).all(-1).numpy()
     graph = graphs("snow")
-    got = graph(points, along, graph.knobs(1), draw_feed(graph.session, points=3000, seed=1))
+    got = graph(points, along, graph.intensities(1), draw_feed(graph.session, points=3000, seed=1))
     filled = empty & (got["kind"] == PointKind.PARTICLE)
     assert filled.sum() > 10
     place = got["cloud"][filled][:, :3]
     cosine = (place * along.numpy()[filled[0]]).sum(-1) / np.linalg.norm(place, axis=-1)
     assert (cosine > 1 - 1e-6).all()
     graph = graphs("rain")
-    got = graph(points, None, graph.knobs(1), draw_feed(graph.session, points=3000, seed=1))
+    got = graph(points, None, graph.intensities(1), draw_feed(graph.session, points=3000, seed=1))
     assert (got["kind"][empty] == PointKind.LOST).all()
     assert (got["cloud"][empty][:, :3] == 0).all()
 
@@ -321,7 +321,7 @@ def test_directions_of_any_length_point_the_same_way(graphs: Callable[[str], Gra
     graph = graphs("snow")
     points, along = cloud_and_directions(1, 3000)
     noise = draw_feed(graph.session, points=3000, seed=1)
-    unit, long = (graph(points, scale * along, graph.knobs(1), noise)["cloud"] for scale in (1.0, 3.0))
+    unit, long = (graph(points, scale * along, graph.intensities(1), noise)["cloud"] for scale in (1.0, 3.0))
     assert_same_cloud(long, unit)
 
 
@@ -355,8 +355,8 @@ def test_rates_of_a_mixture_are_named_by_their_kind() -> None:
     assert traceable.inputs[:4] == ["points", "mor_m", "rain_rate_mm_per_h", "snow_rate_mm_per_h"]
 
 
-def test_a_knob_for_each_sample_is_no_part_of_the_graph() -> None:
-    """Two rates given in the constructor fit two samples; the graph's knob fits any number of them."""
+def test_a_intensity_for_each_sample_is_no_part_of_the_graph() -> None:
+    """Two rates given in the constructor fit two samples; the graph's weather_intensity fits any number of them."""
     many = LidarRain(Rain(torch.tensor([1.0, 2.0, 3.0])), lidar())
     traceable = traceable_lidar(many, 10, 4, None)
     cloud, kind = traceable.module(*traceable.arguments)

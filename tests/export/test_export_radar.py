@@ -1,4 +1,4 @@
-"""ONNX of the radar: onnxruntime gives what torch gives, for other lists, knobs and cubes than those traced."""
+"""ONNX of the radar: onnxruntime gives what torch gives, for other lists, intensities and cubes than those traced."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def mixture() -> RadarAttenuation:
 class Case:
     make: Callable[[], RadarAttenuation]
     weather: Callable[..., Weather]
-    """Of the values of its knobs."""
-    knobs: dict[str, tuple[float, ...]]
+    """Of the values of its intensities."""
+    intensities: dict[str, tuple[float, ...]]
     """Graph input, and a value for each sample, none as in the constructor."""
     columns: int = 6
     clutter: int = 0
@@ -111,16 +111,16 @@ class Graph:
         self.inputs = to_onnx(self.transform, self.path, points=TRACED, columns=case.columns)
         self.session = opened(self.path)
 
-    def __call__(self, points: Tensor, knobs: dict[str, Array], noise: dict[str, Array]) -> dict[str, Array]:
-        return run(self.session, {"points": points.numpy(), **knobs, **noise})
+    def __call__(self, points: Tensor, intensities: dict[str, Array], noise: dict[str, Array]) -> dict[str, Array]:
+        return run(self.session, {"points": points.numpy(), **intensities, **noise})
 
-    def knobs(self, batch: int) -> dict[str, Array]:
-        return {key: np.array(values[:batch], np.float32) for key, values in self.case.knobs.items()}
+    def intensities(self, batch: int) -> dict[str, Array]:
+        return {key: np.array(values[:batch], np.float32) for key, values in self.case.intensities.items()}
 
-    def at_knobs(self, batch: int) -> RadarAttenuation:
-        """The transform with those values: built anew, so that every stage which the knob reaches has it."""
+    def at_intensities(self, batch: int) -> RadarAttenuation:
+        """The transform with those values: built anew, so that every stage which the intensity reaches has it."""
         transform = self.case.make()
-        values = [torch.from_numpy(value) for value in self.knobs(batch).values()]
+        values = [torch.from_numpy(value) for value in self.intensities(batch).values()]
         options: dict[str, Any] = {"lost": transform.lost}
         for stage in transform.chain.stages.values():
             if hasattr(stage, "film_db"):
@@ -165,16 +165,16 @@ def assert_close(got: Array, wanted: Array, tolerance: float) -> None:
 
 @every_case
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_onnxruntime_gives_what_torch_gives_for_other_lists_and_knobs(
+def test_onnxruntime_gives_what_torch_gives_for_other_lists_and_intensities(
     graphs: Callable[[str], Graph], name: str, size: tuple[int, int]
 ) -> None:
     graph = graphs(name)
     batch, count = size
     points = detections(graph.transform.sensor, *size, graph.case.columns)
     noise = draw_feed(graph.session, points=count, seed=range(5, 5 + batch))
-    got = graph(points, graph.knobs(batch), noise)
+    got = graph(points, graph.intensities(batch), noise)
     torch_noise = {key: torch.from_numpy(array) for key, array in noise.items()}
-    wanted = graph.at_knobs(batch).run(points, torch_noise)
+    wanted = graph.at_intensities(batch).run(points, torch_noise)
     assert isinstance(wanted.points, Tensor)
     assert isinstance(wanted.kind, Tensor)
     assert isinstance(wanted.snr_db, Tensor)
@@ -204,7 +204,7 @@ def test_onnxruntime_gives_what_torch_gives_for_other_lists_and_knobs(
 def test_the_inputs_are_named_in_order(graphs: Callable[[str], Graph], name: str) -> None:
     graph = graphs(name)
     noise = list(graph.transform.draw(torch.zeros(TRACED, graph.case.columns), seed=0))
-    assert graph.inputs == ["points", *graph.case.knobs, *noise]
+    assert graph.inputs == ["points", *graph.case.intensities, *noise]
     assert [node.name for node in graph.session.get_inputs()] == graph.inputs
     assert [node.name for node in graph.session.get_outputs()] == ["detections", "kind", "snr_db", "attenuation_db"]
 
@@ -245,8 +245,8 @@ assert "torch" not in sys.modules
 def test_no_weather_gives_the_input_back_bit_for_bit(graphs: Callable[[str], Graph], name: str) -> None:
     graph = graphs(name)
     points = detections(graph.transform.sensor, 2, 500, graph.case.columns)
-    knobs = {key: np.full(2, math.inf if key == "mor_m" else 0.0, np.float32) for key in graph.case.knobs}
-    got = graph(points, knobs, draw_feed(graph.session, points=500, seed=[1, 2]))
+    intensities = {key: np.full(2, math.inf if key == "mor_m" else 0.0, np.float32) for key in graph.case.intensities}
+    got = graph(points, intensities, draw_feed(graph.session, points=500, seed=[1, 2]))
     assert got["detections"][:, :500].tobytes() == points.numpy().tobytes()
     empty = (points[..., :3] == 0).all(-1).numpy()
     assert np.array_equal(got["kind"][:, :500], np.where(empty, PointKind.LOST, PointKind.OBJECT))
@@ -277,8 +277,8 @@ def test_the_transform_is_left_as_it_was(graphs: Callable[[str], Graph], name: s
     assert not list(graph.path.parent.glob(".*"))  # nothing half written
 
 
-def test_a_knob_for_each_sample_is_no_part_of_the_graph() -> None:
-    """Three rates given in the constructor fit three samples; the graph's knob fits any number of them."""
+def test_a_intensity_for_each_sample_is_no_part_of_the_graph() -> None:
+    """Three rates given in the constructor fit three samples; the graph's intensity fits any number of them."""
     traceable = traceable_radar(RadarAttenuation(Rain(torch.tensor([1.0, 2.0, 3.0])), radar()), 10, 6)
     found, kind, snr_db, attenuation_db = traceable.module(*traceable.arguments)
     assert found.shape == (2, 10, 6)

@@ -84,7 +84,7 @@ def endless_fog_of_mosaic(mor_m: float = 50.0) -> BayerWeather:
 @dataclass(frozen=True)
 class Case:
     make: Callable[..., Image]
-    knobs: dict[str, float]
+    intensities: dict[str, float]
     """Graph input and a value other than the constructor's."""
     options: dict[str, Any] = field(default_factory=dict)
 
@@ -152,7 +152,7 @@ def opened(path: Path) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
 
 
-def feed_of(of: Camera, image: Tensor, found: SceneDepth, *, masks: bool, **knobs: float) -> dict[str, Any]:
+def feed_of(of: Camera, image: Tensor, found: SceneDepth, *, masks: bool, **intensities: float) -> dict[str, Any]:
     feed = {"rgb" if image.shape[1] == 3 else "bayer": image.numpy(), "depth": found.depth_m.numpy()}
     if masks:
         assert found.sky is not None
@@ -160,7 +160,7 @@ def feed_of(of: Camera, image: Tensor, found: SceneDepth, *, masks: bool, **knob
         feed |= {"sky": found.sky.numpy(), "near_mask": found.near_mask.numpy()}
     intrinsics = dict(zip(("fx", "fy", "cx", "cy"), of.intrinsics, strict=True))
     feed |= {name: np.array(value, np.float32) for name, value in intrinsics.items()}
-    return feed | {name: np.array([value], np.float32) for name, value in knobs.items()}
+    return feed | {name: np.array([value], np.float32) for name, value in intensities.items()}
 
 
 class Graph:
@@ -178,19 +178,19 @@ class Graph:
         return SIZES if self.planes == 3 else [(24, 56), (70, 38)]
 
     def run(
-        self, image: Tensor, found: SceneDepth, knobs: dict[str, float] | None = None, **intrinsics: float
+        self, image: Tensor, found: SceneDepth, intensities: dict[str, float] | None = None, **intrinsics: float
     ) -> Float:
         """By onnxruntime, from a seed."""
         size = size_of(image)
         noise = draw_feed(self.session, height=size[0], width=size[1], seed=5)
         of = camera_of(at_size(self.transform, size, **intrinsics))
-        feed = feed_of(of, image, found, masks=self.case.masks, **(knobs or self.case.knobs))
+        feed = feed_of(of, image, found, masks=self.case.masks, **(intensities or self.case.intensities))
         (given,) = self.session.run(None, feed | noise)
         return np.asarray(given)
 
     def by_torch(self, image: Tensor, found: SceneDepth, **intrinsics: float) -> Float:
         """By torch, from the same seed."""
-        there = at_size(self.case.make(*self.case.knobs.values()), size_of(image), **intrinsics)
+        there = at_size(self.case.make(*self.case.intensities.values()), size_of(image), **intrinsics)
         noise = there.draw(image, seed=5)
         return there(image, found if self.case.masks else found.depth_m, noise).numpy()
 
@@ -218,7 +218,7 @@ def graphs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Graph]:
 
 @every_case
 @pytest.mark.parametrize("number", [0, 1])
-def test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_knobs(
+def test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_intensities(
     graphs: Callable[[str], Graph], name: str, number: int
 ) -> None:
     graph = graphs(name)
@@ -286,8 +286,8 @@ def test_at_zero_rate_and_infinite_visibility_the_image_comes_back_bit_for_bit(
     graph = graphs(name)
     image, found = scene(graph.sizes()[0], graph.planes)
     image[..., 2, :3] = torch.tensor([0.0, 1.0, 0.04045])
-    knobs = {key: math.inf if key == "mor_m" else 0.0 for key in graph.case.knobs}
-    assert graph.run(image, found, knobs).tobytes() == image.numpy().tobytes()
+    intensities = {key: math.inf if key == "mor_m" else 0.0 for key in graph.case.intensities}
+    assert graph.run(image, found, intensities).tobytes() == image.numpy().tobytes()
 
 
 def test_the_own_vehicle_keeps_its_bits_in_rain(graphs: Callable[[str], Graph]) -> None:
@@ -315,7 +315,7 @@ def test_the_inputs_are_named_in_order(graphs: Callable[[str], Graph], name: str
     data = ["rgb" if graph.planes == 3 else "bayer", "depth", *shares, "fx", "fy", "cx", "cy"]
     noise = list(graph.transform.draw(torch.zeros(graph.planes, *TRACED), seed=0))
     assert graph.inputs[: len(data)] == data
-    assert sorted(graph.inputs[len(data) :]) == sorted([*graph.case.knobs, *noise])
+    assert sorted(graph.inputs[len(data) :]) == sorted([*graph.case.intensities, *noise])
     assert {node.name for node in graph.session.get_inputs()} <= set(graph.inputs)
     (output,) = graph.session.get_outputs()
     assert output.name == ("weathered" if graph.planes == 3 else "signal")

@@ -23,8 +23,8 @@ from torchweather.gap.gap_report import _standard_error, gap_report, read_model,
 from torchweather.gap.inference.clear_air import ClearAir
 from torchweather.gap.inference.empirical_fit import Departures
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import Setting
-from torchweather.gap.inference.simulated_distribution import Baseline, Target, Whitening
+from torchweather.gap.inference.likelihood import ParameterPoint
+from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution, Whitening
 from torchweather.gap.inference.unknown import log_chance, without_means
 from torchweather.gap.model_file import Additions
 from torchweather.gap.statistics.frame_statistics import Group, Layout
@@ -57,13 +57,13 @@ def condition(name: str) -> Any:
     return SimpleNamespace(id=name, weather=weather, rel_sd=rel_sd, scene="s0")
 
 
-def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> Baseline:
+def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> SimulatedDistribution:
     """The simulator: everything 0.5 with one scatter, with whole frames so many times that; correlations of 0.3 between
     neighbours."""
     values = np.full(SIZE, mean)
     correlation = np.eye(SIZE) + 0.3 * (np.eye(SIZE, k=1) + np.eye(SIZE, k=-1))
     used = np.ones(SIZE, bool)
-    return Baseline(
+    return SimulatedDistribution(
         {name: values + off.get(name, np.zeros(SIZE)) for name in CONDITIONS},
         {name: np.full(SIZE, SD) for name in CONDITIONS},
         {name: np.full(SIZE, whole * SD) for name in CONDITIONS},
@@ -78,7 +78,9 @@ def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> Baseline:
 def result(verdict: str, departure: Floats, left: Floats | None = None, whole: float = 1.0, **more: Any) -> Any:
     """A result whose conditions all depart from the simulation by ``departure``, of which ``left`` is not explained."""
     start = base(whole=whole)
-    measured = [Target(condition(name), start.mean[name] + departure, np.ones(SIZE, bool), 5) for name in CONDITIONS]
+    measured = [
+        Observation(condition(name), start.mean[name] + departure, np.ones(SIZE, bool), 5) for name in CONDITIONS
+    ]
     weight = np.full((5, LAYOUT.bins), 200.0)
     shared = {"fit": (), "holdout": (), "catalogue": ["lidar.window_loss"]}
     model = SimpleNamespace(layout=LAYOUT, measured=lambda _: SimpleNamespace(weight=weight), **shared)
@@ -88,7 +90,7 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, whole: f
         model=model,
         measured=measured,
         start=start,
-        origin=Setting(),
+        origin=ParameterPoint(),
         simulated_frames=100,
         seed=0,
         catalogue_effects=lambda setting: [EFFECTS[name](**values) for name, values in setting.values.items()],
@@ -224,7 +226,7 @@ def test_nothing_is_unknown_where_nothing_is_left(verdict: str) -> None:
 def fitted(**values: Any) -> dict[str, Any]:
     """A fit of window loss, which takes away what is uniform; a rival that is a pair with range noise."""
     uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
-    setting = Setting({"lidar.window_loss": {"loss_db": 1.5}}, {"c0": 0.05, "c1": -0.1, "c2": 0.1})
+    setting = ParameterPoint({"lidar.window_loss": {"loss_db": 1.5}}, {"c0": 0.05, "c1": -0.1, "c2": 0.1})
     fit = SimpleNamespace(
         setting=setting,
         base=base(**dict.fromkeys(CONDITIONS, uniform)),
@@ -232,7 +234,7 @@ def fitted(**values: Any) -> dict[str, Any]:
         covariance=np.eye(1) * 0.01,
         names=(("lidar.window_loss", "loss_db"),),
     )
-    rival = Setting({"lidar.range_noise": {"std_m": 0.1}, "lidar.threshold_shift": {"shift_db": 1.0}})
+    rival = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.threshold_shift": {"shift_db": 1.0}})
     other = SimpleNamespace(setting=rival, base=base(), misfit=61.0)
     best = SimpleNamespace(id="lidar.window_loss", fit=fit, gain=100.0)
     second = SimpleNamespace(id="lidar.threshold_shift", fit=other, gain=99.0)
@@ -261,7 +263,7 @@ def test_both_effects_of_a_rival_pair_can_be_mistaken_for_it() -> None:
 def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round(verdict: str, right: float) -> None:
     """The first round was led by another effect, which the pair replaced; no name is surer than names were right."""
     first = fitted()["rounds"]
-    pair = Setting({"lidar.range_noise": {"std_m": 0.1}, "lidar.blind_zone": {"range_m": 2.0}})
+    pair = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.blind_zone": {"range_m": 2.0}})
     names = (("lidar.range_noise", "std_m"), ("lidar.blind_zone", "range_m"))
     fit = SimpleNamespace(setting=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
     best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
@@ -432,13 +434,13 @@ VALID: dict[str, Any] = {
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "wanted effects of format"),
-        ("- 1", "wanted effects of format"),
-        ("a: [", "wanted a model written by GapReport.write"),
-        ("!!python/object/apply:os.system [ls]", "wanted a model written by GapReport.write"),
+        ("", "format must be"),
+        ("- 1", "format must be"),
+        ("a: [", "expected YAML with a model written by GapReport.write"),
+        ("!!python/object/apply:os.system [ls]", "expected YAML with a model written by GapReport.write"),
         (
             yaml.safe_dump({**VALID, "format": "torchweather-model/9"}),
-            "wanted effects of format 'torchweather-model/1'",
+            "format must be 'torchweather-model/1'",
         ),
         (yaml.safe_dump({**VALID, "effects": 3}), "effects must be a list of effects; got 3"),
         (yaml.safe_dump({**VALID, "effects": [3]}), r"effects\[0\]: .*wanted a dictionary"),
@@ -447,7 +449,7 @@ VALID: dict[str, Any] = {
             yaml.safe_dump({**VALID, "effects": [{"effect": "lidar.window_loss", "loss": 1}]}),
             r"effects\[0\]: .*loss_db",
         ),
-        (yaml.safe_dump({**VALID, "empirical": [1]}), "empirical must be the arguments of an Empirical stage"),
+        (yaml.safe_dump({**VALID, "empirical": [1]}), "empirical must be keys with values, the arguments of an Empirical stage"),
         (yaml.safe_dump({**VALID, "empirical": {"kind": "intensity"}}), "empirical: .*missing"),
         (
             yaml.safe_dump({**VALID, "empirical": {**EMPIRICAL.config(), "kind": "x"}}),
@@ -463,5 +465,5 @@ def test_a_broken_file_is_named(text: str, said: str, tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(TorchweatherError, match=r"nowhere.yaml: wanted a model written by GapReport.write"):
+    with pytest.raises(TorchweatherError, match=r"nowhere.yaml: no such file; expected YAML with a model written by GapReport.write"):
         read_model(tmp_path / "nowhere.yaml")

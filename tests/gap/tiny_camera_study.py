@@ -46,7 +46,7 @@ def values_of(
     seen = view()
     conditions = []
     for weather, split in zip(WEATHERS[kind], SPLITS, strict=True):
-        true = replace(weather, **{weather.knob_name: weather.knob * float(np.exp(0.07 * rng.normal()))})
+        true = replace(weather, **{weather.intensity_name: weather.intensity * float(np.exp(0.07 * rng.normal()))})
         transform = BayerWeather(true, CAMERA, effects=effects)
         made = []
         for _ in range(frames):
@@ -54,7 +54,7 @@ def values_of(
             with torch.no_grad():
                 light = transform(seen.bayer[None], seen.depth_m[None], noise, normal=seen.normal[None])
             made.append({"bayer": noisy(light[0, 0].numpy(), rng)})
-        name = f"{kind} {weather.knob:g}"
+        name = f"{kind} {weather.intensity:g}"
         conditions.append(
             {"id": name, "scene": "s0", "weather": weather, "frames": made, "split": split, "rel_sd": 0.1}
         )

@@ -59,7 +59,7 @@ def test_a_numpy_array(tmp_path: Path, rows: int) -> None:
         ("pose.txt", text([2 * value for value in FLAT[:12]]), "expected a rotation"),
         ("pose.txt", text(torch.tensor(POSE).T.flatten().tolist()), "Is the matrix transposed"),
         ("pose.txt", text([float("nan"), *FLAT[1:12]]), "finite numbers"),
-        ("pose.json", "{", "wanted T_cloud_from_sensor"),
+        ("pose.json", "{", "expected JSON with T_cloud_from_sensor"),
         ("pose.json", "{}", "got nothing"),
         ("pose.json", '{"cam2img": 1}', "got cam2img"),
         ("pose.json", '{"translation": [1, 2], "rotation": [1, 0, 0, 0]}', "wanted T_cloud_from_sensor"),

@@ -14,7 +14,7 @@ from tests.recordings import recording
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.io import read_points
 from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
-from torchweather.recipes.recipes import load_recipe, save_recipe
+from torchweather.recipes import load_recipe, save_recipe
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.sensors import Lidar
 from torchweather.stages import PointKind

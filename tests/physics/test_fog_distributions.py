@@ -74,10 +74,10 @@ def test_scaling_keeps_the_shape() -> None:
     torch.testing.assert_close(ratio, torch.ones_like(ratio))
 
 
-def test_every_named_distribution_is_batched_over_its_knob() -> None:
-    knob = torch.tensor([5.0, 50.0])
+def test_every_named_distribution_is_batched_over_its_intensity() -> None:
+    intensity = torch.tensor([5.0, 50.0])
     for named in (*RAIN.values(), *SNOW.values(), *FOG.values()):
-        assert named(knob).total_per_m3.shape == (2,)
+        assert named(intensity).total_per_m3.shape == (2,)
         assert named(5.0).total_per_m3.shape == ()
 
 

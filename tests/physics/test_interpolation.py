@@ -1,4 +1,4 @@
-"""The table over the knob: accuracy, ends, gradients, export."""
+"""The table over the intensity: accuracy, ends, gradients, export."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from torchweather.physics import (
-    KnobTable,
+    InterpolationTable,
     default_fog,
     extinction_from_mor,
     extinction_per_m,
@@ -40,29 +40,29 @@ def _between_nodes(low: float, high: float) -> torch.Tensor:
     ids=["rain cross-section", "rain tail", "snow at 905 nm", "fog at 905 nm", "P.838"],
 )
 def test_coefficients_of_the_users_are_within_half_a_percent(function, low: float, high: float) -> None:
-    table = KnobTable(function, low, high, 96)
-    knob = _between_nodes(low, high)
-    error = (table(knob) / function(knob) - 1.0).abs().max()
+    table = InterpolationTable(function, low, high, 96)
+    intensity = _between_nodes(low, high)
+    error = (table(intensity) / function(intensity) - 1.0).abs().max()
     assert float(error) < HALF_A_PERCENT
 
 
 def test_a_power_law_is_exact_and_goes_on_outside() -> None:
-    table = KnobTable(lambda rate: 3.0 * rate**0.7, 1.0, 100.0, 5)
-    knob = torch.tensor([0.01, 1.0, 7.7, 100.0, 5000.0], dtype=torch.float64)
-    torch.testing.assert_close(table(knob), 3.0 * knob**0.7, rtol=1e-12, atol=0.0)
+    table = InterpolationTable(lambda rate: 3.0 * rate**0.7, 1.0, 100.0, 5)
+    intensity = torch.tensor([0.01, 1.0, 7.7, 100.0, 5000.0], dtype=torch.float64)
+    torch.testing.assert_close(table(intensity), 3.0 * intensity**0.7, rtol=1e-12, atol=0.0)
 
 
 def test_linear_values_hold_their_ends() -> None:
-    table = KnobTable(lambda rate: torch.log(rate), 1.0, 100.0, 5, log_values=False)
+    table = InterpolationTable(lambda rate: torch.log(rate), 1.0, 100.0, 5, log_values=False)
     got = table(torch.tensor([0.1, 1.0, 10.0, 1e4], dtype=torch.float64))
     torch.testing.assert_close(got, torch.tensor([0.0, 0.0, math.log(10.0), math.log(100.0)], dtype=torch.float64))
 
 
 def test_no_rain_and_unlimited_visibility_are_exactly_zero_with_finite_gradients() -> None:
-    rain = KnobTable(lambda rate: 1e-3 * rate**0.6, 0.1, 100.0, 8, zero_at_zero=True)
-    fog = KnobTable(extinction_from_mor, 5.0, 5000.0, 8, zero_at_inf=True)
-    for table, knob in ((rain, [0.0, 5.0]), (fog, [math.inf, 50.0])):
-        x = torch.tensor(knob, requires_grad=True)
+    rain = InterpolationTable(lambda rate: 1e-3 * rate**0.6, 0.1, 100.0, 8, zero_at_zero=True)
+    fog = InterpolationTable(extinction_from_mor, 5.0, 5000.0, 8, zero_at_inf=True)
+    for table, intensity in ((rain, [0.0, 5.0]), (fog, [math.inf, 50.0])):
+        x = torch.tensor(intensity, requires_grad=True)
         value = table(x)
         assert float(value[0].detach()) == 0.0
         assert float(value[1].detach()) > 0.0
@@ -72,18 +72,18 @@ def test_no_rain_and_unlimited_visibility_are_exactly_zero_with_finite_gradients
 
 
 def test_nan_stays_nan() -> None:
-    table = KnobTable(lambda rate: rate, 0.1, 100.0, 8, zero_at_zero=True)
+    table = InterpolationTable(lambda rate: rate, 0.1, 100.0, 8, zero_at_zero=True)
     assert bool(torch.isnan(table(torch.tensor(math.nan))))
 
 
 def test_gradient_is_that_of_the_function() -> None:
-    table = KnobTable(lambda rate: torch.stack([rate**0.5, 2.0 * rate], -1), 0.1, 100.0, 64)
-    knob = torch.tensor([0.33, 7.7], dtype=torch.float64, requires_grad=True)  # away from the nodes
-    assert torch.autograd.gradcheck(table, knob)
+    table = InterpolationTable(lambda rate: torch.stack([rate**0.5, 2.0 * rate], -1), 0.1, 100.0, 64)
+    intensity = torch.tensor([0.33, 7.7], dtype=torch.float64, requires_grad=True)  # away from the nodes
+    assert torch.autograd.gradcheck(table, intensity)
 
 
-def test_values_may_have_any_shape_and_dtype_follows_the_knob() -> None:
-    table = KnobTable(lambda rate: rate[:, None, None] * torch.ones(2, 3, dtype=torch.float64), 0.1, 10.0, 8)
+def test_values_may_have_any_shape_and_dtype_follows_the_intensity() -> None:
+    table = InterpolationTable(lambda rate: rate[:, None, None] * torch.ones(2, 3, dtype=torch.float64), 0.1, 10.0, 8)
     assert table(torch.ones(5, 4)).shape == (5, 4, 2, 3)
     assert table(torch.ones(())).shape == (2, 3)
     assert table(torch.ones(2)).dtype == torch.float32
@@ -96,7 +96,7 @@ def test_values_may_have_any_shape_and_dtype_follows_the_knob() -> None:
 def test_exported_table_gives_the_same_numbers(tmp_path: Path) -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    table = KnobTable(
+    table = InterpolationTable(
         lambda r: marshall_palmer(r).tail_per_m3(torch.tensor([0.5, 1.0])), 0.1, 300.0, 64, zero_at_zero=True
     )
     path = tmp_path / "table.onnx"
@@ -106,9 +106,9 @@ def test_exported_table_gives_the_same_numbers(tmp_path: Path) -> None:
             table, (torch.tensor([1.0, 2.0]),), path, dynamo=True, verbose=False, dynamic_shapes=({0: "batch"},)
         )
     session = onnxruntime.InferenceSession(path)
-    knob = torch.tensor([0.0, 0.05, 1.0, 25.0, 700.0])
-    (got,) = session.run(None, {session.get_inputs()[0].name: knob.numpy()})
-    np.testing.assert_allclose(got, table(knob).numpy(), rtol=2e-5)  # float32 graph
+    intensity = torch.tensor([0.0, 0.05, 1.0, 25.0, 700.0])
+    (got,) = session.run(None, {session.get_inputs()[0].name: intensity.numpy()})
+    np.testing.assert_allclose(got, table(intensity).numpy(), rtol=2e-5)  # float32 graph
 
 
 @pytest.mark.parametrize(
@@ -121,9 +121,9 @@ def test_exported_table_gives_the_same_numbers(tmp_path: Path) -> None:
 )
 def test_bad_ranges_are_refused(arguments: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        KnobTable(lambda rate: rate, **arguments)
+        InterpolationTable(lambda rate: rate, **arguments)
 
 
 def test_values_without_a_logarithm_are_refused() -> None:
     with pytest.raises(ValueError, match="log_values=False"):
-        KnobTable(lambda rate: rate - 1.0, 1.0, 2.0, 4)
+        InterpolationTable(lambda rate: rate - 1.0, 1.0, 2.0, 4)

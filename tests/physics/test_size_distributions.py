@@ -154,7 +154,7 @@ def test_log_normal_moments_are_those_of_the_textbook() -> None:
         (lambda s: Gamma(10.0, -0.5, s).moment(0.0), 2.0),
     ],
 )
-def test_gradients_in_the_knob(function, at: float) -> None:
+def test_gradients_in_the_intensity(function, at: float) -> None:
     assert torch.autograd.gradcheck(function, torch.tensor([at], dtype=torch.float64, requires_grad=True))
 
 

@@ -101,7 +101,7 @@ def test_samples_left_clear_keep_their_bits(name: str) -> None:
     make, data = SENSORS[name][0], SENSORS[name][1]()
     seeds = torch.tensor([1, 2, 3])
     drawn = weather_at_call(FIXED, 0.5, (3,), seeds.tolist(), "test")
-    wet = drawn.knob > 0  # type: ignore[operator]
+    wet = drawn.intensity > 0  # type: ignore[operator]
     assert 0 < int(wet.sum()) < 3
     found, always = make(FIXED, p=0.5)(data, seed=seeds), make(FIXED)(data, seed=seeds)
     for place in range(3):
@@ -115,7 +115,7 @@ def test_samples_left_clear_keep_their_bits(name: str) -> None:
 
 def test_the_share_of_samples_in_weather_is_p() -> None:
     drawn = weather_at_call(RANGE, 0.3, (4000,), range(4000), "test")
-    rate = drawn.knob
+    rate = drawn.intensity
     assert isinstance(rate, Tensor)
     wet = rate > 0
     # Binomial: 4000 samples, standard deviation 0.0072; four of them. Rates are uniform: mean 27.5, sd 13 / sqrt(1200).
@@ -127,16 +127,16 @@ def test_the_share_of_samples_in_weather_is_p() -> None:
 def test_parts_of_a_mixture_are_drawn_together_and_fog_clears_to_infinity() -> None:
     mixture = tw.Mixture(RANGE, tw.Fog(mor_m=(50.0, 500.0)))
     fog, rain = weather_at_call(mixture, 0.5, (64,), range(64), "test").parts
-    assert isinstance(fog.knob, Tensor)
-    assert isinstance(rain.knob, Tensor)
-    assert torch.equal(fog.knob.isinf(), rain.knob == 0)
-    assert fog.knob.isinf().any()
-    assert fog.knob.isfinite().any()
+    assert isinstance(fog.intensity, Tensor)
+    assert isinstance(rain.intensity, Tensor)
+    assert torch.equal(fog.intensity.isinf(), rain.intensity == 0)
+    assert fog.intensity.isinf().any()
+    assert fog.intensity.isfinite().any()
 
 
 def test_a_gradient_goes_to_a_rate_given_as_a_tensor() -> None:
     rate = torch.tensor(20.0, requires_grad=True)
-    drawn = weather_at_call(tw.Rain(rate), 0.5, (8,), range(8), "test").knob
+    drawn = weather_at_call(tw.Rain(rate), 0.5, (8,), range(8), "test").intensity
     assert isinstance(drawn, Tensor)
     drawn.sum().backward()
     assert float(rate.grad) == float((drawn > 0).sum())  # type: ignore[arg-type]

@@ -191,12 +191,12 @@ GOOD = "format: torchweather-chain/1\nstages:\n"
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("!!python/object/apply:os.system ['echo hacked']", "wanted a chain written by Chain.save"),
+        ("!!python/object/apply:os.system ['echo hacked']", "expected YAML with a chain written by Chain.save"),
         (
             GOOD + "- {name: a, stage: Quantise, levels: !!python/name:os.system }",
-            "wanted a chain written by Chain.save",
+            "stages[0].levels: expected YAML with a chain written by Chain.save",
         ),
-        ("[1, 2]", "wanted a chain of format 'torchweather-chain/1'; got 'list'"),
+        ("[1, 2]", "format must be 'torchweather-chain/1'; got 'list'"),
         ("format: torchweather-chain/99\nstages: []", "got 'torchweather-chain/99'"),
         ("format: torchweather-chain/1", "stages must be a list"),
         ("format: torchweather-chain/1\nstages: {a: b}", "stages must be a list"),

@@ -121,11 +121,11 @@ def test_gradients_reach_the_rate_also_where_there_is_none() -> None:
     values = values_of(TURN, "linear")
     values[0] = 0.0
     for rate in (0.0, 20.0):
-        knob = torch.tensor(rate, requires_grad=True)
-        transform = built(Rain(knob))
+        intensity = torch.tensor(rate, requires_grad=True)
+        transform = built(Rain(intensity))
         transform(values, transform.draw(values, seed=1)).sum().backward()
-        assert knob.grad is not None
-        assert torch.isfinite(knob.grad)
+        assert intensity.grad is not None
+        assert torch.isfinite(intensity.grad)
 
 
 def test_banks_of_rain_are_denser_in_some_directions() -> None:

@@ -124,7 +124,7 @@ def test_labels_say_what_the_rows_are(
     assert torch.equal(objects[:, [3, 5]], points[:, [3, 5]])
     # Twice the attenuation per km along each range, the cover on top: float32.
     range_m = points[:, :3].norm(dim=-1)
-    rain_mm_per_h = next((float(part.knob) for part in weather.parts if isinstance(part, Rain)), 0.0)
+    rain_mm_per_h = next((float(part.intensity) for part in weather.parts if isinstance(part, Rain)), 0.0)
     cover_db = options["radome_film_db"] * rain_mm_per_h ** (1.0 / 3.0)
     wanted = 2e-3 * transform.attenuation_db_per_km * range_m + cover_db
     assert torch.allclose(result.attenuation_db[:N][there], wanted[there], rtol=1e-4, atol=1e-3)

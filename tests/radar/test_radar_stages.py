@@ -75,7 +75,7 @@ def test_rain_costs_what_p838_says_there_and_back(frequency: str, polarisation: 
     other = P838[frequency]["gammaV" if polarisation == "h" else "gammaH"]
     for rate in (1.0, 25.0, 100.0):
         wanted = 2.0 * row[f"{rate:g}"]
-        # The knob is float32 and the table a power law through P.838's own.
+        # The intensity is float32 and the table a power law through P.838's own.
         assert gain_db(PathAttenuation([Rain(rate)], radar), 1000.0) == pytest.approx(-wanted, rel=2e-6)
         assert abs(other[f"{rate:g}"] / row[f"{rate:g}"] - 1.0) > 1e-4  # the other polarisation would be seen
 
@@ -165,13 +165,13 @@ KNOBS: dict[str, tuple[Weather, str, float, float]] = {
 def test_the_table_is_within_half_a_percent_of_the_function(
     weather: Weather, model: str, low: float, high: float
 ) -> None:
-    """DESIGN.md 2, at 600 knobs that are no nodes; the kink of the default fog at 50 m among them."""
-    knobs = torch.exp(torch.linspace(math.log(low), math.log(high), 600, dtype=torch.float64))
+    """DESIGN.md 2, at 600 intensities that are no nodes; the kink of the default fog at 50 m among them."""
+    intensities = torch.exp(torch.linspace(math.log(low), math.log(high), 600, dtype=torch.float64))
     if isinstance(weather, Fog) and low < 50.0 < high:
-        knobs = torch.cat([knobs, torch.linspace(49.0, 51.0, 201, dtype=torch.float64)])
-    wanted = weather_attenuation_db_per_km(weather, SENSOR, model, knobs)
+        intensities = torch.cat([intensities, torch.linspace(49.0, 51.0, 201, dtype=torch.float64)])
+    wanted = weather_attenuation_db_per_km(weather, SENSOR, model, intensities)
     stage = PathAttenuation([weather], SENSOR, **{f"{weather.kind}_model": model})
-    got = stage.parts[weather.kind].table(knobs)  # type: ignore[operator]
+    got = stage.parts[weather.kind].table(intensities)  # type: ignore[operator]
     assert float((got / wanted - 1.0).abs().max()) < 0.005
 
 
@@ -224,12 +224,12 @@ def test_a_frequency_outside_a_formula_is_refused_with_its_range() -> None:
     [(Rain, 0.0, 25.0, 1.0), (Snow, 0.0, 1.0, 1.0), (Fog, math.inf, 100.0, -1.0)],
     ids=["rain", "snow", "fog"],
 )
-def test_the_gradient_of_the_knob(make: Any, none: float, some: float, sign: float) -> None:
+def test_the_gradient_of_the_intensity(make: Any, none: float, some: float, sign: float) -> None:
     """More rain, or less visibility, takes more: against the difference quotient, and finite where nothing falls."""
-    knob = torch.tensor([none, some], dtype=torch.float64, requires_grad=True)
+    intensity = torch.tensor([none, some], dtype=torch.float64, requires_grad=True)
     state = state_of(at(150.0).expand(2, 1, 6))
-    loss = -PathAttenuation([make(knob)], SENSOR)(state, {}).gain_db[:, 0]
-    (gradient,) = torch.autograd.grad(loss.sum(), knob)
+    loss = -PathAttenuation([make(intensity)], SENSOR)(state, {}).gain_db[:, 0]
+    (gradient,) = torch.autograd.grad(loss.sum(), intensity)
     assert loss[0] == 0.0
     assert gradient[0] == 0.0
     step = 1e-3 * some

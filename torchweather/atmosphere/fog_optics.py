@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog
-from torchweather.physics import KnobTable, extinction_and_backscatter
+from torchweather.physics import InterpolationTable, extinction_and_backscatter
 
 __all__ = ["FogOptics", "mor_range_m"]
 
@@ -48,11 +48,11 @@ class FogOptics(nn.Module):
 
 
 @lru_cache(maxsize=32)
-def _table(size_distribution: str, contrast: float, temperature_c: float, wavelength_nm: float) -> KnobTable:
+def _table(size_distribution: str, contrast: float, temperature_c: float, wavelength_nm: float) -> InterpolationTable:
     fog = Fog(size_distribution=size_distribution, contrast=contrast, temperature_c=temperature_c)
 
     def optics(mor_m: Tensor) -> Tensor:
         both = extinction_and_backscatter(fog.distribution(mor_m), wavelength_nm, temperature_c=temperature_c)
         return torch.stack(both, -1)
 
-    return KnobTable(optics, *mor_range_m(fog), MOR_NODES, zero_at_inf=True)
+    return InterpolationTable(optics, *mor_range_m(fog), MOR_NODES, zero_at_inf=True)

@@ -1,8 +1,8 @@
 """Rain, Fog, Snow and Mixture: one description of the weather that drives every sensor.
 
-The knob of a weather (``rate_mm_per_h``, ``mor_m``) is a number or a tensor of the batch shape and may require
+The intensity of a weather (``rate_mm_per_h``, ``mor_m``) is a number or a tensor of the batch shape and may require
 grad; everything else is a plain number or a name. Every number may also be a distribution (``distributions``), and the
-knob a pair (low, high): then ``drawn`` gives one weather of it, and ``Compose`` draws one for each sample.
+intensity a pair (low, high): then ``drawn`` gives one weather of it, and ``Compose`` draws one for each sample.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ __all__ = [
     "Snow",
     "Weather",
     "check_drawn",
-    "check_knobs",
+    "check_intensities",
     "parse_weather",
     "weather_from_dict",
 ]
 
-Knob = float | Tensor
+Intensity = float | Tensor
 # What the constructors take: a distribution, and a pair for ``Uniform``, is drawn before anything is computed.
-Given = Knob | Distribution | tuple[float, float]
+Given = Intensity | Distribution | tuple[float, float]
 
 # Rates that the size distributions were fitted to, mm/h; outside them a weather warns once.
 RAIN_RATE_RANGE_MM_PER_H = (0.1, 200.0)
@@ -73,23 +73,30 @@ PATCH_LENGTH_LOW_M, PATCH_LENGTH_HIGH_M, PATCH_LOG_STD_HIGH = 5.0, 10_000.0, 2.0
 
 
 class Weather:
-    """What every weather has: a kind, a knob, a plain dictionary."""
+    """What every weather has: a kind, an intensity, a plain dictionary."""
 
     kind: ClassVar[str] = ""
-    knob_name: ClassVar[str] = ""
+    intensity_name: ClassVar[str] = ""
     patch_log_std: Given = 0.0
     patch_length_m: Given = 100.0
 
     @property
-    def knob(self) -> Knob:
+    def intensity(self) -> Intensity:
         """The rate or the visibility.
 
         Raises:
             ValueError: it has yet to be drawn.
         """
         check_drawn(self, owner=self)
-        value: Knob = getattr(self, self.knob_name)
+        value: Intensity = getattr(self, self.intensity_name)
         return value
+
+    @property
+    def knob(self) -> Intensity:
+        """Old name of ``intensity``; it goes with the next release."""
+        text = "Weather.knob is Weather.intensity now; the old name goes with the next release."
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return self.intensity
 
     @property
     def parts(self) -> tuple[Weather, ...]:
@@ -126,14 +133,14 @@ class Weather:
 
     def _ends_are_good(self) -> bool:
         """Whether anything is random; all that can be drawn has then been checked."""
-        knob = getattr(self, self.knob_name)
-        if isinstance(knob, (tuple, list)):
-            if len(knob) != 2 or isinstance(knob, list):
+        intensity = getattr(self, self.intensity_name)
+        if isinstance(intensity, (tuple, list)):
+            if len(intensity) != 2 or isinstance(intensity, list):
                 raise InputValueError(
-                    f"{type(self).__name__}: {self.knob_name} must be a number, a tensor, a pair (low, high) or a "
-                    f"distribution such as LogUniform(1, 50); got {knob!r}."
+                    f"{type(self).__name__}: {self.intensity_name} must be a number, a tensor, a pair (low, high) or a "
+                    f"distribution such as LogUniform(1, 50); got {intensity!r}."
                 )
-            object.__setattr__(self, self.knob_name, Uniform(*knob))
+            object.__setattr__(self, self.intensity_name, Uniform(*intensity))
         random = self.random
         first = {name: one.ends()[0] for name, one in random.items()}
         for name, one in random.items():
@@ -147,7 +154,7 @@ class Weather:
         check_between("patch_length_m", self.patch_length_m, *lengths_m, unit="m", owner=self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values that ``weather_from_dict`` takes and YAML can hold; a tensor knob is detached."""
+        """Plain values that ``weather_from_dict`` takes and YAML can hold; a tensor intensity is detached."""
         values: dict[str, Any] = {"kind": self.kind}
         for field in fields(self):  # type: ignore[arg-type]
             value = getattr(self, field.name)
@@ -172,7 +179,7 @@ class Weather:
                 continue
             if key not in known:
                 raise InputValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
-            if key == cls.knob_name and isinstance(value, list):
+            if key == cls.intensity_name and isinstance(value, list):
                 value = torch.tensor(value)
             if isinstance(value, Mapping):
                 if key == "size_distribution":
@@ -193,7 +200,7 @@ class _Precipitation(Weather):
     patch_log_std: Given = 0.0
     patch_length_m: Given = 100.0
 
-    knob_name: ClassVar[str] = "rate_mm_per_h"
+    intensity_name: ClassVar[str] = "rate_mm_per_h"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = (0.0, math.inf)
     families: ClassVar[Mapping[str, Any]] = {}
     particles: ClassVar[tuple[str, ...]] = ()
@@ -201,7 +208,7 @@ class _Precipitation(Weather):
     def __post_init__(self) -> None:
         if self._ends_are_good():
             return
-        rate = self.knob
+        rate = self.intensity
         check_between(
             "rate_mm_per_h",
             rate,
@@ -223,7 +230,7 @@ class _Precipitation(Weather):
                 f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
                 f"got {self.wind_m_per_s!r}."
             )
-        object.__setattr__(self, "rate_mm_per_h", _plain_knob(rate))
+        object.__setattr__(self, "rate_mm_per_h", _plain_intensity(rate))
         object.__setattr__(self, "wind_m_per_s", tuple(float(speed) for speed in self.wind_m_per_s))
         for speed in self.wind_m_per_s:
             check_between("wind_m_per_s", speed, -100.0, 100.0, unit="m/s", owner=self)
@@ -251,9 +258,9 @@ class _Precipitation(Weather):
         found = self.size_distribution
         return self.families[found](1.0).particle if isinstance(found, str) else found.particle
 
-    def distribution(self, rate_mm_per_h: Knob | None = None) -> SizeDistribution:
+    def distribution(self, rate_mm_per_h: Intensity | None = None) -> SizeDistribution:
         """Size distribution at a rate (the weather's own by default), per diameter of ``particle``."""
-        rate = self.knob if rate_mm_per_h is None else rate_mm_per_h
+        rate = self.intensity if rate_mm_per_h is None else rate_mm_per_h
         if isinstance(self.size_distribution, str):
             found: SizeDistribution = self.families[self.size_distribution](rate)
             return close_rate(found, rate) if self.close_rate else found
@@ -363,7 +370,7 @@ class Fog(Weather):
     """
 
     kind: ClassVar[str] = "fog"
-    knob_name: ClassVar[str] = "mor_m"
+    intensity_name: ClassVar[str] = "mor_m"
 
     mor_m: Given = math.inf
     size_distribution: str = "default"
@@ -415,7 +422,7 @@ class Fog(Weather):
         check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
         check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
         self._check_patches()
-        object.__setattr__(self, "mor_m", _plain_knob(self.knob))
+        object.__setattr__(self, "mor_m", _plain_intensity(self.intensity))
 
     def _check_measured(self) -> None:
         mor_m = torch.as_tensor(self.mor_m).detach()
@@ -438,13 +445,13 @@ class Fog(Weather):
         return cls(mor_m=float(mor_m), size_distribution=REHEARSE)
 
     @classmethod
-    def advection(cls, mor_m: Knob) -> Fog:
+    def advection(cls, mor_m: Intensity) -> Fog:
         """Advection fog (gamma distribution, effective radius 10 um) scaled to the visibility."""
         return cls(mor_m=mor_m, size_distribution="advection")
 
-    def distribution(self, mor_m: Knob | None = None) -> SizeDistribution:
+    def distribution(self, mor_m: Intensity | None = None) -> SizeDistribution:
         """Droplet size distribution at a visibility (the weather's own by default)."""
-        mor = self.knob if mor_m is None else mor_m
+        mor = self.intensity if mor_m is None else mor_m
         if self.size_distribution == REHEARSE:
             return _rehearse_between(mor)
         found: SizeDistribution = FOG[self.size_distribution](mor)
@@ -454,7 +461,7 @@ class Fog(Weather):
         return found.scaled(math.log(self.contrast) / math.log(MOR_CONTRAST))
 
 
-def _rehearse_between(mor_m: Knob) -> LogNormal:
+def _rehearse_between(mor_m: Intensity) -> LogNormal:
     """The measured fogs; ln N, ln r and sigma linear in ln V between them, held outside."""
     measured = [rehearse_fog(mor) for mor in REHEARSE_MOR_M]
     log_v = torch.log(torch.as_tensor(mor_m, dtype=torch.float64).clamp(REHEARSE_MOR_M[0], REHEARSE_MOR_M[-1]))
@@ -479,15 +486,15 @@ def check_drawn(weather: Weather, *, owner: object) -> None:
             )
 
 
-def check_knobs(weather: Weather, batch: Sequence[int], *, owner: object) -> None:
-    """Raise unless each knob is one value or one for each sample of the batch."""
+def check_intensities(weather: Weather, batch: Sequence[int], *, owner: object) -> None:
+    """Raise unless each intensity is one value or one for each sample of the batch."""
     check_drawn(weather, owner=owner)
     for part in weather.parts:
-        knob = part.knob
-        if isinstance(knob, Tensor) and knob.numel() != 1 and tuple(knob.shape) != tuple(batch):
+        intensity = part.intensity
+        if isinstance(intensity, Tensor) and intensity.numel() != 1 and tuple(intensity.shape) != tuple(batch):
             raise InputValueError(
-                f"{owner_name(owner)}: {part.knob_name} must be one value or one for each sample, shape "
-                f"{tuple(batch)}; got shape {tuple(knob.shape)}."
+                f"{owner_name(owner)}: {part.intensity_name} must be one value or one for each sample, shape "
+                f"{tuple(batch)}; got shape {tuple(intensity.shape)}."
             )
 
 
@@ -499,9 +506,9 @@ def _bins_to_dict(measured: Binned) -> dict[str, Any]:
     }
 
 
-def _plain_knob(knob: Knob) -> Knob:
+def _plain_intensity(intensity: Intensity) -> Intensity:
     """A number as Python has it, so that it prints and goes to YAML; a tensor stays."""
-    return knob if isinstance(knob, (Tensor, int, float)) else float(knob)
+    return intensity if isinstance(intensity, (Tensor, int, float)) else float(intensity)
 
 
 class Mixture(Weather):

@@ -18,7 +18,7 @@ from torchweather.camera.airlight import airlight_argument, given_or_estimated, 
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputTypeError, TorchweatherWarning, check_one_of
-from torchweather.physics import KnobTable, extinction_from_mor, extinction_per_m
+from torchweather.physics import InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -43,7 +43,7 @@ def _fog_table(
     model: str,
     contrast: float,
     variant: str | None,
-) -> KnobTable:
+) -> InterpolationTable:
     fog = Fog(mor_m=math.inf, size_distribution=size_distribution, contrast=contrast, temperature_c=temperature_c)
     if variant == "d3_4":
         return _table13_table()
@@ -56,10 +56,10 @@ def _fog_table(
         return torch.stack(bands, -1)
 
     low, high = REHEARSE_RANGE_M if size_distribution == REHEARSE else (MOR_LOW_M, MOR_HIGH_M)
-    return KnobTable(extinction, low, high, MOR_NODES, zero_at_inf=True)
+    return InterpolationTable(extinction, low, high, MOR_NODES, zero_at_inf=True)
 
 
-def _table13_table() -> KnobTable:
+def _table13_table() -> InterpolationTable:
     """Extinction of D3.4's Table 13 as published, log-log interpolated between its visibilities."""
     rows = {(row.visibility_m, row.colour): row.as_published for row in table13()}
     visibilities = sorted({visibility for visibility, _ in rows})
@@ -74,7 +74,7 @@ def _table13_table() -> KnobTable:
         share = ((x - log_v[cell]) / (log_v[cell + 1] - log_v[cell]))[..., None]
         return torch.exp(values[cell] * (1 - share) + values[cell + 1] * share)
 
-    return KnobTable(extinction, visibilities[0], visibilities[-1], MOR_NODES, zero_at_inf=True)
+    return InterpolationTable(extinction, visibilities[0], visibilities[-1], MOR_NODES, zero_at_inf=True)
 
 
 def _warn_outside_table13(fog: Fog) -> None:

@@ -53,7 +53,7 @@ class OvercastSky(Stage):
             if not isinstance(one, (Rain, Snow)):
                 raise InputTypeError(f"OvercastSky: weathers must be Rain or Snow; got {type(one).__name__}.")
         self.given: Airlight = airlight_argument(airlight, self)
-        rates = [torch.as_tensor(one.knob, dtype=torch.float32).reshape(-1) for one in self.weathers]
+        rates = [torch.as_tensor(one.intensity, dtype=torch.float32).reshape(-1) for one in self.weathers]
         total = rates[0]
         for rate in rates[1:]:
             total = total + rate

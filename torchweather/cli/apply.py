@@ -14,7 +14,7 @@ from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.atmosphere.weather import Weather
-    from torchweather.recipes.recipe import Recipe
+    from torchweather.recipes.transform import TransformRecipe
 
 NAME = "apply"
 SUMMARY = "weather on files of images, point clouds and radar detections"
@@ -95,9 +95,9 @@ def run(args: argparse.Namespace) -> int:
     """Process the files."""
     from torchweather.atmosphere.weather import parse_weather
     from torchweather.cli.output import print_json, print_lines
-    from torchweather.recipes.recipes import read_recipe
+    from torchweather.recipes import read_recipe
 
-    recipe = None if args.recipe is None else read_recipe(args.recipe)
+    recipe = None if args.recipe is None else read_recipe(args.recipe, "transform")
     if args.weather is not None:
         weather = parse_weather(args.weather)
     elif recipe is not None:
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _process(
-    args: argparse.Namespace, weather: Weather, recipe: Recipe | None, kind: str, preset: str
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, kind: str, preset: str
 ) -> tuple[list[dict[str, object]], str]:
     """What was done to every frame, as values and as text."""
     scenes = _scenes(args, kind)
@@ -187,7 +187,7 @@ def _scenes(args: argparse.Namespace, kind: str) -> list[str]:
     return [scene.removeprefix(SCENE) for scene in scenes]
 
 
-def _sensor(args: argparse.Namespace, recipe: Recipe | None) -> tuple[str, str]:
+def _sensor(args: argparse.Namespace, recipe: TransformRecipe | None) -> tuple[str, str]:
     """Kind and preset of the sensor ('' where none is named); arguments of the other kind are refused."""
     if args.sensor is None:
         kind, preset = ("camera", "") if recipe is None else (recipe.sensor_kind, "")

@@ -24,7 +24,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.datasets.depth_sources import GROUND
 from torchweather.io import read_image, write_image
-from torchweather.recipes.recipe import Recipe, camera_of
+from torchweather.recipes.transform import TransformRecipe, camera_of
 
 __all__ = ["line", "process"]
 
@@ -39,7 +39,9 @@ class Plan:
     depth: str | None
 
 
-def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+def process(
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
+) -> list[dict[str, Any]]:
     """Read, weather and write every frame; what was done, as plain values."""
     plan = _planned(args, weather, recipe, preset)
     frames = gathered(args.inputs)
@@ -49,7 +51,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     return [work.process(frame, targets[frame]) for frame in bar]
 
 
-def _planned(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> Plan:
+def _planned(args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str) -> Plan:
     """Camera and options from the recipe and the arguments, the arguments first."""
     if args.sensor is None and recipe is not None:
         sensor = dict(recipe.sensor)

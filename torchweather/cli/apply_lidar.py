@@ -36,7 +36,7 @@ from torchweather.io import PointCloud
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult, LidarWeather
 from torchweather.pipeline.point_kind import PointKind
-from torchweather.recipes.recipe import Recipe, lidar_of, transform_class
+from torchweather.recipes.transform import TransformRecipe, lidar_of, transform_class
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.sensors import DEFAULT_PRESETS
 
@@ -47,7 +47,9 @@ RING = "ring"
 MANY_FLOORED = 0.5
 
 
-def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+def process(
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
+) -> list[dict[str, Any]]:
     """Read, weather and write every cloud; what was done, as plain values."""
     if args.labels_in is not None and args.labels != "label":
         raise InputValueError("apply: --labels-in carries labels on into new ones; give --labels label too.")
@@ -78,7 +80,7 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
 
 
 def builder(
-    args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
 ) -> tuple[Lidar, partial[LidarWeather]]:
     """The sensor, and what makes the transform for it, from the recipe and the arguments, the arguments first."""
     if args.sensor is None and recipe is not None:

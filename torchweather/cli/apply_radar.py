@@ -23,7 +23,7 @@ from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.io import atomic_write, read_radar, write_radar
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.transform import RadarAttenuation, RadarResult
-from torchweather.recipes.recipe import Recipe, radar_of
+from torchweather.recipes.transform import TransformRecipe, radar_of
 from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["line", "process", "transform_of"]
@@ -37,7 +37,9 @@ SOURCES = {
 }
 
 
-def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+def process(
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
+) -> list[dict[str, Any]]:
     """Read, weather and write every list of detections; what was done, as plain values."""
     if args.labels == "label":
         raise InputValueError("apply: --labels label is for a lidar; give --labels npz.")
@@ -62,7 +64,9 @@ def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, p
     return done
 
 
-def transform_of(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> RadarAttenuation:
+def transform_of(
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
+) -> RadarAttenuation:
     """From the recipe and the arguments, the arguments first."""
     if args.sensor is None and recipe is not None:
         sensor = dict(recipe.sensor)

@@ -26,7 +26,7 @@ from torchweather.io import MAP_SUFFIXES, atomic_write, read_power_map, write_po
 from torchweather.radar.map_transform import RadarMapResult, RadarMapWeather
 from torchweather.radar.power_map import RadarPowerMap, map_cfar, map_detections, with_noise_scale
 from torchweather.radar.sensor import Radar
-from torchweather.recipes.recipe import Recipe, radar_of
+from torchweather.recipes.transform import TransformRecipe, radar_of
 from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["has_maps", "line", "process"]
@@ -50,7 +50,9 @@ def has_maps(args: argparse.Namespace) -> bool:
     return any(path.suffix.lower() in MAP_ONLY or _archived(path) for path in _files(args.inputs))
 
 
-def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+def process(
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
+) -> list[dict[str, Any]]:
     """Read, weather and write every map; what was done, as plain values."""
     for argument, reason in REFUSED.items():
         if getattr(args, argument) not in (None, False):
@@ -189,7 +191,7 @@ class _Plan:
         return written
 
 
-def _sensor(args: argparse.Namespace, recipe: Recipe | None, preset: str) -> Radar:
+def _sensor(args: argparse.Namespace, recipe: TransformRecipe | None, preset: str) -> Radar:
     """From the recipe and the arguments, the arguments first; the noise floor is the maps' and no list's."""
     if args.sensor is None and recipe is not None:
         sensor = dict(recipe.sensor)
@@ -199,7 +201,7 @@ def _sensor(args: argparse.Namespace, recipe: Recipe | None, preset: str) -> Rad
     return radar_of({**sensor, **fields})
 
 
-def _options(args: argparse.Namespace, recipe: Recipe | None) -> dict[str, Any]:
+def _options(args: argparse.Namespace, recipe: TransformRecipe | None) -> dict[str, Any]:
     """Options of the transform: the recipe's that a map shares with a list, and the arguments."""
     given = {} if recipe is None else {name: one for name, one in recipe.options.items() if name in MODELS}
     variant = None if recipe is None else recipe.options.get("variant")
@@ -219,7 +221,7 @@ def _options(args: argparse.Namespace, recipe: Recipe | None) -> dict[str, Any]:
 def _words(weather: Weather) -> str:
     """The weather, for a heading."""
     unit = {"rate_mm_per_h": "mm/h", "mor_m": "m"}
-    return ", ".join(f"{part.kind} {float(part.knob):g} {unit[part.knob_name]}" for part in weather.parts)
+    return ", ".join(f"{part.kind} {float(part.intensity):g} {unit[part.intensity_name]}" for part in weather.parts)
 
 
 def _files(inputs: list[Path]) -> list[Path]:

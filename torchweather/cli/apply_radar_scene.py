@@ -24,7 +24,7 @@ from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar import FmcwRadar, range_doppler
 from torchweather.radar.fmcw.detection import beam_amplitude
 from torchweather.radar.sensor import Radar
-from torchweather.recipes.recipe import Recipe
+from torchweather.recipes.transform import TransformRecipe
 from torchweather.report.radar_picture import radar_picture
 from torchweather.report.radar_section import WALKING
 from torchweather.report.radar_views import RadarFrame
@@ -48,7 +48,7 @@ COLUMNS = (*RADAR_COLUMNS, "kind")
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str, names: list[str]
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, names: list[str]
 ) -> list[dict[str, Any]]:
     """Simulate the frames of every scene in clear air and in the weather, and write them; what was done."""
     for name in names:
@@ -72,7 +72,7 @@ def process(
     ]
 
 
-def _options(args: argparse.Namespace, recipe: Recipe | None) -> dict[str, Any]:
+def _options(args: argparse.Namespace, recipe: TransformRecipe | None) -> dict[str, Any]:
     """Options of the simulator: the recipe's and the arguments', the arguments first."""
     given = {} if recipe is None else recipe.options
     unused = [name for name in ("clutter_points", "lost") if name in given]

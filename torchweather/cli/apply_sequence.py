@@ -24,7 +24,7 @@ from torchweather.core.errors import check_positive
 from torchweather.core.exceptions import InputValueError
 from torchweather.datasets.speeds import read_speeds
 from torchweather.io.video import CRF, VIDEO_SUFFIXES, WRITTEN_SUFFIXES
-from torchweather.recipes.recipe import Recipe, camera_of
+from torchweather.recipes.transform import TransformRecipe, camera_of
 
 __all__ = ["is_video", "line", "process"]
 
@@ -40,7 +40,9 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEO_SUFFIXES
 
 
-def process(args: argparse.Namespace, weather: Weather, recipe: Recipe | None, preset: str) -> list[dict[str, Any]]:
+def process(
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
+) -> list[dict[str, Any]]:
     """Read, weather and write a drive frame by frame; what was done, as plain values."""
     started = time.perf_counter()
     frames = _frames_of(args)
@@ -140,7 +142,7 @@ def _speeds(given: float | Path | None, count: int, rate_hz: float) -> tuple[lis
 def _planned(
     args: argparse.Namespace,
     weather: Weather,
-    recipe: Recipe | None,
+    recipe: TransformRecipe | None,
     preset: str,
     frames: FolderFrames | ClipFrames,
     speed: float | None,

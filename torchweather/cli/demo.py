@@ -103,7 +103,7 @@ def _photo(path: Path, args: argparse.Namespace) -> Photo:
     from torchweather.camera.depth import AUTO
     from torchweather.cli.frames import camera_fields, depth_source, fitted_camera
     from torchweather.io import read_image
-    from torchweather.recipes.recipe import camera_of
+    from torchweather.recipes.transform import camera_of
     from torchweather.report.photo_demo import Photo
 
     rgb, _ = read_image(path)
@@ -131,7 +131,7 @@ def _options(frames: list[Path], args: argparse.Namespace) -> dict[str, Any]:
     from torchweather.cli.frames import camera_fields, depth_source, fitted_camera
     from torchweather.datasets.depth_sources import GROUND
     from torchweather.io import read_image
-    from torchweather.recipes.recipe import camera_of
+    from torchweather.recipes.transform import camera_of
 
     preset = args.sensor.partition(":")[2]
     options: dict[str, Any] = {"notes": []}

@@ -56,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
     if effects is not None and not effects:
         raise InputValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")
     study = Study.read(args.study)
-    report = find.find_gap(study, effects=effects, seed=args.seed or 0, say=lambda text: note(text, quiet=args.quiet))
+    report = find.find_gap(
+        study, effects=effects, seed=args.seed or 0, progress=lambda text: note(text, quiet=args.quiet)
+    )
     answer = write_gap(args.out, study, report, effects=effects)
     if args.json:
         print_json(answer)

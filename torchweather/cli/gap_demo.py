@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     # Told whether progress is wanted or not: that it comes before the search is what it is worth.
     note(f"seed {seed}; what is hidden is sealed in {args.out / TRUTH}, SHA-256 {sha256}")
     study = Study.read(args.out / STUDY)
-    report = find.find_gap(study, say=lambda text: note(text, quiet=args.quiet))
+    report = find.find_gap(study, progress=lambda text: note(text, quiet=args.quiet))
     answer = write_gap(args.out, study, report)
     truth = opened(args.out / TRUTH, sha256)
     right, said = outcome(truth, answer)

@@ -1,4 +1,4 @@
-"""``torchweather list``: recipes, pipelines, suites, sensors, weathers, size distributions and stages."""
+"""``torchweather list``: recipes, sensors, weathers, size distributions and stages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import textwrap
 from typing import Any
 
 NAME = "list"
-SUMMARY = "recipes, pipelines, suites, sensor presets, weathers, size distributions, stages"
+SUMMARY = "recipes, sensor presets, weathers, size distributions, stages"
 DESCRIPTION = "Everything that has a name."
 
 
@@ -31,47 +31,32 @@ def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
     from torchweather.atmosphere.weather import REHEARSE, WEATHERS
     from torchweather.physics import FOG, RAIN, SNOW
-    from torchweather.recipes.pipelines import list_pipelines
-    from torchweather.recipes.recipes import list_recipes
-    from torchweather.recipes.suites import list_suites
+    from torchweather.recipes import MultiSensorRecipe, Recipe, SuiteRecipe, list_recipes
     from torchweather.sensors import SENSOR_CLASSES
     from torchweather.stages import STAGES
 
+    def described(recipe: Recipe) -> dict[str, Any]:
+        values: dict[str, Any] = {"name": recipe.name, "kind": recipe.kind, "title": recipe.title}
+        if isinstance(recipe, SuiteRecipe):
+            weathers = {name: dict(fields) for name, fields in recipe.weathers.items()}
+            return {**values, "sensor": recipe.sensor_kind, "weathers": weathers}
+        values["weather"] = dict(recipe.weather)
+        if isinstance(recipe, MultiSensorRecipe):
+            return {**values, "sensors": {key: one.sensor_name for key, one in recipe.transforms.items()}}
+        return {**values, "transform": recipe.transform, "sensor": recipe.sensor_name}
+
+    recipes = [described(recipe) for recipe in list_recipes()]
     return {
-        "recipes": [
-            {
-                "name": recipe.name,
-                "title": recipe.title,
-                "transform": recipe.transform,
-                "weather": dict(recipe.weather),
-                "sensor": recipe.sensor_name,
-            }
-            for recipe in list_recipes()
-        ],
-        "pipelines": [
-            {
-                "name": pipeline.name,
-                "title": pipeline.title,
-                "weather": dict(pipeline.weather),
-                "sensors": {key: recipe.sensor_name for key, recipe in pipeline.transforms.items()},
-            }
-            for pipeline in list_pipelines()
-        ],
-        "suites": [
-            {
-                "name": suite.name,
-                "title": suite.title,
-                "sensor": suite.sensor_kind,
-                "weathers": {name: dict(fields) for name, fields in suite.weathers.items()},
-            }
-            for suite in list_suites()
-        ],
+        "recipes": recipes,
+        # Earlier keys of two kinds; they go with the next release.
+        "pipelines": [recipe for recipe in recipes if recipe["kind"] == "multi_sensor"],
+        "suites": [recipe for recipe in recipes if recipe["kind"] == "suite"],
         "sensors": [
             {"name": f"{kind}:{name}", "source": source}
             for kind, sensor in SENSOR_CLASSES.items()
             for name, source in sensor.presets().items()
         ],
-        "weathers": [{"name": kind, "knob": weather.knob_name} for kind, weather in WEATHERS.items()],
+        "weathers": [{"name": kind, "knob": weather.intensity_name} for kind, weather in WEATHERS.items()],
         "size_distributions": {"rain": sorted(RAIN), "fog": sorted({*FOG, REHEARSE}), "snow": sorted(SNOW)},
         "stages": sorted(STAGES),
     }
@@ -81,13 +66,14 @@ def listing_text(names: dict[str, Any]) -> str:
     """The names as text."""
     from torchweather.explain import aligned
 
-    lines = ["Recipes (torchweather apply --recipe NAME)", ""]
-    lines += ["  " + line for line in aligned([[r["name"], r["title"], r["sensor"]] for r in names["recipes"]])]
-    lines += ["", "Pipelines of several sensors or weathers (load_recipe NAME; torchweather augment --recipe NAME)", ""]
-    lines += ["  " + line for line in aligned([[p["name"], p["title"]] for p in names["pipelines"]])]
-    lines += ["", "Suites of weathers in five severities (torchweather robustness --recipe NAME)", ""]
-    lines += ["  " + line for line in aligned([[s["name"], s["title"]] for s in names["suites"]])]
-    lines += ["", "Sensors (--sensor NAME)", ""]
+    commands = {"transform": "apply", "multi_sensor": "augment", "suite": "robustness"}
+    lines: list[str] = []
+    for kind, command in commands.items():
+        recipes = [recipe for recipe in names["recipes"] if recipe["kind"] == kind]
+        rows = [[r["name"], r["title"], *([r["sensor"]] if kind == "transform" else [])] for r in recipes]
+        lines += [f"Recipes of kind {kind} (torchweather {command} --recipe NAME)", ""]
+        lines += [*("  " + line for line in aligned(rows)), ""]
+    lines += ["Sensors (--sensor NAME)", ""]
     for sensor in names["sensors"]:
         wrapped = textwrap.wrap(sensor["source"], 100, initial_indent=" " * 6, subsequent_indent=" " * 6)
         lines += [f"  {sensor['name']}", *wrapped]

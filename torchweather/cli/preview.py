@@ -36,9 +36,13 @@ def _scaled(weather: Weather, factor: float) -> Weather:
 
     parts = []
     for part in weather.parts:
-        knob = float(getattr(part, part.knob_name))
-        value = knob / factor if part.kind == "fog" else min(knob * factor, max(knob, HIGHEST_MM_PER_H[part.kind]))
-        parts.append(replace(part, **{part.knob_name: value}))  # type: ignore[type-var]
+        intensity = float(getattr(part, part.intensity_name))
+        value = (
+            intensity / factor
+            if part.kind == "fog"
+            else min(intensity * factor, max(intensity, HIGHEST_MM_PER_H[part.kind]))
+        )
+        parts.append(replace(part, **{part.intensity_name: value}))  # type: ignore[type-var]
     return parts[0] if len(parts) == 1 else Mixture(*parts)
 
 

@@ -14,8 +14,8 @@ from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.evaluation.robustness import Declaration
-    from torchweather.recipes.recipe import Recipe
-    from torchweather.recipes.suites import Suite
+    from torchweather.recipes.suite import SuiteRecipe
+    from torchweather.recipes.transform import TransformRecipe
 
 NAME = "robustness"
 SUMMARY = "an ONNX detector in weather of five severities: a page, mean corruption error, resilience rate"
@@ -192,16 +192,14 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
 
 
-def _source(name: str, declaration: Declaration) -> Suite | Recipe:
+def _source(name: str, declaration: Declaration) -> SuiteRecipe | TransformRecipe:
     """The suite or the recipe of a name or a file, which must be of the detector's sensor."""
-    from torchweather.recipes.files import RECIPE, SUITE, files_of, find, format_of, name_of
-    from torchweather.recipes.recipes import read_recipe
-    from torchweather.recipes.suites import read_suite
+    from torchweather.recipes import MultiSensorRecipe, read_recipe
+    from torchweather.recipes.files import ready_made
 
-    own = f"{declaration.sensor}/{name}"
-    names = [name_of(path) for path in files_of(SUITE, RECIPE)]
-    path = find(own if own in names else name, "suite or recipe", SUITE, RECIPE)
-    found: Suite | Recipe = read_suite(path) if format_of(path).startswith(SUITE) else read_recipe(path)
+    own, kinds = f"{declaration.sensor}/{name}", ("suite", "transform")
+    found = read_recipe(own if own in ready_made(kinds) else name, kinds)
+    assert not isinstance(found, MultiSensorRecipe)
     if found.sensor_kind != declaration.sensor:
         raise InputValueError(
             f"robustness: {found.name} is for a {found.sensor_kind}; the detector is for a {declaration.sensor}."
@@ -209,7 +207,7 @@ def _source(name: str, declaration: Declaration) -> Suite | Recipe:
     return found
 
 
-def _checked_preset(args: argparse.Namespace, declaration: Declaration, source: Suite | Recipe) -> str:
+def _checked_preset(args: argparse.Namespace, declaration: Declaration, source: SuiteRecipe | TransformRecipe) -> str:
     """The sensor's preset; refuses arguments of another sensor."""
     from torchweather.sensors import DEFAULT_PRESETS
 

@@ -11,8 +11,8 @@ from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
     from torchweather.evaluation.robustness import Declaration, LabelledFrame
-    from torchweather.recipes.recipe import Recipe
-    from torchweather.recipes.suites import Suite
+    from torchweather.recipes.suite import SuiteRecipe
+    from torchweather.recipes.transform import TransformRecipe
 
 __all__ = ["RobustnessFrames", "truth_file"]
 
@@ -32,7 +32,7 @@ class RobustnessFrames:
         self,
         args: argparse.Namespace,
         declaration: Declaration,
-        source: Suite | Recipe,
+        source: SuiteRecipe | TransformRecipe,
         preset: str,
         notes: list[str],
     ) -> None:
@@ -92,11 +92,11 @@ class RobustnessFrames:
         if source.confidence == GUESSED:
             raise TorchweatherError(guessed_depth_error(self.stems[0]))
 
-    def _take_fields(self, args: argparse.Namespace, source: Suite | Recipe, preset: str) -> None:
+    def _take_fields(self, args: argparse.Namespace, source: SuiteRecipe | TransformRecipe, preset: str) -> None:
         """What the suite or recipe says of its sensor beside the preset; the command line's own stands above it."""
         from torchweather.cli.clouds import lidar_fields
         from torchweather.cli.frames import camera_fields
-        from torchweather.recipes.recipe import camera_of, lidar_of
+        from torchweather.recipes.transform import camera_of, lidar_of
 
         if self.declaration.sensor == "camera":
             fields = {**source.sensor, **camera_fields(args)}

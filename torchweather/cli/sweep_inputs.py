@@ -27,7 +27,7 @@ from torchweather.core.exceptions import InputValueError
 from torchweather.datasets.depth_sources import GROUND
 from torchweather.evaluation.sweep import CameraSubject, LidarSubject, RadarSceneSubject, RadarSubject, Subject
 from torchweather.io import read_image, read_radar
-from torchweather.recipes.recipe import camera_of, lidar_of, radar_of
+from torchweather.recipes.transform import camera_of, lidar_of, radar_of
 from torchweather.report.radar_section import WALKING
 from torchweather.scenes import SCENES, Scene, lidar_view, radar_view
 from torchweather.scenes.raw_frame import INDOORS, raw_frame

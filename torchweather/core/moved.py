@@ -1,4 +1,4 @@
-"""Names that have moved: the old path works for one release, with a warning that gives the new one."""
+"""Names that have moved or changed: the old one works for one release, with a warning that gives the new one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["moved"]
+__all__ = ["moved", "renamed"]
 
 
 def moved(old: str, homes: str | Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
@@ -31,6 +31,25 @@ def moved(old: str, homes: str | Mapping[str, Sequence[str]]) -> Callable[[str],
             raise AttributeError(f"module {old!r} has no attribute {name!r}")
         value = getattr(importlib.import_module(home), name)
         text = f"{old}.{name} has moved to {home}.{name}; the old path goes with the next release."
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return value
+
+    return find
+
+
+def renamed(old: str, names: Mapping[str, tuple[str, Any]]) -> Callable[[str], Any]:
+    """``__getattr__`` of a module whose names are others now.
+
+    Args:
+        old: name of the module.
+        names: each old name to the new one in words, and the object.
+    """
+
+    def find(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {old!r} has no attribute {name!r}")
+        new, value = names[name]
+        text = f"{old}.{name} is {new} now; the old name goes with the next release."
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         return value
 

@@ -12,6 +12,7 @@ from typing import Any
 from torchweather.camera.frame_sizes import same_aspect
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.yaml_file import parse_json
 from torchweather.datasets.kitti import read_kitti_entries
 from torchweather.datasets.yaml_calibration import camera_fields_from_yaml
 
@@ -149,10 +150,7 @@ def _from_kitti(source: Path, name: str) -> dict[str, Any]:
 
 
 def _from_json(source: Path, text: str, name: str | None) -> dict[str, Any]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise TorchweatherError(f"{source}: expected JSON; {error}.") from error
+    content = parse_json(text, str(source), "a calibration")
     if isinstance(content, dict):
         content = content.get("images", content)
     records = content if isinstance(content, list) else [content]

@@ -92,7 +92,14 @@ class CarlaRig:
             raise InputValueError("CarlaRig: sensors must name at least one, such as {'points': 'lidar'}; got none.")
         for kind in sensors.values():
             check_one_of("sensors", kind, CARLA_SENSORS, owner=self)
-        if "radar" in sensors.values() and radar is None:
+        readers: dict[str, Callable[[Any], torch.Tensor]] = {
+            "camera": image_from_carla,
+            "depth": depth_from_carla,
+            "lidar": partial(points_from_carla, reflectivity=reflectivity),
+        }
+        if radar is not None:
+            readers["radar"] = partial(detections_from_carla, radar=radar, rcs_dbsm=rcs_dbsm)
+        if any(kind not in readers for kind in sensors.values()):
             raise InputValueError(
                 "CarlaRig: a radar needs its link budget, because CARLA gives no power; wanted radar=Radar(...), such "
                 "as Radar.preset('imaging-77ghz')."
@@ -103,13 +110,6 @@ class CarlaRig:
         self.times_s: deque[float] = deque(maxlen=_TIMES_KEPT)
         self.given_up = 0
         self.waiting_frames = int(waiting_frames)
-        readers: dict[str, Callable[[Any], torch.Tensor]] = {
-            "camera": image_from_carla,
-            "depth": depth_from_carla,
-            "lidar": partial(points_from_carla, reflectivity=reflectivity),
-        }
-        if radar is not None:
-            readers["radar"] = partial(detections_from_carla, radar=radar, rcs_dbsm=rcs_dbsm)
         self._read = {key: readers[kind] for key, kind in sensors.items()}
         self._waiting: dict[int, Sample] = {}  # by frame, incomplete
         self._ready: deque[tuple[Sample, float]] = deque()  # complete, with the time at which they became so

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.yaml_file import parse_yaml
 
 __all__ = ["camera_fields_from_yaml"]
 
@@ -23,19 +22,7 @@ _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 _PLAIN_MODELS = ("", "plumb_bob", "radtan", "brown_conrady", "opencv", "pinhole")
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML without objects; OpenCV's matrices are plain mappings."""
-
-
-def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(
-            None, None, "an opencv-matrix without rows, cols and data", node.start_mark
-        )
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+OPENCV_TAGS = {"tag:yaml.org,2002:opencv-matrix": "map"}
 
 
 def camera_fields_from_yaml(source: Path, text: str, supported: str) -> dict[str, Any]:
@@ -53,10 +40,7 @@ def camera_fields_from_yaml(source: Path, text: str, supported: str) -> dict[str
         raise TorchweatherError(f"{source}: expected the YAML of a calibration; got {len(text)} characters.")
     # OpenCV's first line, %YAML:1.0, is no YAML.
     plain = "\n".join(line for line in text.splitlines() if not line.startswith("%YAML"))
-    try:
-        content = yaml.load(plain, Loader=_Loader)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise TorchweatherError(f"{source}: expected YAML of OpenCV or ROS; {error}.") from error
+    content = parse_yaml(plain, str(source), "a calibration of OpenCV or ROS", tags=OPENCV_TAGS, allow_nan=True)
     entries = (
         {str(key).lower().replace("_", ""): value for key, value in content.items()}
         if isinstance(content, dict)

@@ -1,4 +1,4 @@
-"""A camera transform as a function of tensors: image, depth, shares, intrinsics, knobs and noise in, image out."""
+"""Camera transform as a function of tensors: image, depth, shares, intrinsics, intensities, noise in; image out."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.rgb_planes import encoded_planes, linear_planes
 from torchweather.camera.state import CameraState
 from torchweather.camera.transform import BayerWeather
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import draw_variates, sizes_of
-from torchweather.export.traceable import Traceable
+from torchweather.export.metadata import described, sections_of
+from torchweather.export.traceable import GraphForm, GraphSizes, Traceable
 
-__all__ = ["IMAGE_OUTPUTS", "traceable_camera"]
+__all__ = ["BAYER_FORM", "IMAGE_OUTPUTS", "RGB_FORM", "traceable_camera"]
 
 IMAGE_OUTPUTS = {"bayer": "signal", "rgb": "weathered"}
 """Image input of a camera's graph to its output."""
 INTRINSICS = ("fx", "fy", "cx", "cy")
 SHARES = ("sky", "near_mask")
+SECTION = "4"  # of docs/PHYSICS.md
 
 
 def traceable_camera(transform: BayerWeather | AsBayer, height: int, width: int, *, masks: bool = False) -> Traceable:
@@ -34,25 +37,43 @@ def traceable_camera(transform: BayerWeather | AsBayer, height: int, width: int,
         height, width: of the traced image.
         masks: whether shares of sky and of the own vehicle are inputs.
     """
+    image = "bayer"
+    if isinstance(transform, AsBayer):
+        if transform.through_mosaic:
+            raise InputValueError(
+                "AsBayer.through_mosaic: a graph takes colour planes or a raw mosaic, and does not sample or demosaic; "
+                "got True. Take its transform, whose graph takes the mosaic, or leave through_mosaic out."
+            )
+        image, transform = "rgb", transform.transform
     device = next(transform.buffers()).device
-    graph = _CameraGraph(transform, masks=masks).to(device)
+    graph = _CameraGraph(transform, image, masks=masks).to(device)
     arguments, shapes, names = _example(graph, height, width, device)
-    return Traceable(graph, arguments, shapes, names, [IMAGE_OUTPUTS[graph.image]], graph.variates)
+    outputs, sections = [IMAGE_OUTPUTS[image]], (SECTION, *sections_of(transform.weather))
+    return Traceable(
+        graph, arguments, shapes, names, outputs, graph.variates, described(transform, image=image), sections
+    )
+
+
+def _trace(transform: BayerWeather | AsBayer, sizes: GraphSizes) -> Traceable:
+    return traceable_camera(transform, sizes.height, sizes.width, masks=sizes.masks)
+
+
+BAYER_FORM = GraphForm(_trace, takes_masks=True)
+RGB_FORM = GraphForm(_trace, whole_cells=False, takes_masks=True)
 
 
 class _CameraGraph(nn.Module):
     """A camera transform as a function of tensors only.
 
     Args:
-        transform: of raw frames, or of RGB images as colour planes.
+        transform: of the camera.
+        image: ``bayer`` for raw frames, ``rgb`` for RGB images as colour planes.
         masks: whether ``forward`` takes the shares of sky and own vehicle.
     """
 
-    def __init__(self, transform: BayerWeather | AsBayer, *, masks: bool) -> None:
+    def __init__(self, transform: BayerWeather, image: str, *, masks: bool) -> None:
         super().__init__()
-        self.image = "rgb" if isinstance(transform, AsBayer) else "bayer"
-        if isinstance(transform, AsBayer):
-            transform = transform.transform
+        self.image = image
         self.shares: tuple[str, ...] = SHARES if masks else ()
         self.chain = transform.chain
         self.camera, self.layer_top_m = transform.camera, transform.layer_top_m
@@ -64,7 +85,7 @@ class _CameraGraph(nn.Module):
             for name, stage in self.chain.stages.items()
             for variate in stage.variates()
         }
-        self.knobs = _knobs(transform)
+        self.intensities = _intensities(transform)
 
     def forward(
         self,
@@ -72,7 +93,7 @@ class _CameraGraph(nn.Module):
         depth: Tensor,
         shares: list[Tensor],
         intrinsics: list[Tensor],
-        knobs: list[Tensor],
+        intensities: list[Tensor],
         noise: list[Tensor],
     ) -> Tensor:
         height, width = image.shape[-2:]
@@ -94,15 +115,15 @@ class _CameraGraph(nn.Module):
             near_mask=named_shares.get("near_mask"),
         )
         named_noise = dict(zip(self.variates, noise, strict=True))
-        named_knobs = dict(zip(self.knobs.values(), knobs, strict=True))
-        after: CameraState = torch.func.functional_call(self.chain, named_knobs, (state, named_noise))
+        named_intensities = dict(zip(self.intensities.values(), intensities, strict=True))
+        after: CameraState = torch.func.functional_call(self.chain, named_intensities, (state, named_noise))
         if self.cfa_index is None:
             return encoded_planes(after.signal, state.signal, image)
         return after.signal
 
 
-def _knobs(transform: BayerWeather) -> dict[str, str]:
-    """Graph input name to buffer name of every knob."""
+def _intensities(transform: BayerWeather) -> dict[str, str]:
+    """Graph input name to buffer name of every intensity."""
     found: dict[str, str] = {}
     for name, stage in transform.chain.stages.items():
         if isinstance(stage, ExtinctionAndAirlight):
@@ -137,20 +158,20 @@ def _example(
             noise_shapes.append({1: torch.export.Dim(f"points_{number}", min=2)})
         else:
             noise_shapes.append({i + 1: dims[d] for i, d in enumerate(variate.shape) if d in dims})
-    knobs = [torch.full((1,), 50.0, device=device) for _ in graph.knobs]
+    intensities = [torch.full((1,), 50.0, device=device) for _ in graph.intensities]
     camera = graph.camera
     intrinsics = [torch.tensor(float(value), device=device) for value in camera.intrinsics]
     generator = torch.Generator().manual_seed(0)
     image = torch.rand(1, planes, height, width, generator=generator).to(device)
     depth = 5.0 + 20.0 * torch.rand(1, 1, height, width, generator=generator).to(device)
     shares = [torch.rand(1, 1, height, width, generator=generator).to(device) for _ in graph.shares]
-    arguments = (image, depth, shares, intrinsics, knobs, noise)
+    arguments = (image, depth, shares, intrinsics, intensities, noise)
     shapes: tuple[Any, ...] = (
         frame,
         frame,
         [frame for _ in shares],
         [{} for _ in intrinsics],
-        [{} for _ in knobs],
+        [{} for _ in intensities],
         noise_shapes,
     )
-    return arguments, shapes, [graph.image, "depth", *graph.shares, *INTRINSICS, *graph.knobs, *graph.variates]
+    return arguments, shapes, [graph.image, "depth", *graph.shares, *INTRINSICS, *graph.intensities, *graph.variates]

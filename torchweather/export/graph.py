@@ -1,4 +1,4 @@
-"""A transform as one ONNX graph, with its noise, its knob and what depends on the data as inputs.
+"""A transform as one ONNX graph, with its noise, its weather intensity and what depends on the data as inputs.
 
 The graph draws nothing; ``draw_feed`` makes its noise inputs from a seed.
 """
@@ -16,11 +16,11 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerWeather
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError, MissingExtraError
-from torchweather.export.camera_graph import traceable_camera
-from torchweather.export.lidar_graph import traceable_lidar
+from torchweather.export.camera_graph import BAYER_FORM, RGB_FORM
+from torchweather.export.lidar_graph import LIDAR_FORM
 from torchweather.export.metadata import model_properties, set_properties
-from torchweather.export.radar_graph import traceable_map, traceable_radar
-from torchweather.export.traceable import Traceable
+from torchweather.export.radar_graph import MAP_FORM, RADAR_FORM
+from torchweather.export.traceable import GraphForm, GraphSizes, Traceable
 from torchweather.lidar.transform import LidarWeather
 from torchweather.radar import RangeDopplerMap
 from torchweather.radar.transform import RadarAttenuation
@@ -28,7 +28,13 @@ from torchweather.radar.transform import RadarAttenuation
 __all__ = ["to_onnx"]
 
 OPSET = 20
-FEWEST_COLUMNS = {LidarWeather: 4, RadarAttenuation: 6}
+FORMS: dict[type, GraphForm] = {
+    BayerWeather: BAYER_FORM,
+    AsBayer: RGB_FORM,
+    LidarWeather: LIDAR_FORM,
+    RadarAttenuation: RADAR_FORM,
+    RangeDopplerMap: MAP_FORM,
+}
 
 
 def to_onnx(
@@ -45,19 +51,19 @@ def to_onnx(
     """Write a transform, or a radar's range-Doppler map, as an ONNX graph; everything in it is float32.
 
     Inputs of a camera's graph: ``bayer`` and ``depth`` ``(1, 1, H, W)`` (linear, black 0, saturation 1; metres),
-    ``fx, fy, cx, cy`` in pixels, the knob (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its names
-    (``draw_feed``). Output: ``signal`` ``(1, 1, H, W)``. H and W are dynamic and even.
+    ``fx, fy, cx, cy`` in pixels, the intensity (``rate_mm_per_h`` or ``mor_m``, ``(1,)``), and the noise under its
+    names (``draw_feed``). Output: ``signal`` ``(1, 1, H, W)``. H and W are dynamic and even.
 
     The graph of ``AsBayer``, for RGB images, has ``rgb`` ``(1, 3, H, W)`` in place of ``bayer`` and ``weathered`` in
     place of ``signal``, both sRGB-encoded in 0..1. A sample that the weather does not change keeps its bits. H and W
     may be odd.
 
-    Inputs of a LiDAR's graph: ``points`` ``(B, N, columns)``, ``directions`` ``(N, 3)`` if asked for, the knob
+    Inputs of a LiDAR's graph: ``points`` ``(B, N, columns)``, ``directions`` ``(N, 3)`` if asked for, the intensity
     ``(B,)``, and the noise. Outputs: ``cloud`` ``(B, N, columns)`` and ``kind`` ``(B, N)`` int8 (``PointKind``); for a
     dual-return sensor also ``second`` and ``second_kind``, whose row i is of the same beam as row i of ``points``. B
     and N are dynamic.
 
-    Inputs of a radar's graph: ``points`` ``(B, N, columns)``, the knob ``(B,)``, and the noise. Outputs:
+    Inputs of a radar's graph: ``points`` ``(B, N, columns)``, the weather intensity ``(B,)``, and the noise. Outputs:
     ``detections`` ``(B, N, columns)``, ``kind`` ``(B, N)`` int8, ``snr_db`` and ``attenuation_db`` ``(B, N)``; rows
     more with clutter. B and N are dynamic. A wet cover follows the rain's own rate.
 
@@ -111,7 +117,7 @@ def to_onnx(
             "p=1 and feed a rate of 0, or a visibility of infinity, to the samples that stay clear."
         )
     if not target.parent.is_dir():
-        _check(transform, height, width)
+        _form(transform, height, width)
         raise FileNotFoundError(f"to_onnx: {target.parent}: no such folder.")
     model, traceable, properties = traced_model(
         transform, height=height, width=width, masks=masks, points=points, columns=columns, directions=directions
@@ -133,55 +139,44 @@ def traced_model(
     masks: bool = False,
 ) -> tuple[Any, Traceable, dict[str, str]]:
     """A transform as onnx holds it, what was traced, and what the graph says of itself; the arguments of `to_onnx`."""
-    _check(transform, height, width)
+    form = _form(transform, height, width)
     import onnx
 
-    if masks and not isinstance(transform, (BayerWeather, AsBayer)):
+    if masks and not form.takes_masks:
         raise InputValueError(
             f"to_onnx: masks=True adds shares of a camera's pixels; {type(transform).__name__} has none. Leave it out."
         )
-    fewest = next((number for kind, number in FEWEST_COLUMNS.items() if isinstance(transform, kind)), 0)
+    fewest = form.fewest_columns
     columns = fewest if columns is None else columns
     if points < 2 or columns < fewest:
         raise InputValueError(
             f"to_onnx: points must be 2 or more and columns {fewest} or more; got {points} and {columns}."
         )
-    if isinstance(transform, LidarWeather):
-        traceable = traceable_lidar(transform, points, columns, directions)
-    elif isinstance(transform, RadarAttenuation):
-        traceable = traceable_radar(transform, points, columns)
-    elif isinstance(transform, RangeDopplerMap):
-        traceable = traceable_map(transform)
-    else:
-        traceable = traceable_camera(transform, height, width, masks=masks)
+    traceable = form.trace(transform, GraphSizes(height, width, points, columns, directions, masks))
     model = _traced(traceable)
     onnx.checker.check_model(model)
-    return model, traceable, model_properties(transform, traceable)
+    return model, traceable, model_properties(traceable)
 
 
-def _check(transform: object, height: int, width: int) -> None:
+def _form(transform: object, height: int, width: int) -> GraphForm:
+    """The graph of a transform's class; a size that it cannot have is refused."""
     try:
         import onnx  # noqa: F401
         import onnx_ir  # noqa: F401  (comes with onnxscript)
         import onnxscript  # noqa: F401  (torch's exporter needs it)
     except ImportError as error:
         raise MissingExtraError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
-    if isinstance(transform, AsBayer):
-        if height < 4 or width < 4:
-            raise InputValueError(f"to_onnx: height and width must be 4 or more; got {height} x {width}.")
-    elif height % 2 or width % 2 or height < 4 or width < 4:
-        raise InputValueError(f"to_onnx: height and width must be even, 4 or more; got {height} x {width}.")
-    if not isinstance(transform, (BayerWeather, AsBayer, LidarWeather, RadarAttenuation, RangeDopplerMap)):
+    form = next((form for kind, form in FORMS.items() if isinstance(transform, kind)), None)
+    if form is None:
         raise InputTypeError(
             "to_onnx: transform must be a Bayer transform, such as BayerRain(Rain(25), camera), AsBayer of one, a "
             "LiDAR transform, such as LidarRain(Rain(25), lidar), RadarAttenuation or RangeDopplerMap; got "
             f"{type(transform).__name__}."
         )
-    if isinstance(transform, AsBayer) and transform.through_mosaic:
-        raise InputValueError(
-            "AsBayer.through_mosaic: a graph takes colour planes or a raw mosaic, and does not sample or demosaic; got "
-            "True. Take its transform, whose graph takes the mosaic, or leave through_mosaic out."
-        )
+    if height < 4 or width < 4 or (form.whole_cells and (height % 2 or width % 2)):
+        even = "even, " if form.whole_cells else ""
+        raise InputValueError(f"to_onnx: height and width must be {even}4 or more; got {height} x {width}.")
+    return form
 
 
 def _traced(traceable: Traceable) -> Any:

@@ -1,4 +1,4 @@
-"""A LiDAR transform as a function of tensors: points, directions, knobs and noise in, points and their kind out."""
+"""LiDAR transform as a function of tensors: points, directions, intensities and noise in; points and kind out."""
 
 from __future__ import annotations
 
@@ -12,12 +12,17 @@ from torch import Tensor, nn
 from torchweather.atmosphere.weather import Mixture
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate, draw_variates
-from torchweather.export.traceable import Traceable, knob_inputs
+from torchweather.export.metadata import described, sections_of
+from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, intensity_inputs
 from torchweather.lidar.stages import Extinction, ParticleReturns
 from torchweather.lidar.transform import LidarWeather
 
-__all__ = ["traceable_lidar"]
+__all__ = ["LIDAR_FORM", "traceable_lidar"]
 
+SECTION = "5"  # of docs/PHYSICS.md
+UNITS = {
+    "points": "x, y, z in m (x forward, y left, z up), intensity in the sensor's unit, further columns carried along"
+}
 OUTPUTS = ("cloud", "kind", "second", "second_kind")
 TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
 
@@ -56,7 +61,7 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     along = [torch.nn.functional.normalize(cloud[0, :, :3], dim=-1)] if directions else []
     # Where beams without return end takes a search of the whole sweep: the graph is told.
     ways = [cloud[..., 0].clone()] if directions and transform.beam_ends == "scene" else []
-    knobs = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.knobs]
+    intensities = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.intensities]
     noise, noise_shapes = [], []
     for key, variate in graph.variates.items():
         stage, _, _ = key.partition(".")
@@ -67,13 +72,23 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
         {0: batch, 1: count},
         [{0: count} for _ in along],
         [{0: batch, 1: count} for _ in ways],
-        [{0: batch} for _ in knobs],
+        [{0: batch} for _ in intensities],
         noise_shapes,
     )
     inputs = ["points", *(["directions"] if along else []), *(["reach_m"] if ways else [])]
-    inputs += [*graph.knobs, *graph.variates]
+    inputs += [*graph.intensities, *graph.variates]
     outputs = list(OUTPUTS if transform.sensor.return_mode == "dual" else OUTPUTS[:2])
-    return Traceable(graph, (cloud, along, ways, knobs, noise), shapes, inputs, outputs, graph.variates)
+    arguments, sections = (cloud, along, ways, intensities, noise), (SECTION, *sections_of(transform.weather))
+    return Traceable(
+        graph, arguments, shapes, inputs, outputs, graph.variates, described(transform), sections, units=UNITS
+    )
+
+
+def _trace(transform: LidarWeather, sizes: GraphSizes) -> Traceable:
+    return traceable_lidar(transform, sizes.points, sizes.columns, sizes.directions)
+
+
+LIDAR_FORM = GraphForm(_trace, fewest_columns=4)
 
 
 class _LidarGraph(nn.Module):
@@ -83,25 +98,25 @@ class _LidarGraph(nn.Module):
         super().__init__()
         self.weathered = _Weathered(_for_any_cloud(transform))
         self.variates = _variates(transform)
-        self.knobs = _knobs(transform)
+        self.intensities = _intensities(transform)
 
     def forward(
         self,
         points: Tensor,
         directions: list[Tensor],
         ways: list[Tensor],
-        knobs: list[Tensor],
+        intensities: list[Tensor],
         noise: list[Tensor],
     ) -> tuple[Tensor, ...]:
         named_noise = dict(zip(self.variates, noise, strict=True))
-        named_knobs = {
-            f"transform.chain.{buffer}": knob
-            for buffers, knob in zip(self.knobs.values(), knobs, strict=True)
+        named_intensities = {
+            f"transform.chain.{buffer}": intensity
+            for buffers, intensity in zip(self.intensities.values(), intensities, strict=True)
             for buffer in buffers
         }
         along = directions[0] if directions else None
         found: tuple[Tensor, ...] = torch.func.functional_call(
-            self.weathered, named_knobs, (points, along, ways[0] if ways else None, named_noise)
+            self.weathered, named_intensities, (points, along, ways[0] if ways else None, named_noise)
         )
         return found
 
@@ -122,11 +137,11 @@ class _Weathered(nn.Module):
 
 
 def _for_any_cloud(transform: LidarWeather) -> LidarWeather:
-    """The transform without what fits one cloud alone: directions, number of columns, a knob for each sample."""
+    """The transform without what fits one cloud alone: directions, number of columns, an intensity for each sample."""
     fits_any = copy.copy(transform)
     fits_any.sensor = replace(transform.sensor, directions=None, columns=None)
     parts = transform.weather.parts
-    fits_any.weather = Mixture(*(replace(part, **{part.knob_name: 1.0}) for part in parts))  # type: ignore[type-var]
+    fits_any.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in parts))  # type: ignore[type-var]
     return fits_any
 
 
@@ -138,12 +153,14 @@ def _variates(transform: LidarWeather) -> dict[str, Variate]:
     }
 
 
-def _knobs(transform: LidarWeather) -> dict[str, list[str]]:
+def _intensities(transform: LidarWeather) -> dict[str, list[str]]:
     """Graph input name to the names of the buffers of the chain that it sets."""
     found: dict[str, list[str]] = {}
-    inputs = knob_inputs(transform.weather.parts)
+    inputs = intensity_inputs(transform.weather.parts)
     for name, stage in transform.chain.stages.items():
         if isinstance(stage, (Extinction, ParticleReturns)):
             for part in transform.weather.parts:
-                found.setdefault(inputs[part.kind], []).append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")
+                found.setdefault(inputs[part.kind], []).append(
+                    f"_stages.{name}.parts.{part.kind}.{part.intensity_name}"
+                )
     return found

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import torchweather
-from torchweather.camera.rgb import AsBayer
-from torchweather.camera.transform import BayerWeather
+from torchweather.atmosphere.weather import Weather
 from torchweather.export.feed import METADATA_KEY, TRANSFORM_KEY, variates_to_metadata
 from torchweather.export.traceable import Traceable
-from torchweather.lidar.transform import LidarWeather
-from torchweather.radar import RangeDopplerMap
-from torchweather.radar.transform import RadarAttenuation
+from torchweather.pipeline.sensor import Sensor
+from torchweather.pipeline.sensor_transform import WeatherTransform
 
-__all__ = ["model_properties", "set_properties"]
+__all__ = ["described", "described_sensor", "model_properties", "sections_of", "set_properties"]
 
-# Sections of docs/PHYSICS.md by the sensor and by the kind of weather.
-OF_SENSOR = {"camera": "4", "lidar": "5", "radar": "6.2, 6.5-6.8"}
+# Sections of docs/PHYSICS.md by the kind of weather.
 OF_WEATHER = {"rain": "2.2, 2.5, 3", "fog": "2.3, 3", "snow": "2.4, 2.5, 3"}
-MAP_SECTION = "6.4"
 UNITS = {
     "bayer": "linear in light: 0 black, 1 saturation",
     "rgb": "sRGB-encoded, 0 to 1; so is the output",
@@ -40,10 +36,6 @@ UNITS = {
     "real": "V",
     "imaginary": "V",
 }
-POINTS = {
-    "lidar": "x, y, z in m (x forward, y left, z up), intensity in the sensor's unit, further columns carried along",
-    "radar": "x, y, z in m, radial speed in m/s, power in dB, cross section in dBsm, further columns carried along",
-}
 LAWS = {
     "uniform": "uniform in [0, 1)",
     "normal": "standard normal",
@@ -56,17 +48,19 @@ SEEDS = (
 )
 
 
-def model_properties(transform: object, traceable: Traceable) -> dict[str, str]:
+def model_properties(traceable: Traceable) -> dict[str, str]:
     """Name to text; what is not plain text is JSON."""
-    weather = transform.transform if isinstance(transform, AsBayer) else transform
-    found = {
+    sections = list(dict.fromkeys(", ".join(traceable.sections).split(", ")))
+    named = "sections" if len(sections) > 1 else "section"
+    units = {**UNITS, **{name: LAWS[variate.law] for name, variate in traceable.variates.items()}, **traceable.units}
+    return {
         "torchweather_version": torchweather.__version__,
-        TRANSFORM_KEY: json.dumps(_plain(weather, traceable)),
-        "torchweather_equations": _equations(weather),
-        "torchweather_units": json.dumps({name: _unit(name, weather, traceable) for name in traceable.inputs}),
+        TRANSFORM_KEY: json.dumps(traceable.described, default=_number),
+        "torchweather_equations": f"docs/PHYSICS.md, {named} {', '.join(sections)}",
+        "torchweather_units": json.dumps({name: units[name] for name in traceable.inputs}),
         "torchweather_seeds": SEEDS,
+        METADATA_KEY: variates_to_metadata(traceable.variates),
     }
-    return {**found, METADATA_KEY: variates_to_metadata(traceable.variates)}
 
 
 def set_properties(model: Any, properties: Mapping[str, str]) -> None:
@@ -78,42 +72,24 @@ def set_properties(model: Any, properties: Mapping[str, str]) -> None:
         entry.key, entry.value = key, value
 
 
-def _kind(transform: object) -> str:
-    if isinstance(transform, LidarWeather):
-        return "lidar"
-    return "camera" if isinstance(transform, BayerWeather) else "radar"
+def described_sensor(name: str, sensor: Sensor) -> dict[str, Any]:
+    """Name of a class of transforms and its sensor, as plain values."""
+    values = sensor.to_dict()
+    values.pop("directions", None)  # of the data; where they matter they are an input
+    return {"class": name, "sensor": {"kind": sensor.kind, **values}}
 
 
-def _plain(transform: Any, traceable: Traceable) -> dict[str, Any]:
-    if isinstance(transform, (LidarWeather, RadarAttenuation)):
-        sensor = transform.sensor.to_dict()
-    else:
-        sensor = (transform.camera if isinstance(transform, BayerWeather) else transform.radar).to_dict()
-    sensor.pop("directions", None)  # of the data; where they matter they are an input
-    found = {"class": type(transform).__name__, "sensor": {"kind": _kind(transform), **sensor}}
-    if isinstance(transform, BayerWeather):
-        found["image"] = traceable.inputs[0]
-    if not isinstance(transform, RangeDopplerMap):
-        found["weather"] = transform.weather.to_dict()
-        found["stages"] = list(transform.chain.stages)
-    plain: dict[str, Any] = json.loads(json.dumps(found, default=_number))
-    return plain
+def described(transform: WeatherTransform, **more: Any) -> dict[str, Any]:
+    """A transform as plain values: class, sensor, what more is given, weather and stages."""
+    own = described_sensor(type(transform).__name__, transform.own_sensor())
+    return {**own, **more, "weather": transform.weather.to_dict(), "stages": list(transform.chain.stages)}
+
+
+def sections_of(weather: Weather) -> list[str]:
+    """Sections of docs/PHYSICS.md on a weather."""
+    return [OF_WEATHER[part.kind] for part in weather.parts]
 
 
 def _number(value: Any) -> Any:
-    """A tensor (a knob) as numbers."""
+    """A tensor (a weather intensity) as numbers."""
     return value.tolist()
-
-
-def _equations(transform: Any) -> str:
-    if isinstance(transform, RangeDopplerMap):
-        return f"docs/PHYSICS.md, section {MAP_SECTION}"
-    kinds = [part.kind for part in transform.weather.parts]
-    sections: Sequence[str] = [OF_SENSOR[_kind(transform)], *(OF_WEATHER[kind] for kind in kinds)]
-    return "docs/PHYSICS.md, sections " + ", ".join(dict.fromkeys(", ".join(sections).split(", ")))
-
-
-def _unit(name: str, transform: object, traceable: Traceable) -> str:
-    if name in traceable.variates:
-        return LAWS[traceable.variates[name].law]
-    return POINTS[_kind(transform)] if name == "points" else UNITS[name]

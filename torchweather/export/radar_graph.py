@@ -1,4 +1,4 @@
-"""A radar transform as a function of tensors: detections, knobs and noise in, detections and what befell them out."""
+"""Radar transform as a function of tensors: detections, intensities and noise in; detections and their kind out."""
 
 from __future__ import annotations
 
@@ -12,14 +12,19 @@ from torch import Tensor, nn
 from torchweather.atmosphere.weather import Mixture
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import draw_variates
-from torchweather.export.traceable import Traceable, knob_inputs
+from torchweather.export.metadata import described, described_sensor, sections_of
+from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, intensity_inputs
 from torchweather.radar import RangeDopplerMap
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.clutter import VolumeClutter
 from torchweather.radar.transform import RadarAttenuation
 
-__all__ = ["traceable_map", "traceable_radar"]
+__all__ = ["MAP_FORM", "RADAR_FORM", "traceable_map", "traceable_radar"]
 
+SECTIONS, MAP_SECTION = "6.2, 6.5-6.8", "6.4"  # of docs/PHYSICS.md
+UNITS = {
+    "points": "x, y, z in m, radial speed in m/s, power in dB, cross section in dBsm, further columns carried along"
+}
 OUTPUTS = ("detections", "kind", "snr_db", "attenuation_db")
 MAP_INPUTS, MAP_OUTPUTS = ("real", "imaginary"), ("map_real", "map_imaginary", "power_dbm")
 TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
@@ -43,16 +48,19 @@ def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> T
     device = next(transform.buffers()).device
     generator = torch.Generator().manual_seed(0)
     detections = torch.rand(TRACED_BATCH, points, columns, generator=generator).to(device)
-    knobs = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.knobs]
+    intensities = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.intensities]
     noise, noise_shapes = [], []
     for key, variate in graph.variates.items():
         stage, _, _ = key.partition(".")
         array = draw_variates(range(TRACED_BATCH), stage, [variate], {"N": points})[key]
         noise.append(torch.from_numpy(array).to(device))
         noise_shapes.append({0: batch} | {i + 1: count for i, size in enumerate(variate.shape) if size == "N"})
-    shapes: tuple[Any, ...] = ({0: batch, 1: count}, [{0: batch} for _ in knobs], noise_shapes)
-    inputs = ["points", *graph.knobs, *graph.variates]
-    return Traceable(graph, (detections, knobs, noise), shapes, inputs, list(OUTPUTS), graph.variates)
+    shapes: tuple[Any, ...] = ({0: batch, 1: count}, [{0: batch} for _ in intensities], noise_shapes)
+    inputs = ["points", *graph.intensities, *graph.variates]
+    arguments, sections = (detections, intensities, noise), (SECTIONS, *sections_of(transform.weather))
+    return Traceable(
+        graph, arguments, shapes, inputs, list(OUTPUTS), graph.variates, described(transform), sections, units=UNITS
+    )
 
 
 def traceable_map(transform: RangeDopplerMap) -> Traceable:
@@ -63,7 +71,20 @@ def traceable_map(transform: RangeDopplerMap) -> Traceable:
     generator = torch.Generator().manual_seed(0)
     parts = [torch.rand(size, generator=generator).to(device) for _ in MAP_INPUTS]
     batch = torch.export.Dim("batch", min=1)
-    return Traceable(transform, tuple(parts), ({0: batch}, {0: batch}), list(MAP_INPUTS), list(MAP_OUTPUTS), {})
+    own, shapes = described_sensor(type(transform).__name__, radar), ({0: batch}, {0: batch})
+    return Traceable(transform, tuple(parts), shapes, list(MAP_INPUTS), list(MAP_OUTPUTS), {}, own, (MAP_SECTION,))
+
+
+def _trace(transform: RadarAttenuation, sizes: GraphSizes) -> Traceable:
+    return traceable_radar(transform, sizes.points, sizes.columns)
+
+
+def _trace_map(transform: RangeDopplerMap, sizes: GraphSizes) -> Traceable:
+    return traceable_map(transform)
+
+
+RADAR_FORM = GraphForm(_trace, fewest_columns=6)
+MAP_FORM = GraphForm(_trace_map)
 
 
 class _RadarGraph(nn.Module):
@@ -77,16 +98,16 @@ class _RadarGraph(nn.Module):
             for name, stage in transform.chain.stages.items()
             for variate in stage.variates()
         }
-        self.knobs = _knobs(transform)
+        self.intensities = _intensities(transform)
 
-    def forward(self, points: Tensor, knobs: list[Tensor], noise: list[Tensor]) -> tuple[Tensor, ...]:
+    def forward(self, points: Tensor, intensities: list[Tensor], noise: list[Tensor]) -> tuple[Tensor, ...]:
         named_noise = dict(zip(self.variates, noise, strict=True))
-        named_knobs = {
-            f"transform.chain.{buffer}": knob
-            for buffers, knob in zip(self.knobs.values(), knobs, strict=True)
+        named_intensities = {
+            f"transform.chain.{buffer}": intensity
+            for buffers, intensity in zip(self.intensities.values(), intensities, strict=True)
             for buffer in buffers
         }
-        found: tuple[Tensor, ...] = torch.func.functional_call(self.weathered, named_knobs, (points, named_noise))
+        found: tuple[Tensor, ...] = torch.func.functional_call(self.weathered, named_intensities, (points, named_noise))
         return found
 
 
@@ -104,21 +125,21 @@ class _Weathered(nn.Module):
 
 
 def _for_any_list(transform: RadarAttenuation) -> RadarAttenuation:
-    """The transform without a knob for each sample, which would fit one number of samples alone."""
+    """The transform without an intensity for each sample, which would fit one number of samples alone."""
     fits_any = copy.copy(transform)
     parts = transform.weather.parts
-    fits_any.weather = Mixture(*(replace(part, **{part.knob_name: 1.0}) for part in parts))  # type: ignore[type-var]
+    fits_any.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in parts))  # type: ignore[type-var]
     return fits_any
 
 
-def _knobs(transform: RadarAttenuation) -> dict[str, list[str]]:
+def _intensities(transform: RadarAttenuation) -> dict[str, list[str]]:
     """Graph input name to the names of the buffers of the chain that it sets."""
-    inputs = knob_inputs(transform.weather.parts)
+    inputs = intensity_inputs(transform.weather.parts)
     found: dict[str, list[str]] = {name: [] for name in inputs.values()}
     for name, stage in transform.chain.stages.items():
         if isinstance(stage, PathAttenuation):
             for part in transform.weather.parts:
-                found[inputs[part.kind]].append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")
+                found[inputs[part.kind]].append(f"_stages.{name}.parts.{part.kind}.{part.intensity_name}")
         elif isinstance(stage, WetRadome) and "rain" in inputs:
             found[inputs["rain"]].append(f"_stages.{name}.rate_mm_per_h")
         elif isinstance(stage, VolumeClutter):

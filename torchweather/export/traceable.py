@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from torch import nn
@@ -11,7 +11,7 @@ from torch import nn
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.random import Variate
 
-__all__ = ["Traceable", "knob_inputs"]
+__all__ = ["GraphForm", "GraphSizes", "Traceable", "intensity_inputs"]
 
 FALLING = ("rain", "snow")
 
@@ -26,6 +26,9 @@ class Traceable:
         dynamic_shapes: of the arguments, as ``torch.export`` takes them.
         inputs, outputs: names of the graph's, in order.
         variates: the inputs that are noise, and what fills them.
+        described: the transform as plain values, for the graph's properties.
+        sections: of docs/PHYSICS.md.
+        units: of inputs whose unit depends on the sensor.
     """
 
     module: nn.Module
@@ -34,12 +37,44 @@ class Traceable:
     inputs: list[str]
     outputs: list[str]
     variates: Mapping[str, Variate]
+    described: Mapping[str, Any]
+    sections: Sequence[str]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
-def knob_inputs(parts: Sequence[Weather]) -> dict[str, str]:
-    """Kind of each weather to the name of its knob as a graph's input; rates of a mixture are told apart."""
+@dataclass(frozen=True)
+class GraphSizes:
+    """Sizes and options of a graph; the arguments are those of `to_onnx`."""
+
+    height: int
+    width: int
+    points: int
+    columns: int
+    directions: bool | None
+    masks: bool
+
+
+@dataclass(frozen=True)
+class GraphForm:
+    """Graph of one class of transforms.
+
+    Args:
+        trace: transform and sizes to what is traced.
+        fewest_columns: of its clouds or lists.
+        whole_cells: height and width must be even.
+        takes_masks: shares of sky and own vehicle can be inputs.
+    """
+
+    trace: Callable[[Any, GraphSizes], Traceable]
+    fewest_columns: int = 0
+    whole_cells: bool = True
+    takes_masks: bool = False
+
+
+def intensity_inputs(parts: Sequence[Weather]) -> dict[str, str]:
+    """Kind of each weather to the name of its intensity as a graph's input; rates of a mixture are told apart."""
     alone = sum(part.kind in FALLING for part in parts) == 1
     return {
-        part.kind: part.knob_name if alone or part.kind not in FALLING else f"{part.kind}_{part.knob_name}"
+        part.kind: part.intensity_name if alone or part.kind not in FALLING else f"{part.kind}_{part.intensity_name}"
         for part in parts
     }

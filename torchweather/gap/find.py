@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -28,7 +29,8 @@ def find_gap(
     model_effects: Sequence[Effect] = (),
     effects: Sequence[str] | None = None,
     seed: int = 0,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> GapReport:
     """Find where a simulation and measured frames disagree, and which effect of the catalogue explains it.
 
@@ -40,7 +42,8 @@ def find_gap(
         model_effects: effects that the model has already.
         effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
         seed: of the simulation; the same seed gives the same answer but for ``seconds``.
-        say: told of every step.
+        progress: called with a line of text at every step.
+        say: the old name of ``progress``; goes with the next release.
 
     Returns:
         The report: ``verdict`` is ``none``, ``named``, ``named_and_rest`` or ``unknown``.
@@ -57,12 +60,17 @@ def find_gap(
     References:
         GAP.md 3, 4.
     """
+    if say is not None:
+        warnings.warn(
+            "find_gap: say= is progress= now; the old name goes with the next release.", DeprecationWarning, 2
+        )
+        progress = progress or say
     broken = [finding for finding in diagnose(study) if finding.level == "error"]
     if broken:
         raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
-        result = find_gap_with(_model(study, options, model_effects), effects, seed, say)
+        result = find_gap_with(_model(study, options, model_effects), effects, seed, progress or (lambda text: None))
     return gap_report(result, study.sha256, seed)
 
 

@@ -17,8 +17,8 @@ from torchweather.atmosphere.weather import Fog
 from torchweather.gap.inference.candidate_fits import Candidate
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.forward_selection import GapResult
-from torchweather.gap.inference.likelihood import Fit, Search
-from torchweather.gap.inference.simulated_distribution import Baseline
+from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.simulated_distribution import SimulatedDistribution
 from torchweather.gap.inference.unknown import unknown
 from torchweather.gap.model_file import Additions, read_model, write_model
 from torchweather.gap.statistics.frame_statistics import Group
@@ -221,16 +221,16 @@ def _nuisance(result: GapResult) -> dict[str, Any]:
     conditions count with the precision of their record. ``by_condition`` has the factor on each recorded rate or
     visibility.
     """
-    knobs = result.search.origin.log_knob if result.fit is None else result.fit.setting.log_knob
+    intensities = result.search.origin.log_intensity if result.fit is None else result.fit.setting.log_intensity
     total, weight = 0.0, 0.0
     for target in result.search.measured:
-        if target.knob_sd > 0:
+        if target.intensity_sd > 0:
             sign = -1.0 if isinstance(target.condition.weather, Fog) else 1.0
-            precision = target.knob_sd**-2
-            total += sign * precision * knobs.get(target.condition.id, 0.0)
+            precision = target.intensity_sd**-2
+            total += sign * precision * intensities.get(target.condition.id, 0.0)
             weight += precision
     common = math.exp(total / weight) if weight > 0 else 1.0
-    return {"rate_factor": common, "by_condition": {name: math.exp(value) for name, value in knobs.items()}}
+    return {"rate_factor": common, "by_condition": {name: math.exp(value) for name, value in intensities.items()}}
 
 
 def _weights(candidates: Sequence[Candidate], result: GapResult) -> list[float]:
@@ -281,7 +281,7 @@ def _standard_error(declared: Parameter, value: float, variance: float) -> float
     return math.hypot(WIDENED * math.sqrt(max(variance, 0.0)), other)
 
 
-def _departures(search: Search, base: Baseline) -> dict[str, Floats]:
+def _departures(search: SimulatorLikelihood, base: SimulatedDistribution) -> dict[str, Floats]:
     found = {}
     for target in search.measured:
         name = target.condition.id
@@ -289,7 +289,7 @@ def _departures(search: Search, base: Baseline) -> dict[str, Floats]:
     return found
 
 
-def _loudest(search: Search, base: Baseline) -> list[tuple[float, Group, slice]]:
+def _loudest(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[tuple[float, Group, slice]]:
     """Groups along an axis by their loudest bin over all conditions together, loudest first."""
     each = _departures(search, base)
     layout = search.model.layout
@@ -307,7 +307,7 @@ def _loudest(search: Search, base: Baseline) -> list[tuple[float, Group, slice]]
     return kept
 
 
-def _where(search: Search, base: Baseline) -> list[dict[str, Any]]:
+def _where(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[dict[str, Any]]:
     """The bins that stand out, of the loudest groups."""
     each = np.stack(list(_departures(search, base).values()))
     common = np.nansum(each, 0) / np.sqrt(np.maximum(np.isfinite(each).sum(0), 1))
@@ -370,7 +370,7 @@ def _residuals(result: GapResult) -> ResidualMap:
     """Every statistic in every condition, as the model is and with the best fit."""
     search, layout = result.search, result.search.model.layout
 
-    def of(base: Baseline) -> Floats:
+    def of(base: SimulatedDistribution) -> Floats:
         each = _departures(search, base).values()
         found: Floats = np.sqrt([[_mean_square(values[part]) for values in each] for part in layout.slices])
         return found

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
-import yaml
-
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError
+from torchweather.core.schema import MAPPING, TEXT, Key, check_format, check_keys
+from torchweather.core.yaml_file import dump_yaml, read_yaml
 from torchweather.io import atomic_write
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.lidar.transform import LidarWeather
@@ -19,6 +19,11 @@ from torchweather.recipes.options import RecipeTransform, with_more_effects
 __all__ = ["Additions", "read_model", "write_model"]
 
 MODEL_FORMAT = "torchweather-model/1"
+KEYS = {
+    "format": TEXT.needed,
+    "effects": Key("a list of effects", lambda value: isinstance(value, list), required=True),
+    "empirical": Key(f"{MAPPING.takes}, the arguments of an Empirical stage", MAPPING.fits),
+}
 T = TypeVar("T", bound=RecipeTransform)
 
 
@@ -77,7 +82,7 @@ def write_model(path: Path, effects: Sequence[Effect], empirical: Empirical | No
     if empirical is not None:
         values["empirical"] = empirical.config()
     with atomic_write(path) as unfinished:
-        unfinished.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+        unfinished.write_text(dump_yaml(values), encoding="utf-8")
 
 
 def read_model(path: Path) -> Additions:
@@ -86,17 +91,10 @@ def read_model(path: Path) -> Additions:
     Raises:
         TorchweatherError: the file is missing, is no such file, or holds an effect that cannot be.
     """
-    try:
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise TorchweatherError(f"{path}: wanted a model written by GapReport.write; {error}.") from error
-    if not isinstance(values, Mapping) or values.get("format") != MODEL_FORMAT:
-        raise TorchweatherError(f"{path}: wanted effects of format {MODEL_FORMAT!r}, as GapReport.write writes them.")
-    listed, empirical = values.get("effects"), values.get("empirical")
-    if not isinstance(listed, list):
-        raise TorchweatherError(f"{path}: effects must be a list of effects; got {listed!r}.")
-    if empirical is not None and not isinstance(empirical, Mapping):
-        raise TorchweatherError(f"{path}: empirical must be the arguments of an Empirical stage; got {empirical!r}.")
+    values = read_yaml(path, "a model written by GapReport.write")
+    check_format(values, MODEL_FORMAT, str(path), "a model written by GapReport.write")
+    check_keys(values, KEYS, str(path))
+    listed, empirical = values["effects"], values.get("empirical")
     effects = []
     for number, one in enumerate(listed):
         try:

@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
-import yaml
-
-from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
+from torchweather.core.schema import refuse_unknown
+from torchweather.core.yaml_file import read_yaml
 from torchweather.radar.power_map import MAP_DIMENSIONS, MapAxes, PowerScale
 
 __all__ = ["MAP_LAYOUTS", "MapLayout", "map_layout"]
@@ -151,18 +150,11 @@ def map_layout(name_or_path: str) -> MapLayout:
         check_one_of("layout", name_or_path, MAP_LAYOUTS, owner="map_layout")
         return MAP_LAYOUTS[name_or_path]
     path = Path(name_or_path)
-    try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{path}: no such file.") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise TorchweatherError(f"{path}: expected YAML with the layout of a radar map; {error}.") from error
+    content = read_yaml(path, "the layout of a radar map")
     known = [one.name for one in fields(MapLayout)]
     if not isinstance(content, dict):
         raise TorchweatherError(f"{path}: expected YAML with {', '.join(known)}; got {type(content).__name__}.")
-    for key in content:
-        if key not in known:
-            raise TorchweatherError(f"{path}: {key}: no field of a map's layout.{nearest_name(str(key), known)}")
+    refuse_unknown(content, known, "", str(path))
     try:
         return MapLayout(**content)
     except (TypeError, ValueError) as error:

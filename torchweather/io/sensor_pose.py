@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping
@@ -10,20 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.yaml_file import parse_json, parse_yaml
 from torchweather.io.arrays import read_array
 from torchweather.lidar.pose import split_pose
 
 __all__ = ["read_sensor_pose"]
 
 _MAX_BYTES = 2**20  # a pose has some 200
-_WANTED = (
-    "wanted T_cloud_from_sensor, 4 x 4 or its first three rows: .npy, .txt (12 or 16 numbers), or .json and .yaml with "
-    "that matrix, or with translation and rotation (quaternion w, x, y, z) as in nuScenes"
-)
+_MATRIX = "T_cloud_from_sensor, or translation and rotation (quaternion w, x, y, z) as in nuScenes"
+_WANTED = f"wanted {_MATRIX}: 4 x 4 or its first three rows as .npy, .txt (12 or 16 numbers), .json or .yaml"
 # Keys under which tools keep such a matrix; the last is Waymo's.
 _KEYS = ("T_cloud_from_sensor", "T_vehicle_from_lidar", "T_vehicle_from_sensor", "transform", "extrinsic")
 
@@ -76,10 +73,10 @@ def _of_text(source: Path) -> Any:
     suffix = source.suffix.lower()
     if suffix not in (".json", ".yaml", ".yml"):
         return _of_numbers(text, source)
-    try:
-        content = json.loads(text) if suffix == ".json" else yaml.safe_load(text)
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
-        raise TorchweatherError(f"{source}: {_WANTED}; {error}.") from error
+    if suffix == ".json":
+        content = parse_json(text, str(source), _MATRIX)
+    else:
+        content = parse_yaml(text, str(source), _MATRIX, allow_nan=True)
     if isinstance(content, Mapping):
         content = _of_mapping(content, source)
     if isinstance(content, list) and len(content) in (12, 16):

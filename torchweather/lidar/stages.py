@@ -34,7 +34,7 @@ from torchweather.lidar.returns.soft_return import SoftReturn
 from torchweather.lidar.returns.strongest import ReturnTable, strongest_before
 from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY, Lidar
 from torchweather.lidar.state import LidarState
-from torchweather.physics import Q_EFF, KnobTable, extinction_from_mor, extinction_per_m
+from torchweather.physics import Q_EFF, InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -176,7 +176,7 @@ class ToEnergy(_SensorStage):
 
 
 @lru_cache(maxsize=64)
-def _falling_table(weather: Rain | Snow, wavelength_nm: float, published: bool) -> KnobTable:
+def _falling_table(weather: Rain | Snow, wavelength_nm: float, published: bool) -> InterpolationTable:
     """Full extinction of rain or snow, 1/m, over the rate (the weather's own counts for nothing)."""
 
     def of_rate(rate: Tensor) -> Tensor:
@@ -185,7 +185,7 @@ def _falling_table(weather: Rain | Snow, wavelength_nm: float, published: bool) 
             distribution = distribution.within(*PUBLISHED_DOMAIN_MM)
         return extinction_per_m(distribution, wavelength_nm, temperature_c=weather.temperature_c)
 
-    return KnobTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+    return InterpolationTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
 
 class _PartExtinction(nn.Module):
@@ -202,18 +202,18 @@ class _PartExtinction(nn.Module):
             at_rest = replace(weather, rate_mm_per_h=0.0)
             self.table = copy.deepcopy(_falling_table(at_rest, float(sensor.wavelength_nm), published))
         self.register_buffer("q_eff", torch.tensor(float(q_eff)))
-        self.register_buffer(weather.knob_name, torch.as_tensor(weather.knob, dtype=torch.float32))
+        self.register_buffer(weather.intensity_name, torch.as_tensor(weather.intensity, dtype=torch.float32))
 
     def forward(self) -> Tensor:
         """1/m, of the knob's shape flattened."""
-        knob = getattr(self, self.weather.knob_name).reshape(-1)
+        weather_intensity = getattr(self, self.weather.intensity_name).reshape(-1)
         full: Tensor
         if not isinstance(self.weather, Fog):
-            full = self.table(knob)
+            full = self.table(weather_intensity)
         elif self.koschmieder:
-            full = extinction_from_mor(knob, self.weather.contrast).to(knob)
+            full = extinction_from_mor(weather_intensity, self.weather.contrast).to(weather_intensity)
         else:
-            full = self.optics.extinction_per_m(knob)
+            full = self.optics.extinction_per_m(weather_intensity)
         return full * (0.5 * self.q_eff)
 
 

@@ -220,7 +220,7 @@ def _clouds(wanted: Callable[[PublishedScore], bool] = lambda score: True) -> li
     """The six scores of every pair of clouds."""
     found: dict[tuple[str, ...], dict[str, float]] = {}
     for score in published_scores():
-        if score.sensor != "camera" and wanted(score):
+        if score.metric in CLOUD_DOWN and wanted(score):
             found.setdefault((*score.scene, score.condition), {})[score.metric] = score.value
     return list(found.values())
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 from torchweather.physics.binned_distribution import Binned
 from torchweather.physics.d34 import Table13Row, table13
 from torchweather.physics.extinction import (
@@ -31,7 +34,7 @@ from torchweather.physics.fog_distributions import (
     scaled_to_visibility,
 )
 from torchweather.physics.fresnel import SphereBudget, axial_q_back, normal_reflectance, sphere_budget
-from torchweather.physics.interpolation import KnobTable
+from torchweather.physics.interpolation import InterpolationTable
 from torchweather.physics.mie import MieEfficiencies, mie_coefficients, mie_efficiencies
 from torchweather.physics.precipitation_rate import close_rate, precipitation_rate_mm_per_h, rain_rate_mm_per_h
 from torchweather.physics.radar_attenuation import (
@@ -111,7 +114,7 @@ __all__ = [
     "Binned",
     "Exponential",
     "Gamma",
-    "KnobTable",
+    "InterpolationTable",
     "LogNormal",
     "MieEfficiencies",
     "ModifiedGamma",
@@ -185,3 +188,11 @@ __all__ = [
     "wet_flake_diameter_mm",
     "wet_snow_refractive_index_microwave",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "KnobTable":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    text = "torchweather.physics.KnobTable is InterpolationTable now; the old name goes with the next release."
+    warnings.warn(text, DeprecationWarning, stacklevel=2)
+    return InterpolationTable

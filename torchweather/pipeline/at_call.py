@@ -17,7 +17,7 @@ from torchweather.core.random import keyed_stream
 __all__ = ["CLEAR", "weather_at_call"]
 
 CLEAR = {"rate_mm_per_h": 0.0, "mor_m": math.inf}
-"""Value of each knob without weather."""
+"""Value of each intensity without weather."""
 
 
 def weather_at_call(weather: Weather, p: float, batch: Sequence[int], seeds: Sequence[int], owner: object) -> Weather:
@@ -47,7 +47,7 @@ def weather_at_call(weather: Weather, p: float, batch: Sequence[int], seeds: Seq
 
 
 def _part(part: Weather, drawn: Sequence[Weather], wet: Sequence[bool], batch: Sequence[int], owner: object) -> Weather:
-    name = part.knob_name
+    name = part.intensity_name
     shared = [other for other in part.random if other != name]
     if shared and len(drawn) > 1:
         raise InputValueError(
@@ -57,13 +57,13 @@ def _part(part: Weather, drawn: Sequence[Weather], wet: Sequence[bool], batch: S
     if not drawn:
         return replace(part.densest(), **{name: torch.zeros(tuple(batch))})  # type: ignore[type-var]
     given = [getattr(one, name) for one in drawn]
-    knob: Any
+    intensity: Any
     if not batch:
-        knob = given[0] if wet[0] else CLEAR[name]
+        intensity = given[0] if wet[0] else CLEAR[name]
     elif isinstance(given[0], Tensor):  # one value, or one for each sample: the same in each draw
         chosen = torch.tensor(wet, device=given[0].device).reshape(tuple(batch))
-        knob = torch.where(chosen, given[0].reshape(tuple(batch) if given[0].numel() > 1 else ()), CLEAR[name])
+        intensity = torch.where(chosen, given[0].reshape(tuple(batch) if given[0].numel() > 1 else ()), CLEAR[name])
     else:
         values = [float(value) if one else CLEAR[name] for value, one in zip(given, wet, strict=True)]
-        knob = torch.tensor(values).reshape(tuple(batch))
-    return replace(drawn[0], **{name: knob})  # type: ignore[type-var]
+        intensity = torch.tensor(values).reshape(tuple(batch))
+    return replace(drawn[0], **{name: intensity})  # type: ignore[type-var]

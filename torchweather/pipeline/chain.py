@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from torch import Tensor, nn
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.random import in_parallel, sample_seeds
+from torchweather.core.schema import check_format, refuse_unknown
+from torchweather.core.yaml_file import dump_yaml, parse_yaml
 from torchweather.pipeline.registry import STAGES, load_catalogue
 from torchweather.pipeline.stage import Stage, State
 
@@ -106,8 +107,8 @@ class Chain(nn.Module):
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], owner: str = "Chain") -> Chain:
         """Rebuild a chain from ``to_dict``'s values."""
-        if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-            raise TorchweatherError(f"{owner}: wanted a chain of format {FORMAT!r}; got {_format_of(values)!r}.")
+        check_format(values, FORMAT, owner, "a chain")
+        refuse_unknown(values, ("format", "stages"), "", owner)
         load_catalogue()
         stages: dict[str, Stage] = {}
         for number, entry in enumerate(_entries(values, owner)):
@@ -136,7 +137,7 @@ class Chain(nn.Module):
         state = io.BytesIO()
         np.savez(state, **{key: value.detach().cpu().numpy() for key, value in self.state_dict().items()})
         with atomic_write(path) as unfinished, zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.writestr("chain.yaml", yaml.safe_dump(self.to_dict(), sort_keys=False))
+            archive.writestr("chain.yaml", dump_yaml(self.to_dict()))
             archive.writestr("state.npz", state.getvalue())
 
     @classmethod
@@ -144,11 +145,12 @@ class Chain(nn.Module):
         """Read what ``save`` wrote."""
         try:
             with zipfile.ZipFile(path) as archive:
-                values = yaml.safe_load(archive.read("chain.yaml"))
+                text = archive.read("chain.yaml")
                 with np.load(io.BytesIO(archive.read("state.npz")), allow_pickle=False) as arrays:
                     state = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
-        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error, yaml.YAMLError) as error:
+        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
             raise TorchweatherError(f"{path}: wanted a chain written by Chain.save; {error}.") from error
+        values = parse_yaml(text, str(path), "a chain written by Chain.save")
         chain = cls.from_dict(values, owner=str(path))
         try:
             chain.load_state_dict(state)
@@ -162,7 +164,3 @@ def _entries(values: Mapping[str, Any], owner: str) -> list[Mapping[str, Any]]:
     if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
         raise TorchweatherError(f"{owner}: stages must be a list of stages, each with name and stage; got {entries!r}.")
     return entries
-
-
-def _format_of(values: Any) -> Any:
-    return values.get("format") if isinstance(values, Mapping) else type(values).__name__

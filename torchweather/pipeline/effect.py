@@ -94,7 +94,7 @@ class Effect(Stage):
         scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
             many are on average.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
-        unsaid: quantities that it changes by an amount that no parameter gives, such as the brightness of a
+        unmodelled: quantities that it changes by an amount that no parameter gives, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 
     Example:
@@ -125,7 +125,7 @@ class Effect(Stage):
     cuts: ClassVar[bool] = False
     scatters: ClassVar[bool] = False
     each_frame_anew: ClassVar[bool] = False
-    unsaid: ClassVar[tuple[str, ...]] = ()
+    unmodelled: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)

@@ -52,7 +52,7 @@ def by_rows(
     def fill(first: int, last: int) -> bool:
         into = results[0][..., first:last, :] if results else None
         parts = function(first, last, into)
-        if any(part.requires_grad for part in parts):  # through a knob
+        if any(part.requires_grad for part in parts):  # through an intensity
             return False
         for number, part in enumerate(parts):
             if number == len(results):

@@ -20,7 +20,7 @@ from torchweather.lidar.returns.beam_particles import RATE_HIGH_MM_PER_H, RATE_L
 from torchweather.physics import (
     RAIN_ATTENUATION_MODELS,
     SNOW_ATTENUATION_MODELS,
-    KnobTable,
+    InterpolationTable,
     fog_attenuation_db_per_km,
     particle_attenuation_db_per_km,
     rain_attenuation_db_per_km,
@@ -47,7 +47,7 @@ def radar_of(sensor: Radar | Mapping[str, Any]) -> Radar:
 
 
 def weather_attenuation_db_per_km(
-    weather: Weather, radar: Radar, model: str | None = None, knob: float | Tensor | None = None
+    weather: Weather, radar: Radar, model: str | None = None, intensity: float | Tensor | None = None
 ) -> Tensor:
     """Attenuation of a single weather at a radar's carrier, dB/km one way.
 
@@ -57,10 +57,10 @@ def weather_attenuation_db_per_km(
         model: of rain ``p838`` (ITU-R P.838-3), ``dsd_mie`` (Mie over the weather's own drops) or ``d3_4`` (Sander); of
             fog ``p840`` (ITU-R P.840) or ``d3_4``; of snow ``dsd_mie`` (Mie over its own flakes) or ``d3_4``
             (Norouziari). ``None``: the first of each.
-        knob: rate, mm/h, or visibility, m, a number or a tensor, which may require grad; ``None`` is the weather's own.
+        intensity: rate, mm/h, or visibility, m, a number or a tensor, which may require grad; ``None``: the weather's.
 
     Returns:
-        float64, of the shape of the knob.
+        float64, of the shape of the intensity.
 
     References:
         PHYSICS.md 6.5-6.7.
@@ -72,7 +72,7 @@ def weather_attenuation_db_per_km(
     chosen = DEFAULT_MODELS[weather.kind] if model is None else model
     check_one_of(f"model of {weather.kind}", chosen, MODELS[weather.kind], owner="weather_attenuation_db_per_km")
     frequency_ghz = radar.frequency_ghz
-    value = weather.knob if knob is None else knob
+    value = weather.intensity if intensity is None else intensity
     if isinstance(weather, Fog):
         water = weather.distribution(value).liquid_water_g_per_m3()
         variant = "d3_4" if chosen == "d3_4" else "default"
@@ -95,41 +95,41 @@ def weather_attenuation_db_per_km(
 
 
 @lru_cache(maxsize=64)
-def _table(weather: Weather, radar: Radar, model: str) -> KnobTable:
-    """dB/km over the knob; the weather's own counts for nothing."""
+def _table(weather: Weather, radar: Radar, model: str) -> InterpolationTable:
+    """dB/km over the intensity; the weather's own counts for nothing."""
 
-    def of_knob(knob: Tensor) -> Tensor:
-        return weather_attenuation_db_per_km(weather, radar, model, knob)
+    def of_intensity(intensity: Tensor) -> Tensor:
+        return weather_attenuation_db_per_km(weather, radar, model, intensity)
 
     if isinstance(weather, Fog):
-        return KnobTable(of_knob, *mor_range_m(weather), FOG_NODES, zero_at_inf=True)
-    return KnobTable(of_knob, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+        return InterpolationTable(of_intensity, *mor_range_m(weather), FOG_NODES, zero_at_inf=True)
+    return InterpolationTable(of_intensity, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
 
 class _PartAttenuation(nn.Module):
-    """Attenuation of one weather over its knob."""
+    """Attenuation of one weather over its intensity."""
 
     def __init__(self, weather: Weather, radar: Radar, model: str) -> None:
         super().__init__()
         self.weather = weather
         none = math.inf if isinstance(weather, Fog) else 0.0
-        self.at_rest: Weather = replace(weather, **{weather.knob_name: none})  # type: ignore[type-var]
+        self.at_rest: Weather = replace(weather, **{weather.intensity_name: none})  # type: ignore[type-var]
         carrier = Radar(
             frequency_ghz=radar.frequency_ghz, polarisation=radar.polarisation, elevation_rad=radar.elevation_rad
         )
         # A copy: .to(dtype) of one module must not reach the cached table of all others.
         self.table = copy.deepcopy(_table(self.at_rest, carrier, model))
-        self.register_buffer(weather.knob_name, torch.as_tensor(weather.knob, dtype=torch.float32))
+        self.register_buffer(weather.intensity_name, torch.as_tensor(weather.intensity, dtype=torch.float32))
 
     @property
-    def knob(self) -> Tensor:
+    def intensity(self) -> Tensor:
         """Rate or visibility, flattened."""
-        found: Tensor = getattr(self, self.weather.knob_name).reshape(-1)
+        found: Tensor = getattr(self, self.weather.intensity_name).reshape(-1)
         return found
 
     def forward(self) -> Tensor:
         """dB/km one way, of the knob's shape flattened."""
-        found: Tensor = self.table(self.knob)
+        found: Tensor = self.table(self.intensity)
         return found
 
 
@@ -199,7 +199,9 @@ class PathAttenuation(Stage):
             sensor=self.sensor,
             weathers=tuple(part.at_rest for part in parts.values()),
             rates_mm_per_h={
-                kind: part.knob.expand(state.batch) for kind, part in parts.items() if not isinstance(part.weather, Fog)
+                kind: part.intensity.expand(state.batch)
+                for kind, part in parts.items()
+                if not isinstance(part.weather, Fog)
             },
         )
 

@@ -31,7 +31,7 @@ from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_di
 from torchweather.core.errors import InputTypeError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.lidar.returns.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
-from torchweather.physics import KnobTable, reflectivity_weighted_fall_speed
+from torchweather.physics import InterpolationTable, reflectivity_weighted_fall_speed
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
@@ -97,7 +97,7 @@ def cell_volume_m3(range_m: Tensor, radar: Radar) -> Tensor:
 
 
 @lru_cache(maxsize=32)
-def _table(weather: Rain | Snow, frequency_ghz: float) -> KnobTable:
+def _table(weather: Rain | Snow, frequency_ghz: float) -> InterpolationTable:
     """Reflectivity, mean and standard deviation of the fall speed over the rate."""
 
     def of_rate(rate: Tensor) -> Tensor:
@@ -109,14 +109,14 @@ def _table(weather: Rain | Snow, frequency_ghz: float) -> KnobTable:
             -1,
         )
 
-    return KnobTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+    return InterpolationTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
 
 class FallingReflectivity(nn.Module):
     """Reflectivity and Doppler of rain or snow over its rate.
 
     Args:
-        weather: its size distribution counts; its rate is the knob.
+        weather: its size distribution counts; its rate is the intensity.
         frequency_ghz: of the carrier.
     """
 

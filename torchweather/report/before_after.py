@@ -82,7 +82,7 @@ def panel_caption(
     airlight: Sequence[float] | None = None,
     airlight_from: str = "guessed",
 ) -> str:
-    """A caption that says how sure the picture is.
+    """A caption with the weather, the confidence of the depth, the airlight and the seed.
 
     Args:
         weather: that was put on it.

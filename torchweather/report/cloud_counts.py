@@ -1,4 +1,4 @@
-"""What became of the points of a cloud in the weather, in numbers."""
+"""Counts of a cloud's points in the weather: kept, lost, replaced."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _named_ends(counts: Tensor | None) -> dict[str, int]:
 
 
 def cloud_counts(hit: Tensor, result: LidarResult) -> dict[str, Any]:
-    """What became of the points of one cloud.
+    """Counts of one cloud: objects, particles, lost points, empty beams.
 
     Args:
         hit: ``(N,)`` rows of the input with a return.

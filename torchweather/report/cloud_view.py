@@ -178,7 +178,7 @@ def _by_range(counts: Sequence[RangeCounts]) -> list[parts.Part]:
 
 
 def _shown(clear: int, seen: int, stride: int, scan: str, scales: dict[str, Any]) -> str:
-    """How much of the clouds the picture shows."""
+    """Sentences on the share of points that the picture shows."""
     text = "The picture shows all points."
     if stride > 1:
         text = f"""The picture shows one beam in {stride} ({count_text(clear)} points in clear air, {count_text(seen)}
@@ -189,7 +189,7 @@ def _shown(clear: int, seen: int, stride: int, scan: str, scales: dict[str, Any]
 
 
 def _data(clear: ViewPoints, seen: ViewPoints, sensor: Lidar) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the page's program reads, and what its text says about it."""
+    """Data for the page's scripts, and the scales that its text names."""
     import matplotlib as mpl
 
     both = torch.cat([clear.xyz_m, seen.xyz_m])

@@ -151,7 +151,7 @@ def _ranking(found: Correlation, ranked: list[MetricCorrelation]) -> tuple[str, 
 
 
 def _claim(found: Correlation) -> tuple[str, list[parts.Part]] | None:
-    """What D3.4 says of each score, beside what was found."""
+    """The claim of D3.4 about each score beside the correlation found."""
     if not found.claim:
         return None
     looks = {"agrees": "left", "contradicts": "left no"}
@@ -233,7 +233,7 @@ def _coefficient(one: Coefficient) -> parts.Cell:
 
 
 def _reasons(found: Correlation) -> list[str]:
-    """Why numbers are missing, each reason once, with its metrics."""
+    """Reasons for missing numbers, each once, with its metrics."""
     reasons: dict[str, list[str]] = {}
     for each in found.metrics:
         for what, one in (

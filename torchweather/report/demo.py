@@ -37,7 +37,7 @@ STRIP_PX = 480  # columns of each picture of the strip
 
 @dataclass(frozen=True)
 class WeatherKind:
-    """One kind of weather at rising strength; ``best`` is the one that stands for it at the top of the page."""
+    """One kind of weather at rising strength; ``best`` is its representative at the top of the page."""
 
     kind: str
     weathers: tuple[tuple[str, str, Weather], ...]  # name of the files, label, weather

@@ -114,7 +114,11 @@ class FrameChapter:
         self._sections: list[Section] = []
 
     def add(self, shown: Shown) -> torch.Tensor:
-        """Add a kind of weather; the display picture of the one that stands for it."""
+        """Add a kind of weather.
+
+        Returns:
+            Display picture of its representative.
+        """
         pictures = [self.frame.picture(one.data) for one in shown.rendered]
         self._sections.append(_weather_section(self.frame, self.clear, shown, pictures))
         label, best = shown.labels[shown.best], pictures[shown.best]
@@ -144,7 +148,7 @@ def _captioned(frame: Frame, label: str, picture: torch.Tensor, facts: Sequence[
 
 
 def _facts(kind: str, numbers: Mapping[str, Any]) -> list[str]:
-    """What stands under a picture at the top."""
+    """Facts below a picture at the top."""
     left = f"{number_text(100 * numbers['transmission_28_m'])} % of the light from 28 m arrives"
     if kind == "fog":
         return [left, f"{number_text(numbers['liquid_water_g_per_m3'])} g of water per m³"]

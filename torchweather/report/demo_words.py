@@ -85,7 +85,7 @@ TABLE = """How to read the table. Extinction is all light that leaves the straig
 
 
 def limits(version: str, seed: int, *, lidar: bool, radar: bool) -> Section:
-    """What the pictures are, and what they are not.
+    """Limits of the pictures: the model, the checks, the open points.
 
     Args:
         version, seed: of the demo.

@@ -1,4 +1,4 @@
-"""What a study lacks: the section of a page, and the warnings beside its verdict."""
+"""Findings about a study: the section of a page, and the warnings beside its verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gap's page about effects: what was found, what it could be mistaken for, what no effect explains, the ranking."""
+"""Effects on the gap's page: those found, their rivals, the unexplained residual, the ranking."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _found(
 
 
 def _status(rival: str, effect: Mapping[str, Any], answer: Mapping[str, Any], searched: Sequence[str]) -> str:
-    """What these data say of an effect that another could be mistaken for."""
+    """Status of a rival effect with these data."""
     if rival in effect["confusable_with"]:
         return "cannot be excluded"
     if rival in {one["name"] for one in answer["effects"]}:
@@ -125,7 +125,7 @@ def _status(rival: str, effect: Mapping[str, Any], answer: Mapping[str, Any], se
 
 
 def _data_between(name: str, rival: str) -> str:
-    """What data would tell two effects apart, as the catalogue says it of either."""
+    """Data that distinguish two effects, after the catalogue's entry of either."""
     other = EFFECTS[rival].confusable_with if rival in EFFECTS else {}
     return EFFECTS[name].confusable_with.get(rival) or other.get(name) or "the catalogue does not say"
 
@@ -271,6 +271,6 @@ def _candidates(answer: Mapping[str, Any]) -> Sequence[Sequence[parts.Cell | str
 
 
 def _departs(effect: Any, parameter: str, value: float | str) -> bool:
-    """Whether a parameter is elsewhere than where it does nothing."""
+    """True for a parameter away from its identity value."""
     declared = {one.name: one.identity for one in effect.arguments} if effect else {}
     return declared.get(parameter) != float(value)

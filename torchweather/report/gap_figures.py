@@ -63,7 +63,7 @@ def curve_uri(curves: Sequence[Curve]) -> str:
 
 
 def response_uri(responses: Sequence[Response]) -> str:
-    """What was measured beside what each fitted effect would do, one statistic along its axis, all conditions together.
+    """Measured change beside the response of each fitted effect, one statistic along its axis, all conditions together.
 
     Args:
         responses: of one statistic and axis, the measurement first; at most as many effects as ``LINES``.

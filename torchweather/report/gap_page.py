@@ -213,7 +213,7 @@ def _named(study: Study, conditions: Sequence[str]) -> list[str]:
 
 
 def _record(study: Study, answer: Mapping[str, Any]) -> Section:
-    """How far the weather's record of each condition was moved."""
+    """Fitted shift of the weather record of each condition."""
     text = """A recorded rate or visibility has an error of its own. It is fitted within its stated uncertainty, so that
         it does not pass for an effect."""
     found: list[parts.Part] = [parts.Paragraph(text)]
@@ -256,7 +256,7 @@ def _record(study: Study, answer: Mapping[str, Any]) -> Section:
 
 
 def _percent(factor: float) -> str:
-    """By how much a factor is off one."""
+    """A factor as a change in per cent, with its sign."""
     return f"{100 * (factor - 1):+.1f} %".replace("-", "−")
 
 

@@ -220,7 +220,7 @@ def formula_words(name: str) -> str:
 
 
 def exact_twins(name: str, *, with_intensity: bool) -> list[tuple[str, str]]:
-    """What cannot be told from an effect with such data, and what would tell it.
+    """Causes that are indistinguishable from an effect with such data, and the data that distinguish them.
 
     Args:
         name: of the effect.
@@ -360,7 +360,7 @@ def _lack(effect: Mapping[str, Any]) -> str:
 
 
 def _seen(answer: Mapping[str, Any]) -> str:
-    """Where the rest shows, where that is known."""
+    """Statistic with most of the unexplained residual, in brackets; empty where it is not known."""
     rest = answer.get("unknown")
     if not rest:
         return ""

@@ -36,7 +36,7 @@ Named = Sequence[tuple[str, WeatherCloud]]
 
 
 def under_the_ground(points: Tensor, plane: GroundPlane | None) -> Tensor:
-    """Which points ``(N, 3 or more)`` lie more than 0.3 m under the ground, within 40 m, bool ``(N,)``."""
+    """Mask ``(N,)`` of points ``(N, 3 or more)`` more than 0.3 m under the ground, within 40 m."""
     if plane is None:
         return torch.zeros(len(points), dtype=torch.bool)
     xyz = points[:, :3].double().numpy()

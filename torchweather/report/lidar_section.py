@@ -139,7 +139,7 @@ def _around(seen: LidarScene, named: Sequence[tuple[str, WeatherCloud]]) -> list
 
 
 def _words(seen: LidarScene, sensor: str, records: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Why the clouds look as they do."""
+    """Paragraphs that explain the clouds."""
     lidar, count = seen.lidar, len(seen.clear.kind)
     beams = number_text(count) if count < 1000 else count_text(count)
     reported = lidar.return_mode if lidar.return_mode != "dual" else "strongest"
@@ -168,7 +168,7 @@ def _words(seen: LidarScene, sensor: str, records: Sequence[dict[str, Any]]) -> 
 
 
 def _facts(record: dict[str, Any]) -> Iterator[str]:
-    """What stands under a picture from above."""
+    """Facts below a picture from above."""
     numbers = record["numbers"]
     if record["name"] == "clear":
         yield f"{count_text(int(numbers['objects']))} points"

@@ -42,7 +42,7 @@ class WeatherCloud:
 
 @dataclass(frozen=True)
 class LidarScene:
-    """What a LiDAR sees of a scene in clear air.
+    """A scene as a LiDAR sees it in clear air.
 
     Args:
         scene: what there is.

@@ -1,4 +1,4 @@
-"""What the weather of a frame amounts to in numbers: expected particles and coverage beside what was rendered."""
+"""Physical numbers of a frame's weather: expected particles and coverage beside the rendered ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GREEN = 1  # index of the green (or clear) band
 
 @dataclass(frozen=True)
 class Path:
-    """How a transform's weather dims the light along its way.
+    """Extinction of a transform's weather along the path of the light.
 
     Args:
         fog_per_m: extinction of the fog per band, 1/m; zeros without fog.
@@ -82,7 +82,7 @@ def _outline_per_m(part: Population) -> float:
 
 
 def falling_numbers(transform: BayerWeather, depth_m: Tensor) -> dict[str, float]:
-    """How many particles stand between the camera and the scene, and which share of them is drawn one by one.
+    """Number of particles between the camera and the scene, and the share of them that is drawn one by one.
 
     Expected values, from the size distribution and the tables of the renderer; those drawn one by one are the ones
     whose mark peaks above the transform's ``cut`` where they do not crowd.

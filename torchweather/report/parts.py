@@ -259,7 +259,7 @@ class Columns(Part):
 
 @dataclass(frozen=True)
 class Widget(Part):
-    """What a script of the page drives: a template of its own within the page."""
+    """A template of its own within the page, driven by a script."""
 
     template: str
     values: Mapping[str, Any]

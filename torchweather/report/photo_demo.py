@@ -203,7 +203,7 @@ def _weathered(
 
 
 def _airlight_from(airlight: Sequence[float] | None, scene: SceneDepth) -> str:
-    """Where the airlight comes from, in words."""
+    """Origin of the airlight in words."""
     if airlight is not None:
         return "given"
     if not bool((scene.sky_share > 0.5).any()):

@@ -112,7 +112,7 @@ def tinted_raw(linear: Tensor, pattern: str, exposure: float) -> Tensor:
 def liveliest_window(
     before: Tensor, after: Tensor, particle_mask: Tensor, depth_m: Tensor, height: int, width: int
 ) -> Window:
-    """Where a close-up shows most of the particles: the window in which they stand out most from what is behind.
+    """Window for a close-up: the one in which particles differ most from their background.
 
     Args:
         before, after: display pictures ``(3, H, W)``.

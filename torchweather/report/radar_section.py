@@ -139,7 +139,7 @@ def radar_part(
 
 
 def _words(radar: Radar, sensor: str, records: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Why the frames look as they do."""
+    """Paragraphs that explain the frames."""
     lost_db = {record["name"]: record["numbers"]["loss_56_m_db"] for record in records}
     yield parts.markup(
         """One frame of the FMCW radar <code>{}</code> in the bumper: {} virtual channels, {} chirps of {} samples,
@@ -166,7 +166,7 @@ def _words(radar: Radar, sensor: str, records: Sequence[Mapping[str, Any]]) -> I
 
 
 def _facts(frame: RadarFrame) -> Iterator[str]:
-    """What stands under a picture."""
+    """Facts below a picture."""
     scene, other = frame.numbers["points_scene"], frame.numbers["points_other"]
     yield f"{scene} points of the scene"
     yield f"{other} of {'noise' if frame.weather is None else 'weather and noise'}"

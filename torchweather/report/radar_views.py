@@ -52,7 +52,7 @@ class RadarFrame:
 
 @dataclass(frozen=True)
 class RadarScene:
-    """What a radar sees of a scene.
+    """A scene as a radar sees it.
 
     Args:
         radar: the sensor.
@@ -95,7 +95,7 @@ class RadarScene:
         return RadarFrame(parsed, points, of_scene, cell, result.power_dbm, numbers, times_s, tuple(said))
 
     def _of_scene(self, channels: Tensor, points: Tensor, cell: Tensor, attenuation_db_per_km: float) -> Tensor:
-        """Whether the beam of a point holds more of the scene's echo than of everything else."""
+        """True for points whose beam holds more of the scene's echo than of everything else."""
         range_m = torch.linalg.vector_norm(points[:, :3], dim=-1)
         # A cell is so short that one loss holds for all of it.
         loss = 10.0 ** (-2e-3 * attenuation_db_per_km * range_m / 20.0)
@@ -113,7 +113,7 @@ class RadarScene:
 
 
 def radar_scene(scene: Scene, radar: Radar, velocity_m_per_s: Mapping[str, Point] | None = None) -> RadarScene:
-    """A radar in the bumper of the vehicle, which stands.
+    """A radar in the bumper of a stationary vehicle.
 
     Args:
         scene: what there is to see.

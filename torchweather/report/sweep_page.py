@@ -270,7 +270,7 @@ def _title(series: Series) -> str:
 
 
 def _chance(record: Mapping[str, Any], series: Series, trends: SeriesTrends, drawn_from: str) -> str:
-    """How many scores resamples let follow, and how many would by chance."""
+    """Bootstrap interval of the count of scores that follow, and the count expected by chance."""
     text = ""
     if record["interval"] is not None:
         low, high = record["interval"]

@@ -32,7 +32,7 @@ PICTURE_PX = 640
 
 
 def side_by_side(study: Study, validation: Validation) -> list[parts.Part]:
-    """What is shown, its legend, and the pictures."""
+    """Introduction, legend and pictures."""
     if study.kind == "link":
         text = """Simulated: the loss of the recorded rain on the way (ITU-R P.838), over dry samples of the same
             link."""

@@ -38,7 +38,7 @@ def under_ground(cloud: ViewPoints, plane: GroundPlane | None) -> int:
 
 
 def flat_view(clear: ViewPoints, weather: ViewPoints, reach_m: float) -> tuple[dict[str, Any], GroundPlane | None]:
-    """What the flat pictures of the page need beside the points, and the ground.
+    """Axes and ground for the flat pictures of the page.
 
     Args:
         clear, weather: the points, in the sensor's frame.

@@ -1,5 +1,3 @@
-"""Moved to ``torchweather.recipes.pipelines``; this path goes with the next release."""
+"""Earlier path of recipes of kind multi_sensor; it goes with the next release."""
 
-from torchweather.core.moved import moved
-
-__getattr__ = moved(__name__, "torchweather.recipes.pipelines")
+from torchweather.recipes.pipelines import __getattr__ as __getattr__

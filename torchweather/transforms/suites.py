@@ -1,5 +1,3 @@
-"""Moved to ``torchweather.recipes.suites``; this path goes with the next release."""
+"""Earlier path of recipes of kind suite; it goes with the next release."""
 
-from torchweather.core.moved import moved
-
-__getattr__ = moved(__name__, "torchweather.recipes.suites")
+from torchweather.recipes.suites import __getattr__ as __getattr__

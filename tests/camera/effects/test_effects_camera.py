@@ -36,7 +36,7 @@ from torchweather.camera.effects.optics import CameraAdherentDrops
 from torchweather.camera.particles.streaks import Marks, add_listed
 from torchweather.export import draw_feed, to_onnx
 from torchweather.pipeline.effect import CAMERA_PLACES
-from torchweather.recipes.recipes import load_recipe, save_recipe
+from torchweather.recipes import load_recipe, save_recipe
 from torchweather.stages import EFFECTS, CameraState, Chain, ParticleVeil, effect_from_dict, with_effects
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
 
@@ -808,7 +808,7 @@ def test_effects_are_exported_with_the_chain(weather: str, tmp_path: Path) -> No
     to_onnx(transform, tmp_path / "graph.onnx", height=24, width=40)
     session = onnxruntime.InferenceSession(tmp_path / "graph.onnx", providers=["CPUExecutionProvider"])
     feed = draw_feed(session, height=H, width=W, seed=5)
-    knob = {"mor_m": 60.0} if weather == "fog" else {"rate_mm_per_h": 25.0}
+    intensity = {"mor_m": 60.0} if weather == "fog" else {"rate_mm_per_h": 25.0}
     inputs = {"fx": own.fx, "fy": own.fy, "cx": own.cx, "cy": own.cy}
     got = session.run(
         ["signal"],
@@ -816,7 +816,7 @@ def test_effects_are_exported_with_the_chain(weather: str, tmp_path: Path) -> No
             "bayer": frame(1).numpy(),
             "depth": depth(1).numpy(),
             **{key: np.array(value, np.float32) for key, value in inputs.items()},
-            **{key: np.full(1, value, np.float32) for key, value in knob.items()},
+            **{key: np.full(1, value, np.float32) for key, value in intensity.items()},
             **feed,
         },
     )[0]

@@ -14,7 +14,8 @@ from torchweather.io import PointLabels, write_image, write_labels, write_points
 MANIFEST = "torchweather-manifest.sqlite"
 # Of a small camera and a LiDAR of intensity 0 to 1; a rate for each frame.
 BOTH = """
-format: torchweather-pipeline/1
+format: torchweather-recipe/2
+kind: multi_sensor
 title: rain of a rate for each frame
 weather: {kind: rain, rate_mm_per_h: {log_uniform: [5.0, 100.0]}}
 transforms:
@@ -31,7 +32,8 @@ p: 1.0
 depth: depth
 """
 FOG = """
-format: torchweather-recipe/1
+format: torchweather-recipe/2
+kind: transform
 title: fog that takes far points away
 transform: LidarFog
 weather: {kind: fog, mor_m: 100.0}

@@ -14,7 +14,7 @@ from torchweather.datasets.augment import augment
 from torchweather.datasets.augment.manifest import NAME, Manifest, Row
 from torchweather.io import read_points, write_points
 from torchweather.lidar import own_vehicle_mask
-from torchweather.recipes.recipes import save_recipe
+from torchweather.recipes import save_recipe
 from torchweather.transforms import LidarFog
 
 PLACES = (0.0, 0.9, 1.7, 2.8, 4.1)

@@ -32,7 +32,8 @@ FRAMES = ("000008", "001545")
 SIZES = {1: ("Pedestrian", 1.75, 0.6, 0.8), 3: ("Car", 1.55, 1.7, 4.0), 8: ("Truck", 3.2, 2.6, 9.0)}
 OBJECT, PARTICLE = 40, 110
 RECIPE = """
-format: torchweather-pipeline/1
+format: torchweather-recipe/2
+kind: multi_sensor
 title: {kind} on recorded frames
 weather: {weather}
 transforms:

@@ -13,7 +13,7 @@ import yaml
 
 from tests.evaluation.robustness.onnx_detectors import declared, fixed_boxes
 from torchweather.io import write_image
-from torchweather.recipes.suites import FORMAT
+from torchweather.recipes.schema import FORMAT
 
 SIZE = (48, 64)
 BOX = [8.0, 8.0, 40.0, 32.0]
@@ -56,7 +56,7 @@ def camera_model(folder: Path, **options: Any) -> Path:
 
 def own_suite(folder: Path, kind: str = "camera") -> Path:
     weathers = {"fog": {"mor_m": [1000.0, 400.0, 100.0, 30.0, 15.0]}}
-    values = {"format": FORMAT, "title": "fog", "sensor": {"kind": kind}, "weathers": weathers}
+    values = {"format": FORMAT, "kind": "suite", "title": "fog", "sensor": {"kind": kind}, "weathers": weathers}
     path = folder / f"{kind}-suite.yaml"
     path.write_text(yaml.safe_dump(values))
     return path

@@ -42,22 +42,22 @@ def written(folder: Path, values: object) -> Path:
 
 
 WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
-    "format": (lambda v: v.update(format="x"), "wanted a declaration of format"),
+    "format": (lambda v: v.update(format="x"), "format must be 'torchweather-detector/1'; got 'x'"),
     "key": (lambda v: v.update(decodr="boxes"), "unknown key 'decodr'.*Did you mean 'decoder'"),
     "decoder": (lambda v: v.update(decoder="boxs"), "decoder must be one of boxes, yolov8, .*; got 'boxs'.*'boxes'"),
     "sensor": (lambda v: v.update(sensor="radar"), "sensor must be one of camera, lidar; got 'radar'"),
     "lidar boxes": (lambda v: v.update(sensor="lidar"), "boxes is for a camera"),
-    "no classes": (lambda v: v.pop("classes"), "lacks 'classes'"),
+    "no classes": (lambda v: v.pop("classes"), "classes is missing"),
     "classes": (lambda v: v.update(classes="car"), "classes must be a list"),
     "twice": (lambda v: v.update(classes=["car", "car"]), "a name of its own"),
-    "input": (lambda v: v.update(input={}), "input needs the name"),
+    "input": (lambda v: v.update(input={}), "input.name is missing"),
     "layout": (lambda v: v["input"].update(layout="NHCW"), "layout must be one of NCHW, NHWC.*Did you mean"),
     "input key": (lambda v: v["input"].update(colours="RGB"), "Did you mean 'colour'"),
     "size": (lambda v: v["input"].update(size=[3]), r"size must be \[height, width\]"),
     "outputs": (lambda v: v.update(outputs={"boxes": "b"}), "outputs must name the model's output for scores"),
     "option": (lambda v: v.update(options={"treshold": 0.1}), "Did you mean 'threshold'"),
     "one output twice": (lambda v: v.update(outputs={"boxes": "o", "scores": "o"}), "every output once.*yolov8"),
-    "no output of the decoder": (lambda v: v.update(decoder="yolov8"), "Did you mean|unknown output of yolov8 'boxes'"),
+    "no output of the decoder": (lambda v: v.update(decoder="yolov8"), "unknown key 'outputs.boxes'"),
     "levels": (
         lambda v: v.update(decoder="nanodet", outputs={"scores": ["a"], "boxes": ["b", "c", "d"]}),
         "one output a level.*strides has 3 levels, outputs 1, 3",

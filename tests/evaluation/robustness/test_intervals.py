@@ -18,7 +18,7 @@ from torchweather.evaluation.robustness.remarks import remarks
 from torchweather.evaluation.robustness.result import ConditionResult, RobustnessResult
 from torchweather.metrics import average_precision
 from torchweather.metrics.detection import matched_boxes
-from torchweather.recipes.suites import Condition
+from torchweather.recipes.suite import Condition
 
 CLASSES = {0: "car", 1: "person"}
 

@@ -286,7 +286,7 @@ def test_trends_go_from_light_to_heavy() -> None:
     for weathers in ([Rain(5.0), Rain(10.0), Rain(50.0)], [Fog(mor_m=400.0), Fog(mor_m=100.0), Fog(mor_m=30.0)]):
         shuffled = [("s0", weathers[k], scores[k]) for k in (1, 2, 0)]
         (trend,) = compared_trends(shuffled, seed=0)
-        assert trend.values == tuple(float(weather.knob) for weather in weathers)
+        assert trend.values == tuple(float(weather.intensity) for weather in weathers)
         assert trend.measured.metrics["mde"].verdict == "expected"
     assert compared_trends([("s0", Rain(5.0), scores[0]), ("s1", Rain(9.0), scores[1])], seed=0) == []
 

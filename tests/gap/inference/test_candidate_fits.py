@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from torchweather.gap.inference.candidate_fits import REWEIGHTED, SETTLED_ROUNDS, _least, _refined, _settled_along
-from torchweather.gap.inference.likelihood import SETTLED, Setting
-from torchweather.gap.inference.response_templates import Node
-from torchweather.gap.inference.starting_points import lines
+from torchweather.gap.inference.likelihood import SETTLED, ParameterPoint
+from torchweather.gap.inference.response_templates import ResponseTemplate
+from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.lidar.effects.all import EFFECTS
 
 BASE: Any = SimpleNamespace(note="the fit without effects")
@@ -39,16 +39,16 @@ def test_nuisances_are_settled_beside_weak_strengths_of_either_sign_and_on_along
     strengths 0.88 and 1.13 are the farthest; beyond them each step is 1.4 times the departure, until one is worse."""
     asked = []
 
-    def settle_beside(setting: Setting, like: Any, rounds: int) -> Any:
+    def settle_beside(setting: ParameterPoint, like: Any, rounds: int) -> Any:
         assert (like, rounds) == (BASE, SETTLED_ROUNDS)
         factor = setting.values["lidar.extinction_scale"]["factor"]
         asked.append(factor)
         return setting, factor, 200.0 + 5e4 * (factor - truth) ** 2
 
     search: Any = SimpleNamespace(settle_beside=settle_beside, model=SimpleNamespace(sizes={}))
-    (line, _) = lines(EFFECTS["lidar.extinction_scale"], [])
-    node = Node(line, 0, line.settings[0], np.zeros(3))
-    setting, nuisance = _settled_along(search, BASE, Setting(), node, 200.0 + 5e4 * (1.0 - truth) ** 2)
+    (line, _) = parameter_grids(EFFECTS["lidar.extinction_scale"], [])
+    node = ResponseTemplate(line, 0, line.settings[0], np.zeros(3))
+    setting, nuisance = _settled_along(search, BASE, ParameterPoint(), node, 200.0 + 5e4 * (1.0 - truth) ** 2)
     assert setting.values["lidar.extinction_scale"]["factor"] == pytest.approx(truth, abs=1e-6)
     assert nuisance == pytest.approx(truth, abs=1e-6)  # those of the same fit
     assert len(asked) == 5 + farther
@@ -58,13 +58,15 @@ def test_nuisances_are_settled_beside_weak_strengths_of_either_sign_and_on_along
 def test_an_effect_whose_identity_is_infinitely_far_is_settled_at_its_settings() -> None:
     asked = []
 
-    def settle_beside(setting: Setting, like: Any, rounds: int) -> Any:
+    def settle_beside(setting: ParameterPoint, like: Any, rounds: int) -> Any:
         asked.append(setting.values["lidar.limited_extent"]["extent_m"])
         return setting, None, abs(asked[-1] - 90.0)
 
     search: Any = SimpleNamespace(settle_beside=settle_beside, model=SimpleNamespace(sizes={}))
-    (line,) = lines(EFFECTS["lidar.limited_extent"], [])
-    found, _ = _settled_along(search, BASE, Setting(), Node(line, 0, line.settings[0], np.zeros(3)), math.inf)
+    (line,) = parameter_grids(EFFECTS["lidar.limited_extent"], [])
+    found, _ = _settled_along(
+        search, BASE, ParameterPoint(), ResponseTemplate(line, 0, line.settings[0], np.zeros(3)), math.inf
+    )
     assert found.values["lidar.limited_extent"]["extent_m"] == min(asked, key=lambda one: abs(one - 90.0))
     assert len(asked) == 3
 

@@ -17,7 +17,7 @@ from tests.gap.tiny_study import SENSOR, tiny_study
 from torchweather.gap.find import find_gap
 from torchweather.gap.gap_report import read_model
 from torchweather.gap.inference.empirical_fit import UNIT_OF, WHY_NOT, Departures, empirical_stage, natural_curve
-from torchweather.gap.inference.simulated_distribution import targets
+from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.sensors.camera.tails import share_groups
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.radar.sums import radar_layout
@@ -169,7 +169,10 @@ def between(plain: Study, other: Study) -> Departures:
     """The changed frames beside the plain ones, with the scatter from frame to frame."""
     models = LidarFrames(plain), LidarFrames(other)
     conditions = [one for one in plain.fit if one.weather is not None]
-    before, after = targets(models[0], conditions), targets(models[1], [o for o in other.fit if o.weather is not None])
+    before, after = (
+        observations(models[0], conditions),
+        observations(models[1], [o for o in other.fit if o.weather is not None]),
+    )
     sd = []
     for one in conditions:
         pool = Pool(models[0].layout, models[0].measured(one))

@@ -22,11 +22,11 @@ from torchweather.gap.inference.candidate_fits import (
     Candidate,
     Proposal,
     _start,
-    best_nodes,
     best_pairs,
-    hidden_nodes,
+    best_templates,
+    hidden_templates,
     scattering,
-    unscaled_nodes,
+    unscaled_templates,
 )
 from torchweather.gap.inference.forward_selection import (
     ALARM_P,
@@ -41,13 +41,20 @@ from torchweather.gap.inference.forward_selection import (
     _rounds,
     _verdict,
 )
-from torchweather.gap.inference.global_test import OVERDISPERSION, REFINED, _tail, overdispersion, placed_nodes, screen
+from torchweather.gap.inference.global_test import (
+    OVERDISPERSION,
+    REFINED,
+    _tail,
+    global_test,
+    located_templates,
+    overdispersion,
+)
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import Fit, Search, Setting
-from torchweather.gap.inference.response_templates import Node, gains
-from torchweather.gap.inference.simulated_distribution import targets
-from torchweather.gap.inference.starting_points import Line, lines
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
+from torchweather.gap.inference.simulated_distribution import observations
+from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
+from torchweather.gap.inference.systematics import Systematics
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 from torchweather.gap.study.study import Study
@@ -80,11 +87,11 @@ def left_by(misfit: float) -> Any:
     return SimpleNamespace(misfit=misfit, residual=np.zeros(4), nuisance=NOTHING)
 
 
-def node(name: str, values: dict[str, float], response: Any) -> Node:
-    return Node(Line(EFFECTS[name], (values,)), 0, values, np.asarray(response, dtype=np.float64))
+def node(name: str, values: dict[str, float], response: Any) -> ResponseTemplate:
+    return ResponseTemplate(ParameterGrid(EFFECTS[name], (values,)), 0, values, np.asarray(response, dtype=np.float64))
 
 
-NOTHING = Nuisance(np.zeros((4, 1)), np.zeros(1), 1)
+NOTHING = Systematics(np.zeros((4, 1)), np.zeros(1), 1)
 NODES = [
     node("lidar.window_loss", {"loss_db": 1.0}, [1.0, 0.0, 0.0, 0.0]),
     node("lidar.window_loss", {"loss_db": 3.0}, [3.0, 0.5, 0.0, 0.0]),
@@ -199,7 +206,7 @@ def further(
 
     def fitted(values: dict[str, dict[str, float]], misfit: float, gain: float) -> Candidate:
         fit: Any = SimpleNamespace(
-            setting=Setting(values),
+            setting=ParameterPoint(values),
             misfit=misfit,
             nuisance=NOTHING,
             base=None,
@@ -229,21 +236,23 @@ def further(
 
     monkeypatch.setattr(workflow, "fitted", next_one)
     monkeypatch.setattr(workflow, "held_out", lambda *given: held.pop(0))
-    monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
+    monkeypatch.setattr(workflow, "insensitive_statistics", lambda *given: np.zeros(4, bool))
     acts = min(beside, 1200.0 - misfit)
     monkeypatch.setattr(workflow, "response_of", lambda search, fit, name: np.ones(4))
     monkeypatch.setattr(
         workflow, "explained_beside", lambda search, fit, responses: np.full(np.shape(responses)[0], acts)
     )
 
-    def fit(setting: Setting, nuisance: Any, base: Any) -> Any:
+    def fit(setting: ParameterPoint, nuisance: Any, base: Any) -> Any:
         if list(setting.values) == list(window):
             return SimpleNamespace(misfit=misfit - refitted)
         assert list(setting.values) == list(noise)
         return fitted(noise, misfit - gain + lost, 0.0).fit
 
-    search: Any = SimpleNamespace(origin=Setting(), seed=0, model=SimpleNamespace(as_record=frozenset()), fit=fit)
-    other: Any = SimpleNamespace(origin=Setting(), settle=lambda start: SimpleNamespace(misfit=300.0))
+    search: Any = SimpleNamespace(
+        origin=ParameterPoint(), seed=0, model=SimpleNamespace(as_record=frozenset()), fit=fit
+    )
+    other: Any = SimpleNamespace(origin=ParameterPoint(), settle=lambda start: SimpleNamespace(misfit=300.0))
     given = {**vars(screening(excess=excess, rest_p=rest_p)), "best_null": np.full(100, threshold)}
     found = SimpleNamespace(**given, nodes=NODES)
     monkeypatch.setattr(
@@ -270,8 +279,8 @@ def test_where_a_promise_is_not_kept_others_are_fitted(
 ) -> None:
     crosstalk, noise = NODES[3], NODES[2]
     left = np.array([0.0, 20.0, 100.0, 0.0])
-    fit: Any = SimpleNamespace(setting=Setting(), misfit=1000.0, nuisance=NOTHING, residual=left)
-    promises = gains([crosstalk, noise], left[None], NOTHING)[0]
+    fit: Any = SimpleNamespace(setting=ParameterPoint(), misfit=1000.0, nuisance=NOTHING, residual=left)
+    promises = delta_chi2([crosstalk, noise], left[None], NOTHING)[0]
     assert promises[0] == pytest.approx(268.0, abs=1.0)
     assert 0.5 * 150.0 < promises[1] < 0.5 * 250.0
     asked: list[str] = []
@@ -286,7 +295,7 @@ def test_where_a_promise_is_not_kept_others_are_fitted(
         return found
 
     monkeypatch.setattr(workflow, "fitted", one_by_one)
-    proposed = [(Setting(), crosstalk, 1.0)]
+    proposed = [(ParameterPoint(), crosstalk, 1.0)]
     found = _fitted_on_top(
         None,  # type: ignore[arg-type]
         fit,
@@ -355,9 +364,9 @@ def test_nothing_is_fitted_on_top_that_does_not_promise_what_it_needs_where_it_a
 ) -> None:
     """A response that promises 200, where 3 % of what is explained are 194 or 208."""
     crosstalk = NODES[3]
-    fit: Any = SimpleNamespace(setting=Setting(), nuisance=NOTHING, residual=np.array([0.0, 0.0, 75.0, 0.0]))
-    promised = float(gains([crosstalk], fit.residual[None], NOTHING)[0][0])
-    monkeypatch.setattr(workflow, "untouched", lambda *given: np.zeros(4, bool))
+    fit: Any = SimpleNamespace(setting=ParameterPoint(), nuisance=NOTHING, residual=np.array([0.0, 0.0, 75.0, 0.0]))
+    promised = float(delta_chi2([crosstalk], fit.residual[None], NOTHING)[0][0])
+    monkeypatch.setattr(workflow, "insensitive_statistics", lambda *given: np.zeros(4, bool))
     for explained, number in ((promised / 0.031, 1), (promised / 0.029, 0)):
         monkeypatch.setattr(
             workflow, "explained_beside", lambda search, fit, responses, value=explained: np.full(1, value)
@@ -409,21 +418,21 @@ def test_a_first_effect_that_only_stood_for_the_second_goes(
 def test_of_three_effects_the_one_that_is_idle_goes() -> None:
     explains = {"first": 10.0, "second": 500.0, "third": 500.0}
 
-    def fit(setting: Setting, nuisance: Any, base: Any) -> Any:
+    def fit(setting: ParameterPoint, nuisance: Any, base: Any) -> Any:
         misfit = 1000.0 - sum(explains[name] for name in setting.values)
         return SimpleNamespace(setting=setting, misfit=misfit, nuisance=nuisance, base=base)
 
-    whole = fit(Setting({name: {} for name in explains}), NOTHING, None)
+    whole = fit(ParameterPoint({name: {} for name in explains}), NOTHING, None)
     found = workflow._without_idle(SimpleNamespace(fit=fit), Candidate("third", whole, 500.0), 50.0)  # type: ignore[arg-type]
     assert list(found.setting.values) == ["second", "third"]
     # Two that are idle only each beside the other: one of them stays.
     explains.update(first=0.0, second=0.0)
     either = {1: 30.0, 2: -20.0, 3: -20.0}
 
-    def alike(setting: Setting, nuisance: Any, base: Any) -> Any:
+    def alike(setting: ParameterPoint, nuisance: Any, base: Any) -> Any:
         return SimpleNamespace(setting=setting, misfit=either[len(setting.values)], nuisance=nuisance, base=base)
 
-    whole = alike(Setting({name: {} for name in explains}), NOTHING, None)
+    whole = alike(ParameterPoint({name: {} for name in explains}), NOTHING, None)
     found = workflow._without_idle(SimpleNamespace(fit=alike), Candidate("third", whole, 500.0), 40.0)  # type: ignore[arg-type]
     assert list(found.setting.values) == ["second", "third"]
 
@@ -446,9 +455,9 @@ def test_an_effect_may_hide_behind_what_is_left_open(
     asked = []
 
     def quiet(search: Any, effects: Any, base: Any, seed: int) -> Any:
-        return replace(screen(search, effects, base, seed), p_value=0.5, best_null=RNG(1).gumbel(8.0, 3.0, 1000))
+        return replace(global_test(search, effects, base, seed), p_value=0.5, best_null=RNG(1).gumbel(8.0, 3.0, 1000))
 
-    def begin(search: Search) -> Fit:
+    def begin(search: SimulatorLikelihood) -> Fit:
         found = settled(search)
         return replace(found, setting=replace(found.setting, open={"particle gain": open_sd}))
 
@@ -457,16 +466,16 @@ def test_an_effect_may_hide_behind_what_is_left_open(
         values = {"lidar.window_loss": {"loss_db": 0.01}}
         fit = replace(base, setting=replace(base.setting, values=values), misfit=screening.misfit - gain)
 
-        def settle(search: Search, setting: Setting) -> Any:
+        def settle(search: SimulatorLikelihood, setting: ParameterPoint) -> Any:
             assert (setting.values, setting.open) == ({}, {"particle gain": open_sd})
             return SimpleNamespace(residual=None, nuisance=SimpleNamespace(misfit=lambda _: screening.misfit - without))
 
-        monkeypatch.setattr(Search, "settle", settle)
+        monkeypatch.setattr(SimulatorLikelihood, "settle", settle)
         return [Candidate("lidar.window_loss", fit, gain)]
 
-    settled = Search.begin
-    monkeypatch.setattr(workflow, "screen", quiet)
-    monkeypatch.setattr(Search, "begin", begin)
+    settled = SimulatorLikelihood.begin
+    monkeypatch.setattr(workflow, "global_test", quiet)
+    monkeypatch.setattr(SimulatorLikelihood, "begin", begin)
     monkeypatch.setattr(workflow, "_singles", singles)
     monkeypatch.setattr(workflow, "_rounds", lambda *given: [list(given[4])])
     monkeypatch.setattr(workflow, "_verdict", lambda *given: "named")
@@ -496,35 +505,40 @@ class Responses:
         self.measured = [SimpleNamespace(condition=condition, vector=np.zeros(2), clear_frames=clear)]
         ones = {"c0": np.ones(2)}
         self.start = SimpleNamespace(mean=ones, sd=ones, used={"c0": np.ones(2, bool)})
-        self.origin, self.turns = Setting(), turns
+        self.origin, self.turns = ParameterPoint(), turns
         self.asked: list[list[tuple[str, int]]] = []
 
-    def nodes(self, points: Any, setting: Setting, base: Any) -> list[Node]:
+    def nodes(self, points: Any, setting: ParameterPoint, base: Any) -> list[ResponseTemplate]:
         self.asked.append([(line.effect.id, number) for line, number in points])
         return [
-            Node(line, number, line.settings[number], 10.0 * np.array([np.cos(turn), np.sin(turn)]))
+            ResponseTemplate(line, number, line.settings[number], 10.0 * np.array([np.cos(turn), np.sin(turn)]))
             for line, number in points
             for turn in [self.turns[line.effect.id]]
         ]
 
-    def null_residuals(self, nuisance: Nuisance, number: int, seed: int) -> Any:
+    def null_residuals(self, nuisance: Systematics, number: int, seed: int) -> Any:
         return RNG(seed).normal(size=(number, 2))
 
 
 def test_only_lines_near_the_best_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """The share of the best gain is the squared cosine of the angle to the residual."""
     quiet = SimpleNamespace(p_value=lambda left: 1.0, common_p_value=lambda left: 1.0)
-    monkeypatch.setattr(screening_module, "rest_of", lambda *given: quiet)
+    monkeypatch.setattr(screening_module, "residual_test", lambda *given: quiet)
     shares = {
         "lidar.window_loss": 1.0,
         "lidar.crosstalk": 1.04 * REFINED,
         "lidar.range_noise": 0.96 * REFINED,
     }
     search: Any = Responses(8, {name: float(np.arccos(np.sqrt(share))) for name, share in shares.items()})
-    base: Any = SimpleNamespace(residual=np.array([10.0, 0.0]), nuisance=Nuisance(np.zeros((2, 1)), np.zeros(1), 1))
-    found = screen(search, [EFFECTS[name] for name in shares], base, 0)
-    number = {name: sum(len(line.settings) for line in lines(EFFECTS[name], [])) for name in shares}
-    first = [(line.effect.id, place) for name in shares for line in lines(EFFECTS[name], []) for place in line.first]
+    base: Any = SimpleNamespace(residual=np.array([10.0, 0.0]), nuisance=Systematics(np.zeros((2, 1)), np.zeros(1), 1))
+    found = global_test(search, [EFFECTS[name] for name in shares], base, 0)
+    number = {name: sum(len(line.settings) for line in parameter_grids(EFFECTS[name], [])) for name in shares}
+    first = [
+        (line.effect.id, place)
+        for name in shares
+        for line in parameter_grids(EFFECTS[name], [])
+        for place in line.first
+    ]
     assert search.asked[0] == first
     whole = {name: sum(one == name for one, _ in [*search.asked[0], *search.asked[1]]) for name in shares}
     assert {name for name in shares if whole[name] == number[name]} == {"lidar.window_loss", "lidar.crosstalk"}
@@ -532,7 +546,7 @@ def test_only_lines_near_the_best_are_simulated_whole(monkeypatch: pytest.Monkey
     assert len(found.nodes) == len(found.gains) == sum(whole.values())
     # What noise gains is taken the larger, the fewer clear frames tell it.
     few: Any = Responses(2, search.turns)
-    again = screen(few, [EFFECTS[name] for name in shares], base, 0)
+    again = global_test(few, [EFFECTS[name] for name in shares], base, 0)
     assert found.best_null.max() > 1.0
     np.testing.assert_allclose(again.best_null, 3.0 / (1.0 + 2.0 / 7.0) * found.best_null, rtol=1e-9)
 
@@ -543,10 +557,10 @@ def test_an_alarm_is_that_of_any_of_four_departures(
 ) -> None:
     """Noise in the responses and in all entries; one statistic by itself, or what conditions have in common of one."""
     rest = SimpleNamespace(p_value=lambda left: each, common_p_value=lambda left: common)
-    monkeypatch.setattr(screening_module, "rest_of", lambda *given: rest)
+    monkeypatch.setattr(screening_module, "residual_test", lambda *given: rest)
     search: Any = Responses(8, {"lidar.window_loss": 0.0})
-    base: Any = SimpleNamespace(residual=np.array([0.5, 0.0]), nuisance=Nuisance(np.zeros((2, 1)), np.zeros(1), 1))
-    found = screen(search, [EFFECTS["lidar.window_loss"]], base, 0)
+    base: Any = SimpleNamespace(residual=np.array([0.5, 0.0]), nuisance=Systematics(np.zeros((2, 1)), np.zeros(1), 1))
+    found = global_test(search, [EFFECTS["lidar.window_loss"]], base, 0)
     assert found.p_value == pytest.approx(min(1.0, 4.0 * min(each, common)))
     assert found.common_p_value == pytest.approx(min(1.0, 4.0 * common))
 
@@ -556,15 +570,15 @@ def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> 
     hidden = [EFFECTS["lidar.sector_loss"](azimuth_rad=-1.5, width_rad=0.8, loss_db=3.0)]
     hidden += [EFFECTS["lidar.spray"](strength=8.0, azimuth_rad=1.8, width_rad=0.8)]
     study = tiny_study(hidden, seed=4, rows=16, columns=64, clear=4, weathers=WEATHERS)
-    search = Search(model := LidarFrames(study), targets(model, study.fit), 0, pool_frames=32)
+    search = SimulatorLikelihood(model := LidarFrames(study), observations(model, study.fit), 0, pool_frames=32)
     base = search.begin()
-    first = Setting({"lidar.sector_loss": {"azimuth_rad": -1.5, "width_rad": 0.8, "loss_db": 3.0}})
+    first = ParameterPoint({"lidar.sector_loss": {"azimuth_rad": -1.5, "width_rad": 0.8, "loss_db": 3.0}})
     fit = search.fit(first, base.nuisance, base.base, 1)
-    found = placed_nodes(search, [EFFECTS["lidar.spray"], EFFECTS["lidar.window_loss"]], fit)
+    found = located_templates(search, [EFFECTS["lidar.spray"], EFFECTS["lidar.window_loss"]], fit)
     assert {node.id for node in found} == {"lidar.spray"}
     # Sectors of the statistics are 0.39 rad wide.
     assert min(abs(node.values["azimuth_rad"] - 1.8) for node in found) < 0.6
-    best = found[int(gains(found, fit.nuisance.left(fit.residual)[None], fit.nuisance)[0].argmax())]
+    best = found[int(delta_chi2(found, fit.nuisance.left(fit.residual)[None], fit.nuisance)[0].argmax())]
     assert best.values["azimuth_rad"] == pytest.approx(1.8, abs=0.6)
 
 
@@ -572,7 +586,7 @@ def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> 
 
 
 def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
-    found = best_nodes(NODES, np.array([1.5, 1.3, 0.3, 0.0]), NOTHING)
+    found = best_templates(NODES, np.array([1.5, 1.3, 0.3, 0.0]), NOTHING)
     # Gains: 1 x 2 a 1.5 - a^2 of at most 1.35; 26.5 / 9.25; 1.69; 0.09, too little.
     assert [(one.id, one.values) for one, _ in found] == [
         ("lidar.window_loss", {"loss_db": 3.0}),
@@ -585,24 +599,24 @@ def test_what_begins_at_a_threshold_is_also_fitted_from_a_setting_as_it_stands()
     """Counts that grow as the square: of what is left the strongest explains most if scaled to a tenth, the second as
     it is. Where none is scaled by as much, and of an effect with a few settings, there is one beginning."""
     effect, strengths = EFFECTS["lidar.crosstalk"], (0.01, 0.02, 0.03, 0.04, 0.08)
-    line = Line(effect, tuple({"probability": one} for one in strengths))
+    line = ParameterGrid(effect, tuple({"probability": one} for one in strengths))
     responses = [[0.2, 0.0, 0.0], [0.9, 0.1, 0.0], [2.0, 1.0, 0.0], [3.0, 4.0, 0.0], [9.0, 9.0, 1.0]]
     nodes = [
-        Node(line, k, dict(values), np.array(response))
+        ResponseTemplate(line, k, dict(values), np.array(response))
         for k, (values, response) in enumerate(zip(line.settings, responses, strict=True))
     ]
-    nuisance, left = Nuisance(np.zeros((3, 1)), np.zeros(1), 1), np.array([1.0, 0.5, 0.0])
-    assert unscaled_nodes(nodes, [(nodes[4], 0.1)], left, nuisance) == [(nodes[1], 1.0)]
-    assert unscaled_nodes(nodes, [(nodes[4], 0.9 * MUCH_SCALED)], left, nuisance) == [(nodes[1], 1.0)]
-    assert unscaled_nodes(nodes, [(nodes[2], 1.1 * MUCH_SCALED)], left, nuisance) == []
-    few = [replace(one, line=Line(effect, line.settings[:3])) for one in nodes[:3]]
-    assert unscaled_nodes(few, [(few[2], 0.1)], left, nuisance) == []
+    nuisance, left = Systematics(np.zeros((3, 1)), np.zeros(1), 1), np.array([1.0, 0.5, 0.0])
+    assert unscaled_templates(nodes, [(nodes[4], 0.1)], left, nuisance) == [(nodes[1], 1.0)]
+    assert unscaled_templates(nodes, [(nodes[4], 0.9 * MUCH_SCALED)], left, nuisance) == [(nodes[1], 1.0)]
+    assert unscaled_templates(nodes, [(nodes[2], 1.1 * MUCH_SCALED)], left, nuisance) == []
+    few = [replace(one, line=ParameterGrid(effect, line.settings[:3])) for one in nodes[:3]]
+    assert unscaled_templates(few, [(few[2], 0.1)], left, nuisance) == []
 
 
 def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_done() -> None:
     """The record stands 9 off, what is open -2: along (-2, 0, 2, 0), of which crosstalk explains 4."""
     response = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]])
-    found = hidden_nodes(NODES, Nuisance(response, np.array([9.0, -2.0]), 2), slice(1, 2))
+    found = hidden_templates(NODES, Systematics(response, np.array([9.0, -2.0]), 2), slice(1, 2))
     (first, amplitude), *others = found
     assert (first.id, amplitude) == ("lidar.crosstalk", 1.35)  # twice its response, but no farther than that
     assert [expected for _, expected in others] == [0.0, 0.0]  # a window would do the opposite
@@ -610,12 +624,12 @@ def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_d
 
 def test_pairs_are_of_different_effects_each_once_best_first() -> None:
     gain = np.array([[9.0, 9.0, 5.0, 7.0], [9.0, 9.0, 6.0, 3.0], [5.0, 6.0, 9.0, 1.0], [7.0, 3.0, 1.0, 9.0]])
-    found = best_pairs(NODES, gain, Setting(), 2.0)
+    found = best_pairs(NODES, gain, ParameterPoint(), 2.0)
     assert [{*setting.values, other.id} for setting, other, _ in found] == [
         {"lidar.window_loss", "lidar.crosstalk"},
         {"lidar.window_loss", "lidar.range_noise"},
     ]
-    assert best_pairs(NODES, gain, Setting(), 8.0) == []
+    assert best_pairs(NODES, gain, ParameterPoint(), 8.0) == []
 
 
 @pytest.mark.parametrize(
@@ -655,7 +669,7 @@ def study() -> Study:
 
 def test_a_single_allowed_effect_is_found_with_its_parameter(study: Study) -> None:
     said: list[str] = []
-    report = find_gap(study, effects=["lidar.window_loss"], say=said.append)
+    report = find_gap(study, effects=["lidar.window_loss"], progress=said.append)
     answer = report.to_dict()
     assert answer["verdict"] == "named"
     (effect,) = answer["effects"]
@@ -678,7 +692,7 @@ def test_an_effect_that_the_model_has_is_not_missing(study: Study) -> None:
 def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(study: Study) -> None:
     said: list[str] = []
     with pytest.raises(ValueError, match=r"effect must be one of .*Did you mean 'lidar.window_loss'"):
-        find_gap(study, effects=["lidar.window_los"], say=said.append)
+        find_gap(study, effects=["lidar.window_los"], progress=said.append)
     assert said == []
 
 
@@ -687,15 +701,15 @@ def test_an_effect_that_scatters_is_tried_at_its_likeliest_strength(least: float
     """Where its response gains 100 in what is no mean: means are off either way, here against what it does."""
     values = (0.01, 0.1, 0.2, 0.9)
     misfit = dict(zip(values, (900.0, 600.0, 500.0, 700.0), strict=True))
-    steps = Line(EFFECTS["camera.patchy_fog"], tuple({"log_std": one} for one in values))
-    nodes = [*NODES, *(Node(steps, one, steps.settings[one], np.zeros(4)) for one in (0, 2))]
-    origin = Setting(log_knob={"c0": 0.1})
+    steps = ParameterGrid(EFFECTS["camera.patchy_fog"], tuple({"log_std": one} for one in values))
+    nodes = [*NODES, *(ResponseTemplate(steps, one, steps.settings[one], np.zeros(4)) for one in (0, 2))]
+    origin = ParameterPoint(log_intensity={"c0": 0.1})
 
-    def fit(setting: Setting, nuisance: Any, base: Any, iterations: int) -> Any:
-        assert (setting.log_knob, nuisance, base, iterations) == ({"c0": 0.1}, NOTHING, "start", 0)
+    def fit(setting: ParameterPoint, nuisance: Any, base: Any, iterations: int) -> Any:
+        assert (setting.log_intensity, nuisance, base, iterations) == ({"c0": 0.1}, NOTHING, "start", 0)
         return SimpleNamespace(setting=setting, misfit=misfit[setting.values["camera.patchy_fog"]["log_std"]])
 
-    def mean(setting: Setting, frames: int) -> list[Any]:
+    def mean(setting: ParameterPoint, frames: int) -> list[Any]:
         log_std = setting.values.get("camera.patchy_fog", {"log_std": 0.0})["log_std"]
         return [10.0 + log_std * np.array([50.0, 3.0, 4.0, 100.0])]
 
@@ -732,11 +746,11 @@ def test_what_promised_nothing_must_be_clearly_better(monkeypatch: pytest.Monkey
     monkeypatch.setattr(workflow, "fitted", fitted)
     monkeypatch.setattr(workflow, "stands_far", lambda setting: True)
     # What is open stands off along crosstalk, of which nothing is left.
-    nuisance = Nuisance(np.array([[0.0], [0.0], [1.0], [0.0]]), np.array([4.0]), 1)
-    base: Any = SimpleNamespace(nuisance=nuisance, residual=np.array([30.0, 30.0, 0.0, 0.0]), setting=Setting())
+    nuisance = Systematics(np.array([[0.0], [0.0], [1.0], [0.0]]), np.array([4.0]), 1)
+    base: Any = SimpleNamespace(nuisance=nuisance, residual=np.array([30.0, 30.0, 0.0, 0.0]), setting=ParameterPoint())
     given = {**vars(screening()), "best_null": np.full(100, 50.0)}
     found = SimpleNamespace(**given, nodes=NODES)
-    search: Any = SimpleNamespace(origin=Setting(), measured=[])
+    search: Any = SimpleNamespace(origin=ParameterPoint(), measured=[])
     singles = workflow._singles(search, base, found, 4, lambda text: None)  # type: ignore[arg-type]
     assert ("lidar.crosstalk" in [one.id for one in singles]) is kept
     assert {one.id for one in singles} >= {"lidar.window_loss", "lidar.range_noise"}
@@ -750,7 +764,7 @@ def test_what_is_fitted_twice_is_a_candidate_once(monkeypatch: pytest.MonkeyPatc
         gain = {"own": again, "base": 100.0}[base.name]
         return [Candidate("lidar.window_loss", Any, gain)]  # type: ignore[arg-type]
 
-    setting = Setting()
+    setting = ParameterPoint()
     node = NODES[0]
     monkeypatch.setattr(workflow, "fitted", fitted)
     monkeypatch.setattr(workflow, "scattering", lambda *given: [(SimpleNamespace(name="own"), (setting, node, 1.0))])

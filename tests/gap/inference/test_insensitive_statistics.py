@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.insensitive_statistics import TOUCHED, fresh_gains, untouched
-from torchweather.gap.inference.response_templates import Node
-from torchweather.gap.inference.starting_points import Line
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.insensitive_statistics import TOUCHED, fresh_delta_chi2, insensitive_statistics
+from torchweather.gap.inference.response_templates import ResponseTemplate
+from torchweather.gap.inference.starting_points import ParameterGrid
+from torchweather.gap.inference.systematics import Systematics
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 from torchweather.lidar.effects.all import EFFECTS
 
@@ -46,39 +46,41 @@ def test_a_statistic_is_touched_as_a_whole_in_all_conditions() -> None:
     """Root mean square over three entries of two conditions: one that moves by 0.5 d / sqrt(6)."""
     least = TOUCHED * 0.5 * np.sqrt(6.0)
     for size, still in ((0.98, True), (1.02, False)):
-        found = untouched(search([True] * 5), fit([0.0, 0.0, 0.0, 0.0, size * least]))
+        found = insensitive_statistics(search([True] * 5), fit([0.0, 0.0, 0.0, 0.0, size * least]))
         np.testing.assert_array_equal(found, [still, still, True, True, still] * 2)
 
 
 def test_entries_that_do_not_count_touch_nothing() -> None:
-    found = untouched(search([True, True, True, True, False]), fit([0.0, 0.0, 0.0, 0.0, 99.0]))
+    found = insensitive_statistics(search([True, True, True, True, False]), fit([0.0, 0.0, 0.0, 0.0, 99.0]))
     assert found.all()
-    assert not untouched(search([True, True, False, False, True]), fit([0.0] * 5))[[2, 3, 7, 8]].any()
+    assert not insensitive_statistics(search([True, True, False, False, True]), fit([0.0] * 5))[[2, 3, 7, 8]].any()
 
 
 def test_a_gain_is_that_of_the_entries_alone() -> None:
-    line = Line(EFFECTS["lidar.range_noise"], ({"std_m": 0.1}, {"std_m": 0.2}))
+    line = ParameterGrid(EFFECTS["lidar.range_noise"], ({"std_m": 0.1}, {"std_m": 0.2}))
     nodes = [
-        Node(line, place, values, np.array(response))
+        ResponseTemplate(line, place, values, np.array(response))
         for place, (values, response) in enumerate(
             zip(line.settings, ([100.0, 3.0, 0.0], [0.0, 0.0, 5.0]), strict=True)
         )
     ]
     left = np.array([-100.0, 3.0, 1.0])
-    nothing = Nuisance(np.zeros((3, 1)), np.zeros(1), 0)
+    nothing = Systematics(np.zeros((3, 1)), np.zeros(1), 0)
     # Of the first the amplitude is 1 in the second entry: 2 * 9 - 9; of the second 0.2: 1.
-    assert fresh_gains(nodes, left, nothing, np.array([False, True, True])) == pytest.approx({"lidar.range_noise": 9.0})
-    assert fresh_gains(nodes, left, nothing, np.array([False, False, True])) == pytest.approx(
+    assert fresh_delta_chi2(nodes, left, nothing, np.array([False, True, True])) == pytest.approx(
+        {"lidar.range_noise": 9.0}
+    )
+    assert fresh_delta_chi2(nodes, left, nothing, np.array([False, False, True])) == pytest.approx(
         {"lidar.range_noise": 1.0}
     )
-    assert fresh_gains(nodes, left, nothing, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
+    assert fresh_delta_chi2(nodes, left, nothing, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
 
 
 def test_what_a_nuisance_took_from_a_residual_is_taken_from_the_response() -> None:
     """A clock moves both entries together, far more than a bias does; what it leaves of a bias still counts fully."""
-    line = Line(EFFECTS["lidar.range_bias"], ({"offset_m": 0.1},))
-    node = Node(line, 0, line.settings[0], np.array([40.0, 48.0]))
-    clock = Nuisance(np.array([[1e4], [1e4]]), np.zeros(1), 0)
+    line = ParameterGrid(EFFECTS["lidar.range_bias"], ({"offset_m": 0.1},))
+    node = ResponseTemplate(line, 0, line.settings[0], np.array([40.0, 48.0]))
+    clock = Systematics(np.array([[1e4], [1e4]]), np.zeros(1), 0)
     left = clock.left(0.5 * node.response)  # -2 and 2 about
     # Half a response: 2 * 0.5 * 16 - 0.25 * 32.
-    assert fresh_gains([node], left, clock, np.ones(2, bool)) == pytest.approx({"lidar.range_bias": 8.0}, rel=1e-3)
+    assert fresh_delta_chi2([node], left, clock, np.ones(2, bool)) == pytest.approx({"lidar.range_bias": 8.0}, rel=1e-3)

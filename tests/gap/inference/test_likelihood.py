@@ -14,11 +14,19 @@ import torch
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
 from torchweather.gap.inference.forward_selection import ALARM_P, find_gap_with
-from torchweather.gap.inference.global_test import screen
-from torchweather.gap.inference.likelihood import FARTHEST, KNOB_STEP, OPEN_STEP, SCREEN_FRAMES, Fit, Search, Setting
-from torchweather.gap.inference.location_search import placed
-from torchweather.gap.inference.simulated_distribution import baseline, targets
-from torchweather.gap.inference.starting_points import Line, lines
+from torchweather.gap.inference.global_test import global_test
+from torchweather.gap.inference.likelihood import (
+    FARTHEST,
+    KNOB_STEP,
+    OPEN_STEP,
+    SCREEN_FRAMES,
+    Fit,
+    ParameterPoint,
+    SimulatorLikelihood,
+)
+from torchweather.gap.inference.location_search import located
+from torchweather.gap.inference.simulated_distribution import observations, simulated_distribution
+from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.statistics.frame_random_effects import clear_errors
 from torchweather.gap.study.study import Study
@@ -42,17 +50,17 @@ def small(effects: Sequence[Effect] = (), seed: int = 0) -> Study:
     return tiny_study(effects, seed=seed, rows=16, columns=32, frames=5, weathers=WEATHERS)
 
 
-def search_of(study: Study, seed: int = 0, effects: Sequence[Effect] = ()) -> Search:
+def search_of(study: Study, seed: int = 0, effects: Sequence[Effect] = ()) -> SimulatorLikelihood:
     model = LidarFrames(study, effects=effects)
-    return Search(model, targets(model, study.fit), seed, pool_frames=32)
+    return SimulatorLikelihood(model, observations(model, study.fit), seed, pool_frames=32)
 
 
 @pytest.fixture(scope="module")
-def null() -> Search:
+def null() -> SimulatorLikelihood:
     return search_of(small())
 
 
-def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: Search) -> None:
+def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: SimulatorLikelihood) -> None:
     one = null.nuisance(null.origin, null.start)
     counted = np.concatenate([null.start.used[aim.condition.id] for aim in null.measured])
     number = 4000
@@ -74,7 +82,7 @@ def test_same_seeds_give_the_same_search() -> None:
     study = small()
     first, again, other = search_of(study), search_of(study), search_of(study, seed=1)
     np.testing.assert_array_equal(first.residual(first.start), again.residual(again.start))
-    setting = Setting({"lidar.window_loss": {"loss_db": 1.0}})
+    setting = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
     for mine, theirs in zip(first.mean(setting), again.mean(setting), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert not np.array_equal(first.residual(first.start), other.residual(other.start))
@@ -83,7 +91,7 @@ def test_same_seeds_give_the_same_search() -> None:
 def test_one_thread_and_two_agree() -> None:
     before, found = torch.get_num_threads(), []
     study = tiny_study(rows=8, columns=32, weathers=(Snow(2.0), Snow(1.0), Snow(1.2)))
-    setting = Setting({"lidar.window_loss": {"loss_db": 1.0}})
+    setting = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
@@ -94,20 +102,20 @@ def test_one_thread_and_two_agree() -> None:
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=1e-12)
 
 
-def test_a_response_to_a_knob_is_that_of_a_study_whose_record_is_off(null: Search) -> None:
-    """The column of a knob is the change that one standard deviation of the record makes, by a small step."""
+def test_a_response_to_a_intensity_is_that_of_a_study_whose_record_is_off(null: SimulatorLikelihood) -> None:
+    """The column of an intensity is the change that one standard deviation of the record makes, by a small step."""
     one = null.nuisance(null.origin, null.start)
     name = null.measured[0].condition.id
-    sd = null.measured[0].knob_sd
+    sd = null.measured[0].intensity_sd
     share = KNOB_STEP
-    ends = (null.mean(Setting({}, {name: sign * share * sd}), SCREEN_FRAMES)[0] for sign in (1.0, -1.0))
+    ends = (null.mean(ParameterPoint({}, {name: sign * share * sd}), SCREEN_FRAMES)[0] for sign in (1.0, -1.0))
     high, low = ends
     expected = null.whitened(null.start, [(high - low) / (2.0 * share)])
     np.testing.assert_allclose(one.response[:, 0], expected, atol=1e-9)
     assert np.abs(one.response[:, 0]).max() > 0.3
 
 
-def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_knobs(null: Search) -> None:
+def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_intensities(null: SimulatorLikelihood) -> None:
     one = null.nuisance(null.origin, null.start)
     assert list(null.open) == ["noise", "clear scale s0", "particle gain"]
     assert one.moving == 1 + 3
@@ -117,14 +125,14 @@ def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_knobs(nul
     even = [departure.even for departure in null.frame_departures if departure.even]
     simulated = even.count("log_intensity_ratio")  # of the clear mean
     assert one.response.shape[1] == one.moving + 2 * len(null.frame_departures) - simulated + 2
-    stronger = null.mean(Setting({}, {}, {"particle gain": OPEN_STEP}), SCREEN_FRAMES)
-    here = null.mean(Setting(), SCREEN_FRAMES)
+    stronger = null.mean(ParameterPoint({}, {}, {"particle gain": OPEN_STEP}), SCREEN_FRAMES)
+    here = null.mean(ParameterPoint(), SCREEN_FRAMES)
     expected = null.whitened(null.start, [(new - old) / OPEN_STEP for new, old in zip(stronger, here, strict=True)])
     np.testing.assert_allclose(one.response[:, 3], expected, atol=1e-9)
     assert np.abs(expected).max() > 0.1
 
 
-def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
+def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: SimulatorLikelihood) -> None:
     """Clear means that are off by one draw: entries of means and spreads move, all others stay."""
     null.nuisance(null.origin, null.start)
     layout = null.model.layout
@@ -141,12 +149,17 @@ def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: Search) -> None:
     np.testing.assert_allclose(columns[-2], columns[-1], rtol=1e-9)  # one condition: all of them and each
 
 
-def test_moved_nuisances_stay_within_their_bounds(null: Search) -> None:
+def test_moved_nuisances_stay_within_their_bounds(null: SimulatorLikelihood) -> None:
     null.nuisance(null.origin, null.start)
-    step = np.zeros(len(null.offset(Setting())))
-    step[:4] = (100.0, -100.0, 1.5, -2.5)  # the knob, noise that cannot be negative, a scale, the gain of particles
-    found = null.shifted(Setting(), step)
-    assert found.log_knob == pytest.approx({"c0": FARTHEST * 0.05})
+    step = np.zeros(len(null.offset(ParameterPoint())))
+    step[:4] = (
+        100.0,
+        -100.0,
+        1.5,
+        -2.5,
+    )  # the weather intensity, noise that cannot be negative, a scale, the gain of particles
+    found = null.shifted(ParameterPoint(), step)
+    assert found.log_intensity == pytest.approx({"c0": FARTHEST * 0.05})
     assert found.open == pytest.approx({"noise": 0.0, "clear scale s0": 1.5, "particle gain": -2.5})
     np.testing.assert_allclose(null.offset(found)[:4], (FARTHEST, 0.0, 1.5, -2.5), rtol=1e-12)
 
@@ -155,17 +168,17 @@ def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     """Frames of weather that is two standard deviations weaker, whose record is not told of it."""
     search = search_of(tiny_study(rows=16, columns=32, clear=4, weathers=WEATHERS, rel_sd=0.3))
     (aim,) = search.measured
-    weaker = search.mean(Setting({}, {"c0": -0.6}), SCREEN_FRAMES)[0]
+    weaker = search.mean(ParameterPoint({}, {"c0": -0.6}), SCREEN_FRAMES)[0]
     search.measured = [replace(aim, vector=weaker)]
-    assert search._scanned(Setting()).log_knob == pytest.approx({"c0": -0.6})
+    assert search._scanned(ParameterPoint()).log_intensity == pytest.approx({"c0": -0.6})
     # Where it stands is kept if no place of the grid is nearer.
-    assert search._scanned(Setting({}, {"c0": -0.58})).log_knob == pytest.approx({"c0": -0.58}, abs=0.03)
-    assert search._scanned(Setting({}, {"c0": 0.1})).log_knob == pytest.approx({"c0": -0.6})
+    assert search._scanned(ParameterPoint({}, {"c0": -0.58})).log_intensity == pytest.approx({"c0": -0.58}, abs=0.03)
+    assert search._scanned(ParameterPoint({}, {"c0": 0.1})).log_intensity == pytest.approx({"c0": -0.6})
     # Fitted, it pays its prior: a little nearer to the record.
-    assert search.begin().setting.log_knob == pytest.approx({"c0": -0.6}, abs=0.06)
+    assert search.begin().setting.log_intensity == pytest.approx({"c0": -0.6}, abs=0.06)
 
 
-def fixed_nuisances(search: Search, fit: Fit) -> np.ndarray:
+def fixed_nuisances(search: SimulatorLikelihood, fit: Fit) -> np.ndarray:
     """Those that the simulator cannot be moved along, made anew with the scatter of a fit."""
     column = partial(search._column, fit.base)
     errors = clear_errors(search.frame_departures, search.measured, search.model.open_shifts, column)
@@ -177,7 +190,7 @@ def test_fits_hold_residual_and_nuisances_in_units_of_one_scatter() -> None:
     two would leave a departure that is none."""
     search = search_of(small(seed=5))
     settled = search.begin()
-    start = Setting({"lidar.range_noise": {"std_m": 0.02}})
+    start = ParameterPoint({"lidar.range_noise": {"std_m": 0.02}})
     for fit in (settled, search.fit(start, settled.nuisance, settled.base, 1)):
         np.testing.assert_allclose(fit.residual, search.residual(fit.base), rtol=1e-12)
         expected = fixed_nuisances(search, fit)
@@ -186,12 +199,12 @@ def test_fits_hold_residual_and_nuisances_in_units_of_one_scatter() -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
 
 
-def test_responses_of_the_model_as_it_was_are_put_into_units_of_a_fit(null: Search) -> None:
-    (loss,) = lines(EFFECTS["lidar.window_loss"], ())
-    there = null.at(Setting({"lidar.range_noise": {"std_m": 0.05}}))
-    (node,) = null.nodes([(loss, 2)], Setting(), null.start)
+def test_responses_of_the_model_as_it_was_are_put_into_units_of_a_fit(null: SimulatorLikelihood) -> None:
+    (loss,) = parameter_grids(EFFECTS["lidar.window_loss"], ())
+    there = null.at(ParameterPoint({"lidar.range_noise": {"std_m": 0.05}}))
+    (node,) = null.nodes([(loss, 2)], ParameterPoint(), null.start)
     (found,) = null.nodes_at([node], there)
-    (expected,) = null.nodes([(loss, 2)], Setting(), there)
+    (expected,) = null.nodes([(loss, 2)], ParameterPoint(), there)
     assert (found.id, found.values) == (node.id, node.values)
     np.testing.assert_allclose(found.response, expected.response, rtol=1e-7, atol=1e-9)
     assert np.abs(found.response - node.response).max() > 0.1
@@ -224,9 +237,9 @@ def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> No
     assert search.least_frames == 10 > SCREEN_FRAMES
     assert search.pool_frames == 32
     before = search.simulated_frames
-    (found,) = search.mean(Setting(), SCREEN_FRAMES)
+    (found,) = search.mean(ParameterPoint(), SCREEN_FRAMES)
     assert search.simulated_frames - before == 10
-    pool = search.pools(Setting(), 10)["c0"]
+    pool = search.pools(ParameterPoint(), 10)["c0"]
     order = np.argsort(RNG([0, 104729, 0]).random((1, 10)), 1)
     np.testing.assert_array_equal(found, pool.vectors(order, search.measured[0].condition.time_s)[0])
     assert search.begin().nuisance.response.shape[0] == search.model.layout.size
@@ -235,7 +248,7 @@ def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> No
 def test_a_sector_is_found_whose_start_overlaps_half_of_it() -> None:
     name, truth = "lidar.sector_loss", {"azimuth_rad": 0.6, "width_rad": 0.8, "loss_db": 3.0}
     search = search_of(tiny_study([EFFECTS[name](**truth)], seed=4, rows=16, columns=64, clear=4, weathers=WEATHERS))
-    start = Setting({name: {**truth, "azimuth_rad": 0.2}})
+    start = ParameterPoint({name: {**truth, "azimuth_rad": 0.2}})
     base = Fit(
         search.origin,
         search.start,
@@ -245,23 +258,23 @@ def test_a_sector_is_found_whose_start_overlaps_half_of_it() -> None:
         np.zeros((0, 0)),
         (),
     )
-    found = placed(search, start, name, base).values[name]
+    found = located(search, start, name, base).values[name]
     # Columns are 0.1 rad apart, sectors of the statistics 0.39 rad; a quarter of a column tells nothing.
     assert found["azimuth_rad"] == pytest.approx(truth["azimuth_rad"], abs=0.1)
     assert found["width_rad"] == pytest.approx(truth["width_rad"], abs=0.2)
     assert found["loss_db"] == pytest.approx(truth["loss_db"], rel=0.15)
 
 
-def test_an_effect_without_a_place_is_not_moved(null: Search) -> None:
-    start = Setting({"lidar.window_loss": {"loss_db": 1.0}})
+def test_an_effect_without_a_place_is_not_moved(null: SimulatorLikelihood) -> None:
+    start = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
     before = null.simulated_frames
-    assert placed(null, start, "lidar.window_loss", None) is start  # type: ignore[arg-type]
+    assert located(null, start, "lidar.window_loss", None) is start  # type: ignore[arg-type]
     assert null.simulated_frames == before
 
 
-def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: Search) -> None:
+def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: SimulatorLikelihood) -> None:
     name = ("lidar.window_loss", "loss_db")
-    settings = [Setting({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
+    settings = [ParameterPoint({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
     here, low, high = (null.mean(setting, SCREEN_FRAMES) for setting in settings)
     before = null.simulated_frames
     found = null._derivative(settings[0], name, here, null.start)
@@ -271,17 +284,17 @@ def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: Search) -> N
     assert float(found @ expected) == pytest.approx(float(expected @ expected), rel=0.05)
 
 
-def test_responses_are_those_of_the_settings_that_are_asked_for(null: Search) -> None:
+def test_responses_are_those_of_the_settings_that_are_asked_for(null: SimulatorLikelihood) -> None:
     """On top of what is there, in the order of the question."""
-    (loss,) = lines(EFFECTS["lidar.window_loss"], ())
-    noise = Line(EFFECTS["lidar.range_noise"], ({"std_m": 0.03}, {"std_m": 0.1}))
-    setting = Setting({"lidar.range_bias": {"offset_m": 0.02}})
+    (loss,) = parameter_grids(EFFECTS["lidar.window_loss"], ())
+    noise = ParameterGrid(EFFECTS["lidar.range_noise"], ({"std_m": 0.03}, {"std_m": 0.1}))
+    setting = ParameterPoint({"lidar.range_bias": {"offset_m": 0.02}})
     found = null.nodes([(loss, 2), (noise, 1), (loss, 0)], setting, null.start)
     assert [(one.line, one.number) for one in found] == [(loss, 2), (noise, 1), (loss, 0)]
     here = null.mean(setting, SCREEN_FRAMES)
     for one in found:
         assert one.values == one.line.settings[one.number]
-        there = null.mean(Setting({**setting.values, one.id: one.values}), SCREEN_FRAMES)
+        there = null.mean(ParameterPoint({**setting.values, one.id: one.values}), SCREEN_FRAMES)
         change = [new - old for new, old in zip(there, here, strict=True)]
         np.testing.assert_allclose(one.response, null.whitened(null.start, change), atol=1e-12)
         assert np.abs(one.response).max() > 0.01
@@ -292,14 +305,14 @@ def test_responses_are_those_of_the_settings_that_are_asked_for(null: Search) ->
     ("name", "values"), [("lidar.crosstalk", {"probability": 0.1}), ("lidar.window_loss", {"loss_db": 1.0})]
 )
 def test_only_an_effect_that_leaves_something_unsaid_widens_a_scatter(
-    null: Search, name: str, values: dict[str, float]
+    null: SimulatorLikelihood, name: str, values: dict[str, float]
 ) -> None:
-    setting = Setting({name: values})
+    setting = ParameterPoint({name: values})
     found = null.at(setting)
     pools = null.pools(setting, null.pool_frames)
-    plain = baseline(pools, null.measured, null.noise, null.start, null.seed)
+    plain = simulated_distribution(pools, null.measured, null.noise, null.start, null.seed)
     groups = null.model.layout.groups
-    open_entries = np.concatenate([np.full(one.bins, one.statistic in EFFECTS[name].unsaid) for one in groups])
+    open_entries = np.concatenate([np.full(one.bins, one.statistic in EFFECTS[name].unmodelled) for one in groups])
     used = found.used["c0"]
     for new, old in ((found.sd["c0"], plain.sd["c0"]), (found.total["c0"], plain.total["c0"])):
         np.testing.assert_array_equal(new[~open_entries], old[~open_entries])
@@ -330,7 +343,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
     """One study each: the errors are those of least squares, without what bootstrap adds (GAP.md 3 (8))."""
     search = search_of(small([EFFECTS[name](**{parameter: truth})], seed=1))
     base = search.begin()
-    fit = search.fit(Setting({name: {parameter: start}}), base.nuisance, base.base)
+    fit = search.fit(ParameterPoint({name: {parameter: start}}), base.nuisance, base.base)
     fit = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)  # with the scatter where it stands
     error = math.hypot(math.sqrt(float(fit.covariance[0, 0])), STEPS_OF_FITS.get(name, 0.0))
     found = fit.setting.values[name][parameter]
@@ -351,7 +364,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_study_that_lacks_nothing_raises_no_alarm(seed: int) -> None:
     search = search_of(small(seed=seed + 10))
-    found = screen(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
+    found = global_test(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
     assert found.p_value > ALARM_P
 
 
@@ -361,7 +374,7 @@ def test_a_hidden_effect_raises_an_alarm_and_with_it_in_the_model_there_is_none(
     study = small([window], seed=2)
     search = search_of(study)
     names = ["lidar.window_loss", "lidar.range_noise"]
-    found = screen(search, [EFFECTS[name] for name in names], search.begin(), 0)
+    found = global_test(search, [EFFECTS[name] for name in names], search.begin(), 0)
     assert found.p_value < 1e-6
     assert found.nodes[int(found.gains.argmax())].id == "lidar.window_loss"
     others = [name for name in SCREENED if name != "lidar.window_loss"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.likelihood import Search
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 
 LAYOUT = Layout((Group("ratio", "x", "mean", (0.0, 1.0, 2.0, 3.0)),), (), (), ())
@@ -26,6 +26,8 @@ def test_twice_the_scatter_costs_two_ln_two_an_entry_that_counts() -> None:
         measured=[SimpleNamespace(condition=SimpleNamespace(id="c0"))],
         start=base([0.5, 0.5, 0.5], [True, True, False]),
     )
-    assert Search._wider(search, base([0.5, 0.5, 0.5], [True] * 3)) == pytest.approx(0.0)
-    assert Search._wider(search, base([1.0, 1.0, 9.0], [True] * 3)) == pytest.approx(4.0 * math.log(2.0))
-    assert Search._wider(search, base([1.0, 1.0, 9.0], [True, False, True])) == pytest.approx(2.0 * math.log(2.0))
+    assert SimulatorLikelihood._wider(search, base([0.5, 0.5, 0.5], [True] * 3)) == pytest.approx(0.0)
+    assert SimulatorLikelihood._wider(search, base([1.0, 1.0, 9.0], [True] * 3)) == pytest.approx(4.0 * math.log(2.0))
+    assert SimulatorLikelihood._wider(search, base([1.0, 1.0, 9.0], [True, False, True])) == pytest.approx(
+        2.0 * math.log(2.0)
+    )

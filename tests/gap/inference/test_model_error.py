@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.likelihood import Setting
+from torchweather.gap.inference.likelihood import ParameterPoint
 from torchweather.gap.inference.model_error import explained_beside, response_of
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.systematics import Systematics
 
 NAMES = ("c0", "c1")
-NOTHING = Nuisance(np.zeros((4, 1)), np.zeros(1), 0)
+NOTHING = Systematics(np.zeros((4, 1)), np.zeros(1), 0)
 
 
 def search(start: list[float]) -> Any:
     """Two conditions of two entries; scatter 0.5."""
 
-    def mean(setting: Setting, frames: int) -> list[Any]:
-        moved = sum(values["by"] for values in setting.values.values()) + sum(setting.log_knob.values())
+    def mean(setting: ParameterPoint, frames: int) -> list[Any]:
+        moved = sum(values["by"] for values in setting.values.values()) + sum(setting.log_intensity.values())
         return [np.array([moved, 0.0]), np.array([0.0, 2.0 * moved])]
 
     return SimpleNamespace(
@@ -31,9 +31,9 @@ def search(start: list[float]) -> Any:
     )
 
 
-def fit(mean: list[float], nuisance: Nuisance = NOTHING, setting: Setting | None = None) -> Any:
+def fit(mean: list[float], nuisance: Systematics = NOTHING, setting: ParameterPoint | None = None) -> Any:
     base = SimpleNamespace(mean=dict(zip(NAMES, np.array(mean).reshape(2, 2), strict=True)))
-    return SimpleNamespace(base=base, nuisance=nuisance, setting=setting or Setting())
+    return SimpleNamespace(base=base, nuisance=nuisance, setting=setting or ParameterPoint())
 
 
 def test_what_acts_alike_shares_all_and_what_acts_elsewhere_nothing() -> None:
@@ -56,13 +56,13 @@ def test_no_error_of_a_first_effect_gives_a_further_one_more_than_its_share() ->
 
 
 def test_what_nuisances_explain_counts_for_neither() -> None:
-    clock = Nuisance(np.array([[1e4], [0.0], [0.0], [0.0]]), np.zeros(1), 0)
+    clock = Systematics(np.array([[1e4], [0.0], [0.0], [0.0]]), np.zeros(1), 0)
     found = fit([4.0, 0.0, 1.0, 2.0], clock)
     shared = explained_beside(search([1.0, 0.0, 1.0, 0.0]), found, np.array([[99.0, 0.0, 0.0, 1.0]]))
     assert shared == pytest.approx([16.0], rel=1e-6)
 
 
 def test_a_response_is_that_of_one_effect_beside_the_others_and_the_weather() -> None:
-    setting = Setting({"first": {"by": 5.0}, "further": {"by": 0.25}}, {"c0": 7.0})
+    setting = ParameterPoint({"first": {"by": 5.0}, "further": {"by": 0.25}}, {"c0": 7.0})
     found = response_of(search([0.0] * 4), fit([0.0] * 4, setting=setting), "further")
     assert found == pytest.approx([0.5, 0.0, 0.0, 1.0])

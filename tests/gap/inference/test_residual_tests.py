@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from torchweather.gap.inference.residual_tests import LEVEL, Rest, rest_of
+from torchweather.gap.inference.residual_tests import LEVEL, ResidualTest, residual_test
 from torchweather.gap.inference.simulated_distribution import Whitening
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.systematics import Systematics
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 
 RNG = np.random.default_rng
@@ -31,7 +31,7 @@ ENTRIES = np.repeat(np.arange(4), 3)
 PLACES = np.tile(ENTRIES, 2)  # two conditions
 USED = PLACES.reshape(2, 12) < 3
 USED[0, 3] = False  # the group "seldom" has five of six entries
-REST = Rest(ENTRIES, USED, np.array([1.5, 0.5, 1.0, 1.0]))
+REST = ResidualTest(ENTRIES, USED, np.array([1.5, 0.5, 1.0, 1.0]))
 
 
 def test_squares_and_excess_are_those_of_loops() -> None:
@@ -54,7 +54,7 @@ def test_squares_and_excess_are_those_of_loops() -> None:
 def test_a_few_entries_that_depart_are_not_drowned_in_all_others() -> None:
     """One group of 60 entries three scatters off among 1,500: 540 of 1,980, where noise leaves 1,500 +- 55 and less."""
     groups, each = 25, 60
-    many = Rest(np.repeat(np.arange(groups), each), np.ones((1, groups * each), bool), np.full(groups, 1.5))
+    many = ResidualTest(np.repeat(np.arange(groups), each), np.ones((1, groups * each), bool), np.full(groups, 1.5))
     left = 0.7 * RNG(2).normal(size=groups * each)
     assert many.p_value(left) > 0.5
     left[:each] += 3.0
@@ -69,7 +69,7 @@ def test_noise_seldom_raises_an_alarm() -> None:
     for p_value in (REST.p_value, REST.common_p_value):
         found = np.array([p_value(one) for one in noise])
         assert (found < 0.05).mean() == pytest.approx(0.05, abs=0.017)
-    nothing = Rest(ENTRIES, np.zeros((2, 12), bool), np.ones(4))
+    nothing = ResidualTest(ENTRIES, np.zeros((2, 12), bool), np.ones(4))
     assert nothing.p_value(np.zeros(24)) == nothing.common_p_value(np.zeros(24)) == 1.0
 
 
@@ -77,7 +77,7 @@ def test_what_conditions_have_in_common_is_not_drowned_in_each() -> None:
     """A slope along one axis, alike in nine conditions, in 20 groups of five bins: its square is 90, of 45 entries of
     one group or of five bins of the mean. The same numbers in another order in each condition are no pattern."""
     conditions, groups = 9, 20
-    several = Rest(np.repeat(np.arange(groups), 5), np.ones((conditions, groups * 5), bool), np.ones(groups))
+    several = ResidualTest(np.repeat(np.arange(groups), 5), np.ones((conditions, groups * 5), bool), np.ones(groups))
     left = np.zeros((conditions, groups * 5))
     left[:, :5] = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     assert several.p_value(left.ravel()) == pytest.approx(20.0 * chi2.sf(90.0, 45), rel=1e-9)
@@ -89,12 +89,14 @@ def test_what_conditions_have_in_common_is_not_drowned_in_each() -> None:
 
 def test_one_condition_has_nothing_in_common() -> None:
     left = np.full(12, 9.0)
-    alone = Rest(ENTRIES, np.ones((1, 12), bool), np.ones(4))
+    alone = ResidualTest(ENTRIES, np.ones((1, 12), bool), np.ones(4))
     assert alone.common_p_value(left) == 1.0
     some = np.ones((2, 12), bool)
     some[1, 1:] = False  # one entry counts in both
     of_two = np.concatenate([left, np.full(12, 9.0)])
-    assert Rest(ENTRIES, some, np.ones(4)).common_p_value(of_two) == pytest.approx(chi2.sf(2.0 * 81.0, 1), rel=1e-9)
+    assert ResidualTest(ENTRIES, some, np.ones(4)).common_p_value(of_two) == pytest.approx(
+        chi2.sf(2.0 * 81.0, 1), rel=1e-9
+    )
 
 
 def test_shares_and_counts_scatter_as_simulated_frames_do_with_a_margin() -> None:
@@ -111,7 +113,7 @@ def test_shares_and_counts_scatter_as_simulated_frames_do_with_a_margin() -> Non
             used=used,
             whitening=Whitening(np.eye(12)),
         ),
-        nuisance=Nuisance(np.zeros((24, 1)), np.zeros(1), 1),
+        nuisance=Systematics(np.zeros((24, 1)), np.zeros(1), 1),
     )
     search: Any = SimpleNamespace(
         model=SimpleNamespace(layout=LAYOUT),
@@ -119,7 +121,7 @@ def test_shares_and_counts_scatter_as_simulated_frames_do_with_a_margin() -> Non
         seed=0,
         whitened=lambda _, parts: np.where(np.concatenate([used[name] for name in names]), np.concatenate(parts), 0.0),
     )
-    found = rest_of(search, base, 1.6)
+    found = residual_test(search, base, 1.6)
     np.testing.assert_array_equal(found.places, ENTRIES)
     np.testing.assert_array_equal(found.counted, [5, 6, 6, 6])
     # 24,000 numbers: a variance is known to 5 x sqrt(2 / 24,000) = 4.6 %.

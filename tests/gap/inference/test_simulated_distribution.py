@@ -14,14 +14,14 @@ from torchweather.gap.inference.simulated_distribution import (
     PORTIONED_FRAMES,
     PORTIONS,
     SHRINKAGE,
-    Baseline,
     ElementNoise,
-    Target,
+    Observation,
+    SimulatedDistribution,
     Whitening,
-    baseline,
     element_noise,
+    observations,
+    simulated_distribution,
     squares_go_together,
-    targets,
 )
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
@@ -45,9 +45,9 @@ def pool(frames: int, seed: int, *, common: float = 0.0, elements: int = 400) ->
 MANY = 10**15  # clear frames, whose mean has no error
 
 
-def target(study: Study, vector: Any, frames: int, clear: int = MANY) -> Target:
+def target(study: Study, vector: Any, frames: int, clear: int = MANY) -> Observation:
     condition = replace(study.conditions[0], time_s=None)
-    return Target(condition, vector, np.ones(len(vector), bool), frames, clear_frames=clear)
+    return Observation(condition, vector, np.ones(len(vector), bool), frames, clear_frames=clear)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def no_noise(name: str) -> ElementNoise:
     return ElementNoise({name: np.zeros(BINS)}, np.eye(BINS))
 
 
-def residual(found: Baseline, aim: Target) -> Any:
+def residual(found: SimulatedDistribution, aim: Observation) -> Any:
     """Whitened departure of a condition."""
     return found.whitened(aim.condition.id, aim.vector - found.mean[aim.condition.id])
 
@@ -82,7 +82,7 @@ def test_the_scatter_is_that_of_a_fresh_measurement_against_the_mean_of_the_pool
     name = aim.condition.id
     z = []
     for seed in range(60):
-        found = baseline({name: pool(count, seed, common=common)}, [aim], no_noise(name), None, seed)
+        found = simulated_distribution({name: pool(count, seed, common=common)}, [aim], no_noise(name), None, seed)
         fresh = pool(frames, 10_000 + seed, common=common).vectors(np.arange(frames)[None])[0]
         if clear < MANY:
             fresh = fresh - pool(clear, 20_000 + seed, common=common).vectors(np.arange(clear)[None])[0]
@@ -96,7 +96,7 @@ def test_the_scatter_is_at_least_that_of_the_elements(study: Study) -> None:
     aim = target(study, np.zeros(BINS), 4)
     name = aim.condition.id
     noise = ElementNoise({name: np.linspace(0.0, 5.0, BINS)}, np.eye(BINS))
-    found = baseline({name: pool(40, 0)}, [aim], noise, None, 0)
+    found = simulated_distribution({name: pool(40, 0)}, [aim], noise, None, 0)
     assert (found.sd[name] >= noise.scatter[name]).all()
     assert found.sd[name][-1] == pytest.approx(5.0 * np.sqrt(1.1), rel=1e-6)  # 4 of 40 frames: their mean's error
 
@@ -110,7 +110,7 @@ def test_what_whole_frames_do_to_means_of_elements_is_in_their_total_scatter_alo
     for axis, whole in (("x", True), ("particle_range_m", False)):
         layout = Layout((Group("a", axis, "mean", edges),), (), (), ())
         moved = Pool(layout, pool(count, 3, common=common).frames)
-        found = baseline({name: moved}, [aim], no_noise(name), None, 0)
+        found = simulated_distribution({name: moved}, [aim], no_noise(name), None, 0)
         # One frame's common part and that of its 400 elements, over four; 40 draws of the first: 11 %, three of those.
         expected = np.sqrt((common**2 + 1.0 / 400) / frames * (1.0 + frames / count))
         np.testing.assert_allclose(found.total[name], expected, rtol=0.35)
@@ -137,12 +137,12 @@ def test_means_of_frames_that_an_effect_scatters_are_known_no_better_than_those_
     aim = target(study, np.zeros(BINS), frames)
     name = aim.condition.id
     before, after = pool(count, 5, common=common), pool(count, 5, common=more)
-    start = baseline({name: before}, [aim], no_noise(name), None, 0)
-    found = baseline({name: after}, [aim], no_noise(name), start, 0, scatters)
+    start = simulated_distribution({name: before}, [aim], no_noise(name), None, 0)
+    found = simulated_distribution({name: after}, [aim], no_noise(name), start, 0, scatters)
     added = scatters * (more**2 - common**2) / frames * (1.0 + frames / count)
     # 40 draws of the common part: 11 %, three of those.
     np.testing.assert_allclose(found.sd[name], np.sqrt(start.sd[name] ** 2 + added), rtol=0.35 if scatters else 0.05)
-    less = baseline({name: pool(count, 5)}, [aim], no_noise(name), start, 0, scatters)
+    less = simulated_distribution({name: pool(count, 5)}, [aim], no_noise(name), start, 0, scatters)
     np.testing.assert_allclose(less.sd[name], start.sd[name], rtol=0.05)
 
 
@@ -161,7 +161,7 @@ def test_shares_and_means_of_elements_carry_the_noise_of_the_clear_frames(study:
     aim = target(study, np.zeros(4), frames, clear)
     name = aim.condition.id
     noise = ElementNoise({name: np.full(4, 5.0)}, np.eye(4))
-    found = baseline({name: alike}, [aim], noise, None, 0)
+    found = simulated_distribution({name: alike}, [aim], noise, None, 0)
     least = alike.least_scatter(frames)
     with_clear = np.sqrt(1.0 + frames / count + frames / clear)
     # Other beams' noise is not that of a share; particles and spreads are no departures from a clear mean.
@@ -184,9 +184,9 @@ def test_the_noise_of_elements_grows_as_their_spread_does_and_never_shrinks(stud
         frames = quiet.frames
         return Pool(LAYOUT, replace(frames, square=factor**2 * frames.square))
 
-    start = baseline({name: quiet}, [aim], noise, None, 0)
+    start = simulated_distribution({name: quiet}, [aim], noise, None, 0)
     for factor, grown in ((3.0, 3.0), (1.0, 1.0), (0.3, 1.0)):
-        found = baseline({name: spread(factor)}, [aim], noise, start, 0)
+        found = simulated_distribution({name: spread(factor)}, [aim], noise, start, 0)
         # The square holds the mean's, too, a 400th of it.
         np.testing.assert_allclose(found.sd[name], 0.5 * grown * np.sqrt(1.1), rtol=0.02)
         assert found.whitening is start.whitening
@@ -198,7 +198,7 @@ def test_what_the_clear_frames_share_goes_together_as_the_elements_noise_does(st
     aim = target(study, np.zeros(BINS), 4, clear)
     name = aim.condition.id
     noise = ElementNoise({name: np.full(BINS, 5.0)}, correlation(0.6))
-    found = baseline({name: pool(40, 0, common=0.3)}, [aim], noise, None, 0).whitening.factor
+    found = simulated_distribution({name: pool(40, 0, common=0.3)}, [aim], noise, None, 0).whitening.factor
     expected = (1.0 - SHRINKAGE) * correlation(0.6) + SHRINKAGE * np.eye(BINS)
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-12)
 
@@ -207,7 +207,7 @@ def test_entries_that_do_not_count_are_zero(study: Study) -> None:
     aim = target(study, np.full(BINS, 100.0), 4)
     aim.enough[2] = False
     name = aim.condition.id
-    found = baseline({name: pool(40, 0)}, [aim], no_noise(name), None, 0)
+    found = simulated_distribution({name: pool(40, 0)}, [aim], no_noise(name), None, 0)
     assert found.z(aim)[2] == 0.0
     assert residual(found, aim)[2] == 0.0
     assert (np.abs(found.z(aim)[[0, 1, 3, 4, 5]]) > 10.0).all()
@@ -268,8 +268,10 @@ def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study
 # ---- studies that lack nothing ---------------------------------------------------------------------------------------
 
 
-def of_study(study: Study, model: LidarFrames, seed: int, frames: int = 32) -> tuple[list[Target], Baseline]:
-    aims = targets(model, study.fit)
+def of_study(
+    study: Study, model: LidarFrames, seed: int, frames: int = 32
+) -> tuple[list[Observation], SimulatedDistribution]:
+    aims = observations(model, study.fit)
     seeds = [seed * 1000 + place for place in range(frames)]
     pools, portioned = (
         {
@@ -278,14 +280,14 @@ def of_study(study: Study, model: LidarFrames, seed: int, frames: int = 32) -> t
         }
         for number, portions in ((frames, 1), (PORTIONED_FRAMES, PORTIONS))
     )
-    return aims, baseline(pools, aims, element_noise(portioned, aims), None, seed)
+    return aims, simulated_distribution(pools, aims, element_noise(portioned, aims), None, seed)
 
 
 def test_measured_vectors_are_those_of_the_conditions_frames(study: Study, model: LidarFrames) -> None:
-    (aim,) = targets(model, study.fit)
+    (aim,) = observations(model, study.fit)
     condition: Condition = aim.condition
     frames = Pool(model.layout, model.measured(condition))
-    assert (aim.frames, aim.knob_sd) == (5, 0.05)
+    assert (aim.frames, aim.intensity_sd) == (5, 0.05)
     np.testing.assert_array_equal(aim.vector, frames.vectors(np.arange(5)[None], condition.time_s)[0])
 
 
@@ -340,7 +342,7 @@ def test_counts_that_clear_frames_tell_are_off_alike_in_all_conditions(study: St
     for draw in range(count):
         mean = counted(rate, clear).frames.value.mean(0)  # as few clear frames as there are say
         aim = target(study, np.zeros(BINS), frames, clear)
-        found = baseline({name: counted(mean, 48)}, [aim], no_noise(name), None, draw)
+        found = simulated_distribution({name: counted(mean, 48)}, [aim], no_noise(name), None, draw)
         apart = [
             (counted(rate, frames).vectors(np.arange(frames)[None])[0] - found.mean[name]) / found.total[name]
             for _ in range(2)
@@ -374,7 +376,9 @@ def test_of_two_clear_frames_spreads_are_known_as_badly_as_their_elements_tell(s
     square, product, together = 0.0, 0.0, 0.0
     for draw in range(count):
         clear = rng.normal(size=(2, BINS, elements))
-        found = baseline({name: reduced(np.tile(clear - clear[::-1], (12, 1, 1)))}, [aim], no_noise(name), None, draw)
+        found = simulated_distribution(
+            {name: reduced(np.tile(clear - clear[::-1], (12, 1, 1)))}, [aim], no_noise(name), None, draw
+        )
         apart = [
             (reduced(rng.normal(size=clear.shape) - clear).vectors(np.arange(2)[None])[0] - found.mean[name])
             / found.total[name]

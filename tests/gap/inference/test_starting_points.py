@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from torchweather.gap.inference.starting_points import Line, lines
+from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
 from torchweather.lidar.effects.all import EFFECTS as LIDAR_EFFECTS
 from torchweather.pipeline.effect import Effect
 from torchweather.stages import EFFECTS
@@ -16,12 +16,12 @@ PLACES = (-2.0, 0.5)
 NAMES = sorted(name for name in LIDAR_EFFECTS if name.startswith("lidar."))
 
 
-def varied(line: Line) -> list[str]:
+def varied(line: ParameterGrid) -> list[str]:
     """Parameters that change along a line."""
     return [name for name in line.settings[0] if len({values[name] for values in line.settings}) > 1]
 
 
-def departures(effect: type[Effect], line: Line) -> dict[str, list[float]]:
+def departures(effect: type[Effect], line: ParameterGrid) -> dict[str, list[float]]:
     """By how much each deciding parameter that a line sets departs from its identity."""
     found = {}
     for parameter in effect.arguments:
@@ -42,7 +42,7 @@ def test_the_catalogue_is_there() -> None:
 def test_settings_lie_inside_the_bounds_and_are_no_identity(name: str) -> None:
     effect = EFFECTS[name]
     bounds = {parameter.name: (parameter.low, parameter.high) for parameter in effect.arguments}
-    found = lines(effect, PLACES)
+    found = parameter_grids(effect, PLACES)
     assert found
     for line in found:
         assert line.effect is effect
@@ -54,7 +54,7 @@ def test_settings_lie_inside_the_bounds_and_are_no_identity(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_settings_grow_along_a_line(name: str) -> None:
-    for line in lines(EFFECTS[name], PLACES):
+    for line in parameter_grids(EFFECTS[name], PLACES):
         changed = departures(EFFECTS[name], line)
         assert len(changed) == 1  # one deciding parameter a line
         assert varied(line) in ([], list(changed))
@@ -68,7 +68,7 @@ def test_settings_grow_along_a_line(name: str) -> None:
 def test_a_deciding_parameter_is_tried_on_either_side_where_its_bounds_allow(name: str) -> None:
     effect = EFFECTS[name]
     signs: dict[str, set[float]] = {}
-    for line in lines(effect, PLACES):
+    for line in parameter_grids(effect, PLACES):
         for key, steps in departures(effect, line).items():
             signs.setdefault(key, set()).add(math.copysign(1.0, steps[0]))
     for parameter in effect.arguments:
@@ -81,13 +81,17 @@ def test_a_deciding_parameter_is_tried_on_either_side_where_its_bounds_allow(nam
 
 
 def test_a_place_is_tried_where_the_caller_says() -> None:
-    found = {values["azimuth_rad"] for line in lines(EFFECTS["lidar.sector_loss"], PLACES) for values in line.settings}
+    found = {
+        values["azimuth_rad"]
+        for line in parameter_grids(EFFECTS["lidar.sector_loss"], PLACES)
+        for values in line.settings
+    }
     assert found == set(PLACES)
-    assert not lines(EFFECTS["lidar.sector_loss"], [])
+    assert not parameter_grids(EFFECTS["lidar.sector_loss"], [])
 
 
 def test_weak_and_strong_settings_span_a_decade_where_the_bounds_allow() -> None:
-    (line,) = lines(EFFECTS["lidar.window_loss"], PLACES)
+    (line,) = parameter_grids(EFFECTS["lidar.window_loss"], PLACES)
     strengths = [values["loss_db"] for values in line.settings]
     assert strengths[-1] / strengths[0] >= 10.0
     assert strengths[0] <= 0.05 * EFFECTS["lidar.window_loss"].arguments[0].scale  # few counts go as the root
@@ -96,14 +100,14 @@ def test_weak_and_strong_settings_span_a_decade_where_the_bounds_allow() -> None
 @pytest.mark.parametrize(("number", "first"), [(1, (0,)), (2, (1,)), (3, (0, 1)), (4, (0, 2)), (6, (0, 1, 2, 3, 4, 5))])
 def test_a_weak_setting_and_a_typical_one_are_tried_first(number: int, first: tuple[int, ...]) -> None:
     settings = tuple({"loss_db": float(place)} for place in range(number))
-    assert Line(EFFECTS["lidar.window_loss"], settings).first == first
+    assert ParameterGrid(EFFECTS["lidar.window_loss"], settings).first == first
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_of_four_steps_the_third_is_of_the_typical_size_and_far_extents_are_all_tried(name: str) -> None:
     effect = EFFECTS[name]
     scales = {one.name: (one.identity, one.scale) for one in effect.arguments if one.identity is not None}
-    for line in lines(effect, PLACES):
+    for line in parameter_grids(effect, PLACES):
         ((key, steps),) = departures(effect, line).items()
         identity, scale = scales[key]
         if math.isinf(identity):
@@ -119,7 +123,7 @@ def test_of_four_steps_the_third_is_of_the_typical_size_and_far_extents_are_all_
 
 def test_what_cuts_is_tried_so_closely_that_nothing_is_stepped_over() -> None:
     """Particles between one metre and the next are cut or not: from half a metre to seven, by a fifth each."""
-    (line,) = lines(EFFECTS["lidar.blind_zone"], [])
+    (line,) = parameter_grids(EFFECTS["lidar.blind_zone"], [])
     values = [setting["range_m"] for setting in line.settings]
     assert values[0] < 0.5 < 6.5 < values[-1]
     assert [high / low for low, high in itertools.pairwise(values)] == pytest.approx([1.2] * (len(values) - 1))
@@ -128,5 +132,5 @@ def test_what_cuts_is_tried_so_closely_that_nothing_is_stepped_over() -> None:
 
 
 def test_values_that_are_a_matter_of_the_data_are_tried_as_they_are() -> None:
-    (line,) = lines(EFFECTS["camera.saturation"], (), {"level": (0.71, 0.69, 0.4)})
+    (line,) = parameter_grids(EFFECTS["camera.saturation"], (), {"level": (0.71, 0.69, 0.4)})
     assert [dict(one) for one in line.settings] == [{"level": 0.71}, {"level": 0.69}, {"level": 0.4}]

@@ -7,25 +7,31 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.response_templates import AMPLITUDES, Node, amplitudes, gains, pair_gains
-from torchweather.gap.inference.starting_points import Line
-from torchweather.gap.inference.systematics import Nuisance, together
+from torchweather.gap.inference.response_templates import (
+    AMPLITUDES,
+    ResponseTemplate,
+    amplitudes,
+    delta_chi2,
+    pair_delta_chi2,
+)
+from torchweather.gap.inference.starting_points import ParameterGrid
+from torchweather.gap.inference.systematics import Systematics, together
 from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng
 SIZE, MOVING, FIXED = 40, 3, 4
 
 
-def nuisance(offset: Any = (0.0, 0.0, 0.0), scale: float = 1.0) -> Nuisance:
+def nuisance(offset: Any = (0.0, 0.0, 0.0), scale: float = 1.0) -> Systematics:
     """Moving nuisances at an offset, and fixed ones, whose offset is always 0."""
     response = scale * RNG(1).normal(size=(SIZE, MOVING + FIXED))
-    return Nuisance(response, np.concatenate([offset, np.zeros(FIXED)]), MOVING)
+    return Systematics(response, np.concatenate([offset, np.zeros(FIXED)]), MOVING)
 
 
 OFFSETS = [(0.0, 0.0, 0.0), (0.7, -1.5, 3.0)]
 
 
-def least_squares(one: Nuisance, residual: Any, columns: slice = slice(None)) -> tuple[Any, float]:
+def least_squares(one: Systematics, residual: Any, columns: slice = slice(None)) -> tuple[Any, float]:
     """min over d of |r - G d|^2 + |x + d|^2, the d of some columns, by one dense solution."""
     response, offset = one.response[:, columns], one.offset[columns]
     matrix = np.vstack([response, np.eye(response.shape[1])])
@@ -84,9 +90,9 @@ def test_the_projection_takes_all_where_the_response_is_large_and_nothing_where_
     np.testing.assert_allclose(weak, np.eye(SIZE), atol=1e-6)
 
 
-def test_a_knob_error_within_its_record_costs_its_prior_alone() -> None:
+def test_a_intensity_error_within_its_record_costs_its_prior_alone() -> None:
     response = 5.0 * RNG(6).normal(size=(SIZE, 1))
-    one, norm = Nuisance(response, np.zeros(1), 1), float((response**2).sum())
+    one, norm = Systematics(response, np.zeros(1), 1), float((response**2).sum())
     for sds in (-1.0, 0.5, 2.0):
         # |G n|^2 / (1 + |G|^2) = n^2 (1 - 1 / (1 + |G|^2)): the knob's own prior and no more.
         assert one.misfit(sds * response[:, 0]) == pytest.approx(sds**2 * norm / (1.0 + norm), rel=1e-10)
@@ -96,17 +102,17 @@ def test_a_knob_error_within_its_record_costs_its_prior_alone() -> None:
 # ---- nuisances that go together --------------------------------------------------------------------------------------
 
 
-def of_one_gauge(offset: Any = (0.0, 0.0, 0.0)) -> Nuisance:
+def of_one_gauge(offset: Any = (0.0, 0.0, 0.0)) -> Systematics:
     """The moving ones have a part in common."""
     plain = nuisance(offset)
-    return Nuisance(plain.response, plain.offset, MOVING, together(MOVING + FIXED, MOVING))
+    return Systematics(plain.response, plain.offset, MOVING, together(MOVING + FIXED, MOVING))
 
 
 def test_a_common_part_is_a_nuisance_of_its_own_that_moves_all_of_them() -> None:
     """Against least squares with one more unknown, from an offset of 0: either has half of the variance."""
     one, residual = of_one_gauge(), RNG(7).normal(size=SIZE)
     own, others = np.sqrt(0.5) * one.response[:, :MOVING], one.response[:, MOVING:]
-    more = Nuisance(np.hstack([own, others, own.sum(1, keepdims=True)]), np.zeros(MOVING + FIXED + 1), MOVING)
+    more = Systematics(np.hstack([own, others, own.sum(1, keepdims=True)]), np.zeros(MOVING + FIXED + 1), MOVING)
     assert one.misfit(residual) == pytest.approx(more.misfit(residual), rel=1e-10)
     np.testing.assert_allclose(one.left(residual), more.left(residual), rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(one(np.eye(SIZE)), more(np.eye(SIZE)), atol=1e-12)
@@ -146,9 +152,9 @@ def test_drawn_nuisances_have_their_covariance() -> None:
 # ---- responses -------------------------------------------------------------------------------------------------------
 
 
-def nodes(responses: Any) -> list[Node]:
-    line = Line(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},))
-    return [Node(line, 0, {"loss_db": 1.0}, response) for response in responses]
+def nodes(responses: Any) -> list[ResponseTemplate]:
+    line = ParameterGrid(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},))
+    return [ResponseTemplate(line, 0, {"loss_db": 1.0}, response) for response in responses]
 
 
 GRID = np.linspace(*AMPLITUDES, 541)  # steps of 0.0025
@@ -162,7 +168,7 @@ def test_an_amplitude_is_the_best_of_a_grid_and_a_gain_what_it_takes_off_the_mis
     rows = np.stack([responses[0], -responses[1], 3.0 * responses[2], RNG(8).normal(size=SIZE)])
     left = np.stack([one.left(row) for row in rows])
     found, norm = amplitudes(nodes(responses), left, one)
-    gain = gains(nodes(responses), left, one)
+    gain = delta_chi2(nodes(responses), left, one)
     np.testing.assert_allclose(norm, [float(response @ one(response)) for response in responses], rtol=1e-10)
     for place, row in enumerate(rows):
         for number, response in enumerate(responses):
@@ -181,7 +187,7 @@ def test_a_gain_is_the_whole_square_of_a_response_itself_and_none_of_its_opposit
     left = one(np.stack([response, -response, 3.0 * response]))
     # No more than 1.35 times a response is believed: 2 a 3 - a^2 squares.
     expected = [square, 0.0, (6.0 * AMPLITUDES[1] - AMPLITUDES[1] ** 2) * square]
-    np.testing.assert_allclose(gains(nodes([response]), left, one)[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(delta_chi2(nodes([response]), left, one)[:, 0], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -192,7 +198,7 @@ def test_the_gain_of_a_pair_is_the_best_of_a_grid_of_both_amplitudes(seed: int) 
     responses[3] = 0.8 * responses[2] + 0.05 * rng.normal(size=SIZE)  # nearly the same
     residual = 0.9 * responses[0] + 0.4 * responses[1] - 0.5 * responses[4] + rng.normal(size=SIZE)
     left = one.left(residual)
-    found = pair_gains(nodes(responses), left, one)
+    found = pair_delta_chi2(nodes(responses), left, one)
     np.testing.assert_allclose(found, found.T, rtol=1e-9)
     first, second = np.meshgrid(GRID, GRID, indexing="ij")
     for i in range(5):
@@ -203,17 +209,17 @@ def test_the_gain_of_a_pair_is_the_best_of_a_grid_of_both_amplitudes(seed: int) 
             gain -= first**2 * own + second**2 * other + 2.0 * first * second * both
             missed = 0.25 * GRID[1] ** 2 * (own + other + 2.0 * abs(both))
             assert 0.0 <= found[i, j] - gain.max() + 1e-9 < missed + 2e-9
-    alone = gains(nodes(responses), left[None], one)[0]
+    alone = delta_chi2(nodes(responses), left[None], one)[0]
     assert (found >= np.maximum(alone[:, None], alone[None]) - 1e-9).all()
 
 
 def test_two_halves_of_a_residual_are_found_together() -> None:
     """Each alone explains little of a difference of nearly opposite things; both explain all of it."""
-    one = Nuisance(np.zeros((SIZE, 1)), np.zeros(1), 1)
+    one = Systematics(np.zeros((SIZE, 1)), np.zeros(1), 1)
     common, own = RNG(11).normal(size=(2, SIZE))
     first, second = common + 0.1 * own, -common + 0.1 * own
     residual = first + second
-    single = gains(nodes([first, second]), residual[None], one)[0]
-    pair = pair_gains(nodes([first, second]), residual, one)[0, 1]
+    single = delta_chi2(nodes([first, second]), residual[None], one)[0]
+    pair = pair_delta_chi2(nodes([first, second]), residual, one)[0, 1]
     assert pair == pytest.approx(float(residual @ residual), rel=1e-9)
     assert single.max() < 0.1 * pair

@@ -1,4 +1,4 @@
-"""What whole frames do, what a model knows of means, what effects leave unsaid: fabricated numbers, plain loops."""
+"""What whole frames do, what a model knows of means, what effects leave unmodelled: fabricated numbers, plain loops."""
 
 from __future__ import annotations
 
@@ -14,8 +14,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from torchweather.gap.inference.likelihood import PROBE_FRAMES, SCREEN_FRAMES, UNSAID, Search, Setting
-from torchweather.gap.inference.simulated_distribution import PORTIONS, Baseline, Target, Whitening
+from torchweather.gap.inference.likelihood import (
+    PROBE_FRAMES,
+    SCREEN_FRAMES,
+    UNSAID,
+    ParameterPoint,
+    SimulatorLikelihood,
+)
+from torchweather.gap.inference.simulated_distribution import PORTIONS, Observation, SimulatedDistribution, Whitening
 from torchweather.gap.sensors.lidar.sums import lidar_layout
 from torchweather.gap.statistics.frame_random_effects import (
     KNOWN_TO,
@@ -73,12 +79,12 @@ def clear(scene: str, portions: int = 1) -> Reduced:
     return Reduced(weight, value, weight, np.zeros((len(value), 1)), nothing[..., None])
 
 
-def bare(clear_frames: Mapping[str, int] = CLEAR) -> Search:
+def bare(clear_frames: Mapping[str, int] = CLEAR) -> SimulatorLikelihood:
     """A search that has simulated nothing."""
-    found = Search.__new__(Search)
+    found = SimulatorLikelihood.__new__(SimulatorLikelihood)
     found.seed, found.pool_frames, found.least_frames, found.simulated_frames = 5, 48, 5, 0
     found.measured = [
-        Target(
+        Observation(
             SimpleNamespace(id=name, scene=scene, rel_sd=0.1, time_s=None),  # type: ignore[arg-type]
             np.zeros(SIZE),
             np.ones(SIZE, bool),
@@ -92,12 +98,14 @@ def bare(clear_frames: Mapping[str, int] = CLEAR) -> Search:
     return found
 
 
-def base(mean: float = 0.0) -> Baseline:
+def base(mean: float = 0.0) -> SimulatedDistribution:
     """A simulator that has scatters of 1 without correlations, whose means differ from entry to entry."""
     each, ones = {name: mean * np.arange(1.0, SIZE + 1.0) * FRAMES[name] for name in SCENES}, np.ones(SIZE)
     one = dict.fromkeys(SCENES, ones)
     twice, nothing = dict.fromkeys(SCENES, 2.0 * ones), dict.fromkeys(SCENES, 0.0 * ones)
-    return Baseline(each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {}, nothing)
+    return SimulatedDistribution(
+        each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {}, nothing
+    )
 
 
 def covariance(columns: Any) -> Any:
@@ -155,7 +163,7 @@ def test_an_even_shift_that_is_simulated_is_no_error_of_the_clear_mean_as_well()
 # ---- conditions of one scene -----------------------------------------------------------------------------------------
 
 
-def shared() -> Baseline:
+def shared() -> SimulatedDistribution:
     """What conditions of a scene share differs from entry to entry; scatters, too."""
     share = {name: RNG([8, k]).uniform(0.2, 1.5, SIZE) for k, name in enumerate(SCENES)}
     sd = {name: RNG([9, k]).uniform(0.5, 2.0, SIZE) for k, name in enumerate(SCENES)}
@@ -214,7 +222,7 @@ def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> 
         return Reduced(*shaped, np.zeros((rows, 0)), np.zeros((rows, 0, 1)))
 
     measured = [
-        Target(SimpleNamespace(scene=str(scene)), np.zeros(3), np.ones(3, bool), 1, clear_frames=number)  # type: ignore[arg-type]
+        Observation(SimpleNamespace(scene=str(scene)), np.zeros(3), np.ones(3, bool), 1, clear_frames=number)  # type: ignore[arg-type]
         for scene in range(scenes)
     ]
     model: Any = SimpleNamespace(layout=layout, clear=frames)
@@ -292,14 +300,14 @@ def test_seeds_differ_between_conditions_and_searches() -> None:
 def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_response() -> None:
     search, given = bare(), []
 
-    def simulated(condition: Any, effects: Any, log_knob: float, seeds: Any, portions: int = 1) -> Reduced:
+    def simulated(condition: Any, effects: Any, log_intensity: float, seeds: Any, portions: int = 1) -> Reduced:
         given.append((condition.id, tuple(seeds)))
         nothing = np.zeros((len(seeds), BINS))
         return Reduced(nothing, nothing, nothing, np.zeros((len(seeds), 1)), np.zeros((len(seeds), 0, 1)))
 
     search.model.simulated = simulated  # type: ignore[method-assign]
-    search.model.open_stages = lambda condition, strengths: []  # type: ignore[method-assign]
-    for setting in (Setting(), Setting({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
+    search.model.systematics = lambda condition, strengths: []  # type: ignore[method-assign]
+    for setting in (ParameterPoint(), ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
         search.mean(setting)
         search.mean(setting, SCREEN_FRAMES)
     assert (PROBE_FRAMES, SCREEN_FRAMES) == (16, 6)
@@ -309,7 +317,7 @@ def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_
     assert search.simulated_frames == 2 * 3 * (16 + 6)
 
 
-# ---- what effects leave unsaid ---------------------------------------------------------------------------------------
+# ---- what effects leave unmodelled -------------------------------------------------------------------------------
 
 
 def test_what_an_effect_leaves_unsaid_is_known_to_half_of_what_it_does() -> None:
@@ -330,11 +338,11 @@ def test_effects_leave_unsaid_only_what_is_looked_at() -> None:
     axes = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "cos_incidence", "up", "log_intensity", "isolated")
     groups = lidar_layout(dict.fromkeys(axes, (0.0, 1.0)), True, 100).groups
     names = {group.statistic for group in groups}
-    unsaid = {name: EFFECTS[name].unsaid for name in LIDAR_EFFECTS if EFFECTS[name].unsaid}
-    unsaid = {name: found for name, found in unsaid.items() if name.startswith("lidar.")}
+    unmodelled = {name: EFFECTS[name].unmodelled for name in LIDAR_EFFECTS if EFFECTS[name].unmodelled}
+    unmodelled = {name: found for name, found in unmodelled.items() if name.startswith("lidar.")}
     # Things that are there with a brightness of their own.
-    assert sorted(unsaid) == ["lidar.crosstalk", "lidar.spray", "lidar.static_structure"]
-    for found in unsaid.values():
+    assert sorted(unmodelled) == ["lidar.crosstalk", "lidar.spray", "lidar.static_structure"]
+    for found in unmodelled.values():
         assert set(found) == {"log_particle_intensity", "log_particle_intensity_spread"} <= names
 
 

@@ -200,8 +200,8 @@ MUTANTS = (
         "change_after_the_first_call_unseen",
         "a chain that was changed is not built anew without a word",
         "torchweather.pipeline.sensor_transform",
-        "if now != self._checked:",
-        "if self._checked is None:",
+        "changed = self.as_built.changed(self.chain)",
+        'changed = ""',
         ("tests/pipeline/test_at_call.py::test_a_change_after_the_first_call_is_noticed_too",),
     ),
     Mutant(

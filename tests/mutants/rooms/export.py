@@ -58,15 +58,15 @@ MUTANTS = (
         ("tests/export/test_export_lidar.py::test_what_changes_the_number_of_points_is_refused",),
     ),
     Mutant(
-        "radar_knobs_of_the_graph_fixed",
+        "radar_intensities_of_the_graph_fixed",
         "a rate is an input of the graph",
         "torchweather.export.radar_graph",
-        'found[inputs[part.kind]].append(f"_stages.{name}.parts.{part.kind}.{part.knob_name}")',
+        'found[inputs[part.kind]].append(f"_stages.{name}.parts.{part.kind}.{part.intensity_name}")',
         "pass",
         (
             (
                 "tests/export/test_export_radar.py::"
-                "test_onnxruntime_gives_what_torch_gives_for_other_lists_and_knobs[3x301-fog]"
+                "test_onnxruntime_gives_what_torch_gives_for_other_lists_and_intensities[3x301-fog]"
             ),
         ),
     ),
@@ -74,7 +74,7 @@ MUTANTS = (
         "weather_units_not_in_the_graph",
         "a graph states the units of its inputs",
         "torchweather.export.metadata",
-        ('"torchweather_units": json.dumps({name: _unit(name, weather, traceable) for name in traceable.inputs}),'),
+        '"torchweather_units": json.dumps({name: units[name] for name in traceable.inputs}),',
         '"torchweather_units": json.dumps({}),',
         ("tests/export/test_export_fuse.py::test_the_properties_say_version_equations_and_units",),
     ),
@@ -87,7 +87,7 @@ MUTANTS = (
         (
             (
                 "tests/export/test_export_rgb.py::test_onnxruntime_gives_what_torch_gives_at_other_sizes_and_"
-                "knobs[1-fog of a mosaic]"
+                "intensities[1-fog of a mosaic]"
             ),
         ),
     ),

@@ -63,8 +63,8 @@ MUTANTS = (
         "visibility_taken_as_severity",
         "shorter visibility is more severe",
         "torchweather.gap.study.splits",
-        'return 1.0 / knob if weather.knob_name == "mor_m" else knob',
-        "return knob",
+        'return 1.0 / intensity if weather.intensity_name == "mor_m" else intensity',
+        "return intensity",
         (
             (
                 "tests/gap/study/test_study.py::"

@@ -72,7 +72,7 @@ class CameraAdherentDrops(Effect):
         "camera.stray_light": "the place in the image: stray light is everywhere",
     }
     # What they hide is a matter of where they sit.
-    unsaid: ClassVar[tuple[str, ...]] = (
+    unmodelled: ClassVar[tuple[str, ...]] = (
         *(f"log_ratio_{what}" for what in ("red", "green", "blue", "spread")),
         *(f"difference_spread_{lag}_px" for lag in ("0_2", "2_0", "2_2", "2_-2", "0_4", "4_0", "8_0", "16_0", "16_4")),
         "difference_spread_16_-4_px",

@@ -36,23 +36,33 @@ A declaration holds ``format: torchweather-detector/1`` and
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from torchweather.core.errors import TorchweatherError, nearest_name
-from torchweather.evaluation.robustness.declared_forms import CHOICES, DECODERS, INPUT
-from torchweather.evaluation.robustness.declared_numbers import check_numbers
-from torchweather.recipes.files import check_format, read_yaml, refuse_unknown
+from torchweather.core.errors import TorchweatherError
+from torchweather.core.schema import MAPPING, TEXT, Key, check_format, check_keys, is_whole, one_of, refuse_unknown
+from torchweather.core.yaml_file import read_yaml
+from torchweather.evaluation.robustness.declared_forms import DECODERS, INPUT
+from torchweather.evaluation.robustness.declared_keys import KEYS, MAY_BE_NULL
+from torchweather.evaluation.robustness.input_ports import INPUT_PORTS
 
 __all__ = ["FORMAT", "Declaration", "read_declaration"]
 
 FORMAT = "torchweather-detector/1"
 FILL_IN = "FILL IN"
 """Stands in a draft where the graph does not give the value."""
-REQUIRED = ("format", "title", "sensor", "input", "decoder", "outputs", "classes")
-KEYS = (*REQUIRED, "options")
+SCHEMA = {
+    "format": TEXT.needed,
+    "title": Key("text", lambda value: not isinstance(value, (Mapping, list)), required=True),
+    "sensor": one_of(INPUT).needed,
+    "input": MAPPING.needed,
+    "decoder": one_of(DECODERS).needed,
+    "outputs": MAPPING.needed,
+    "classes": Key("a list of names, or number to name", lambda value: isinstance(value, (Mapping, list)), True),
+    "options": MAPPING,
+}
 
 
 @dataclass(frozen=True)
@@ -110,33 +120,22 @@ def read_declaration(path: str | os.PathLike[str]) -> Declaration:
         ('boxes', 'NCHW', 'cxcywh')
     """
     file = Path(path)
-    return _checked(read_yaml(file, "declaration of a detector"), file)
+    return _checked(read_yaml(file, "the declaration of a detector", number_keys=("classes",)), file)
 
 
 def _checked(values: Any, path: Path) -> Declaration:
-    check_format(values, path, "declaration", FORMAT, required=REQUIRED, known=KEYS)
+    check_format(values, FORMAT, str(path), "a declaration of a detector")
     _check_filled_in(values, path)
-    sensor = _one_of("sensor", values["sensor"], INPUT, path)
-    decoder = _one_of("decoder", values["decoder"], DECODERS, path)
+    check_keys(values, SCHEMA, str(path))
+    sensor, decoder, classes = values["sensor"], values["decoder"], values["classes"]
     form = DECODERS[decoder]
-    if form.task == "boxes" and sensor != "camera":
+    if form.task not in INPUT_PORTS[sensor].tasks:
         raise TorchweatherError(f"{path}: the decoder {decoder} is for a camera; the sensor is {sensor}.")
-    parts = {key: values.get(key) or {} for key in ("input", "outputs", "options")}
-    for key, value in parts.items():
-        if not isinstance(value, Mapping):
-            raise TorchweatherError(f"{path}: {key} must be keys with values; got {value!r}.")
-    if not isinstance(parts["input"].get("name"), str):
-        raise TorchweatherError(f"{path}: input needs the name that the model has for it; got {parts['input']!r}.")
-    refuse_unknown(parts["input"], ("name", *INPUT[sensor]), path, f"key of a {sensor}'s input")
-    refuse_unknown(parts["options"], form.options, path, f"option of {decoder}")
-    taken = {**INPUT[sensor], **parts["input"]}
-    options = {**form.options, **parts["options"]}
-    for key, value in (*taken.items(), *options.items()):
-        if key in CHOICES:
-            _one_of(key, value, CHOICES[key], path)
-    check_numbers({**taken, **options}, path)
-    _check_fit(parts["input"], taken, path)
-    outputs = _outputs(decoder, parts["outputs"], path)
+    name = Key("the name that the model has for it", TEXT.fits, required=True)
+    taken = _filled("input", values["input"], INPUT[sensor], {"name": name}, path)
+    options = _filled("options", values.get("options") or {}, form.options, {}, path)
+    _check_fit(values["input"], taken, path)
+    outputs = _outputs(decoder, values["outputs"], path)
     if form.levels and {len(names) for names in outputs.values()} != {len(options["strides"])}:
         raise TorchweatherError(
             f"{path}: {decoder} needs one output a level in each of {', '.join(outputs)}; strides has "
@@ -148,11 +147,19 @@ def _checked(values: Any, path: Path) -> Declaration:
         input=taken,
         decoder=decoder,
         outputs=outputs,
-        classes=_classes(values["classes"], path),
+        classes=_classes(classes, path),
         options=options,
         path=path,
-        all_classes=isinstance(values["classes"], list),
+        all_classes=isinstance(classes, list),
     )
+
+
+def _filled(
+    at: str, given: Mapping[str, Any], defaults: Mapping[str, Any], more: Mapping[str, Key], path: Path
+) -> dict[str, Any]:
+    """The values of the input or the options, the defaults filled in."""
+    check_keys(given, {**more, **{key: KEYS[key] for key in defaults}}, str(path), at)
+    return {**defaults, **{key: value for key, value in given.items() if value is not None or key in MAY_BE_NULL}}
 
 
 def _check_filled_in(values: Any, path: Path) -> None:
@@ -166,7 +173,7 @@ def _check_filled_in(values: Any, path: Path) -> None:
 def _outputs(decoder: str, given: Mapping[str, Any], path: Path) -> dict[str, tuple[str, ...]]:
     """Names of the model's outputs for each role of the decoder."""
     form = DECODERS[decoder]
-    refuse_unknown(given, (*form.needed, *form.usable), path, f"output of {decoder}")
+    refuse_unknown(given, (*form.needed, *form.usable), "outputs", str(path))
     found: dict[str, tuple[str, ...]] = {}
     for role in (*form.needed, *(each for each in form.usable if each in given)):
         names = given.get(role)
@@ -199,17 +206,9 @@ def _classes(values: Any, path: Path) -> dict[int, str]:
     pairs = list(enumerate(values)) if isinstance(values, list) else None
     if isinstance(values, Mapping):
         pairs = [*values.items()]
-    if not pairs or not all(isinstance(number, int) and number >= 0 for number, _ in pairs):
+    if not pairs or not all(is_whole(number) and number >= 0 for number, _ in pairs):
         raise TorchweatherError(f"{path}: classes must be a list of names, or number to name; got {values!r}.")
     names = [str(name) for _, name in pairs]
     if len({*names}) < len(names):
         raise TorchweatherError(f"{path}: every class wants a name of its own; got {', '.join(names)}.")
     return {int(number): str(name) for number, name in pairs}
-
-
-def _one_of(key: str, value: object, known: Iterable[str], path: Path) -> str:
-    if value not in [*known]:
-        raise TorchweatherError(
-            f"{path}: {key} must be one of {', '.join(known)}; got {value!r}.{nearest_name(value, known)}"
-        )
-    return str(value)

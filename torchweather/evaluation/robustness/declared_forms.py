@@ -1,4 +1,4 @@
-"""What a declaration may say: keys of the input, decoders with their outputs and options, and their defaults."""
+"""Keys of a declaration's input, decoders with their outputs and options, and the defaults of all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["CHOICES", "DECODERS", "INPUT", "DecoderForm"]
+__all__ = ["DECODERS", "INPUT", "DecoderForm"]
 
 INPUT: dict[str, dict[str, Any]] = {
     "camera": {
@@ -26,15 +26,6 @@ INPUT: dict[str, dict[str, Any]] = {
     "lidar": {"columns": 4, "batch": True},
 }
 """By the sensor: keys of the input, and their values where nothing is declared."""
-
-CHOICES = {
-    "layout": ("NCHW", "NHWC"),
-    "colour": ("RGB", "BGR", "bayer"),
-    "dtype": ("float32", "float16", "uint8"),
-    "fit": ("stretch", "letterbox", "corner"),
-    "form": ("xyxy", "cxcywh", "xywh", "yxyx"),
-    "activation": ("none", "sigmoid", "softmax"),
-}
 
 # Least score of a dense head: on 13 KITTI frames, clear and in fog of 50 m visibility, NanoDet's AP50 is that of 0.001
 # to 1e-4; at 0.1 it is 0.012 lower in the fog.

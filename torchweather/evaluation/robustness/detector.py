@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,16 +40,16 @@ class OnnxDetector:
         self.declaration = declaration
         self.session, graph = open_session(model, threads=threads)
         check_graph(graph, declaration)
-        taken = declaration.input
-        self.picture = (
-            MosaicToImage(
-                exposure=taken["exposure"],
-                colour="RGB" if taken["colour"] == "bayer" else taken["colour"],
-                dtype="float32" if taken["dtype"] == "float16" else taken["dtype"],
-                **{key: taken[key] for key in ("layout", "scale", "mean", "std")},
-            )
-            if declaration.sensor == "camera"
-            else None
+
+    @cached_property
+    def picture(self) -> MosaicToImage:
+        """The step from a camera's frame to the declared input."""
+        taken = self.declaration.input
+        return MosaicToImage(
+            exposure=taken["exposure"],
+            colour="RGB" if taken["colour"] == "bayer" else taken["colour"],
+            dtype="float32" if taken["dtype"] == "float16" else taken["dtype"],
+            **{key: taken[key] for key in ("layout", "scale", "mean", "std")},
         )
 
     def developed(self, linear: Tensor, pattern: str) -> Tensor:
@@ -62,7 +63,6 @@ class OnnxDetector:
             linear: mosaic ``(1, H, W)``, black 0, saturation 1; ``None`` of an RGB frame.
             picture: the sRGB picture ``(3, H, W)`` in [0, 1].
         """
-        assert self.picture is not None
         taken = self.declaration.input
         if taken["colour"] == "bayer":
             if linear is None:

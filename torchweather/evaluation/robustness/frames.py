@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,9 @@ from torchweather.evaluation.robustness.detector import OnnxDetector
 from torchweather.evaluation.robustness.performance import Counter
 from torchweather.evaluation.sweep import CameraSubject, LidarSubject
 from torchweather.pipeline.point_kind import PointKind
-from torchweather.recipes.suites import Condition
+from torchweather.recipes.suite import Condition
 
-__all__ = ["FrameInWeather", "LabelledFrame", "Look", "stem_of"]
+__all__ = ["FrameInWeather", "LabelledFrame", "Look", "frame_in_weather", "stem_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class LabelledFrame:
     @property
     def depth(self) -> str:
         """How sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``; empty of a LiDAR."""
-        return self.subject.depth_confidence if isinstance(self.subject, CameraSubject) else ""
+        return self.subject.depth_confidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +65,13 @@ class Look:
     weather: NDArray[np.bool_] | None
 
 
-class FrameInWeather:
-    """One frame in changing weather, and what the detector says of it."""
+OnLook = Callable[[Look], object] | None
 
-    def __init__(self, frame: LabelledFrame, detector: OnnxDetector, look: Callable[[Look], object] | None) -> None:
+
+class FrameInWeather(ABC):
+    """One frame in changing weather, and what the detector finds in it; one subclass a kind of sensor."""
+
+    def __init__(self, frame: LabelledFrame, detector: OnnxDetector, look: OnLook) -> None:
         self.frame, self.detector, self.look = frame, detector, look
         self.before: Tensor | None = None
         self.found: Any = None
@@ -77,33 +81,17 @@ class FrameInWeather:
 
     def clear(self, counter: Counter) -> None:
         """The frame as it is."""
-        subject = self.frame.subject
         with torch.no_grad():
-            if isinstance(subject, LidarSubject):
-                self._cloud(subject.points, torch.zeros(len(subject.points), dtype=torch.bool), None)
-            else:
-                self._frame(subject, subject.reference, None)
+            self._detect_clear()
         self.add(counter)
 
     def weather(self, condition: Condition, seed: int, metrics: Sequence[str], *, first: bool) -> dict[str, float]:
         """The frame in a weather: its scores."""
-        subject = self.frame.subject
-        look = self.look if first else None
         try:
             with one_thread_an_operation(), torch.no_grad():
-                if isinstance(subject, LidarSubject):
-                    result = subject.run(condition.weather, seed)
-                    assert isinstance(result.points, Tensor)
-                    assert isinstance(result.kind, Tensor)
-                    data = result.points
-                    self._cloud(data, result.kind == PointKind.PARTICLE, condition, look)
-                else:
-                    data = subject.render(condition.weather, seed)
-                    # A camera's fog draws nothing: every storm gives the same frame.
-                    if self.before is None or not torch.equal(self.before, data):
-                        self._frame(subject, data, condition, look)
+                data = self._detect(condition, seed, self.look if first else None)
             if self.before is None or not torch.equal(self.before, data):
-                self.scores = subject.score(data, metrics) if metrics else {}
+                self.scores = self.frame.subject.score(data, metrics) if metrics else {}
         except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{self.frame.name}, {condition.name} {condition.value:g}: {error}") from error
         self.before = data
@@ -113,40 +101,90 @@ class FrameInWeather:
         """Count what was found last."""
         counter.add(self.found, self.truth, self.kind)
 
-    def _frame(
+    @abstractmethod
+    def _detect_clear(self) -> None:
+        """Give the detector the clear data."""
+
+    @abstractmethod
+    def _detect(self, condition: Condition, seed: int, look: OnLook) -> Tensor:
+        """Give the detector the data in a weather; returns them."""
+
+    def _show(self, look: OnLook, condition: Condition | None, shown: Tensor) -> None:
+        if look is not None:
+            frame = LabelledFrame(self.frame.name, self.frame.subject, self.truth)
+            look(Look(frame, condition, shown, self.found, self.kind))
+
+
+class _PictureInWeather(FrameInWeather):
+    """A camera's frame."""
+
+    def __init__(
         self,
+        frame: LabelledFrame,
         subject: CameraSubject,
-        data: Tensor,
-        condition: Condition | None,
-        look: Callable[[Look], object] | None = None,
+        detector: OnnxDetector,
+        look: OnLook,
     ) -> None:
-        if subject.is_rgb:
+        super().__init__(frame, detector, look)
+        self.subject = subject
+
+    def _detect_clear(self) -> None:
+        self._find(self.subject.reference, None, self.look)
+
+    def _detect(self, condition: Condition, seed: int, look: OnLook) -> Tensor:
+        data = self.subject.render(condition.weather, seed)
+        # A camera's fog draws nothing: every storm gives the same frame.
+        if self.before is None or not torch.equal(self.before, data):
+            self._find(data, condition, look)
+        return data
+
+    def _find(self, data: Tensor, condition: Condition | None, look: OnLook) -> None:
+        camera = self.subject.camera
+        if self.subject.is_rgb:
             linear, picture = None, normalise(data)
         else:
-            linear = raw_to_linear(data, subject.camera, "robustness").clamp(0.0, 1.0)
-            picture = self.detector.developed(linear, subject.camera.bayer_pattern)
+            linear = raw_to_linear(data, camera, "robustness").clamp(0.0, 1.0)
+            picture = self.detector.developed(linear, camera.bayer_pattern)
         self.found = self.detector.of_frame(linear, picture)
-        self._show(look if condition is not None else self.look, condition, picture)
+        self._show(look, condition, picture)
 
-    def _cloud(
-        self,
-        points: Tensor,
-        particle: Tensor,
-        condition: Condition | None,
-        look: Callable[[Look], object] | None = None,
-    ) -> None:
+
+class _CloudInWeather(FrameInWeather):
+    """A LiDAR's cloud."""
+
+    def __init__(self, frame: LabelledFrame, subject: LidarSubject, detector: OnnxDetector, look: OnLook) -> None:
+        super().__init__(frame, detector, look)
+        self.subject = subject
+
+    def _detect_clear(self) -> None:
+        points = self.subject.points
+        self._find(points, torch.zeros(len(points), dtype=torch.bool), None, self.look)
+
+    def _detect(self, condition: Condition, seed: int, look: OnLook) -> Tensor:
+        result = self.subject.run(condition.weather, seed)
+        points, kind = torch.as_tensor(result.points), torch.as_tensor(result.kind)
+        self._find(points, kind == PointKind.PARTICLE, condition, look)
+        return points
+
+    def _find(self, points: Tensor, particle: Tensor, condition: Condition | None, look: OnLook) -> None:
         # What was lost is no point any more, as in a recording.
         there = (points[:, :3] != 0).any(-1) & torch.isfinite(points[:, :3]).all(-1)
         kept = points[there]
         self.kind = particle[there].numpy()
         self.truth = type(self.frame.truth)(self.frame.truth.classes[there.numpy()])
         self.found = self.detector.of_cloud(kept)
-        self._show(look if condition is not None else self.look, condition, kept)
+        self._show(look, condition, kept)
 
-    def _show(self, look: Callable[[Look], object] | None, condition: Condition | None, shown: Tensor) -> None:
-        if look is not None:
-            frame = LabelledFrame(self.frame.name, self.frame.subject, self.truth)
-            look(Look(frame, condition, shown, self.found, self.kind))
+
+IN_WEATHER: dict[str, Callable[..., FrameInWeather]] = {
+    CameraSubject.sensor: _PictureInWeather,
+    LidarSubject.sensor: _CloudInWeather,
+}
+
+
+def frame_in_weather(frame: LabelledFrame, detector: OnnxDetector, look: OnLook) -> FrameInWeather:
+    """A frame of any sensor for a detector; ``look`` is called with the first picture of each condition."""
+    return IN_WEATHER[frame.subject.sensor](frame, frame.subject, detector, look)
 
 
 def stem_of(path: Path) -> str:

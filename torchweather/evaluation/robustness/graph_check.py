@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.evaluation.robustness.declaration import Declaration
 from torchweather.evaluation.robustness.graph import Graph, Port
+from torchweather.evaluation.robustness.input_ports import INPUT_PORTS, Shape
 from torchweather.evaluation.robustness.likely import likely_output
 
 __all__ = ["check_graph"]
 
 FEWEST_PX = 4  # of a side of an image; less is the axis of the colours
-Shape = tuple[int | str, ...]
 
 # Shapes by decoder and role. A text with K is a number of classes, one with "bins" four distributions.
 SHAPES: dict[str, dict[str, Shape]] = {
@@ -51,7 +51,7 @@ def check_graph(graph: Graph, declaration: Declaration) -> None:
 
 def _shapes(declaration: Declaration) -> dict[str, Shape]:
     if declaration.decoder == "segmentation":
-        return {"logits": ("K", "H", "W") if declaration.sensor == "camera" else ("N", "K")}
+        return {"logits": INPUT_PORTS[declaration.sensor].logits}
     shapes = dict(SHAPES[declaration.decoder])
     if declaration.decoder == "boxes":
         labelled = "labels" in declaration.outputs
@@ -69,7 +69,7 @@ def _check_input(graph: Graph, declaration: Declaration) -> None:
         more = " A detector with several inputs is not supported." if len(graph.inputs) > 1 else ""
         raise TorchweatherError(f"{where}: the declaration says input {declared['name']!r}; {graph.text}.{hint}{more}")
     port = graph.inputs[declared["name"]]
-    wanted, kind = _wanted(declaration)
+    wanted, kind = INPUT_PORTS[declaration.sensor].declared(declaration.input)
     fits = not port.shape or (len(port.shape) == len(wanted) and all(map(_fits, port.shape, wanted)))
     if fits and port.dtype == kind:
         return
@@ -78,17 +78,6 @@ def _check_input(graph: Graph, declaration: Declaration) -> None:
         f"{where}: the declaration says {declared['name']} {kind} ({shape}); {graph.text}."
         f"{_input_remedy(port, wanted, kind)}"
     )
-
-
-def _wanted(declaration: Declaration) -> tuple[list[int | str], str]:
-    """Shape and type of the input as declared."""
-    taken = declaration.input
-    if declaration.sensor == "lidar":
-        return [*([1] if taken["batch"] else []), "N", int(taken["columns"])], "float32"
-    colours = 1 if taken["colour"] == "bayer" else 3
-    height, width = taken["size"] or ("H", "W")
-    shape = [1, colours, height, width] if taken["layout"] == "NCHW" else [1, height, width, colours]
-    return shape, str(taken["dtype"])
 
 
 def _input_remedy(port: Port, wanted: Sequence[int | str], kind: str) -> str:

@@ -11,7 +11,7 @@ from torchweather.evaluation.robustness.intervals import Interval
 from torchweather.evaluation.robustness.operating import OperatingPoint
 from torchweather.evaluation.robustness.performance import Performance
 from torchweather.evaluation.robustness.rates import Rates, rates
-from torchweather.recipes.suites import Condition
+from torchweather.recipes.suite import Condition
 
 __all__ = ["ConditionResult", "RobustnessResult"]
 

@@ -14,36 +14,37 @@ from torchweather.camera.depth import GUESSED, least_sure
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.core.random import sample_seed
 from torchweather.evaluation.robustness.detector import OnnxDetector
-from torchweather.evaluation.robustness.frames import FrameInWeather, LabelledFrame, Look
+from torchweather.evaluation.robustness.frames import LabelledFrame, Look, frame_in_weather
 from torchweather.evaluation.robustness.intervals import RESAMPLES, Interval, Resampling
 from torchweather.evaluation.robustness.operating import operating_point
 from torchweather.evaluation.robustness.performance import COUNTERS, NAMES, BoxCounter, Counter
 from torchweather.evaluation.robustness.result import ConditionResult, RobustnessResult
 from torchweather.evaluation.sweep.run import COLUMNS
-from torchweather.recipes.recipe import Recipe
-from torchweather.recipes.suites import Condition, Suite
+from torchweather.recipes.suite import Condition, SuiteRecipe
+from torchweather.recipes.transform import TransformRecipe
 
 __all__ = ["conditions_of", "run_robustness"]
 
 
-def conditions_of(source: Suite | Recipe) -> list[Condition]:
+def conditions_of(source: SuiteRecipe | TransformRecipe) -> list[Condition]:
     """The conditions of a suite; a recipe is one condition, of severity 1.
 
     Example:
-        >>> from torchweather.recipes.recipes import read_recipe
-        >>> [(c.name, c.severity, c.value) for c in conditions_of(read_recipe("camera/fog-30m"))]
+        >>> from torchweather.recipes import read_recipe
+        >>> [(c.name, c.severity, c.value) for c in conditions_of(read_recipe("camera/fog-30m", "transform"))]
         [('fog-30m', 1, 30.0)]
     """
-    if isinstance(source, Suite):
+    if isinstance(source, SuiteRecipe):
         return source.conditions()
     weather = source.build_weather()
     part = weather.parts[0]
-    if weather.random or torch.as_tensor(part.knob).numel() != 1:
+    if weather.random or torch.as_tensor(part.intensity).numel() != 1:
         raise InputValueError(
             f"robustness: {source.name} has several weathers or draws one a sample; a condition is one weather. Take "
             "a recipe with numbers, or a suite."
         )
-    return [Condition(source.name.rpartition("/")[2], part.kind, part.knob_name, float(part.knob), 1, weather)]
+    name = source.name.rpartition("/")[2]
+    return [Condition(name, part.kind, part.intensity_name, float(part.intensity), 1, weather)]
 
 
 def run_robustness(
@@ -65,7 +66,7 @@ def run_robustness(
     Args:
         frames: of one sensor; read one after another.
         detector: asked for every frame in clear air and in every condition.
-        conditions: of a suite (``Suite.conditions``), or ``conditions_of`` a recipe.
+        conditions: of a suite (``SuiteRecipe.conditions``), or ``conditions_of`` a recipe.
         seed: of the whole run. A frame's storm is drawn from ``sample_seed(seed, frame's name, k)``, k counting the
             storms: the same over all weathers and severities, so that one storm gets heavier.
         seeds: storms of each frame.
@@ -108,7 +109,7 @@ def run_robustness(
         wanted = list(frame.subject.directions) if metrics is None else list(metrics)
         for name in wanted:
             check_one_of("metric", name, frame.subject.directions, owner="robustness")
-        asked = FrameInWeather(frame, detector, look if len(names) == 1 else None)
+        asked = frame_in_weather(frame, detector, look if len(names) == 1 else None)
         asked.clear(clear)
         for place, condition in enumerate(conditions):
             for k in range(seeds):

@@ -79,8 +79,10 @@ def parse_levels(text: str) -> list[Level]:
         )
     part, key = lists[0]
     knob = ALIASES.get(key, key)
-    if part.kind not in WEATHERS or knob != WEATHERS[part.kind].knob_name:
-        wanted = f"{WEATHERS[part.kind].knob_name} of {part.kind}" if part.kind in WEATHERS else "a rate or visibility"
+    if part.kind not in WEATHERS or knob != WEATHERS[part.kind].intensity_name:
+        wanted = (
+            f"{WEATHERS[part.kind].intensity_name} of {part.kind}" if part.kind in WEATHERS else "a rate or visibility"
+        )
         raise InputValueError(f"{OWNER}: a list must be of {wanted}, {EXAMPLE}; got one of {key!r} in {text!r}.")
     values = sorted((_number(value, text) for value in part.arguments[key]), reverse=not RISES[knob])
     twice = next((low for low, high in pairwise(values) if low == high), None)

@@ -17,6 +17,8 @@ __all__ = ["explain_miss"]
 CONFIDENCE = 0.95
 # A curve whose wrong steps are a small part of its range has levelled off rather than turned.
 SMALL_PART = 0.1
+# Scores of plain errors, of images and of points.
+PLAIN_ERRORS = {"psnr": "the mean squared error", "mde": "the mean distance"}
 
 
 def explain_miss(series: Series, judgement: Judgement) -> list[str]:
@@ -164,9 +166,10 @@ def _pair_distance(series: Series, wrong: Sequence[int]) -> list[str]:
 
 def _others(series: Series, metric: str, wrong: Sequence[int]) -> list[str]:
     """Whether the plain error goes on rising where this score does not."""
-    plain, name = ("psnr", "the mean squared error") if series.sensor == "camera" else ("mde", "the mean distance")
-    if metric == plain or plain not in series.scores or not wrong:
+    plain = next((one for one in PLAIN_ERRORS if one in series.scores), metric)
+    if metric == plain or not wrong:
         return []
+    name = PLAIN_ERRORS[plain]
     rises = [number for number in wrong if _worse(series, plain, number)]
     if len(rises) == len(wrong):
         return [f"The data do differ more at each of these steps: {name} rises."]

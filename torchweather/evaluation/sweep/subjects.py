@@ -118,6 +118,11 @@ class CameraSubject:
         return EXACT if self.scene_depth is None else self.scene_depth.confidence
 
     @property
+    def label_shape(self) -> tuple[int, ...]:
+        """Of a class for each pixel."""
+        return tuple(self.data.shape[-2:])
+
+    @property
     def is_rgb(self) -> bool:
         """True for a colour image, False for a mosaic."""
         return self.data.shape[-3] == 3
@@ -176,6 +181,8 @@ class _Points:
     region: Region | None = None
 
     directions: ClassVar[Mapping[str, str]] = CLOUD_DIRECTIONS
+    depth_confidence: ClassVar[str] = ""
+    """Points need no depth."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", self.scene or self.name)
@@ -232,6 +239,11 @@ class LidarSubject(_Points):
     def clear(self) -> Tensor:
         """The cloud in clear air."""
         return self.points
+
+    @property
+    def label_shape(self) -> tuple[int, ...]:
+        """Of a class for each point."""
+        return (len(self.points),)
 
     def run(self, weather: Weather, seed: int) -> LidarResult:
         """The cloud in a weather, with what each point is."""

@@ -82,7 +82,7 @@ def _sure(trend: Trend) -> bool:
 
 def knob_value(weather: Weather) -> float:
     """The knob of a single weather as a number."""
-    knob = weather.knob
+    knob = weather.intensity
     return float(knob.mean()) if isinstance(knob, Tensor) else float(knob)
 
 
@@ -96,7 +96,7 @@ def weather_label(weather: Weather | None) -> str:
     """
     if weather is None:
         return "clear"
-    return " + ".join(f"{part.kind} {knob_value(part):g} {UNITS[part.knob_name]}" for part in weather.parts)
+    return " + ".join(f"{part.kind} {knob_value(part):g} {UNITS[part.intensity_name]}" for part in weather.parts)
 
 
 def compared_trends(
@@ -111,7 +111,7 @@ def compared_trends(
     groups: dict[tuple[str, str, str], list[tuple[Weather, Sequence[Comparison]]]] = {}
     for scene, weather, scores in conditions:
         if weather is not None:
-            groups.setdefault((scene, weather.kind, weather.knob_name), []).append((weather, scores))
+            groups.setdefault((scene, weather.kind, weather.intensity_name), []).append((weather, scores))
     found = []
     for (scene, kind, knob), members in groups.items():
         members.sort(key=lambda member: severity(member[0]))

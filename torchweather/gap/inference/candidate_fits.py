@@ -15,29 +15,29 @@ from numpy.typing import NDArray
 
 from torchweather.gap.inference.effect_forms import is_another
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import SCREEN_FRAMES, SETTLED, Fit, Search, Setting
-from torchweather.gap.inference.location_search import placed
-from torchweather.gap.inference.response_templates import AMPLITUDES, Node, amplitudes, gains
-from torchweather.gap.inference.starting_points import lines
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.likelihood import SCREEN_FRAMES, SETTLED, Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.location_search import located
+from torchweather.gap.inference.response_templates import AMPLITUDES, ResponseTemplate, amplitudes, delta_chi2
+from torchweather.gap.inference.starting_points import parameter_grids
+from torchweather.gap.inference.systematics import Systematics
 
 __all__ = [
     "SETTLED_BESIDE",
     "WORTH",
     "Candidate",
     "Proposal",
-    "best_nodes",
+    "best_templates",
     "best_pairs",
     "fitted",
-    "hidden_nodes",
+    "hidden_templates",
     "scattering",
     "stands_far",
-    "unscaled_nodes",
+    "unscaled_templates",
 ]
 
 Floats = NDArray[np.float64]
 
-Proposal = tuple[Setting, Node, float]
+Proposal = tuple[ParameterPoint, ResponseTemplate, float]
 """A setting, what to put on top of it, and how much of its response is expected."""
 
 PAIRS_REFITTED = 2  # pairs that are fitted
@@ -71,9 +71,11 @@ class Candidate:
     held: HeldOut | None = None
 
 
-def best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[tuple[Node, float]]:
+def best_templates(
+    nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics
+) -> list[tuple[ResponseTemplate, float]]:
     """The best node of each effect that is worth a fit, with its amplitude, best first."""
-    gain = gains(nodes, left[None], nuisance)[0]
+    gain = delta_chi2(nodes, left[None], nuisance)[0]
     amplitude = amplitudes(nodes, left[None], nuisance)[0][0]
     best: dict[str, int] = {}
     for place in np.argsort(-gain):
@@ -82,9 +84,12 @@ def best_nodes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> list[
     return [(nodes[place], float(amplitude[place])) for place in worth]
 
 
-def unscaled_nodes(
-    nodes: Sequence[Node], chosen: Sequence[tuple[Node, float]], left: Floats, nuisance: Nuisance
-) -> list[tuple[Node, float]]:
+def unscaled_templates(
+    nodes: Sequence[ResponseTemplate],
+    chosen: Sequence[tuple[ResponseTemplate, float]],
+    left: Floats,
+    nuisance: Systematics,
+) -> list[tuple[ResponseTemplate, float]]:
     """Of each effect that begins at a threshold and whose chosen node would be scaled to much less, the node that
     explains most, or spoils least, as it stands.
 
@@ -99,7 +104,9 @@ def unscaled_nodes(
     return [(nodes[best[node.id]], 1.0) for node in scaled]
 
 
-def hidden_nodes(nodes: Sequence[Node], nuisance: Nuisance, open_ones: slice) -> list[tuple[Node, float]]:
+def hidden_templates(
+    nodes: Sequence[ResponseTemplate], nuisance: Systematics, open_ones: slice
+) -> list[tuple[ResponseTemplate, float]]:
     """The node of each effect that looks most like what is left open has done, with its amplitude, best first.
 
     Such an effect promises nothing while the nuisances stand in its place.
@@ -119,7 +126,7 @@ def hidden_nodes(nodes: Sequence[Node], nuisance: Nuisance, open_ones: slice) ->
     return [(nodes[place], float(min(along[place] / norm[place], AMPLITUDES[1]))) for place in best.values()]
 
 
-def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: float) -> list[Proposal]:
+def best_pairs(nodes: Sequence[ResponseTemplate], gain: Floats, origin: ParameterPoint, least: float) -> list[Proposal]:
     """Pairs of different effects whose responses explain more than ``least`` together, best first."""
     first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
     found: dict[frozenset[str], Proposal] = {}
@@ -132,7 +139,9 @@ def best_pairs(nodes: Sequence[Node], gain: Floats, origin: Setting, least: floa
     return list(found.values())
 
 
-def scattering(search: Search, base: Fit, nodes: Sequence[Node], least: float) -> list[tuple[Fit, Proposal]]:
+def scattering(
+    search: SimulatorLikelihood, base: Fit, nodes: Sequence[ResponseTemplate], least: float
+) -> list[tuple[Fit, Proposal]]:
     """The likeliest strength of each effect by which whole frames differ, and which other statistics than means show.
 
     The mean of a few such frames is off either way, by more than the mean response of many: its scatter explains that.
@@ -153,13 +162,13 @@ def scattering(search: Search, base: Fit, nodes: Sequence[Node], least: float) -
         for line in {id(node.line): node.line for node in own if node.id == name}.values():
             for number, values in enumerate(line.settings):
                 fit = search.fit(replace(search.origin, values={name: values}), base.nuisance, base.base, 0)
-                tried.append((fit, Node(line, number, values, base.residual)))
+                tried.append((fit, ResponseTemplate(line, number, values, base.residual)))
         best, node = min(tried, key=lambda one: one[0].misfit)
         found.append((best, (search.origin, node, 1.0)))
     return found
 
 
-def _gain_beside_means(search: Search, node: Node) -> float:
+def _gain_beside_means(search: SimulatorLikelihood, node: ResponseTemplate) -> float:
     """By how much a response, scaled, lowers the squares of what departs in entries that are no means of elements."""
     there, here = (
         search.mean(replace(search.origin, values=values), SCREEN_FRAMES) for values in ({node.id: node.values}, {})
@@ -174,18 +183,18 @@ def _gain_beside_means(search: Search, node: Node) -> float:
     return max(along, 0.0) ** 2 / max(norm, 1e-12)
 
 
-def stands_far(setting: Setting) -> bool:
+def stands_far(setting: ParameterPoint) -> bool:
     """Whether something that the model leaves open has moved by more than such things do by chance."""
     return any(abs(value) > FAR for value in setting.open.values())
 
 
 def fitted(
-    search: Search, base: Fit, proposed: Sequence[Proposal], misfit: float, say: Callable[[str], None]
+    search: SimulatorLikelihood, base: Fit, proposed: Sequence[Proposal], misfit: float, progress: Callable[[str], None]
 ) -> list[Candidate]:
     """Effects fitted in the simulator, each on top of its setting; best first."""
     found = []
     for place, (setting, node, amplitude) in enumerate(proposed):
-        say("fitting " + " and ".join([*setting.values, node.id]))
+        progress("fitting " + " and ".join([*setting.values, node.id]))
         values = {**setting.values, node.id: _start(node, amplitude)}
         starts = [(replace(setting, values=values), base.nuisance)]
         response = node.response
@@ -195,24 +204,24 @@ def fitted(
             starts.append(_settled_along(search, base, setting, node, misfit))
         fits = []
         for start, nuisance in starts:
-            fits.append(search.fit(placed(search, start, node.id, base), nuisance, base.base, QUICK))
+            fits.append(search.fit(located(search, start, node.id, base), nuisance, base.base, QUICK))
         fit = min(fits, key=lambda one: one.misfit)
         if stands_far(fit.setting) and place < SETTLED_BESIDE and not setting.values:
             # What is left open may have gone astray: let it settle from rest beside the effect as it was found.
-            start, nuisance, _ = search.settle_beside(Setting(fit.setting.values), base, SETTLED_ROUNDS)
+            start, nuisance, _ = search.settle_beside(ParameterPoint(fit.setting.values), base, SETTLED_ROUNDS)
             fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)
         found.append(Candidate(node.id, fit, misfit - fit.misfit))
     least = min(candidate.fit.misfit for candidate in found)
     for place, one in enumerate(found):
         if one.fit.misfit < least + CLOSE:
-            say("refining " + " and ".join(one.fit.setting.values))
+            progress("refining " + " and ".join(one.fit.setting.values))
             fit = _refined(search, one.fit)
             found[place] = Candidate(one.id, fit, misfit - fit.misfit)
     own = [one for one in found if not is_another(search.model, one.fit.setting.values)]
     return sorted(own or found, key=lambda candidate: candidate.fit.misfit)
 
 
-def _refined(search: Search, fit: Fit) -> Fit:
+def _refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
     """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
     for _ in range(REWEIGHTED):
         found = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)
@@ -223,7 +232,9 @@ def _refined(search: Search, fit: Fit) -> Fit:
     return fit
 
 
-def _settled_along(search: Search, base: Fit, setting: Setting, node: Node, misfit: float) -> tuple[Setting, Nuisance]:
+def _settled_along(
+    search: SimulatorLikelihood, base: Fit, setting: ParameterPoint, node: ResponseTemplate, misfit: float
+) -> tuple[ParameterPoint, Systematics]:
     """The nuisances settled beside an effect at the best of its weak strengths (the nuisances do not reach as far as a
     strong one), and where a parabola through the misfits has its least.
 
@@ -238,14 +249,14 @@ def _settled_along(search: Search, base: Fit, setting: Setting, node: Node, misf
         The setting, and the nuisances there.
     """
 
-    def settled(values: Mapping[str, float]) -> tuple[Setting, Nuisance, float]:
+    def settled(values: Mapping[str, float]) -> tuple[ParameterPoint, Systematics, float]:
         values = _start(replace(node, values=values), 1.0)
-        return search.settle_beside(Setting({**setting.values, node.id: values}), base, SETTLED_ROUNDS)
+        return search.settle_beside(ParameterPoint({**setting.values, node.id: values}), base, SETTLED_ROUNDS)
 
     (name,) = [one.name for one in node.line.effect.arguments if one.identity is not None and one.name in node.values]
     declared = next(one for one in node.line.effect.arguments if one.name == name)
     # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
-    curves = lines(node.line.effect, [node.values.get("azimuth_rad", 0.0)], search.model.sizes)
+    curves = parameter_grids(node.line.effect, [node.values.get("azimuth_rad", 0.0)], search.model.sizes)
     curves = [one for one in curves if name in one.settings[0]]
     strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
     found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
@@ -277,7 +288,7 @@ def _least(place: Floats, value: Floats) -> float:
     return float(np.clip(place[middle] - 0.5 * slope / curvature, place[near][0], place[near][-1]))
 
 
-def _start(node: Node, amplitude: float) -> dict[str, float]:
+def _start(node: ResponseTemplate, amplitude: float) -> dict[str, float]:
     """All parameters where an effect of so many times a node's response is expected."""
     found, effect = {}, node.line.effect
     amplitude = 1.0 if effect.cuts else amplitude

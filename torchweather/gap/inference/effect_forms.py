@@ -19,7 +19,7 @@ __all__ = [
     "catalogue_effect",
     "counted_form",
     "effect_class",
-    "handicap",
+    "complexity_penalty",
     "is_another",
     "tried_values",
 ]
@@ -62,7 +62,7 @@ def tried_values(effect: type[Effect], name: str) -> tuple[float, ...]:
     return effect.tried.get(name, ()) if issubclass(effect, SearchForm) else ()
 
 
-def handicap(model: object, name: str) -> float:
+def complexity_penalty(model: object, name: str) -> float:
     """By how much an effect must lower the misfit more than others."""
     found = effect_class(model, name)
     return found.handicap if issubclass(found, SearchForm) else 0.0

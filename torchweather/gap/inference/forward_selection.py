@@ -25,23 +25,23 @@ from torchweather.gap.inference.candidate_fits import (
     WORTH,
     Candidate,
     Proposal,
-    best_nodes,
     best_pairs,
+    best_templates,
     fitted,
-    hidden_nodes,
+    hidden_templates,
     scattering,
     stands_far,
-    unscaled_nodes,
+    unscaled_templates,
 )
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
 from torchweather.gap.inference.effect_forms import effect_class
-from torchweather.gap.inference.global_test import Screening, placed_nodes, screen, screening_entries
+from torchweather.gap.inference.global_test import GlobalTest, global_test, located_templates, screening_entries
 from torchweather.gap.inference.held_out import HeldOut, held_out
-from torchweather.gap.inference.insensitive_statistics import fresh_gains, untouched
-from torchweather.gap.inference.likelihood import Fit, Search, Setting
+from torchweather.gap.inference.insensitive_statistics import fresh_delta_chi2, insensitive_statistics
+from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.model_error import explained_beside, response_of
-from torchweather.gap.inference.response_templates import Node, gains, pair_gains
-from torchweather.gap.inference.simulated_distribution import FrameModel, targets
+from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2, pair_delta_chi2
+from torchweather.gap.inference.simulated_distribution import FrameModel, observations
 from torchweather.stages.catalogue import EFFECTS
 
 __all__ = ["GapResult", "find_gap_with"]
@@ -91,11 +91,11 @@ class GapResult:
     verdict: str
     fit: Fit | None
     rounds: tuple[tuple[Candidate, ...], ...]
-    screening: Screening
+    screening: GlobalTest
     before: HeldOut
     after: HeldOut
     left: Floats
-    search: Search
+    search: SimulatorLikelihood
     seconds: float
     clear: tuple[ClearAir, ...] = ()
 
@@ -104,7 +104,7 @@ def find_gap_with(
     model: FrameModel,
     effects: Sequence[str] | None = None,
     seed: int = 0,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> GapResult:
     """Run the workflow with a model of a sensor's frames."""
     started = time.perf_counter()
@@ -123,25 +123,25 @@ def find_gap_with(
             f"find_gap: effects: the model under test has {', '.join(sorted(present))} already; none is left that may "
             "be named. Allow others, or take them out of the model."
         )
-    say("clear frames against clear frames")
+    progress("clear frames against clear frames")
     clear = tuple(clear_air(model, seed))
-    say("simulating the conditions as they are")
-    search = Search(model, targets(model, model.fit), seed)
+    progress("simulating the conditions as they are")
+    search = SimulatorLikelihood(model, observations(model, model.fit), seed)
     base = search.begin()
     if screening_entries(search) < FEWEST_ENTRIES:
         raise TorchweatherError(
             f"find_gap: not enough data to decide: {screening_entries(search)} statistics hold enough beams to count; "
             f"wanted {FEWEST_ENTRIES} or more. More frames a condition, or more beams that see a surface, would tell."
         )
-    say("response curves")
-    screening = screen(search, chosen, base, seed)
-    held = Search(model, targets(model, model.holdout), seed + 1)
+    progress("response curves")
+    screening = global_test(search, chosen, base, seed)
+    held = SimulatorLikelihood(model, observations(model, model.holdout), seed + 1)
     before = held_out(held, held.begin(), seed)
     singles: list[Candidate] = []
     if screening.p_value <= ALARM_P or stands_far(base.setting):
         # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
         number = REFITTED if screening.p_value <= ALARM_P else SETTLED_BESIDE
-        singles = _singles(search, base, screening, number, say)
+        singles = _singles(search, base, screening, number, progress)
         if screening.p_value > ALARM_P:
             # The effect may only have led the nuisances to where they belong: they are settled from there without it.
             without = search.settle(replace(singles[0].fit.setting, values={}))
@@ -152,7 +152,7 @@ def find_gap_with(
         return GapResult(
             "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
         )
-    rounds = _rounds(search, held, base, screening, singles, say)
+    rounds = _rounds(search, held, base, screening, singles, progress)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
     verdict = _verdict(screening, best, before, after)
     after = before if verdict == "none" else after  # nothing is added
@@ -164,20 +164,22 @@ def find_gap_with(
 
 
 def _singles(
-    search: Search, base: Fit, screening: Screening, number: int, say: Callable[[str], None]
+    search: SimulatorLikelihood, base: Fit, screening: GlobalTest, number: int, progress: Callable[[str], None]
 ) -> list[Candidate]:
     """So many single effects fitted in the simulator, best first; and those that something left open may stand for."""
     nuisance = base.nuisance
-    best = best_nodes(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
+    best = best_templates(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
     promised = {node.id for node, _ in best}
     if stands_far(base.setting):
-        hidden = hidden_nodes(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
+        hidden = hidden_templates(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
         best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
-    best += unscaled_nodes(screening.nodes, best, nuisance.left(base.residual), nuisance)
-    found = fitted(search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, say)
+    best += unscaled_templates(screening.nodes, best, nuisance.left(base.residual), nuisance)
+    found = fitted(
+        search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, progress
+    )
     for own, proposal in scattering(search, base, screening.nodes, _threshold(screening)):
         promised.add(proposal[1].id)
-        found += fitted(search, own, [proposal], screening.misfit, say)
+        found += fitted(search, own, [proposal], screening.misfit, progress)
     # The better one of what was fitted twice; best first.
     found = list({one.id: one for one in sorted(found, key=lambda one: one.gain)}.values())[::-1]
     # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
@@ -186,12 +188,12 @@ def _singles(
 
 
 def _rounds(
-    search: Search,
-    held: Search,
+    search: SimulatorLikelihood,
+    held: SimulatorLikelihood,
     base: Fit,
-    screening: Screening,
+    screening: GlobalTest,
     singles: list[Candidate],
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
     threshold = _threshold(screening)
@@ -201,7 +203,7 @@ def _rounds(
         best = rounds[-1][0]
         values = best.fit.setting.values
         # What is left open may be told better by either.
-        starts = (replace(held.origin, values=values), Setting(values, open=best.fit.setting.open))
+        starts = (replace(held.origin, values=values), ParameterPoint(values, open=best.fit.setting.open))
         settled = min((held.settle(start) for start in starts), key=lambda fit: fit.misfit)
         after = held_out(held, settled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
@@ -221,14 +223,16 @@ def _rounds(
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             nodes = _beside(search, screening)
-            gain = pair_gains(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
+            gain = (
+                pair_delta_chi2(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
+            )
             pairs = best_pairs(nodes, gain, search.origin, best.gain + max(least, FURTHER * explained))
         fresh, proposed = _on_top(search, rest, best, least, threshold, sure)
         if pairs:
             proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
         if not proposed:
             return rounds
-        more = _fitted_on_top(search, base, best, rest, proposed, threshold, say)
+        more = _fitted_on_top(search, base, best, rest, proposed, threshold, progress)
         kept = [one for one in more if _earns(search, best, one, fresh.get(one.id, math.inf), least)]
         if not kept:
             return rounds
@@ -244,34 +248,34 @@ def _rounds(
 
 
 def _fitted_on_top(
-    search: Search,
+    search: SimulatorLikelihood,
     base: Fit,
     best: Candidate,
-    rest: Sequence[Node],
+    rest: Sequence[ResponseTemplate],
     proposed: Sequence[Proposal],
     threshold: float,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> list[Candidate]:
     """What is proposed, fitted, best first. Where none gains what the responses promised, others that promise half of
     what was gained are fitted as well: a response that no longer holds there must not keep them out."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    found = fitted(search, base, proposed, best.fit.misfit, say)
-    promised = float(gains(rest, left[None], nuisance)[0].max()) if rest else 0.0
+    found = fitted(search, base, proposed, best.fit.misfit, progress)
+    promised = float(delta_chi2(rest, left[None], nuisance)[0].max()) if rest else 0.0
     for _ in range(FURTHER_REFITTED):
         gained = max((one.gain for one in found), default=0.0)
         others = [node for node in rest if node.id not in {one.id for one in found}]
         if (
             not others
             or gained >= promised
-            or gains(others, left[None], nuisance).max() < max(WORTH * gained, threshold)
+            or delta_chi2(others, left[None], nuisance).max() < max(WORTH * gained, threshold)
         ):
             break
-        node, amplitude = best_nodes(others, left, nuisance)[0]
-        found += fitted(search, base, [(best.fit.setting, node, amplitude)], best.fit.misfit, say)
+        node, amplitude = best_templates(others, left, nuisance)[0]
+        found += fitted(search, base, [(best.fit.setting, node, amplitude)], best.fit.misfit, progress)
     return sorted(found, key=lambda one: one.fit.misfit)
 
 
-def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
+def _without_idle(search: SimulatorLikelihood, further: Candidate, threshold: float) -> Fit:
     """A further effect with those of the others that are needed beside it: a first effect may only have stood for it,
     and explains no more than noise where it is."""
     fit = further.fit
@@ -284,7 +288,7 @@ def _without_idle(search: Search, further: Candidate, threshold: float) -> Fit:
     return fit
 
 
-def _earns(search: Search, best: Candidate, further: Candidate, fresh: float, least: float) -> bool:
+def _earns(search: SimulatorLikelihood, best: Candidate, further: Candidate, fresh: float, least: float) -> bool:
     """Whether a further effect gains what it needs: so much if that is ``fresh``, or ``least`` and a share of what was
     explained where it acts.
 
@@ -301,7 +305,12 @@ def _earns(search: Search, best: Candidate, further: Candidate, fresh: float, le
 
 
 def _on_top(
-    search: Search, rest: Sequence[Node], best: Candidate, least: float, sure: float, most: float
+    search: SimulatorLikelihood,
+    rest: Sequence[ResponseTemplate],
+    best: Candidate,
+    least: float,
+    sure: float,
+    most: float,
 ) -> tuple[dict[str, float], list[Proposal]]:
     """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
 
@@ -320,8 +329,8 @@ def _on_top(
     if not rest:
         return {}, []
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    gain = gains(rest, left[None], nuisance)[0]
-    elsewhere = fresh_gains(rest, left, nuisance, untouched(search, best.fit))
+    gain = delta_chi2(rest, left[None], nuisance)[0]
+    elsewhere = fresh_delta_chi2(rest, left, nuisance, insensitive_statistics(search, best.fit))
     fresh = {node.id: most for node, value in zip(rest, gain, strict=True) if value > most}
     fresh |= {name: sure for name, value in elsewhere.items() if value > sure}
     # Another form of an effect than the stage's looks like what it is confused with.
@@ -333,12 +342,12 @@ def _on_top(
     return fresh, _best_on_top(best, rest, fresh.keys())
 
 
-def _beside(search: Search, screening: Screening) -> list[Node]:
+def _beside(search: SimulatorLikelihood, screening: GlobalTest) -> list[ResponseTemplate]:
     """Responses to the effects that may be named beside another."""
     return [node for node in screening.nodes if node.id not in search.model.as_record]
 
 
-def _further(search: Search, screening: Screening, best: Candidate) -> list[Node]:
+def _further(search: SimulatorLikelihood, screening: GlobalTest, best: Candidate) -> list[ResponseTemplate]:
     """Responses to the effects that were not found yet, in units of the scatter with those that were; where more is
     left than noise, of effects with a place also where most of it is."""
     rest = [node for node in _beside(search, screening) if node.id not in best.fit.setting.values]
@@ -346,20 +355,22 @@ def _further(search: Search, screening: Screening, best: Candidate) -> list[Node
         return []
     found = search.nodes_at(rest, best.fit.base)
     if screening.rest.p_value(best.fit.nuisance.left(best.fit.residual)) < REST_P:
-        found += placed_nodes(search, list(dict.fromkeys(node.line.effect for node in rest)), best.fit)
+        found += located_templates(search, list(dict.fromkeys(node.line.effect for node in rest)), best.fit)
     return found
 
 
-def _best_on_top(best: Candidate, rest: Sequence[Node], fresh: AbstractSet[str] = frozenset()) -> list[Proposal]:
+def _best_on_top(
+    best: Candidate, rest: Sequence[ResponseTemplate], fresh: AbstractSet[str] = frozenset()
+) -> list[Proposal]:
     """The best nodes on top of an effect, and the best one of some effects."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    further = best_nodes(rest, left, nuisance)[:FURTHER_REFITTED] if rest else []
+    further = best_templates(rest, left, nuisance)[:FURTHER_REFITTED] if rest else []
     own = [node for node in rest if node.id in fresh]
-    further += best_nodes(own, left, nuisance)[:1] if own else []
+    further += best_templates(own, left, nuisance)[:1] if own else []
     return list({node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}.values())
 
 
-def _verdict(screening: Screening, fit: Fit, before: HeldOut, after: HeldOut) -> str:
+def _verdict(screening: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -> str:
     """What is said of effects that were fitted: also on conditions that they were not fitted to.
 
     Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
@@ -388,6 +399,6 @@ def _confusable(name: str, other: str) -> bool:
     return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with
 
 
-def _threshold(screening: Screening) -> float:
+def _threshold(screening: GlobalTest) -> float:
     """Gain that noise seldom reaches."""
     return float(np.quantile(screening.best_null, 1.0 - ALARM_P))

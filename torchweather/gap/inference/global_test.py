@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.likelihood import Fit, Search
-from torchweather.gap.inference.location_search import standing_lines
-from torchweather.gap.inference.residual_tests import Rest, rest_of
-from torchweather.gap.inference.response_templates import Node, gains
-from torchweather.gap.inference.simulated_distribution import Baseline
-from torchweather.gap.inference.starting_points import PLACES, lines
+from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.location_search import standing_grids
+from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
+from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
+from torchweather.gap.inference.simulated_distribution import SimulatedDistribution
+from torchweather.gap.inference.starting_points import PLACES, parameter_grids
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["OVERDISPERSION", "Screening", "overdispersion", "placed_nodes", "screen", "screening_entries"]
+__all__ = ["OVERDISPERSION", "GlobalTest", "overdispersion", "located_templates", "global_test", "screening_entries"]
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ REFINED = 0.25  # of the best gain, from which all of a response curve is simula
 
 
 @dataclass(frozen=True)
-class Screening:
+class GlobalTest:
     """Whether anything is missing.
 
     Args:
@@ -54,28 +54,28 @@ class Screening:
     residual: Floats
     misfit: float
     counted: int
-    nodes: tuple[Node, ...]
+    nodes: tuple[ResponseTemplate, ...]
     gains: Floats
     best_null: Floats
     misfit_null: Floats
-    rest: Rest
+    rest: ResidualTest
     p_value: float
     common_p_value: float
 
-    def raised(self, gain: float) -> Screening:
+    def raised(self, gain: float) -> GlobalTest:
         """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
         return replace(self, p_value=min(self.p_value, DEPARTURES * _tail(self.best_null, gain)))
 
 
-def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int) -> Screening:
+def global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], base: Fit, seed: int) -> GlobalTest:
     """Response curves of all effects, and whether any of them, or anything at all, stands out."""
     residual, nuisance = base.residual, base.nuisance
     places = azimuths(search, search.start)
-    found = [line for effect in effects for line in lines(effect, places, search.model.sizes)]
-    found += standing_lines(search, effects, search.origin)
+    found = [line for effect in effects for line in parameter_grids(effect, places, search.model.sizes)]
+    found += standing_grids(search, effects, search.origin)
     left = nuisance.left(residual)
     nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
-    gain = gains(nodes, left[None], nuisance)[0]
+    gain = delta_chi2(nodes, left[None], nuisance)[0]
     near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= REFINED * gain.max()}
     rest = [
         (line, place)
@@ -86,31 +86,33 @@ def screen(search: Search, effects: Sequence[type[Effect]], base: Fit, seed: int
     ]
     nodes += search.nodes(rest, search.origin, search.start)
     nulls = search.null_residuals(nuisance, NULLS, seed)
-    best_null = gains(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
+    best_null = delta_chi2(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
-    gain = gains(nodes, left[None], nuisance)[0]
+    gain = delta_chi2(nodes, left[None], nuisance)[0]
     misfit = nuisance.misfit(residual)
     counted = screening_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
-    each = rest_of(search, base, overdispersion(search))
+    each = residual_test(search, base, overdispersion(search))
     p_common = min(1.0, DEPARTURES * each.common_p_value(left))
     p_value = min(p_common, DEPARTURES * min(p_gain, p_misfit, each.p_value(left)))
-    return Screening(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value, p_common)
+    return GlobalTest(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value, p_common)
 
 
-def placed_nodes(search: Search, effects: Sequence[type[Effect]], fit: Fit) -> list[Node]:
+def located_templates(search: SimulatorLikelihood, effects: Sequence[type[Effect]], fit: Fit) -> list[ResponseTemplate]:
     """Responses of effects that have a place, at the places where a fit leaves most, on top of it.
 
     The first effect of several drowns the place of another.
     """
     placed = [effect for effect in effects if any(one.name in PLACES for one in effect.arguments)]
-    found = [line for effect in placed for line in lines(effect, azimuths(search, fit.base), search.model.sizes)]
-    found += standing_lines(search, placed, fit.setting)
+    found = [
+        line for effect in placed for line in parameter_grids(effect, azimuths(search, fit.base), search.model.sizes)
+    ]
+    found += standing_grids(search, placed, fit.setting)
     return search.nodes([(line, place) for line in found for place in line.first], fit.setting, fit.base)
 
 
-def azimuths(search: Search, base: Baseline) -> list[float]:
+def azimuths(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[float]:
     """Where in azimuth the measurement departs most: two places at which effects with a place are tried."""
     layout = search.model.layout
     total: dict[tuple[float, ...], Floats] = {}
@@ -133,14 +135,14 @@ def azimuths(search: Search, base: Baseline) -> list[float]:
     return found
 
 
-def overdispersion(search: Search) -> float:
+def overdispersion(search: SimulatorLikelihood) -> float:
     """How much larger in square the noise is taken than stated: the fewer clear frames tell it, the more."""
     clear = {target.condition.scene: target.clear_frames for target in search.measured}
     degrees = max(sum(clear.values()) - len(clear), 1)
     return OVERDISPERSION * (1.0 + 2.0 / degrees)
 
 
-def screening_entries(search: Search) -> int:
+def screening_entries(search: SimulatorLikelihood) -> int:
     """Number of statistics that hold enough to count, over all conditions."""
     return int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchweather.gap.inference.global_test import screening_entries
-from torchweather.gap.inference.likelihood import Fit, Search
+from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["HeldOut", "held_out"]
 
@@ -36,7 +36,7 @@ class HeldOut:
     misfit: float
 
 
-def held_out(held: Search, fitted: Fit, seed: int) -> HeldOut:
+def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
     """The held-out departure at a setting of effects."""
     counted = max(screening_entries(held), 1)
     nulls = held.null_residuals(fitted.nuisance, DRAWS, seed)

@@ -14,18 +14,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.likelihood import Fit, Search
-from torchweather.gap.inference.response_templates import Node, gains
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
+from torchweather.gap.inference.systematics import Systematics
 
-__all__ = ["fresh_gains", "untouched"]
+__all__ = ["fresh_delta_chi2", "insensitive_statistics"]
 
 Floats = NDArray[np.float64]
 
 TOUCHED = 1.0  # root mean square change of a statistic in units of its scatter
 
 
-def untouched(search: Search, fit: Fit) -> NDArray[np.bool_]:
+def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.bool_]:
     """Entries ``(C P,)`` of statistics that a fit does not change, compared with the model as it was."""
     layout, start = search.model.layout, search.start
     changed: dict[str, list[Floats]] = {}
@@ -42,13 +42,13 @@ def untouched(search: Search, fit: Fit) -> NDArray[np.bool_]:
     return np.tile(entries, len(search.measured))
 
 
-def fresh_gains(
-    nodes: Sequence[Node], left: Floats, nuisance: Nuisance, entries: NDArray[np.bool_]
+def fresh_delta_chi2(
+    nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics, entries: NDArray[np.bool_]
 ) -> dict[str, float]:
     """Largest gain of each effect in some entries of a residual ``(C P,)`` from which nuisances are taken."""
-    nothing = Nuisance(np.zeros((len(left), 1)), np.zeros(1), 0)
-    masked = [Node(one.line, one.number, one.values, nuisance(one.response) * entries) for one in nodes]
+    nothing = Systematics(np.zeros((len(left), 1)), np.zeros(1), 0)
+    masked = [ResponseTemplate(one.line, one.number, one.values, nuisance(one.response) * entries) for one in nodes]
     found: dict[str, float] = {}
-    for node, gain in zip(nodes, gains(masked, (left * entries)[None], nothing)[0], strict=True):
+    for node, gain in zip(nodes, delta_chi2(masked, (left * entries)[None], nothing)[0], strict=True):
         found[node.id] = max(found.get(node.id, 0.0), float(gain))
     return found

@@ -20,24 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.threads import side_by_side
-from torchweather.gap.inference.effect_forms import catalogue_effect, effect_class, handicap
-from torchweather.gap.inference.response_templates import Node
+from torchweather.gap.inference.effect_forms import catalogue_effect, complexity_penalty, effect_class
+from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.simulated_distribution import (
     PORTIONED_FRAMES,
     PORTIONS,
-    Baseline,
     FrameModel,
-    Target,
-    baseline,
+    Observation,
+    SimulatedDistribution,
     element_noise,
+    simulated_distribution,
 )
-from torchweather.gap.inference.starting_points import Line
-from torchweather.gap.inference.systematics import Nuisance, together
+from torchweather.gap.inference.starting_points import ParameterGrid
+from torchweather.gap.inference.systematics import Systematics, together
 from torchweather.gap.statistics.frame_random_effects import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.gap.statistics.frame_statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["Fit", "Search", "Setting"]
+__all__ = ["Fit", "SimulatorLikelihood", "ParameterPoint"]
 
 Floats = NDArray[np.float64]
 
@@ -45,8 +45,8 @@ POOL_FRAMES = 48  # of each condition, for the scatter
 SCREEN_FRAMES = 6  # of each condition, for a response or a derivative; the first of the pool
 PROBE_FRAMES = 16  # of each condition, for a cost
 PROBE_DRAWS = 32
-KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's knob: standard deviations, logarithm
-KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which knobs are first looked for
+KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's intensity: standard deviations, logarithm
+KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which intensities are first looked for
 OPEN_STEP = 2.0  # of a derivative by what the model leaves open, standard deviations: few particles change by less
 LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
 STEP = 0.05  # of a derivative, over the parameter's typical size
@@ -61,20 +61,20 @@ FARTHEST = 4.0  # standard deviations that a nuisance may move
 
 
 @dataclass(frozen=True)
-class Setting:
+class ParameterPoint:
     """Effects with their parameters, and the nuisances.
 
     Args:
         values: id of each effect to its parameters.
-        log_knob: condition to the logarithm of the weather's knob over its record.
+        log_intensity: condition to the logarithm of the weather's intensity over its record.
         open: name of what the model leaves open to its strength, in standard deviations.
     """
 
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    log_knob: Mapping[str, float] = field(default_factory=dict)
+    log_intensity: Mapping[str, float] = field(default_factory=dict)
     open: Mapping[str, float] = field(default_factory=dict)
 
-    def without(self, name: str) -> Setting:
+    def without(self, name: str) -> ParameterPoint:
         """The same without one effect."""
         return replace(self, values={one: given for one, given in self.values.items() if one != name})
 
@@ -94,16 +94,16 @@ class Fit:
         names: (effect, parameter) of each.
     """
 
-    setting: Setting
-    base: Baseline
+    setting: ParameterPoint
+    base: SimulatedDistribution
     residual: Floats
-    nuisance: Nuisance
+    nuisance: Systematics
     misfit: float
     covariance: Floats
     names: tuple[tuple[str, str], ...]
 
 
-class Search:
+class SimulatorLikelihood:
     """One study's conditions against one simulator.
 
     Args:
@@ -114,31 +114,31 @@ class Search:
     """
 
     def __init__(
-        self, model: FrameModel, measured: Sequence[Target], seed: int, pool_frames: int = POOL_FRAMES
+        self, model: FrameModel, measured: Sequence[Observation], seed: int, pool_frames: int = POOL_FRAMES
     ) -> None:
         self.model, self.measured, self.seed = model, list(measured), seed
         self.least_frames = max((target.frames for target in measured), default=1)
         self.pool_frames = max(pool_frames, 2 * self.least_frames)
         self.simulated_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
-        self.noise = element_noise(self.pools(Setting(), PORTIONED_FRAMES, PORTIONS), self.measured)
+        self.noise = element_noise(self.pools(ParameterPoint(), PORTIONED_FRAMES, PORTIONS), self.measured)
         self.frame_departures = frame_departures(model, self.measured)
         self.clear_means = clear_means(model, self.measured)
         self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
-        self.start = self.at(Setting())
-        self.origin = Setting()
+        self.start = self.at(ParameterPoint())
+        self.origin = ParameterPoint()
 
     def begin(self) -> Fit:
         """Fit the nuisances of the model as it is; the search then starts from there."""
-        settled = self.settle(Setting())
+        settled = self.settle(ParameterPoint())
         self.start, self.origin = settled.base, settled.setting
         return replace(settled, misfit=settled.nuisance.misfit(settled.residual))
 
-    def effects(self, setting: Setting) -> list[Effect]:
+    def effects(self, setting: ParameterPoint) -> list[Effect]:
         """The stages of a setting, in the form in which they are searched for."""
         return [effect_class(self.model, name)(**values) for name, values in setting.values.items()]
 
-    def catalogue_effects(self, setting: Setting) -> list[Effect]:
+    def catalogue_effects(self, setting: ParameterPoint) -> list[Effect]:
         """The same as the catalogue has them."""
         return [catalogue_effect(effect) for effect in self.effects(setting)]
 
@@ -156,34 +156,36 @@ class Search:
         drawn = generator.integers(0, 2**62 // clear, self.pool_frames)
         return [int(value) * clear + int(order[place % clear]) for place, value in enumerate(drawn[:number])]
 
-    def pools(self, setting: Setting, number: int, portions: int = 1) -> dict[str, Pool]:
+    def pools(self, setting: ParameterPoint, number: int, portions: int = 1) -> dict[str, Pool]:
         """Simulated frames of all conditions, in portions of their elements."""
         effects = self.effects(setting)
         found: dict[str, Pool] = {}
 
-        def simulate(place: int, target: Target) -> None:
+        def simulate(place: int, target: Observation) -> None:
             name = target.condition.id
             seeds = self.seeds(place, number)
-            log_knob = setting.log_knob.get(name, 0.0)
-            stages = [*effects, *self.model.open_stages(target.condition, setting.open)]
-            reduced = self.model.simulated(target.condition, stages, log_knob, seeds, portions)
+            log_intensity = setting.log_intensity.get(name, 0.0)
+            stages = [*effects, *self.model.systematics(target.condition, setting.open)]
+            reduced = self.model.simulated(target.condition, stages, log_intensity, seeds, portions)
             found[name] = Pool(self.model.layout, reduced)
 
         side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
         self.simulated_frames += number * len(self.measured)
         return found
 
-    def at(self, setting: Setting) -> Baseline:
+    def at(self, setting: ParameterPoint) -> SimulatedDistribution:
         """The distribution of the vectors at a setting; whitened as the model without effects is."""
         pools = self.pools(setting, self.pool_frames)
         scatters = any(effect_class(self.model, effect).scatters for effect in setting.values)
-        found = baseline(pools, self.measured, self.noise, getattr(self, "start", None), self.seed, scatters)
-        unsaid = {name for effect in setting.values for name in effect_class(self.model, effect).unsaid}
-        return self._loosened(found, unsaid) if unsaid else found
+        found = simulated_distribution(
+            pools, self.measured, self.noise, getattr(self, "start", None), self.seed, scatters
+        )
+        unmodelled = {name for effect in setting.values for name in effect_class(self.model, effect).unmodelled}
+        return self._loosened(found, unmodelled) if unmodelled else found
 
-    def _loosened(self, base: Baseline, unsaid: AbstractSet[str]) -> Baseline:
+    def _loosened(self, base: SimulatedDistribution, unmodelled: AbstractSet[str]) -> SimulatedDistribution:
         """A distribution that knows to half what effects do to statistics of which their parameters say nothing."""
-        open_entries = self.model.layout.each(lambda group: group.statistic in unsaid)
+        open_entries = self.model.layout.each(lambda group: group.statistic in unmodelled)
 
         def wider(scatter: Mapping[str, Floats]) -> dict[str, Floats]:
             return {
@@ -195,7 +197,7 @@ class Search:
         shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
         return replace(base, sd=sd, total=wider(base.total), shared=shared)
 
-    def mean(self, setting: Setting, frames: int = PROBE_FRAMES) -> list[Floats]:
+    def mean(self, setting: ParameterPoint, frames: int = PROBE_FRAMES) -> list[Floats]:
         """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""
         frames = max(frames, self.least_frames)
         pools = self.pools(setting, frames)
@@ -209,7 +211,7 @@ class Search:
             found.append(vectors.mean(0))
         return found
 
-    def whitened(self, base: Baseline, differences: Sequence[Floats]) -> Floats:
+    def whitened(self, base: SimulatedDistribution, differences: Sequence[Floats]) -> Floats:
         """Differences of vectors, condition by condition, to one whitened vector ``(C P,)``."""
         parts = [
             base.whitened(target.condition.id, difference)
@@ -227,7 +229,7 @@ class Search:
         scenes = [target.condition.scene for target in self.measured]
         return [[k for k, one in enumerate(scenes) if one == scene] for scene in dict.fromkeys(scenes)]
 
-    def _parted(self, base: Baseline, values: Floats, power: float) -> Floats:
+    def _parted(self, base: SimulatedDistribution, values: Floats, power: float) -> Floats:
         """Values ``(..., C, P)`` times a power of ``1 + k k'``; k ``(C,)``, of each entry, is what a scene's share.
 
         That is the covariance of a scene's conditions, each with noise of its own and all with the clear mean's error:
@@ -242,15 +244,15 @@ class Search:
             found[..., places, :] += along[..., None, :] * shared
         return found
 
-    def departure(self, base: Baseline, mean: Sequence[Floats]) -> Floats:
+    def departure(self, base: SimulatedDistribution, mean: Sequence[Floats]) -> Floats:
         """The measured conditions' whitened departure ``(C P,)`` from mean vectors."""
         return self.whitened(base, [target.vector - one for target, one in zip(self.measured, mean, strict=True)])
 
-    def residual(self, base: Baseline) -> Floats:
+    def residual(self, base: SimulatedDistribution) -> Floats:
         """The measured conditions' departure ``(C P,)`` from the simulator."""
         return self.departure(base, [base.mean[name] for name in self._names])
 
-    def rewhitened(self, vectors: Floats, old: Baseline, new: Baseline) -> Floats:
+    def rewhitened(self, vectors: Floats, old: SimulatedDistribution, new: SimulatedDistribution) -> Floats:
         """Vectors ``(..., C P)`` that were whitened with one scatter, with another.
 
         What a residual is compared with must be in the units of the residual: of a shift by forty standard deviations
@@ -263,17 +265,19 @@ class Search:
         whitened = new.whitening(np.where(used, scaled * (old_sd / new_sd), 0.0))
         return self._parted(new, whitened, -0.5).reshape(vectors.shape)
 
-    def _nuisance_at(self, nuisance: Nuisance, old: Baseline, new: Baseline) -> Nuisance:
+    def _nuisance_at(
+        self, nuisance: Systematics, old: SimulatedDistribution, new: SimulatedDistribution
+    ) -> Systematics:
         """Nuisances in units of another scatter."""
         response = self.rewhitened(nuisance.response.T, old, new).T
-        return Nuisance(response, nuisance.offset, nuisance.moving, nuisance.precision)
+        return Systematics(response, nuisance.offset, nuisance.moving, nuisance.precision)
 
-    def nodes_at(self, nodes: Sequence[Node], base: Baseline) -> list[Node]:
+    def nodes_at(self, nodes: Sequence[ResponseTemplate], base: SimulatedDistribution) -> list[ResponseTemplate]:
         """Responses of the model as it was in units of another scatter."""
         found = self.rewhitened(np.stack([node.response for node in nodes]), self.start, base)
         return [replace(node, response=response) for node, response in zip(nodes, found, strict=True)]
 
-    def null_residuals(self, nuisance: Nuisance, number: int, seed: int) -> Floats:
+    def null_residuals(self, nuisance: Systematics, number: int, seed: int) -> Floats:
         """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
         off by random draws."""
         generator = np.random.default_rng([seed, 15485863])
@@ -284,40 +288,40 @@ class Search:
 
     # ---- nuisances -------------------------------------------------------------------------------------------------
 
-    def knob_sd(self) -> Floats:
+    def intensity_sd(self) -> Floats:
         """Stated uncertainty of the weather of each condition: standard deviation of its logarithm."""
-        return np.array([target.knob_sd for target in self.measured])
+        return np.array([target.intensity_sd for target in self.measured])
 
-    def offset(self, setting: Setting) -> Floats:
-        """Where the nuisances stand at a setting, in standard deviations: knobs, what is open, clear means."""
-        sd = self.knob_sd()
-        off = np.array([setting.log_knob.get(target.condition.id, 0.0) for target in self.measured])
-        knobs = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
+    def offset(self, setting: ParameterPoint) -> Floats:
+        """Where the nuisances stand at a setting, in standard deviations: intensities, what is open, clear means."""
+        sd = self.intensity_sd()
+        off = np.array([setting.log_intensity.get(target.condition.id, 0.0) for target in self.measured])
+        intensities = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
         opened = np.array([setting.open.get(name, 0.0) for name in self.open])
-        return np.concatenate([knobs, opened, np.zeros(len(self.fixed))])
+        return np.concatenate([intensities, opened, np.zeros(len(self.fixed))])
 
-    def shifted(self, setting: Setting, step: Floats) -> Setting:
+    def shifted(self, setting: ParameterPoint, step: Floats) -> ParameterPoint:
         """A setting with its nuisances moved by a step ``(K,)``."""
-        sd, number = self.knob_sd(), len(self.measured)
+        sd, number = self.intensity_sd(), len(self.measured)
         place = np.clip(self.offset(setting) + step, -FARTHEST, FARTHEST)
         place[number : number + len(self.open)] = np.maximum(
             place[number : number + len(self.open)], list(self.open.values())
         )
-        knobs = {t.condition.id: float(place[k] * sd[k]) for k, t in enumerate(self.measured)}
+        intensities = {t.condition.id: float(place[k] * sd[k]) for k, t in enumerate(self.measured)}
         opened = {name: float(place[number + k]) for k, name in enumerate(self.open)}
-        return replace(setting, log_knob=knobs, open=opened)
+        return replace(setting, log_intensity=intensities, open=opened)
 
-    def nuisance(self, setting: Setting, base: Baseline) -> Nuisance:
+    def nuisance(self, setting: ParameterPoint, base: SimulatedDistribution) -> Systematics:
         """Responses to the nuisances at a setting: differences in the simulator."""
-        sd = self.knob_sd()
+        sd = self.intensity_sd()
         steps = np.maximum(KNOB_STEP * sd, LEAST_KNOB_STEP)
         ends = []
         for sign in (1.0, -1.0):
-            log_knob = {
-                target.condition.id: setting.log_knob.get(target.condition.id, 0.0) + sign * step
+            log_intensity = {
+                target.condition.id: setting.log_intensity.get(target.condition.id, 0.0) + sign * step
                 for target, step in zip(self.measured, steps, strict=True)
             }
-            ends.append(self.mean(replace(setting, log_knob=log_knob), SCREEN_FRAMES))
+            ends.append(self.mean(replace(setting, log_intensity=log_intensity), SCREEN_FRAMES))
         columns = [
             self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
             for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
@@ -329,9 +333,9 @@ class Search:
         response = np.stack([*columns, *self.fixed], 1)
         # A gauge that reads too low may do so in every condition.
         precision = together(response.shape[1], len(self.measured))
-        return Nuisance(response, self.offset(setting), len(columns), precision)
+        return Systematics(response, self.offset(setting), len(columns), precision)
 
-    def _open_columns(self, setting: Setting, base: Baseline) -> list[Floats]:
+    def _open_columns(self, setting: ParameterPoint, base: SimulatedDistribution) -> list[Floats]:
         """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
         if not self.open:
             return []
@@ -357,29 +361,31 @@ class Search:
                 columns[name] = self._column(base, {k: (after[k] - before[k]) / step for k in places[name]})
         return [columns[name] for name in self.open]
 
-    def _column(self, base: Baseline, departures: Mapping[int, Floats]) -> Floats:
+    def _column(self, base: SimulatedDistribution, departures: Mapping[int, Floats]) -> Floats:
         """Whitened departures of some conditions, 0 in the others, ``(C P,)``."""
         nothing = np.zeros(self.model.layout.size)
         return self.whitened(base, [departures.get(place, nothing) for place in range(len(self.measured))])
 
-    def settle(self, setting: Setting) -> Fit:
-        """The nuisances alone, fitted at a setting of effects; the knobs first looked for on a grid."""
+    def settle(self, setting: ParameterPoint) -> Fit:
+        """The nuisances alone, fitted at a setting of effects; the intensities first looked for on a grid."""
         setting = self._scanned(setting)
         base = self.at(setting)
         setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), ROUNDS)
         if not setting.values:
             for target in self.measured:
-                self.model.render_near(target.condition, setting.log_knob.get(target.condition.id, 0.0))
+                self.model.render_near(target.condition, setting.log_intensity.get(target.condition.id, 0.0))
         final = self.at(setting)
         residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
         misfit = nuisance.misfit(residual) + self._wider(final)
         return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
 
-    def settle_beside(self, setting: Setting, like: Fit, rounds: int) -> tuple[Setting, Nuisance, float]:
+    def settle_beside(
+        self, setting: ParameterPoint, like: Fit, rounds: int
+    ) -> tuple[ParameterPoint, Systematics, float]:
         """The same beside a weak effect, with the scatter and, at first, the nuisances of a fit without it.
 
         Args:
-            setting: of the effect; the knobs are looked for.
+            setting: of the effect; the intensities are looked for.
             like: the fit without it.
             rounds: at most.
 
@@ -391,8 +397,8 @@ class Search:
         return found, nuisance, nuisance.misfit(residual)
 
     def _settled(
-        self, setting: Setting, base: Baseline, nuisance: Nuisance, rounds: int
-    ) -> tuple[Setting, Nuisance, Floats]:
+        self, setting: ParameterPoint, base: SimulatedDistribution, nuisance: Systematics, rounds: int
+    ) -> tuple[ParameterPoint, Systematics, Floats]:
         """The setting with its nuisances moved, the nuisances, and the residual there."""
         residual = self.departure(base, self.mean(setting))
         cost = nuisance.cost(residual)
@@ -409,29 +415,31 @@ class Search:
             cost = nuisance.cost(residual)
         return setting, nuisance.moved(self.offset(setting)), residual
 
-    def _scanned(self, setting: Setting) -> Setting:
-        """A setting with each condition's knob where its own vector is met best, of a few over the record.
+    def _scanned(self, setting: ParameterPoint) -> ParameterPoint:
+        """A setting with each condition's intensity where its own vector is met best, of a few over the record.
 
         Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other.
         """
-        sd = self.knob_sd()
+        sd = self.intensity_sd()
         places = [self.offset(setting)[: len(sd)], *(np.full(len(sd), place) for place in KNOB_GRID)]
         costs = []
         for place in places:
-            knobs = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
-            mean = self.mean(replace(setting, log_knob=knobs), SCREEN_FRAMES)
+            intensities = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
+            mean = self.mean(replace(setting, log_intensity=intensities), SCREEN_FRAMES)
             rest = [
                 self.start.whitened(target.condition.id, target.vector - one)
                 for target, one in zip(self.measured, mean, strict=True)
             ]
             costs.append((np.stack(rest) ** 2).sum(1) + place**2)
         best = np.argmin(costs, 0)
-        knobs = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
-        return replace(setting, log_knob=knobs)
+        intensities = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
+        return replace(setting, log_intensity=intensities)
 
     # ---- responses and fits ----------------------------------------------------------------------------------------
 
-    def nodes(self, points: Sequence[tuple[Line, int]], setting: Setting, base: Baseline) -> list[Node]:
+    def nodes(
+        self, points: Sequence[tuple[ParameterGrid, int]], setting: ParameterPoint, base: SimulatedDistribution
+    ) -> list[ResponseTemplate]:
         """Responses to settings, each given by its line and its place there, on top of a setting."""
         before = self.mean(setting, SCREEN_FRAMES)
         found = []
@@ -440,10 +448,12 @@ class Search:
             tried = replace(setting, values={**setting.values, line.effect.id: values})
             after = self.mean(tried, SCREEN_FRAMES)
             change = [new - old for new, old in zip(after, before, strict=True)]
-            found.append(Node(line, number, values, self.whitened(base, change)))
+            found.append(ResponseTemplate(line, number, values, self.whitened(base, change)))
         return found
 
-    def fit(self, start: Setting, nuisance: Nuisance, base: Baseline, iterations: int = ITERATIONS) -> Fit:
+    def fit(
+        self, start: ParameterPoint, nuisance: Systematics, base: SimulatedDistribution, iterations: int = ITERATIONS
+    ) -> Fit:
         """Parameters and nuisances that explain the measured conditions best, by Gauss-Newton in the simulator.
 
         Args:
@@ -493,26 +503,26 @@ class Search:
         residual = self.residual(final)
         here = self._nuisance_at(here.moved(self.offset(setting)), base, final)
         misfit = here.misfit(residual) + self._wider(final)
-        misfit += sum(handicap(self.model, name) for name in setting.values)
+        misfit += sum(complexity_penalty(self.model, name) for name in setting.values)
         return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
 
     def _along(
         self,
-        setting: Setting,
+        setting: ParameterPoint,
         names: Sequence[tuple[str, str]],
         step: Floats,
         aside: Floats,
         cost: float,
-        base: Baseline,
-        nuisance: Nuisance,
-    ) -> tuple[float, Setting, list[Floats]] | None:
+        base: SimulatedDistribution,
+        nuisance: Systematics,
+    ) -> tuple[float, ParameterPoint, list[Floats]] | None:
         """The best of a few shares of a step that cost less than before: cost, setting and mean vectors there.
 
         Where the whole step helps it is doubled while that helps: along a valley in which an effect and the record say
         nearly the same, a step from finite differences is short.
         """
 
-        def tried(share: float) -> tuple[float, Setting, list[Floats]]:
+        def tried(share: float) -> tuple[float, ParameterPoint, list[Floats]]:
             there = self.shifted(self._moved(setting, names, share * step), share * aside)
             mean = self.mean(there)
             return nuisance.moved(self.offset(there)).cost(self.departure(base, mean)), there, mean
@@ -531,7 +541,7 @@ class Search:
             best, longer = found, 2.0 * longer
         return best
 
-    def _wider(self, base: Baseline) -> float:
+    def _wider(self, base: SimulatedDistribution) -> float:
         """Twice the logarithm of the scatter over that of the start, of all entries.
 
         Of counts up to that of counting, which is all that the first few of what there was nothing of before bring.
@@ -546,7 +556,9 @@ class Search:
             total += 2.0 * float(np.log(wider[used]).sum())
         return total
 
-    def _derivative(self, setting: Setting, name: tuple[str, str], mean: Sequence[Floats], base: Baseline) -> Floats:
+    def _derivative(
+        self, setting: ParameterPoint, name: tuple[str, str], mean: Sequence[Floats], base: SimulatedDistribution
+    ) -> Floats:
         """Whitened change per unit of a parameter, by a step away from the nearer bound."""
         effect, parameter = name
         declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
@@ -564,7 +576,7 @@ class Search:
         after = self.mean(replace(setting, values=values), SCREEN_FRAMES)
         return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
 
-    def _moved(self, setting: Setting, names: Sequence[tuple[str, str]], step: Floats) -> Setting:
+    def _moved(self, setting: ParameterPoint, names: Sequence[tuple[str, str]], step: Floats) -> ParameterPoint:
         values = {effect: dict(given) for effect, given in setting.values.items()}
         for (effect, parameter), change in zip(names, step, strict=True):
             declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)

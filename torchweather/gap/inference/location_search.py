@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from torchweather.gap.inference.effect_forms import effect_class
-from torchweather.gap.inference.likelihood import Fit, Search, Setting
-from torchweather.gap.inference.starting_points import Line
+from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["placed", "standing_lines"]
+__all__ = ["located", "standing_grids"]
 
 FRAMES = 6  # of each condition, for one trial
 WIDTHS_RAD = (0.03, 0.1, 0.3)
@@ -25,7 +25,9 @@ HALVINGS, PASSES = 5, 2
 ANSCOMBE = 3.0 / 8.0
 
 
-def standing_lines(search: Search, effects: Sequence[type[Effect]], setting: Setting) -> list[Line]:
+def standing_grids(
+    search: SimulatorLikelihood, effects: Sequence[type[Effect]], setting: ParameterPoint
+) -> list[ParameterGrid]:
     """Settings of effects with an azimuth, a range and a width at the cell of the map with the most returns that a
     setting lacks."""
     fitting = [one for one in effects if {"azimuth_rad", "range_m", "width_rad"} <= {p.name for p in one.arguments}]
@@ -41,13 +43,13 @@ def standing_lines(search: Search, effects: Sequence[type[Effect]], setting: Set
         total += np.sqrt(measured + ANSCOMBE) - np.sqrt(simulated + ANSCOMBE)
     azimuth_rad, range_m = cells[int(total.argmax())]
     return [
-        Line(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m, "width_rad": width},))
+        ParameterGrid(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m, "width_rad": width},))
         for one in fitting
         for width in WIDTHS_RAD
     ]
 
 
-def placed(search: Search, setting: Setting, name: str, base: Fit) -> Setting:
+def located(search: SimulatorLikelihood, setting: ParameterPoint, name: str, base: Fit) -> ParameterPoint:
     """A setting with one of its effects better placed, if that effect has a place.
 
     Args:
@@ -62,7 +64,7 @@ def placed(search: Search, setting: Setting, name: str, base: Fit) -> Setting:
     width = setting.values[name].get("width_rad", WIDTHS_RAD[-1])
     steps = {one: width if one == "azimuth_rad" else 0.5 * abs(setting.values[name][one]) for one in bounds}
 
-    def cost(tried: Setting) -> float:
+    def cost(tried: ParameterPoint) -> float:
         here = base.nuisance.moved(search.offset(tried))
         return here.misfit(search.departure(base.base, search.mean(tried, FRAMES)))
 

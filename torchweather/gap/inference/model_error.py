@@ -13,14 +13,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.likelihood import SCREEN_FRAMES, Fit, Search
+from torchweather.gap.inference.likelihood import SCREEN_FRAMES, Fit, SimulatorLikelihood
 
 __all__ = ["explained_beside", "response_of"]
 
 Floats = NDArray[np.float64]
 
 
-def explained_beside(search: Search, fit: Fit, responses: Floats) -> Floats:
+def explained_beside(search: SimulatorLikelihood, fit: Fit, responses: Floats) -> Floats:
     """Of what the effects of a fit explain the most that another with such a response could take part in.
 
     Args:
@@ -40,7 +40,7 @@ def explained_beside(search: Search, fit: Fit, responses: Floats) -> Floats:
     return found
 
 
-def response_of(search: Search, fit: Fit, name: str) -> Floats:
+def response_of(search: SimulatorLikelihood, fit: Fit, name: str) -> Floats:
     """What one effect of a fit changes where it stands, ``(C P,)``."""
     there, here = (search.mean(setting, SCREEN_FRAMES) for setting in (fit.setting, fit.setting.without(name)))
     return search.whitened(fit.base, [new - old for new, old in zip(there, here, strict=True)])

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from torchweather.gap.inference.likelihood import Fit, Search
+from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.statistics.frame_statistics import COUNTED
 
-__all__ = ["Rest", "rest_of"]
+__all__ = ["ResidualTest", "residual_test"]
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ LEVEL = (0.3, 2.5)
 
 
 @dataclass(frozen=True)
-class Rest:
+class ResidualTest:
     """Noise of the squares of each group of entries.
 
     Args:
@@ -80,7 +80,7 @@ class Rest:
         return float(np.maximum(self.squares(left) - self.noise * self.counted, 0.0).sum())
 
 
-def rest_of(search: Search, base: Fit, overdispersion: float) -> Rest:
+def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float) -> ResidualTest:
     """The noise of the model as it is.
 
     Args:
@@ -90,7 +90,7 @@ def rest_of(search: Search, base: Fit, overdispersion: float) -> Rest:
     """
     groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
     places = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
-    found = Rest(places, np.stack([base.base.used[name] for name in names]), np.ones(len(groups)))
+    found = ResidualTest(places, np.stack([base.base.used[name] for name in names]), np.ones(len(groups)))
     # Vectors that the simulator draws, those of one condition independent of another's.
     draws = [base.base.draws[name] - base.base.mean[name] for name in names]
     number = min(len(one) for one in draws)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.starting_points import Line
-from torchweather.gap.inference.systematics import Nuisance
+from torchweather.gap.inference.starting_points import ParameterGrid
+from torchweather.gap.inference.systematics import Systematics
 
-__all__ = ["Node", "amplitudes", "gains", "pair_gains"]
+__all__ = ["ResponseTemplate", "amplitudes", "delta_chi2", "pair_delta_chi2"]
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 
 
 @dataclass(frozen=True)
-class Node:
+class ResponseTemplate:
     """Response to one setting of one effect.
 
     Args:
@@ -33,7 +33,7 @@ class Node:
         response: ``(C P,)`` whitened change of all vectors.
     """
 
-    line: Line
+    line: ParameterGrid
     number: int
     values: Mapping[str, float]
     response: Floats
@@ -44,7 +44,7 @@ class Node:
         return self.line.effect.id
 
 
-def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple[Floats, Floats]:
+def amplitudes(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> tuple[Floats, Floats]:
     """By what each node is best scaled to explain what nuisances have left ``(R, C P)``, and its squared length."""
     responses = np.stack([node.response for node in nodes])
     norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
@@ -52,7 +52,7 @@ def amplitudes(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> tuple
     return found, norm
 
 
-def gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
+def delta_chi2(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> Floats:
     """By how much each node, scaled, lowers the squares of what nuisances have left ``(R, C P)``: ``(R, nodes)``."""
     amplitude, norm = amplitudes(nodes, left, nuisance)
     along = left @ np.stack([node.response for node in nodes]).T
@@ -60,7 +60,7 @@ def gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
     return found
 
 
-def pair_gains(nodes: Sequence[Node], left: Floats, nuisance: Nuisance) -> Floats:
+def pair_delta_chi2(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> Floats:
     """By how much each two nodes together lower what is left ``(C P,)``: ``(nodes, nodes)``, from one Gram matrix.
 
     Amplitudes are those of the best point of the square in which both may lie, its edges included.

@@ -29,14 +29,14 @@ from torchweather.pipeline.effect import Effect
 __all__ = [
     "PORTIONED_FRAMES",
     "PORTIONS",
-    "Baseline",
+    "SimulatedDistribution",
     "ElementNoise",
     "FrameModel",
-    "Target",
+    "Observation",
     "Whitening",
-    "baseline",
+    "simulated_distribution",
     "element_noise",
-    "targets",
+    "observations",
 ]
 
 Floats = NDArray[np.float64]
@@ -99,11 +99,11 @@ class FrameModel(Protocol):
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
         ...
 
-    def render_near(self, condition: Condition, log_knob: float) -> None:
+    def render_near(self, condition: Condition, log_intensity: float) -> None:
         """What is simulated of the condition from here on lies about this weather."""
         ...
 
-    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+    def systematics(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""
         ...
 
@@ -111,7 +111,7 @@ class FrameModel(Protocol):
         self,
         condition: Condition,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
@@ -120,7 +120,7 @@ class FrameModel(Protocol):
 
 
 @dataclass(frozen=True)
-class Target:
+class Observation:
     """A measured condition.
 
     Args:
@@ -140,19 +140,19 @@ class Target:
     clear_frames: int = 1
 
     @property
-    def knob_sd(self) -> float:
-        """Standard deviation of the logarithm of the weather's knob, as the record states it."""
+    def intensity_sd(self) -> float:
+        """Standard deviation of the logarithm of the weather's intensity, as the record states it."""
         return float(self.condition.rel_sd)
 
 
-def targets(model: FrameModel, conditions: Sequence[Condition]) -> list[Target]:
+def observations(model: FrameModel, conditions: Sequence[Condition]) -> list[Observation]:
     """The measured vectors of conditions, their frames reduced once."""
     found = []
     for condition in conditions:
         pool = Pool(model.layout, model.measured(condition))
         number, clear = len(pool), model.clear_frames[condition.scene]
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
-        found.append(Target(condition, vector, pool.enough(number), number, model.misplaced(condition), clear))
+        found.append(Observation(condition, vector, pool.enough(number), number, model.misplaced(condition), clear))
     return found
 
 
@@ -202,7 +202,7 @@ class Whitening:
 
 
 @dataclass(frozen=True)
-class Baseline:
+class SimulatedDistribution:
     """The simulator at one setting.
 
     Args:
@@ -232,21 +232,21 @@ class Baseline:
         scaled = np.where(self.used[name], difference / self.sd[name], 0.0)
         return self.whitening(scaled)
 
-    def z(self, target: Target) -> Floats:
+    def z(self, target: Observation) -> Floats:
         """Departure of each entry in units of its total scatter, 0 where it does not count."""
         name = target.condition.id
         found: Floats = np.where(self.used[name], (target.vector - self.mean[name]) / self.total[name], 0.0)
         return found
 
 
-def baseline(
+def simulated_distribution(
     pools: Mapping[str, Pool],
-    measured: Sequence[Target],
+    measured: Sequence[Observation],
     noise: ElementNoise,
-    start: Baseline | None,
+    start: SimulatedDistribution | None,
     seed: int,
     scatters: bool = False,
-) -> Baseline:
+) -> SimulatedDistribution:
     """The distribution of the vectors that pools of simulated frames give.
 
     Args:
@@ -298,10 +298,10 @@ def baseline(
         used[name] = target.enough & pool.enough(n)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
     whitening = Whitening.of(noise, owns) if start is None else start.whitening
-    return Baseline(means, sds, totals, used, whitening, draws, spreads, shared)
+    return SimulatedDistribution(means, sds, totals, used, whitening, draws, spreads, shared)
 
 
-def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Target]) -> ElementNoise:
+def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]) -> ElementNoise:
     """Scatter and correlations from the noise of portions of the elements.
 
     Args:

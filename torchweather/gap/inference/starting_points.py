@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from torchweather.gap.inference.effect_forms import tried_values
 from torchweather.pipeline.effect import Effect, Parameter
 
-__all__ = ["Line", "lines"]
+__all__ = ["ParameterGrid", "parameter_grids"]
 
 # Strengths over the parameter's typical size.
 STEPS = (0.03, 0.25, 1.0, 3.0)
@@ -25,7 +25,7 @@ PLACES = ("azimuth_rad",)  # parameters that say where
 
 
 @dataclass(frozen=True)
-class Line:
+class ParameterGrid:
     """Settings of one effect along which it grows from its identity.
 
     Args:
@@ -74,9 +74,9 @@ def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = STEPS
     return found
 
 
-def lines(
+def parameter_grids(
     effect: type[Effect], places: Sequence[float], sizes: Mapping[str, float | Sequence[float]] | None = None
-) -> list[Line]:
+) -> list[ParameterGrid]:
     """Lines of settings of an effect.
 
     Args:
@@ -106,6 +106,7 @@ def lines(
             else:
                 along = _strengths(parameter, size, CUT_STEPS if effect.cuts else STEPS)
             found += [
-                Line(effect, tuple({**dict(fixed), parameter.name: value} for value in values)) for values in along
+                ParameterGrid(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
+                for values in along
             ]
     return found

@@ -15,12 +15,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Nuisance", "together"]
+__all__ = ["Systematics", "together"]
 
 Floats = NDArray[np.float64]
 
 
-class Nuisance:
+class Systematics:
     """What is not the model's fault, and how much of a residual it explains.
 
     Args:
@@ -37,9 +37,9 @@ class Nuisance:
         self._inverse = np.linalg.inv(normal)
         self._fixed = np.linalg.inv(normal[moving:, moving:])
 
-    def moved(self, offset: Floats) -> Nuisance:
+    def moved(self, offset: Floats) -> Systematics:
         """The same nuisances, standing elsewhere."""
-        found = Nuisance.__new__(Nuisance)
+        found = Systematics.__new__(Systematics)
         found.response, found.offset, found.moving = self.response, offset, self.moving
         found.precision = self.precision
         found._inverse, found._fixed = self._inverse, self._fixed

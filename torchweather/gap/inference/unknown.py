@@ -14,8 +14,8 @@ from scipy.stats import chi2
 
 from torchweather.gap.inference.empirical_fit import Departures, NaturalCurve, empirical_stage, natural_curve
 from torchweather.gap.inference.forward_selection import GapResult
-from torchweather.gap.inference.likelihood import Search
-from torchweather.gap.inference.simulated_distribution import Baseline
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.simulated_distribution import SimulatedDistribution
 from torchweather.gap.statistics.formula import Formula, simplest_formula
 from torchweather.gap.statistics.frame_statistics import Group
 from torchweather.lidar.effects.empirical import Empirical
@@ -121,7 +121,7 @@ def unknown(result: GapResult) -> Unknown | None:
     )
 
 
-def departures(search: Search, base: Baseline, sd: Mapping[str, Floats]) -> Departures:
+def departures(search: SimulatorLikelihood, base: SimulatedDistribution, sd: Mapping[str, Floats]) -> Departures:
     """The measured conditions beside a simulation of them, with the scatter that counts."""
     measured = search.measured
     names = [target.condition.id for target in measured]
@@ -136,7 +136,9 @@ def departures(search: Search, base: Baseline, sd: Mapping[str, Floats]) -> Depa
     )
 
 
-def _unexplained(search: Search, base: Baseline, left: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _unexplained(
+    search: SimulatorLikelihood, base: SimulatedDistribution, left: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Departure of each entry ``(C, P)`` in units of its scatter, from the whitened one; and which entries count."""
     used = np.stack([base.used[target.condition.id] for target in search.measured])
     whitened = left.reshape(used.shape)
@@ -174,7 +176,9 @@ def _variation(found: Departures, z: Floats, part: slice) -> Floats:
     return varied
 
 
-def _most_significant(search: Search, base: Baseline, z: Floats, used: NDArray[np.bool_]) -> tuple[Group, slice]:
+def _most_significant(
+    search: SimulatorLikelihood, base: SimulatedDistribution, z: Floats, used: NDArray[np.bool_]
+) -> tuple[Group, slice]:
     """The group that is least likely to be chance, over all its bins and all conditions."""
     layout = search.model.layout
     correlation = base.whitening.factor @ base.whitening.factor.T

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from torchweather.gap.inference.simulated_distribution import PORTIONS, Baseline, FrameModel, Target
+from torchweather.gap.inference.simulated_distribution import PORTIONS, FrameModel, Observation, SimulatedDistribution
 from torchweather.gap.statistics.frame_statistics import PARTICLE_AXIS, TINY, Layout, Pool
 
 __all__ = ["FrameDeparture", "clear_errors", "clear_means", "frame_departures", "model_errors", "widened"]
@@ -45,7 +45,7 @@ class FrameDeparture:
     even: str | None = None
 
 
-def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[FrameDeparture]:
+def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list[FrameDeparture]:
     """What whole frames do to means and spreads of objects, from how clear frames of all scenes differ; summed up in
     square, the variance of a frame.
 
@@ -94,7 +94,7 @@ def frame_departures(model: FrameModel, measured: Sequence[Target]) -> list[Fram
 
 
 def clear_errors(
-    departures: Sequence[FrameDeparture], measured: Sequence[Target], simulated: AbstractSet[str], column: Column
+    departures: Sequence[FrameDeparture], measured: Sequence[Observation], simulated: AbstractSet[str], column: Column
 ) -> list[Floats]:
     """Columns of what whole frames do: the error of each scene's clear mean moves all its conditions alike; the mean of
     a condition's own frames has one of its own.
@@ -116,7 +116,7 @@ def clear_errors(
     return columns
 
 
-def clear_means(model: FrameModel, measured: Sequence[Target]) -> dict[str, Floats]:
+def clear_means(model: FrameModel, measured: Sequence[Observation]) -> dict[str, Floats]:
     """Vector ``(P,)`` of all clear frames of each scene."""
     found = {}
     for scene in dict.fromkeys(target.condition.scene for target in measured):
@@ -126,7 +126,11 @@ def clear_means(model: FrameModel, measured: Sequence[Target]) -> dict[str, Floa
 
 
 def model_errors(
-    layout: Layout, measured: Sequence[Target], base: Baseline, clear: Mapping[str, Floats], column: Column
+    layout: Layout,
+    measured: Sequence[Observation],
+    base: SimulatedDistribution,
+    clear: Mapping[str, Floats],
+    column: Column,
 ) -> list[Floats]:
     """Columns of how well a model knows what weather does to means: in every condition, and in all alike.
 

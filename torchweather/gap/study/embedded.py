@@ -86,7 +86,7 @@ def embedded_study(
     weathers = [weather for weather in WEATHERS if scene not in INDOORS or weather.kind == "fog"]
     conditions = []
     for weather in weathers:
-        label = f"{weather.kind}-{weather.knob:g}"
+        label = f"{weather.kind}-{weather.intensity:g}"
         made = [
             weathered(views[clear_frames + number], weather, _seed(seed, f"weather.{label}.{number}"))
             for number in range(frames)

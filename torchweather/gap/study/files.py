@@ -7,14 +7,14 @@ from dataclasses import dataclass, fields
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-import yaml
-
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
+from torchweather.core.schema import check_format, refuse_unknown
+from torchweather.core.yaml_file import dump_yaml, read_yaml
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.content_hash import plain
 from torchweather.gap.study.frames import Frame, Frames, NpzFile
-from torchweather.gap.study.parts import CLEAR, KINDS, SENSORS, WEATHERS, refuse_unknown
+from torchweather.gap.study.parts import CLEAR, KINDS, SENSORS, WEATHERS
 from torchweather.io import atomic_folder
 from torchweather.io.arrays import write_archive
 from torchweather.lidar.sensor import Lidar
@@ -26,9 +26,8 @@ FORMAT = "torchweather-study/1"
 STUDY_FILE = "study.yaml"
 KEYS = ("format", "sensor", "scenes", "conditions", "links", "series")
 SENSOR_KEYS = ("kind", "preset", "overrides", "beams", "links")
-# A file of a hundred thousand frames has a tenth of these.
+# A file of a hundred thousand frames has a tenth of it.
 MOST_BYTES = 64 * 2**20
-MOST_NODES = 10_000_000
 SERIES = "series"
 LINK_REL_SD = "rain_rel_sd"  # of a condition of links: relative standard deviation of the rain in its frames
 
@@ -60,10 +59,8 @@ class StudyValues:
 def read_values(folder: Path) -> StudyValues:
     """What the folder's ``study.yaml`` says; every path lies inside the folder and is a file."""
     path = folder / STUDY_FILE
-    owner, values = str(path), _yaml(path)
-    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-        got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
-        raise TorchweatherError(f"{owner}: format must be {FORMAT!r}; got {got!r}.")
+    owner, values = str(path), read_yaml(path, "a study", max_bytes=MOST_BYTES)
+    check_format(values, FORMAT, owner, "a study")
     refuse_unknown(values, KEYS, "", owner)
     sensor = values.get("sensor")
     if not isinstance(sensor, Mapping):
@@ -192,58 +189,6 @@ def _sensor(values: Mapping[str, Any], kind: str, owner: str) -> Lidar | Camera 
         raise TorchweatherError(f"{owner}: sensor: {error}") from error
 
 
-def _yaml(path: Path) -> Any:
-    """Plain values of a file: no objects, no key twice, no more than a study can need."""
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise TorchweatherError(f"{path}: wanted at most {MOST_BYTES} bytes of YAML; it has {path.stat().st_size}.")
-        loader = yaml.SafeLoader(path.read_text(encoding="utf-8"))
-        try:
-            node = loader.get_single_node()
-            if node is None:
-                return None
-            _check_nodes(node, path)
-            return loader.construct_document(node)
-        finally:
-            loader.dispose()
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise TorchweatherError(f"{path}: no such file. Wanted the folder of a study, with {STUDY_FILE}.") from error
-    except (OSError, UnicodeDecodeError, ValueError, TypeError, RecursionError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise TorchweatherError(f"{path}: wanted a study in YAML; it cannot be read ({reason}).") from error
-
-
-def _check_nodes(root: yaml.Node, path: Path) -> None:
-    """Refuse keys that stand twice, and aliases that would unfold into millions of values or into themselves."""
-    sizes: dict[int, int] = {}
-    open_nodes: set[int] = set()
-
-    def size(node: yaml.Node) -> int:
-        if id(node) in sizes:
-            return sizes[id(node)]
-        if id(node) in open_nodes:
-            raise TorchweatherError(f"{path}: an alias holds itself (line {node.start_mark.line + 1}).")
-        open_nodes.add(id(node))
-        total = 1
-        if isinstance(node, yaml.SequenceNode):
-            total += sum(size(item) for item in node.value)
-        elif isinstance(node, yaml.MappingNode):
-            names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            for key, value in node.value:
-                if isinstance(key, yaml.ScalarNode) and names.count(key.value) > 1:
-                    raise TorchweatherError(
-                        f"{path}: the key {key.value!r} stands twice (line {key.start_mark.line + 1})."
-                    )
-                total += size(key) + size(value)
-        open_nodes.discard(id(node))
-        if total > MOST_NODES:
-            raise TorchweatherError(f"{path}: wanted at most {MOST_NODES} values; its aliases unfold into more.")
-        sizes[id(node)] = total
-        return total
-
-    size(root)
-
-
 # ---- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -279,8 +224,7 @@ def write_folder(study: StudyContent, folder: Path) -> None:
             _condition_values(one, write.several(one.frames, f"condition-{place:02d}"))
             for place, one in enumerate(study.conditions)
         ]
-        text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=120)
-        (unfinished / STUDY_FILE).write_text(text, encoding="utf-8")
+        (unfinished / STUDY_FILE).write_text(dump_yaml(values), encoding="utf-8")
 
 
 @dataclass(frozen=True)

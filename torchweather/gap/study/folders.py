@@ -231,11 +231,11 @@ def _weather(row: Mapping[str, Any], where: str) -> Weather:
             f"{where}: weather must be one of {', '.join(kinds)}; got {row['weather']!r}."
             f"{nearest_name(row['weather'], kinds)}"
         )
-    knob = WEATHERS[row["weather"]][0]
+    intensity = WEATHERS[row["weather"]][0]
     if not isinstance(row["value"], (int, float)):
-        raise TorchweatherError(f"{where}: value must be a number, {knob}; got {row['value']!r}.")
+        raise TorchweatherError(f"{where}: value must be a number, {intensity}; got {row['value']!r}.")
     try:
-        return weather_from_dict({"kind": row["weather"], knob: float(row["value"])})
+        return weather_from_dict({"kind": row["weather"], intensity: float(row["value"])})
     except ValueError as error:
         raise TorchweatherError(f"{where}: {error}") from error
 

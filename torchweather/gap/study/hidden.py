@@ -116,7 +116,7 @@ def hidden_study(
     check_at_least("rel_sd", rel_sd, 0.0, owner=owner)
     lidar = _sensor(columns)
     view = lidar_view(SCENES[scene](), lidar)
-    names = [f"{weather.kind}-{float(weather.knob):g}" for weather in weathers]
+    names = [f"{weather.kind}-{float(weather.intensity):g}" for weather in weathers]
     factors = np.exp(rel_sd * _stream(seed, "record").standard_normal(len(weathers))).tolist()
     conditions = [
         {
@@ -250,7 +250,7 @@ def _plain(value: float) -> float | str:
 
 
 def _true(weather: Weather, factor: float) -> Weather:
-    changed: Weather = replace(weather, **{weather.knob_name: float(weather.knob) * factor})  # type: ignore[type-var]
+    changed: Weather = replace(weather, **{weather.intensity_name: float(weather.intensity) * factor})  # type: ignore[type-var]
     return changed
 
 

@@ -16,6 +16,7 @@ from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weat
 from torchweather.camera.airlight import airlight_argument
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.schema import refuse_unknown
 from torchweather.gap.study.checks import ARRAYS, FrameRule
 from torchweather.gap.study.conditions import Condition, StudyScene
 from torchweather.gap.study.frames import Frame, Frames, FrameSource, load
@@ -24,15 +25,15 @@ from torchweather.lidar.intensity import FULL_SCALE
 from torchweather.lidar.sensor import Lidar
 from torchweather.radar.sensor import Radar
 
-__all__ = ["KINDS", "Parts", "SENSORS", "build_parts", "refuse_unknown"]
+__all__ = ["KINDS", "Parts", "SENSORS", "build_parts"]
 
 KINDS = ("lidar", "camera", "radar", "link")
 SENSORS: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"lidar": Lidar, "camera": Camera, "radar": Radar}
-# What a weather's knob is called, and the relative standard deviation of its record.
+# What a weather's weather_intensity is called, and the relative standard deviation of its record.
 WEATHERS: dict[str, tuple[str, str]] = {
-    Rain.kind: (Rain.knob_name, "rate_rel_sd"),
-    Snow.kind: (Snow.knob_name, "rate_rel_sd"),
-    Fog.kind: (Fog.knob_name, "mor_rel_sd"),
+    Rain.kind: (Rain.intensity_name, "rate_rel_sd"),
+    Snow.kind: (Snow.intensity_name, "rate_rel_sd"),
+    Fog.kind: (Fog.intensity_name, "mor_rel_sd"),
 }
 CLEAR = "clear"
 SCENE_KEYS = ("id", "clear", "geometry")
@@ -254,12 +255,13 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
             refuse_unknown(given, ("kind",), where, owner)
             return None, 0.0
         _check_kind(name, where, owner)
-        knob, spread = WEATHERS[str(name)]
-        if knob not in given:
+        weather_intensity, spread = WEATHERS[str(name)]
+        if weather_intensity not in given:
             raise TorchweatherError(
-                f"{owner}: {where}.{knob} is missing: {name} needs it.{nearest_name(knob, map(str, given))}"
+                f"{owner}: {where}.{weather_intensity} is missing: {name} needs it."
+                f"{nearest_name(weather_intensity, map(str, given))}"
             )
-        _number(given[knob], f"{owner}: {where}.{knob}", 0.0, math.inf, "")
+        _number(given[weather_intensity], f"{owner}: {where}.{weather_intensity}", 0.0, math.inf, "")
         rel_sd = _number(given.pop(spread, rel_sd), f"{owner}: {where}.{spread}", 0.0, MOST_REL_SD, "")
     if given is None:
         raise TorchweatherError(
@@ -277,8 +279,8 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
             f"{owner}: {where} must be a weather such as Rain(25.0), 'rain:rate=25' or 'clear'; got {_shown(weather)}."
         )
     _check_kind(weather.kind, where, owner)
-    if isinstance(weather.knob, Tensor):
-        raise TorchweatherError(f"{owner}: {where}: {weather.knob_name} must be one number; got a tensor.")
+    if isinstance(weather.intensity, Tensor):
+        raise TorchweatherError(f"{owner}: {where}: {weather.intensity_name} must be one number; got a tensor.")
     return weather, rel_sd
 
 
@@ -323,20 +325,10 @@ def _number(value: Any, name: str, low: float, high: float, unit: str) -> float:
             advice = " It is text: YAML wants 1.0e-3 for 1e-3, .inf for infinity, and no unit."
         raise TorchweatherError(f"{name} must be a number{' in ' + unit if unit else ''}; got {_shown(value)}.{advice}")
     found = float(value)
-    infinite = math.isinf(found) and name.endswith(Fog.knob_name)  # infinite visibility: no fog
+    infinite = math.isinf(found) and name.endswith(Fog.intensity_name)  # infinite visibility: no fog
     if not low <= found <= high or (math.isinf(found) and not infinite):
         raise TorchweatherError(f"{name} must lie in {low:g}..{high:g}{' ' + unit if unit else ''}; got {found:g}.")
     return found
-
-
-def refuse_unknown(values: Values, known: Sequence[str], key: str, owner: str) -> None:
-    """Raise for a key that is none of the known ones, with the nearest of them."""
-    for name in values:
-        if name not in known:
-            at = f"{key}.{name}" if key else str(name)
-            raise TorchweatherError(
-                f"{owner}: unknown key {at!r}; known are {', '.join(known)}.{nearest_name(name, known)}"
-            )
 
 
 def _shown(value: Any) -> str:

@@ -63,8 +63,8 @@ def simulate(study: Study, condition: Condition, *, seed: int, number: int = 0) 
 
     Note:
         Beams without return have a direction, so particles can return there. A fluctuating record of the weather
-        (``rel_sd``) is not drawn: the knob is taken as it stands. Radar: no clutter of rain or snow beyond what the
-        clear frame has. Links: the loss of rain on the way (ITU-R P.838-3) over dry samples of the same link.
+        (``rel_sd``) is not drawn: the intensity is taken as it stands. Radar: no clutter of rain or snow beyond what
+        the clear frame has. Links: the loss of rain on the way (ITU-R P.838-3) over dry samples of the same link.
 
     Example:
         >>> from torchweather.gap.study.embedded import embedded_study

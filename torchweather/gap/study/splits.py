@@ -23,8 +23,8 @@ def severity(weather: Weather) -> float:
         >>> severity(Fog(mor_m=50.0)) > severity(Fog(mor_m=200.0))
         True
     """
-    knob = float(weather.knob)
-    return 1.0 / knob if weather.knob_name == "mor_m" else knob
+    intensity = float(weather.intensity)
+    return 1.0 / intensity if weather.intensity_name == "mor_m" else intensity
 
 
 def resolve_splits(conditions: Sequence[Condition]) -> tuple[Condition, ...]:

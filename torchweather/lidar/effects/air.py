@@ -268,7 +268,7 @@ class LidarStaticStructure(Effect):
     percollect: ClassVar[str | None] = "Occlusion by objects"
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("azimuth_rad", "range_m", "frame")
-    unsaid: ClassVar[tuple[str, ...]] = ("log_particle_intensity", "log_particle_intensity_spread")
+    unmodelled: ClassVar[tuple[str, ...]] = ("log_particle_intensity", "log_particle_intensity_spread")
     confusable_with: ClassVar[Mapping[str, str]] = {
         "lidar.sector_loss": "ranges in the sector: a structure returns at one range, a dirty sector at none of its own"
     }
@@ -445,7 +445,7 @@ class LidarSpray(Effect):
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = -1
     axes: ClassVar[tuple[str, ...]] = ("azimuth_rad", "particle_range_m", "ego_speed_m_per_s")
-    unsaid: ClassVar[tuple[str, ...]] = ("log_particle_intensity", "log_particle_intensity_spread")
+    unmodelled: ClassVar[tuple[str, ...]] = ("log_particle_intensity", "log_particle_intensity_spread")
     confusable_with: ClassVar[Mapping[str, str]] = {
         "lidar.sector_loss": "ranges in the sector: spray returns near the sensor"
     }

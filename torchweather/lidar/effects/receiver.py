@@ -393,7 +393,7 @@ class LidarCrosstalk(Effect):
     after: ClassVar[str] = "detection"
     rank: ClassVar[int] = 1
     axes: ClassVar[tuple[str, ...]] = ("particle_range_m", "rate")
-    unsaid: ClassVar[tuple[str, ...]] = ("log_particle_intensity", "log_particle_intensity_spread")
+    unmodelled: ClassVar[tuple[str, ...]] = ("log_particle_intensity", "log_particle_intensity_spread")
     confusable_with: ClassVar[Mapping[str, str]] = {"lidar.last_return": "clear frames, and ranges behind the objects"}
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     each_beam_alone: ClassVar[bool] = True

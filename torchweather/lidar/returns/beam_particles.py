@@ -19,7 +19,13 @@ from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam, RangeGrid
 from torchweather.lidar.returns.strongest import expected_number
 from torchweather.lidar.sensor import Lidar
-from torchweather.physics import KnobTable, axial_q_back, melted_diameter_mm, rain_q_back, water_refractive_index
+from torchweather.physics import (
+    InterpolationTable,
+    axial_q_back,
+    melted_diameter_mm,
+    rain_q_back,
+    water_refractive_index,
+)
 
 __all__ = ["SIZE_KNOTS_MM", "BeamParticles", "RATE_HIGH_MM_PER_H", "RATE_LOW_MM_PER_H", "RATE_NODES"]
 
@@ -86,7 +92,7 @@ class BeamParticles(nn.Module):
             whole = distribution.tail_per_m3(counted)
             return (whole - distribution.tail_per_m3(counted[-1:])).clamp_min(0.0) + FEW_PER_M3
 
-        self.tail = KnobTable(tail, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+        self.tail = InterpolationTable(tail, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
     def _set_signals(self, sensor: Lidar) -> None:
         """Nodes of the signal, uniform in its logarithm, from far below the threshold to the brightest particle."""

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchweather.atmosphere.weather import Rain, Snow, Weather, check_knobs
+from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of
 from torchweather.core.random import Variate, draw_variates, flat_noise, sample_seeds
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
@@ -137,7 +137,7 @@ class FmcwRadar(nn.Module):
         if any(part.patch_log_std != 0.0 for part in parts):
             raise InputValueError("FmcwRadar: knows no patches; set patch_log_std=0, or use RadarAttenuation.")
         self.path = PathAttenuation(parts, radar, rain_model, fog_model, snow_model) if parts else None
-        rates = [part.knob for part in parts if isinstance(part, Rain)]
+        rates = [part.intensity for part in parts if isinstance(part, Rain)]
         self.radome = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
         falling = [part for part in parts if clutter and isinstance(part, (Rain, Snow))]
         self.volumes = nn.ModuleDict(
@@ -195,7 +195,7 @@ class FmcwRadar(nn.Module):
             scatterers.field_m.reshape(-1, count),
         )
         if self.weather is not None:
-            check_knobs(self.weather, batch, owner=self)
+            check_intensities(self.weather, batch, owner=self)
         shapes = {f"{stage}.{v.name}": v.sample_shape({}) for stage, own in self._variates().items() for v in own}
         own = flat_noise(noise, shapes, math.prod(batch), owner=self)
         own = {key: value.to(flat.speed_m_per_s.device) for key, value in own.items()}

@@ -227,9 +227,9 @@ def _pool(
     """Simulated frames from each clear frame, with the record off by so many of its standard deviations."""
     assert isinstance(study.sensor, Lidar)
     assert condition.weather is not None
-    knob = condition.weather.knob_name
-    amount = float(getattr(condition.weather, knob)) * (1.0 + error * condition.rel_sd)
-    weather = replace(condition.weather, **{knob: amount})
+    weather_intensity = condition.weather.intensity_name
+    amount = float(getattr(condition.weather, weather_intensity)) * (1.0 + error * condition.rel_sd)
+    weather = replace(condition.weather, **{weather_intensity: amount})
     transform = LidarWeather(weather, replace(study.sensor, directions=None))
     if side == "after":
         transform = report.apply(transform)

@@ -344,8 +344,8 @@ def test_between_two_rates_particles_are_taken_along_a_line(models: dict[str, Ca
     condition = model.fit[1]
     step = max(condition.rel_sd, LEAST_STEP)
     means = [
-        group(model, model.simulated(condition, [], knob, SEEDS), "log_ratio_green", "depth_m").sum()
-        for knob in (0.0, 0.5 * step, step)
+        group(model, model.simulated(condition, [], intensity, SEEDS), "log_ratio_green", "depth_m").sum()
+        for intensity in (0.0, 0.5 * step, step)
     ]
     low, middle, high = means
     assert min(low, high) < middle < max(low, high)
@@ -356,7 +356,7 @@ def test_the_colour_of_drops_is_known_to_a_hundredth(models: dict[str, CameraFra
     """0.06 of a drop's light is the sky's; one standard deviation of that is a hundredth of the mean light."""
     model = models["rain"]
     condition, scene = model.fit[0], model.scenes[model.fit[0].scene]
-    (stage,) = model.open_stages(condition, {f"airlight green {condition.scene}": 1.0})
+    (stage,) = model.systematics(condition, {f"airlight green {condition.scene}": 1.0})
     green = cell_colours(scene.clear.mean(0, keepdim=True), CAMERA.bayer_pattern)[0, 1]
     airlight = model.transform(condition).airlight
     assert airlight is not None

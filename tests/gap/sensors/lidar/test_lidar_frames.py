@@ -368,13 +368,13 @@ def test_what_is_kept_depends_on_what_is_open_before_the_effect(study: Study) ->
     assert not np.array_equal(values[0], values[1])
 
 
-def test_what_is_kept_depends_on_the_knob_and_on_the_condition(study: Study) -> None:
+def test_what_is_kept_depends_on_the_intensity_and_on_the_condition(study: Study) -> None:
     keeping = LidarFrames(study)
     for condition in study.conditions:
-        for log_knob in (0.0, 0.3):
+        for log_intensity in (0.0, 0.3):
             effects = [WINDOW(loss_db=1.0)]
-            found = keeping.simulated(condition, effects, log_knob, SEEDS)
-            assert_same(found, LidarFrames(study).simulated(condition, effects, log_knob, SEEDS))
+            found = keeping.simulated(condition, effects, log_intensity, SEEDS)
+            assert_same(found, LidarFrames(study).simulated(condition, effects, log_intensity, SEEDS))
 
 
 def test_effects_of_the_model_are_those_of_the_call(study: Study) -> None:
@@ -393,7 +393,7 @@ def test_an_effect_at_its_identity_changes_no_bit(study: Study, model: LidarFram
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_the_knob_is_that_of_the_weather_and_is_put_back(study: Study, place: int) -> None:
+def test_the_intensity_is_that_of_the_weather_and_is_put_back(study: Study, place: int) -> None:
     condition = study.conditions[place]
     model = LidarFrames(study)
     plain = model.simulated(condition, (), 0.0, SEEDS)

@@ -176,13 +176,13 @@ def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> 
     snow, fog, _ = study.conditions
     strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0}
     strengths["clear scale s0"] = -1.0
-    of_snow = {one.id: one.to_dict() for one in model.open_stages(snow, strengths)}
+    of_snow = {one.id: one.to_dict() for one in model.systematics(snow, strengths)}
     assert of_snow == {
         "gap.weak_signal_noise": {"effect": "gap.weak_signal_noise", "variance_at_threshold": pytest.approx(3e-3)},
         "gap.echo_gain": {"effect": "gap.echo_gain", "share": pytest.approx(3.0 * GAIN_SD)},
         "gap.clear_scale": {"effect": "gap.clear_scale", "log_scale": pytest.approx(-model.clear_scale_sd["s0"])},
     }
-    of_fog = {one.id: one.to_dict() for one in model.open_stages(fog, strengths)}
+    of_fog = {one.id: one.to_dict() for one in model.systematics(fog, strengths)}
     metres = FOG_RANGE_SHARE * SENSOR.pulse_length_m
     assert of_fog["gap.echo_gain"]["share"] == pytest.approx(3.0 * FOG_GAIN_SD / math.sqrt(SENSOR.photons_at_threshold))
     assert of_fog["gap.fog_echo_range"] == {
@@ -191,8 +191,8 @@ def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> 
         "spread_m": pytest.approx(0.5 * metres),
     }
     for condition in (snow, fog):
-        assert model.open_stages(condition, {}) == []
-        assert model.open_stages(condition, {"noise": -1.0, "fog spread": -1.0}) == []  # no less than none
+        assert model.systematics(condition, {}) == []
+        assert model.systematics(condition, {"noise": -1.0, "fog spread": -1.0}) == []  # no less than none
 
 
 def through(model: LidarFrames, condition: Any, effects: list[Effect]) -> Any:
@@ -207,7 +207,7 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
     """Kept states and random numbers against a chain that runs from end to end."""
     condition, scene = study.conditions[place], model.scenes["s0"]
     strengths = {"noise": 2.0, "fog shift": 1.0, "fog spread": 1.0, "particle gain": 5.0, "clear scale s0": 2.0}
-    opened = model.open_stages(condition, strengths)
+    opened = model.systematics(condition, strengths)
     transform = model.transform(condition)
     gain = scene.gain[:3, None]
     points = torch.cat([model.direction * scene.range_m[:3, :, None], (scene.intensity[:3] / gain)[..., None]], -1)
@@ -234,7 +234,7 @@ def test_each_open_stage_changes_the_frames_of_fog_and_can_be_taken_back(
 ) -> None:
     condition = study.conditions[1]
     plain, moved, again = (
-        through(model, condition, model.open_stages(condition, {name: strength})) for strength in (0.0, 3.0, 0.0)
+        through(model, condition, model.systematics(condition, {name: strength})) for strength in (0.0, 3.0, 0.0)
     )
     assert any(not torch.equal(one, other) for one, other in zip(plain, moved, strict=True))
     assert all(torch.equal(one, other) for one, other in zip(plain, again, strict=True))

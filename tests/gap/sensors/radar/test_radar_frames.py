@@ -28,7 +28,7 @@ from torchweather.gap.sensors.radar.scene import (
     PRIOR_DEGREES,
     SELDOM,
     detections_of,
-    level_weights,
+    inverse_variance_weights,
     own_spread,
     radar_scene,
 )
@@ -199,7 +199,7 @@ def test_what_all_targets_share_in_a_frame_is_read_from_the_quiet_ones() -> None
     shared_db = 0.1 * rng.standard_normal((8, 1))
     power_db = shared_db + own_db * rng.standard_normal((8, 60))
     power_db[2, 3] = np.nan
-    weights = level_weights(power_db, 0.05, np.broadcast_to(-own_db, (8, 60)))
+    weights = inverse_variance_weights(power_db, 0.05, np.broadcast_to(-own_db, (8, 60)))
     assert weights.shape == (8, 60)
     quiet, usual, fluctuating = (weights[:, part].mean() for part in (slice(10), slice(10, 30), slice(30, 60)))
     assert quiet > 10.0 * usual > 500.0 * fluctuating
@@ -214,12 +214,12 @@ def test_what_all_targets_share_in_a_frame_is_read_from_the_quiet_ones() -> None
 
 
 def test_a_single_other_frame_tells_of_no_level() -> None:
-    np.testing.assert_array_equal(level_weights(np.ones((2, 4)), 0.05, np.ones((2, 4))), 1.0)
+    np.testing.assert_array_equal(inverse_variance_weights(np.ones((2, 4)), 0.05, np.ones((2, 4))), 1.0)
 
 
 def test_targets_that_one_other_frame_has_weigh_nothing() -> None:
     power_db = np.array([[20.0, np.nan], [20.5, 30.0], [np.nan, 30.5]])
-    weights = level_weights(power_db, 0.05, np.full((3, 2), 20.0))
+    weights = inverse_variance_weights(power_db, 0.05, np.full((3, 2), 20.0))
     assert np.isfinite(weights).all()
     assert (weights > 0).tolist() == [[False, True], [False, False], [True, False]]
 
@@ -228,7 +228,7 @@ def test_fluctuating_targets_weigh_what_their_law_says_however_alike_a_few_frame
     rng = np.random.default_rng(8)
     power_db = 10.0 * np.log10(rng.exponential(size=(8, 200)))
     power_db[:, 0] = 0.3 * rng.standard_normal(8)  # alike by chance
-    weights = level_weights(power_db, 0.05, np.zeros((8, 200)), np.ones((8, 200)))
+    weights = inverse_variance_weights(power_db, 0.05, np.zeros((8, 200)), np.ones((8, 200)))
     quiet = FADING_SPREAD_DB**2 * (1.0 + LEAST_LEVEL_SHARE) + 0.05**2 / 12.0
     np.testing.assert_allclose(weights, 1.0 / quiet, rtol=1e-9)
     # The law's own spread, drawn.
@@ -461,7 +461,7 @@ def test_a_noise_floor_that_rises_makes_targets_noisier(study: Study, model: Rad
     lower_threshold = EFFECTS["radar.cfar_shift"](shift_db=-6.0)
     spreads = []
     for effects in ([], [higher, lower_threshold]):
-        stages = [*effects, *model.open_stages(condition, {"noise": 1.0})]
+        stages = [*effects, *model.systematics(condition, {"noise": 1.0})]
         frames = model.simulated(condition, stages, 0.0, seeds)
         value, weight = (group(model, frames, "speed_spread", "margin_db", what).sum(0) for what in ("value", "weight"))
         spreads.append(value / weight)
@@ -580,8 +580,8 @@ def test_ranges_and_speeds_grow_noisier_with_the_loss() -> None:
 def test_without_a_strength_nothing_is_left_open(model: RadarFrames) -> None:
     condition = model.fit[0]
     assert set(model.open(condition)) == {"noise"}
-    assert model.open_stages(condition, {}) == []
-    (noise,) = model.open_stages(condition, {"noise": 1.5})
+    assert model.systematics(condition, {}) == []
+    (noise,) = model.systematics(condition, {"noise": 1.5})
     assert noise.config() == {"share": 1.5}
     assert model.misplaced(condition) == 0.0
 

@@ -137,7 +137,7 @@ class CameraFrames:
                 assert weather is not None
                 if len(weather.parts) == 1 and weather.kind != "fog":
                     farthest = FARTHEST_SD * max(condition.rel_sd, LEAST_STEP) + MOST_STEP
-                    options.setdefault("rate_capacity_mm_per_h", float(weather.knob) * math.exp(farthest))
+                    options.setdefault("rate_capacity_mm_per_h", float(weather.intensity) * math.exp(farthest))
                 options.setdefault("ego_speed_m_per_s", condition.ego_speed_m_per_s or 0.0)
                 camera = self.sensor
                 if condition.exposure_s is not None:
@@ -181,13 +181,13 @@ class CameraFrames:
         """No statistic has particles along their own range."""
         return 0.0
 
-    def render_near(self, condition: Condition, log_knob: float) -> None:
+    def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Render particles at this rate, and at those about it."""
         with self._lock:
             if condition.id in self._rendered:
-                self._rendered[condition.id].log_rate = log_knob
+                self._rendered[condition.id].log_rate = log_intensity
 
-    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+    def systematics(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""
         given = {name: strengths.get(name, 0.0) for name in self.open(condition)}
         found: list[Effect] = []
@@ -206,7 +206,7 @@ class CameraFrames:
         self,
         condition: Condition,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
@@ -215,7 +215,7 @@ class CameraFrames:
         Args:
             condition: its scene and weather.
             effects: put into the chain, beside those that the model has.
-            log_knob: logarithm of the weather's knob over its record.
+            log_intensity: logarithm of the weather's intensity over its record.
             seeds: of the frames; the same seeds give the same clear frames and random numbers for every effect.
             portions: as in ``CameraSums``.
         """
@@ -224,7 +224,7 @@ class CameraFrames:
         # Without randomness all seeds of one clear frame give one frame.
         random = any(stage.variates() for name, stage in chain.stages.items() if name != OF_THE_CONDITION)
         wanted = list(seeds) if random else [seed % clear for seed in seeds]
-        setting = (condition.id, str([effect.to_dict() for effect in effects]), float(log_knob), portions)
+        setting = (condition.id, str([effect.to_dict() for effect in effects]), float(log_intensity), portions)
         found: dict[int, Reduced] = {}
         for seed in dict.fromkeys(wanted):
             kept = self._recall((setting, seed))
@@ -235,7 +235,7 @@ class CameraFrames:
             some = missing[first : first + TOGETHER]
             row = torch.tensor([seed % clear for seed in some])
             with torch.no_grad():
-                bayer = self._through(chain, condition, row, log_knob, some)
+                bayer = self._through(chain, condition, row, log_intensity, some)
             reduced = self._of(condition)(bayer, row, portions)
             for number, seed in enumerate(some):
                 own = slice(number * portions, (number + 1) * portions)
@@ -322,7 +322,9 @@ class CameraFrames:
                 chain = chain.insert(one, before=next(iter(chain.stages)))
         return chain
 
-    def _through(self, chain: Chain, condition: Condition, row: Tensor, log_knob: float, seeds: list[int]) -> Tensor:
+    def _through(
+        self, chain: Chain, condition: Condition, row: Tensor, log_intensity: float, seeds: list[int]
+    ) -> Tensor:
         """Frames ``(F, 1, H, W)`` that come out of a chain."""
         scene = self.scenes[condition.scene]
         normal = None if scene.normal is None else scene.normal[None]
@@ -334,10 +336,10 @@ class CameraFrames:
                 light = scene.with_noise(state.signal, state.transmission, _covered(state), row)
                 state, noisy = replace(state, signal=light), True
             if isinstance(stage, ParticleVeil):
-                state = self._veiled(stage, condition, state, log_knob, seeds)
+                state = self._veiled(stage, condition, state, log_intensity, seeds)
             else:
-                with_knob = isinstance(stage, ExtinctionAndAirlight) and log_knob != 0
-                found = _at_visibility(stage, math.exp(log_knob)) if with_knob else stage
+                with_intensity = isinstance(stage, ExtinctionAndAirlight) and log_intensity != 0
+                found = _at_visibility(stage, math.exp(log_intensity)) if with_intensity else stage
                 state = found(state, self._noise(stage, name, condition, state, seeds))
         return state.signal
 
@@ -352,13 +354,13 @@ class CameraFrames:
         return stage.draw(state, seed=torch.tensor(seeds), name=name)
 
     def _veiled(
-        self, stage: ParticleVeil, condition: Condition, state: CameraState, log_knob: float, seeds: list[int]
+        self, stage: ParticleVeil, condition: Condition, state: CameraState, log_intensity: float, seeds: list[int]
     ) -> CameraState:
         """The state behind its particles."""
         with self._lock:
             if condition.id not in self._rendered:
                 self._rendered[condition.id] = Rendered(stage, condition)
-        return self._rendered[condition.id](state, log_knob, seeds)
+        return self._rendered[condition.id](state, log_intensity, seeds)
 
     def _recall(self, key: object) -> Reduced | None:
         with self._lock:

@@ -50,32 +50,32 @@ class Rendered:
         self._drawn: tuple[list[int], dict[str, Tensor]] | None = None
         self._lock = threading.Lock()
 
-    def __call__(self, state: CameraState, log_knob: float, seeds: list[int]) -> CameraState:
+    def __call__(self, state: CameraState, log_intensity: float, seeds: list[int]) -> CameraState:
         """The state behind the particles of some seeds.
 
         Args:
             state: with what effects say of particles.
-            log_knob: logarithm of the rate over its record.
+            log_intensity: logarithm of the rate over its record.
             seeds: one for each frame.
         """
         if not self.alone or state.fog_extinction_per_m is not None:
             noise = self.stage.draw(state, seed=torch.tensor(seeds), name=self.stage.default_name)
-            return self._at(log_knob)(state, noise)  # type: ignore[no-any-return]
-        return self.stage.behind(state, self._optical(state, log_knob, seeds).neg_().expm1_().neg_())
+            return self._at(log_intensity)(state, noise)  # type: ignore[no-any-return]
+        return self.stage.behind(state, self._optical(state, log_intensity, seeds).neg_().expm1_().neg_())
 
-    def _at(self, log_knob: float) -> ParticleVeil:
+    def _at(self, log_intensity: float) -> ParticleVeil:
         """The stage at another rate."""
         found = copy.copy(self.stage)
         found._modules = dict(self.stage._modules)
         populations = torch.nn.ModuleList()
         for part, rate in zip(self.stage.parts, self.rates, strict=True):
             other = copy.copy(part)
-            other._buffers = {**part._buffers, "rate_mm_per_h": rate * math.exp(log_knob)}
+            other._buffers = {**part._buffers, "rate_mm_per_h": rate * math.exp(log_intensity)}
             populations.append(other)
         found._modules["populations"] = populations
         return found
 
-    def _optical(self, state: CameraState, log_knob: float, seeds: list[int]) -> Tensor:
+    def _optical(self, state: CameraState, log_intensity: float, seeds: list[int]) -> Tensor:
         """Optical depth of the particles of each frame, ``(F, 1, H, W)``; all frames have the same effects."""
         count = 1.0 if state.particle_count is None else float(state.particle_count[0])
         total = torch.zeros_like(state.signal)
@@ -84,9 +84,9 @@ class Rendered:
         more = max(count, LEAST_COUNT)
         way = {name: float(given[0]) for name in WAYS if (given := getattr(state, name)) is not None}
         if way:  # seldom twice the same
-            rendered = self._render(state, log_knob, math.log(more), way, seeds)
+            rendered = self._render(state, log_intensity, math.log(more), way, seeds)
             return rendered.float().mul_(count / more)
-        steps, counts = _between(log_knob - self.log_rate, self.step), _between(math.log(more), COUNT_STEP)
+        steps, counts = _between(log_intensity - self.log_rate, self.step), _between(math.log(more), COUNT_STEP)
         for (rate, share), (number, part) in itertools.product(steps, counts):
             nodes = self._nodes(state, round(self.log_rate + rate * self.step, 12), number, seeds)
             total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part)

@@ -139,10 +139,10 @@ class LidarFrames:
         assert condition.weather is not None
         return FOG_MISPLACED if "fog" in {part.kind for part in condition.weather.parts} else 0.0
 
-    def render_near(self, condition: Condition, log_knob: float) -> None:
+    def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Every weather is simulated as it is asked for."""
 
-    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+    def systematics(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0.
 
         Args:
@@ -172,7 +172,7 @@ class LidarFrames:
         self,
         condition: Condition,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
@@ -181,7 +181,7 @@ class LidarFrames:
         Args:
             condition: its scene and weather.
             effects: put into the chain, beside those that the model has.
-            log_knob: logarithm of the weather's knob over its record.
+            log_intensity: logarithm of the weather's weather_intensity over its record.
             seeds: of the frames; the same seeds give the same clear frames and random numbers for every effect.
             portions: as in ``reduce``.
         """
@@ -191,7 +191,7 @@ class LidarFrames:
             some = list(seeds[first : first + TOGETHER])
             row = torch.tensor([seed % len(scene.range_m) for seed in some])
             with torch.no_grad():
-                out = self._through(condition, scene, row, effects, log_knob, some)
+                out = self._through(condition, scene, row, effects, log_intensity, some)
             parts.append(self.reduce(condition.scene, *out, row, portions))
         return Reduced.joined(parts)
 
@@ -201,7 +201,7 @@ class LidarFrames:
         scene: LidarScene,
         row: Tensor,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: list[int],
     ) -> tuple[Tensor, Tensor]:
         """Range and intensity ``(F, N)`` that come out of the chain."""
@@ -219,7 +219,7 @@ class LidarFrames:
         before = tuple(
             (name, str(chain.stages[name].config())) for name in names[:first] if name not in transform.chain.stages
         )
-        key = (condition.id, log_knob, tuple(seeds), first, before)
+        key = (condition.id, log_intensity, tuple(seeds), first, before)
         kept = self._kept.get(key)
         if kept is None:
             # The scale of a frame is one of the reading: detection does not know of it.
@@ -227,17 +227,17 @@ class LidarFrames:
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
             state = replace(state, grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
-            kept = self._part(chain, condition, log_knob, state, seeds, 0, first)
+            kept = self._part(chain, condition, log_intensity, state, seeds, 0, first)
             if own:
                 self._keep(key, kept)
-        state = self._part(chain, condition, log_knob, kept, seeds, first, len(names))
+        state = self._part(chain, condition, log_intensity, kept, seeds, first, len(names))
         last = chain.stages[ToPoints.default_name]
         assert isinstance(last, ToPoints)
         range_m, intensity = last.measurement(state, self._noise(chain, last.default_name, condition, state, seeds))
         return range_m, intensity * scene.gain[row, None]
 
     def _part(
-        self, chain: Chain, condition: Condition, log_knob: float, state: LidarState, seeds: list[int], *ends: int
+        self, chain: Chain, condition: Condition, log_intensity: float, state: LidarState, seeds: list[int], *ends: int
     ) -> LidarState:
         """The state after some of the stages of a chain."""
         part = Chain(dict(list(chain.stages.items())[slice(*ends)]))
@@ -246,7 +246,7 @@ class LidarFrames:
             for name in part.stages
             for variate, drawn in self._noise(part, name, condition, state, seeds).items()
         }
-        with _knob(part, condition, log_knob):
+        with _intensity(part, condition, log_intensity):
             found: LidarState = part(state, noise)
         return found
 
@@ -286,8 +286,8 @@ def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
 
 
 @contextmanager
-def _knob(chain: Chain, condition: Condition, log_knob: float) -> Iterator[None]:
-    """The weather's knob times ``exp(log_knob)`` in all stages of a chain, while the block lasts."""
+def _intensity(chain: Chain, condition: Condition, log_intensity: float) -> Iterator[None]:
+    """The weather's weather_intensity times ``exp(log_intensity)`` in all stages of a chain, while the block lasts."""
     weather = condition.weather
     assert weather is not None
     changed = []
@@ -295,10 +295,10 @@ def _knob(chain: Chain, condition: Condition, log_knob: float) -> Iterator[None]
         if isinstance(stage, (Extinction, ParticleReturns)):
             for part in weather.parts:
                 buffers = stage.parts[part.kind]
-                changed.append((buffers, part.knob_name, getattr(buffers, part.knob_name)))
+                changed.append((buffers, part.intensity_name, getattr(buffers, part.intensity_name)))
     try:
         for buffers, name, before in changed:
-            setattr(buffers, name, before * math.exp(log_knob))
+            setattr(buffers, name, before * math.exp(log_intensity))
         yield
     finally:
         for buffers, name, before in changed:

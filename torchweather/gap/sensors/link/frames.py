@@ -157,10 +157,10 @@ class LinkFrames:
         """No particles."""
         return 0.0
 
-    def render_near(self, condition: Condition, log_knob: float) -> None:
+    def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Every weather is simulated as it is asked for."""
 
-    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+    def systematics(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """None."""
         return []
 
@@ -168,7 +168,7 @@ class LinkFrames:
         self,
         condition: Condition,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
@@ -177,12 +177,12 @@ class LinkFrames:
         Args:
             condition: a class of rain.
             effects: beside those that the model has.
-            log_knob: logarithm of the rain over that of the reference.
+            log_intensity: logarithm of the rain over that of the reference.
             seeds: of the scatter.
             portions: of the links.
         """
         samples = self.samples[condition.id]
-        mean = attenuation_db(samples, [*self.effects, *effects], log_knob)
+        mean = attenuation_db(samples, [*self.effects, *effects], log_intensity)
         noise = np.stack([self._noise(condition, seed) for seed in seeds])
         return self._reduced(samples, self.cells[condition.id], mean + noise, portions)
 

@@ -189,10 +189,10 @@ class RadarFrames:
         """No particles that a model could misplace."""
         return 0.0
 
-    def render_near(self, condition: Condition, log_knob: float) -> None:
+    def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Every weather is simulated as it is asked for."""
 
-    def open_stages(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
+    def systematics(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
         """Stages of what is left open, at strengths in standard deviations; none at 0."""
         share = strengths.get("noise", 0.0)
         if share <= 0:
@@ -206,7 +206,7 @@ class RadarFrames:
         self,
         condition: Condition,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
@@ -215,7 +215,7 @@ class RadarFrames:
         Args:
             condition: its scene and weather.
             effects: put into the chain, beside those that the model has.
-            log_knob: logarithm of the weather's knob over its record.
+            log_intensity: logarithm of the weather's intensity over its record.
             seeds: of the frames, the first one of the condition's first frame and so on; the same seeds give the same
                 clear frames and random numbers for every effect.
             portions: as in ``reduce``.
@@ -225,7 +225,7 @@ class RadarFrames:
             others = [one for one in effects if one is not struck]
             always = RadarInterference(**{**struck.config(), "probability": 1.0})
             with_, without = (
-                self.simulated(condition, some, log_knob, seeds, portions) for some in ([*others, always], others)
+                self.simulated(condition, some, log_intensity, seeds, portions) for some in ([*others, always], others)
             )
             floors = np.repeat(_struck(struck.config()["probability"], seeds), portions)
             share = self._struck_share(condition, struck.config()["level_db"])
@@ -233,7 +233,7 @@ class RadarFrames:
         row = np.array([seed % self.clear_frames[condition.scene] for seed in seeds])
         place = np.arange(len(seeds)) % len(condition.frames)
         with torch.no_grad():
-            frames = self._through(condition, row, place, effects, log_knob, list(seeds))
+            frames = self._through(condition, row, place, effects, log_intensity, list(seeds))
         lever = _lever(len(condition.frames))[place]
         loss_db, together = self._loss_db(condition), self._together(condition)
         return self.reduce(condition.scene, frames, row, loss_db, lever, portions, together)
@@ -244,7 +244,7 @@ class RadarFrames:
         row: Whole,
         place: Whole,
         effects: Sequence[Effect],
-        log_knob: float,
+        log_intensity: float,
         seeds: list[int],
     ) -> Detections:
         """What comes out of the chain for clear frames ``(F,)`` at their places in the recording ``(F,)``."""
@@ -261,7 +261,7 @@ class RadarFrames:
             for variate, drawn in self._noise(chain, name, condition, state, seeds).items()
         }
         # Conditions run side by side, and stages that are kept for all of them hold their share while they run.
-        with self._lock, _knob(chain, log_knob):
+        with self._lock, _intensity(chain, log_intensity):
             out: RadarState = chain(state, noise)
         return _detections(out)
 
@@ -423,13 +423,13 @@ def _detections(out: RadarState) -> Detections:
 
 
 @contextmanager
-def _knob(chain: Chain, log_knob: float) -> Iterator[None]:
-    """The weather's knob times ``exp(log_knob)`` in all stages of a chain, while the block lasts."""
+def _intensity(chain: Chain, log_intensity: float) -> Iterator[None]:
+    """The weather's intensity times ``exp(log_intensity)`` in all stages of a chain, while the block lasts."""
     changed: list[tuple[torch.nn.Module, str, Tensor]] = []
     for stage in chain.stages.values():
         if isinstance(stage, PathAttenuation):
             for part in stage.parts.values():
-                name = str(part.weather.knob_name)  # type: ignore[union-attr]
+                name = str(part.weather.intensity_name)  # type: ignore[union-attr]
                 changed.append((part, name, getattr(part, name)))
         elif isinstance(stage, VolumeClutter):
             changed.append((stage.falling, "rate_mm_per_h", stage.falling.rate_mm_per_h))
@@ -437,7 +437,7 @@ def _knob(chain: Chain, log_knob: float) -> Iterator[None]:
             changed.append((stage, "rate_mm_per_h", stage.rate_mm_per_h))
     try:
         for owner, name, before in changed:
-            setattr(owner, name, before * math.exp(log_knob))
+            setattr(owner, name, before * math.exp(log_intensity))
         yield
     finally:
         for owner, name, before in changed:

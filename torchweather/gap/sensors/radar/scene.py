@@ -29,7 +29,7 @@ __all__ = [
     "RadarScene",
     "detection_count",
     "detections_of",
-    "level_weights",
+    "inverse_variance_weights",
     "own_spread",
     "radar_edges",
     "radar_scene",
@@ -165,7 +165,7 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     spread = {name: _spreads(getattr(clear, name), LEAST_SPREAD[name]) for name in MEASURED}
     fluctuates, fades = _fading(clear, floor, radar.detection_snr_db, geometry["target_class"])
     level_weight = {
-        name: level_weights(
+        name: inverse_variance_weights(
             getattr(clear, name), LEAST_SPREAD[name], reference["power_db"], fluctuates if name == "power_db" else None
         )
         for name in MEASURED
@@ -222,7 +222,9 @@ def _spreads(values: Floats, least: float) -> Floats:
     return np.sqrt(np.stack(found))
 
 
-def level_weights(values: Floats, least: float, power_db: Floats, fluctuates: Floats | None = None) -> Floats:
+def inverse_variance_weights(
+    values: Floats, least: float, power_db: Floats, fluctuates: Floats | None = None
+) -> Floats:
     """Inverse squares ``(K, N)`` of the spread of each target about its own mean and the frame's, over all frames but
     one. The frame's is the mean of all targets by these weights, so they are found in turns; a lower limit keeps one
     target from being that mean. A handful of frames tells a spread badly: it is drawn towards that of targets of about

@@ -1,7 +1,7 @@
 """What a radar study leaves open about the model and what must not be taken for a missing effect.
 
 Each stage here has the strength of one standard deviation of what nobody knows; the search forgets departures along its
-response (``search.Nuisance``). They are not effects of the catalogue and never an answer.
+response (``search.Systematics``). They are not effects of the catalogue and never an answer.
 """
 
 from __future__ import annotations
