@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def with_flakes(cloud: Tensor, flakes: Tensor) -> LidarResult:
         value = getattr(plain, name)
         assert isinstance(value, Tensor)
         more[name] = torch.cat([value, added.to(value)])
-    return LidarResult(**{**{field: getattr(plain, field) for field in plain.__dataclass_fields__}, **more})
+    return replace(plain, **more)
 
 
 # Above the road, a little and far under it, and under it but farther than the plane holds.

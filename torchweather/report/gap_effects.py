@@ -104,7 +104,7 @@ def _found(
         ]
         found.append(parts.Table([*heads, parts.Column("What tells them apart", "words")], rows_of_rivals, look="tops"))
     else:
-        found.append(parts.Note("The catalogue knows of nothing that it could be mistaken for."))
+        found.append(parts.Note("The catalogue lists nothing that it could be mistaken for."))
     with_intensity = getattr(study.sensor, "intensity_unit", "none") != "none"
     found += [
         parts.Alert(f"{twin} acts exactly alike. It would be with {data}.", "Cannot be told apart with these data:")
@@ -146,7 +146,7 @@ def _unknown(one: Mapping[str, Any], *, found: bool) -> list[parts.Part]:
         ends = " to ".join(edge_text(one["axis"], one[end]) for end in ("from", "to"))
         text += f" It is loudest from {ends} ({axis_name(one['axis'])}): {z} standard deviations."
     shown: list[parts.Part] = [
-        parts.Heading("What is left" if found else "What no effect explains", name, id="rest"),
+        parts.Heading("Unexplained residual" if found else "What no effect explains", name, id="rest"),
         parts.Paragraph(text),
     ]
     curve, stage = one["curve"], one["empirical"]

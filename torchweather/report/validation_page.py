@@ -177,7 +177,7 @@ def _scores(groups: Sequence[Group], names: Sequence[str], validation: Validatio
     ]
     cells = {
         "": "they agree",
-        "pale": "they agree, and neither can be told from clear air",
+        "pale": "they agree, and neither is distinguishable from clear air",
         "differs": "they differ",
         "pale ": "cannot be judged",
     }
@@ -321,8 +321,8 @@ def _how_to_read(validation: Validation, summary: Mapping[str, Any], *, is_link:
         difference or more on the whole page. Few frames make that bound wide: agreement then means that these frames
         cannot tell. Frames count as independent; those that follow each other within seconds are not, and then
         differences are called too readily. The uncertainty of the weather record is not in the scatter."""
-    why = parts.markup("""The page says what disagrees, not why: <code>torchweather gap</code> looks for the effect that
-        is missing.""")
+    why = parts.markup("""The page shows what disagrees, not why: <code>torchweather gap</code> looks for the effect
+        that is missing.""")
     seconds = [each for result in validation.conditions for each in result.simulation_s]
     made = parts.markup(
         "Run time: {} ms a simulated {} (median of {}; {} ms at most, with the set-up of a transform). "
