@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -12,13 +11,10 @@ from torch import Tensor
 import torchweather as tw
 from tests.camera.effects import camera_effect_scene
 from tests.lidar.effects import effect_scene
-from tests.radar.effects import radar_effect_scene
 from torchweather.export import to_onnx
 from torchweather.pipeline.at_call import weather_at_call
-from torchweather.radar.power_map import MapAxes, PowerScale
 from torchweather.stages import Quantise
 
-AXES = MapAxes.of_turn(bins=48, bin_m=0.5, azimuths=20, dims=("range", "azimuth"))
 RANGE, FIXED = tw.Rain(rate_mm_per_h=(5.0, 50.0)), tw.Rain(rate_mm_per_h=20.0)
 
 
@@ -26,91 +22,9 @@ def camera(weather: Any, **more: Any) -> Any:
     return camera_effect_scene.rain_in_fog(weather, depth=20.0, **more)
 
 
-def rgb(weather: Any, **more: Any) -> Any:
-    return tw.AsBayer(camera(weather, **more))
-
-
 def lidar(weather: Any, **more: Any) -> Any:
     directions = effect_scene.directions()
     return tw.LidarWeather(weather, effect_scene.scan_sensor(directions=directions), **more)
-
-
-def radar(weather: Any, **more: Any) -> Any:
-    return tw.RadarAttenuation(weather, radar_effect_scene.SENSOR, clutter=True, **more)
-
-
-def radar_map(weather: Any, **more: Any) -> Any:
-    scale = PowerScale("linear")
-    return tw.RadarMapWeather(weather, tw.Radar(), axes=AXES, scale=scale, noise_floor_db=-30.0, **more)
-
-
-def map_values(batch: int = 3) -> Tensor:
-    return 1e-3 + 10.0 * torch.rand(batch, *AXES.shape, generator=torch.Generator().manual_seed(3))
-
-
-SENSORS: dict[str, tuple[Callable[..., Any], Callable[..., Tensor]]] = {
-    "camera": (camera, camera_effect_scene.frame),
-    "rgb": (rgb, lambda batch=3: camera_effect_scene.frame(batch).expand(-1, 3, -1, -1).contiguous()),
-    "lidar": (lidar, effect_scene.cloud),
-    "radar": (radar, lambda batch=3: radar_effect_scene.detections(batch)),
-    "radar map": (radar_map, map_values),
-}
-each = pytest.mark.parametrize("name", list(SENSORS))
-
-
-def same(one: Any, other: Any) -> None:
-    torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)
-
-
-@each
-def test_a_seed_at_the_call_is_that_of_draw(name: str) -> None:
-    make, data = SENSORS[name][0], SENSORS[name][1]()
-    transform = make(FIXED)
-    same(transform(data, seed=7), transform(data, noise=transform.draw(data, seed=7)))
-    seeds = torch.tensor([11, 3, 8])
-    same(transform(data, seed=seeds), transform(data, noise=transform.draw(data, seed=seeds)))
-    given = transform.run(data, noise=transform.draw(data, seed=7))
-    first = next(iter(vars(given)))
-    same(getattr(transform.run(data, seed=7), first), getattr(given, first))
-
-
-@each
-def test_a_generator_at_the_call_is_that_of_draw_and_moves_on(name: str) -> None:
-    make, data = SENSORS[name][0], SENSORS[name][1]()
-    transform = make(FIXED)
-    generator, other = torch.Generator().manual_seed(5), torch.Generator().manual_seed(5)
-    first = transform(data, generator=generator)
-    same(first, transform(data, noise=transform.draw(data, generator=other)))
-    assert not torch.equal(first, transform(data, generator=generator))
-
-
-@each
-def test_each_sample_gets_a_rate_of_its_own_the_same_in_any_batch(name: str) -> None:
-    make, data = SENSORS[name][0], SENSORS[name][1]()
-    seeds = torch.tensor([11, 3, 8])
-    whole = make(RANGE)(data, seed=seeds)
-    for place, seed in enumerate(seeds.tolist()):
-        alone = make(RANGE)(data[place], seed=seed)
-        drawn = make(RANGE.drawn(seed))
-        same(alone, drawn(data[place], noise=drawn.draw(data[place], seed=seed)))
-        torch.testing.assert_close(whole[place], alone, rtol=1e-5, atol=1e-6)
-
-
-@each
-def test_samples_left_clear_keep_their_bits(name: str) -> None:
-    make, data = SENSORS[name][0], SENSORS[name][1]()
-    seeds = torch.tensor([1, 2, 3])
-    drawn = weather_at_call(FIXED, 0.5, (3,), seeds.tolist(), "test")
-    wet = drawn.intensity > 0  # type: ignore[operator]
-    assert 0 < int(wet.sum()) < 3
-    found, always = make(FIXED, p=0.5)(data, seed=seeds), make(FIXED)(data, seed=seeds)
-    for place in range(3):
-        if wet[place]:
-            torch.testing.assert_close(found[place], always[place], rtol=1e-5, atol=1e-6)
-        else:  # rows for a radar's clutter come behind the list's own
-            same(found[place, : data.shape[1]], data[place])
-    same(make(RANGE, p=0.0)(data, seed=1)[:, : data.shape[1]], data)
-    same(make(RANGE, p=0.0)(data[0])[: data.shape[1]], data[0])
 
 
 def test_the_share_of_samples_in_weather_is_p() -> None:
@@ -143,14 +57,6 @@ def test_a_gradient_goes_to_a_rate_given_as_a_tensor() -> None:
 
 
 # ---- what is refused -------------------------------------------------------------------------------------------------
-
-
-@each
-def test_noise_and_a_seed_are_not_taken_together(name: str) -> None:
-    make, data = SENSORS[name][0], SENSORS[name][1]()
-    transform = make(FIXED)
-    with pytest.raises(ValueError, match=r"noise is drawn already.* Pass noise, or one of the others"):
-        transform(data, noise=transform.draw(data, seed=1), seed=1)
 
 
 def test_a_probability_beyond_one_is_refused() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from tests.mutants.mutant import Mutant
 
 RANDOM = "torchweather.core.random"
+YAML_FILE = "torchweather.core.yaml_file"
+SCHEMA = "torchweather.core.schema"
 DISTRIBUTIONS = "torchweather.core.distributions"
 CHAIN = "torchweather.pipeline.chain"
 RGB_PLANES = "torchweather.camera.rgb_planes"
@@ -75,20 +77,84 @@ MUTANTS = (
         ("tests/pipeline/test_chain.py::test_stages_are_put_in_where_asked",),
     ),
     Mutant(
-        "recipe_runs_code",
-        "a recipe is data: its YAML makes no objects",
-        "torchweather.recipes.files",
-        'return yaml.safe_load(path.read_text(encoding="utf-8"))',
-        'return yaml.unsafe_load(path.read_text(encoding="utf-8"))',
-        ("tests/recipes/test_recipes.py::test_a_missing_key_and_a_file_that_is_no_yaml_are_named",),
+        "yaml_makes_objects",
+        "YAML of a user is data: its tags make no objects",
+        YAML_FILE,
+        "if tag not in PLAIN[type(node)]:",
+        "if False:",
+        ("tests/core/test_yaml_readers.py::test_a_hostile_value_is_refused_with_file_and_key",),
     ),
     Mutant(
-        "sensor_file_runs_code",
-        "a sensor file is data: its YAML makes no objects",
-        "torchweather.pipeline.sensor",
-        'content = yaml.safe_load(path.read_text(encoding="utf-8"))',
-        'content = yaml.unsafe_load(path.read_text(encoding="utf-8"))',
-        ("tests/pipeline/test_sensors.py::test_wrong_sensor_files_name_file_and_field",),
+        "yaml_key_twice_counts_last",
+        "a key that stands twice is refused",
+        YAML_FILE,
+        "if key in own:",
+        "if False:",
+        ("tests/core/test_yaml_readers.py::test_a_hostile_file_is_refused_with_key_or_line",),
+    ),
+    Mutant(
+        "yaml_of_any_depth",
+        "nesting ends before the stack does",
+        YAML_FILE,
+        "MAX_DEPTH = 50",
+        "MAX_DEPTH = 10_000",
+        ("tests/core/test_yaml_readers.py::test_a_hostile_value_is_refused_with_file_and_key",),
+    ),
+    Mutant(
+        "yaml_integer_of_any_length",
+        "an integer has 64 bits at most",
+        YAML_FILE,
+        "MAX_INTEGER = 2**64",
+        "MAX_INTEGER = 2**640",
+        ("tests/core/test_yaml_readers.py::test_a_hostile_value_is_refused_with_file_and_key",),
+    ),
+    Mutant(
+        "yaml_nan_is_a_number",
+        "NaN is refused by the reader",
+        YAML_FILE,
+        "(math.isnan(value) and not self.nan)",
+        "False",
+        ("tests/core/test_yaml_readers.py::test_a_value_of_the_wrong_type_is_refused_with_file_and_key",),
+    ),
+    Mutant(
+        "yaml_alias_of_itself",
+        "an alias that holds itself is refused",
+        YAML_FILE,
+        "if id(node) in self.open:",
+        "if False:",
+        ("tests/core/test_yaml_readers.py::test_a_hostile_value_is_refused_with_file_and_key",),
+    ),
+    Mutant(
+        "unknown_keys_pass",
+        "an unknown key is refused with the nearest",
+        SCHEMA,
+        "if name not in names:",
+        "if False:",
+        ("tests/core/test_yaml_readers.py::test_a_misspelt_key_is_refused_with_the_nearest",),
+    ),
+    Mutant(
+        "wrong_values_pass",
+        "a value that does not fit its key is refused",
+        SCHEMA,
+        "if not key.fits(value) and (key.required or value is not None):",
+        "if False:",
+        ("tests/recipes/test_recipe_files.py::test_what_is_wrong_is_refused_with_file_and_key",),
+    ),
+    Mutant(
+        "severities_may_get_lighter",
+        "severities of a suite get heavier",
+        "torchweather.recipes.suite",
+        "after.value > before.value if RISES",
+        "after.value < before.value if RISES",
+        ("tests/recipes/test_recipes.py::test_a_severity_is_the_same_weather_for_all_sensors_and_gets_heavier",),
+    ),
+    Mutant(
+        "suite_before_transform",
+        "a short name means a transform first",
+        "torchweather.recipes.files",
+        'KINDS = ("transform", "multi_sensor", "suite")',
+        'KINDS = ("suite", "multi_sensor", "transform")',
+        ("tests/recipes/test_recipes.py::test_a_recipe_is_found_by_its_short_name_and_its_path",),
     ),
     Mutant(
         "untouched_pixels_re_encoded",
@@ -194,7 +260,7 @@ MUTANTS = (
         "torchweather.pipeline.at_call",
         "drawn = [weather.drawn(seed) for seed in seeds]",
         "drawn = [weather.drawn(seeds[0]) for seed in seeds]",
-        ("tests/pipeline/test_at_call.py::test_each_sample_gets_a_rate_of_its_own_the_same_in_any_batch",),
+        ("tests/contract/test_transforms.py::test_each_sample_gets_a_rate_of_its_own_the_same_in_any_batch",),
     ),
     Mutant(
         "change_after_the_first_call_unseen",

@@ -92,7 +92,7 @@ MUTANTS = (
         LIDAR,
         "torch.full_like(more, PARTICLE, dtype=torch.int8)",
         "torch.full_like(more, OBJECT, dtype=torch.int8)",
-        ("tests/contract/test_lidar_contract.py::test_one_point_and_beams_that_are_all_empty",),
+        ("tests/lidar/test_lidar_cloud.py::test_one_point_and_beams_that_are_all_empty",),
     ),
     Mutant(
         "zero_weather_dims_intensity",
