@@ -1,313 +1,384 @@
-"""Recipes: every ready-made pipeline builds, what is saved comes back, what is wrong is named."""
+"""Ready-made recipes of the three kinds build; what is saved comes back; overrides, names and earlier formats."""
 
 from __future__ import annotations
 
+import importlib
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 import yaml
 
-from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+import torchweather as tw
 from torchweather.core.errors import TorchweatherError
 from torchweather.image import DepthMap, FlatGround
-from torchweather.recipes.recipes import (
-    FORMAT,
-    list_recipes,
-    load_recipe,
-    read_recipe,
-    recipes_folder,
-    save_recipe,
-)
-from torchweather.sensors import Camera, Lidar, Radar
-from torchweather.transforms import (
-    AsBayer,
-    BayerFog,
-    BayerRain,
-    BayerWeather,
-    LidarFog,
-    LidarRain,
-    LidarSnow,
-    LidarWeather,
-    RadarAttenuation,
-)
+from torchweather.recipes import list_recipes, load_recipe, read_recipe, recipes_folder, save_recipe
 
-SMALL = Camera.from_intrinsics(40.0, 40.0, 15.5, 11.5, 32, 24)
-HDL = Lidar.preset("velodyne-hdl-64e")
-AWR = Radar.preset("awr1843-like")
-
+SMALL = tw.Camera.from_intrinsics(40.0, 40.0, 15.5, 11.5, 32, 24)
+HDL = tw.Lidar.preset("velodyne-hdl-64e")
+AWR = tw.Radar.preset("awr1843-like")
+RADAR_POINTS = torch.tensor([[30.0, 2.0, 0.0, -1.0, -100.0, 5.0], [60.0, 0.0, 0.0, 0.0, -139.0, -3.0]])
+SAMPLE = {
+    "points": torch.tensor([[20.0, 0.0, 0.0, 50.0], [5.0, 5.0, 1.0, 20.0]]),
+    "radar": torch.tensor([[50.0, 0.0, 0.0, -3.0, -100.0, 10.0]]),
+}
+MIX = "multi_sensor/training-mix"
 # Conditions of the camera tables of ROADVIEW D3.4: rain rates mm/h, fog visibilities m, snow rates mm/h (Table 4).
 D34_RAIN, D34_FOG, D34_SNOW = {10.0, 25.0, 50.0}, {10.0, 20.0, 30.0, 50.0}, {2.59, 2.70, 3.03}
-
-WELL = {
-    "format": FORMAT,
-    "title": "fog",
-    "transform": "BayerFog",
-    "weather": {"kind": "fog", "mor_m": 40.0},
-    "sensor": {"kind": "camera", "preset": "lucid-triton", "exposure_s": 0.01},
-    "options": {"airlight": 0.7},
+# Two conditions of each sensor's tables in D3.4 stand for all.
+D34 = {
+    "camera": ("rain-50mm-per-h", "fog-10m", "snow-brandes-2.59mm-per-h"),
+    "lidar": ("os1-rain-10mm-per-h", "os1-fog-20m", "os1-snow-brandes-3.03mm-per-h", "wads-snow-0.25mm-per-h"),
+    "radar": ("imaging-rain-10mm-per-h", "imaging-fog-30m", "imaging-snow-brandes-2.70mm-per-h"),
 }
 
 
-def written(folder: Path, values: object) -> Path:
-    path = folder / "recipe.yaml"
-    path.write_text(yaml.safe_dump(values))
-    return path
+def saved(transform: Any, folder: Path) -> Any:
+    """A transform that came back from its own file, which saved again is the same to the letter."""
+    save_recipe(transform, folder / "mine.yaml", title="Mine")
+    again = load_recipe(folder / "mine.yaml")
+    save_recipe(again, folder / "twice.yaml", title="Mine")
+    assert (folder / "twice.yaml").read_text() == (folder / "mine.yaml").read_text()
+    return again
 
 
-@pytest.mark.parametrize("name", [recipe.name for recipe in list_recipes()])
-def test_every_recipe_builds_its_transform(name: str) -> None:
-    recipe = read_recipe(name)
+def same(first: Any, second: Any) -> bool:
+    return torch.equal(first.nan_to_num(-1), second.nan_to_num(-1))
+
+
+# ---- ready-made ones -------------------------------------------------------------------------------------------------
+
+
+def test_every_file_is_one_recipe_of_one_kind() -> None:
+    recipes = list_recipes()
+    assert len({recipe.name for recipe in recipes}) == len(recipes) == len(list(recipes_folder().rglob("*.yaml")))
+    assert Counter(recipe.kind for recipe in recipes).keys() == {"transform", "multi_sensor", "suite"}
+    assert all(recipe.title for recipe in recipes)
+    assert [*list_recipes("transform"), *list_recipes(("multi_sensor", "suite"))] == sorted(
+        recipes, key=lambda recipe: (recipe.kind != "transform", recipe.name)
+    )
+
+
+@pytest.mark.parametrize("recipe", list_recipes("transform"), ids=lambda recipe: recipe.name)
+def test_a_transform_builds_and_comes_back_from_its_own_file(recipe: Any, tmp_path: Path) -> None:
     given = {"sensor": SMALL, "depth": 30.0, "airlight": 0.7} if recipe.sensor_kind == "camera" else {}
-    transform = load_recipe(name, **given)
+    transform = load_recipe(recipe.name, **given)
     assert type(transform).__name__ == recipe.transform
-    assert isinstance(transform, (BayerWeather, LidarWeather, RadarAttenuation))
     assert recipe.name.startswith(f"{recipe.sensor_kind}/")
     assert transform.weather.to_dict() == recipe.build_weather().to_dict()
-    assert recipe.title
+    transform = load_recipe(recipe.name)
+    inner, other = (getattr(one, "transform", one) for one in (transform, saved(transform, tmp_path)))
+    assert (other.weather, other.chain.to_dict()) == (inner.weather, inner.chain.to_dict())
+
+
+@pytest.mark.parametrize("recipe", list_recipes("multi_sensor"), ids=lambda recipe: recipe.name)
+def test_a_compose_comes_back_from_its_own_file(recipe: Any, tmp_path: Path) -> None:
+    compose = load_recipe(recipe.name, history="weather")
+    assert isinstance(compose, tw.Compose)
+    saved(compose, tmp_path)
+    again = load_recipe(tmp_path / "mine.yaml", history="weather")
+    assert again.weather == compose.weather
+    assert list(again.plans) == list(compose.plans)
+    assert all(again.plans[key].sensor == plan.sensor for key, plan in compose.plans.items())
+    if "image" not in compose.plans:
+        sample = {key: SAMPLE[key] for key in compose.plans}
+        out, wanted = again(sample, seed=3), compose(sample, seed=3)
+        assert out["weather"] == wanted["weather"]
+        assert all(torch.equal(out[key], wanted[key]) for key in compose.plans)
 
 
 def test_the_conditions_of_d34_are_there() -> None:
-    weathers = [recipe.build_weather() for recipe in list_recipes() if recipe.sensor_kind == "camera"]
-    rain = {float(w.rate_mm_per_h) for w in weathers if isinstance(w, Rain)}
-    fog = {float(w.mor_m) for w in weathers if isinstance(w, Fog)}
-    snow = {float(w.rate_mm_per_h) for w in weathers if isinstance(w, Snow) and w.size_distribution == "brandes"}
-    assert rain == D34_RAIN
-    assert fog == D34_FOG
-    assert snow == D34_SNOW
-    assert any(isinstance(w, Mixture) for w in weathers)
+    recipes = list_recipes("transform")
+    weathers = [recipe.build_weather() for recipe in recipes if recipe.sensor_kind == "camera"]
+    assert {float(w.rate_mm_per_h) for w in weathers if isinstance(w, tw.Rain)} == D34_RAIN
+    assert {float(w.mor_m) for w in weathers if isinstance(w, tw.Fog)} == D34_FOG
+    snow = [w for w in weathers if isinstance(w, tw.Snow) and w.size_distribution == "brandes"]
+    assert {float(w.rate_mm_per_h) for w in snow} == D34_SNOW
+    assert any(isinstance(w, tw.Mixture) for w in weathers)
+    names = {f"{sensor}/{name}" for sensor, some in D34.items() for name in some}
+    assert names <= {recipe.name for recipe in recipes}
+
+
+def test_a_training_mix_draws_every_weather_and_clear_air() -> None:
+    compose = load_recipe("lidar/training-mix")
+    kinds = [
+        None if draw.weather is None else draw.weather["kind"]
+        for draw in (compose.draw(SAMPLE, seed=seed) for seed in range(200))
+    ]
+    assert set(kinds) == {None, "rain", "fog", "snow", "mixture"}
+    # 4 of 11 stay clear: 73 of 200, four standard deviations are 27.
+    assert abs(kinds.count(None) - 200 * 4 / 11) < 27
+
+
+def test_a_severity_is_the_same_weather_for_all_sensors_and_gets_heavier() -> None:
+    suites = [load_recipe(recipe.name) for recipe in list_recipes("suite")]
+    assert [suite.sensor_kind for suite in suites] == ["camera", "lidar", "radar"]
+    first = suites[0].conditions()
+    assert all(suite.conditions() == first for suite in suites)
+    assert [(c.name, c.severity) for c in first] == [(n, k) for n in ("rain", "fog", "snow") for k in range(1, 6)]
+    for before, after in pairwise(first):
+        if before.name == after.name:
+            assert (after.value < before.value) == (after.name == "fog")
+            assert before.weather != after.weather
+
+
+# ---- names and kinds -------------------------------------------------------------------------------------------------
 
 
 def test_a_recipe_is_found_by_its_short_name_and_its_path() -> None:
-    whole = read_recipe("camera/fog-30m")
-    assert read_recipe("fog-30m") == whole
-    assert read_recipe(recipes_folder() / "camera" / "fog-30m.yaml") == whole
+    whole = read_recipe("camera/fog-30m", "transform")
+    assert read_recipe("fog-30m") == read_recipe(recipes_folder() / "camera" / "fog-30m.yaml") == whole
     assert whole.sensor_name == "camera:lucid-triton"
+    assert read_recipe("fog-30m", "multi_sensor").name == "multi_sensor/fog-30m"
+    assert read_recipe(MIX, "multi_sensor").sensor_name.startswith("image camera:lucid-triton, points lidar:")
 
 
-def test_fields_beside_a_preset_replace_those_of_the_preset(tmp_path: Path) -> None:
-    camera = read_recipe(written(tmp_path, WELL)).build_camera()
-    assert camera == Camera.preset("lucid-triton", exposure_s=0.01)
+@pytest.mark.parametrize(
+    ("name", "kind", "said"),
+    [
+        ("fog-31m", None, "Did you mean 'fog-30m'"),
+        ("lidr/robustness", "suite", "recipe must be one of camera/rob.*Did you mean 'lidar/robustness'"),
+        ("trainingmix", "multi_sensor", rf"must be one of .*{MIX}"),
+        ("training-mix", None, "could be camera/training-mix, lidar/training-mix"),
+        ("robustness", "suite", "could be camera/robustness, lidar/robustness, radar/robustness"),
+        ("multi_sensor/fog-10m", "transform", "is of kind multi_sensor; expected transform"),
+        ("lidar/robustness", ("transform", "multi_sensor"), "is of kind suite; expected transform or multi_sensor"),
+    ],
+)
+def test_a_name_of_none_of_several_or_of_another_kind_is_refused(name: str, kind: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        read_recipe(name, kind)
+
+
+def test_a_file_of_another_kind_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"fog-30m\.yaml: kind must be suite; got transform"):
+        read_recipe(recipes_folder() / "camera" / "fog-30m.yaml", "suite")
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "kind"),
+    [
+        ("camera/fog-30m", "recipe", "transform"),
+        (MIX, "pipeline", "multi_sensor"),
+        ("lidar/robustness", "suite", "suite"),
+    ],
+)
+def test_a_file_of_an_earlier_format_is_read_with_a_warning(name: str, form: str, kind: str, tmp_path: Path) -> None:
+    new = read_recipe(name)
+    assert new.path is not None
+    text = new.path.read_text().replace(f"recipe/2\nkind: {kind}\n", f"{form}/1\n")
+    (tmp_path / "old.yaml").write_text(text)
+    with pytest.warns(
+        DeprecationWarning, match=rf"old\.yaml: .*{form}/1 is torchweather-recipe/2 with kind: {kind} now"
+    ):
+        old = read_recipe(tmp_path / "old.yaml")
+    assert (old.kind, old.title) == (kind, new.title)
+
+
+@pytest.mark.parametrize(
+    ("old", "name", "new", "given"),
+    [
+        ("pipelines", "load_pipeline", "recipes.load_recipe", ("fog-10m",)),
+        ("pipelines", "read_pipeline", "recipes.read_recipe", ("fog-10m",)),
+        ("pipelines", "list_pipelines", r"recipes.list_recipes\('multi_sensor'\)", ()),
+        ("suites", "read_suite", "recipes.read_recipe", ("camera/robustness",)),
+        ("suites", "list_suites", r"recipes.list_recipes\('suite'\)", ()),
+    ],
+)
+@pytest.mark.parametrize("room", ["recipes", "transforms"])
+def test_an_earlier_name_works_with_a_warning(old: str, name: str, new: str, given: Any, room: str) -> None:
+    module = importlib.import_module(f"torchweather.{room}.{old}")
+    with pytest.warns(DeprecationWarning, match=f"{name} is torchweather.{new} now; the old name goes"):
+        found = getattr(module, name)(*given)
+    if given:
+        assert getattr(found, "kind", "multi_sensor") == {"pipelines": "multi_sensor", "suites": "suite"}[old]
+    else:
+        assert [one.name for one in found] == [one.name for one in list_recipes(found[0].kind)]
+
+
+def test_a_name_that_no_earlier_module_had_is_none() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        importlib.import_module("torchweather.recipes.suites").nothing  # noqa: B018
+
+
+# ---- overrides -------------------------------------------------------------------------------------------------------
 
 
 def test_overrides_replace_weather_sensor_and_options() -> None:
-    transform = load_recipe("fog-30m", weather="rain:rate=5", sensor={"width": 32, "height": 24}, depth="ground")
-    assert isinstance(transform, BayerWeather)
-    assert transform.weather == Rain(5.0)
-    assert (transform.camera.width, transform.camera.fx) == (32, Camera.preset("lucid-triton").fx)
-    assert transform.depth_source == FlatGround()
-    assert isinstance(load_recipe("fog-30m", sensor="camera:gopro-hero5-acdc", rgb=True), AsBayer)
+    camera = load_recipe("fog-30m", weather="rain:rate=5", sensor={"width": 32, "height": 24}, depth="ground")
+    assert (camera.weather, camera.depth_source) == (tw.Rain(5.0), FlatGround())
+    assert (camera.camera.width, camera.camera.fx) == (32, tw.Camera.preset("lucid-triton").fx)
+    assert isinstance(load_recipe("fog-30m", sensor="camera:gopro-hero5-acdc", rgb=True), tw.AsBayer)
+    lidar = load_recipe("os1-fog-50m", sensor={"return_mode": "dual"}, lost="drop")
+    assert (lidar.sensor.return_mode, lidar.sensor.wavelength_nm, lidar.lost) == ("dual", 865.0, "drop")
+    mixed = load_recipe("os1-fog-50m", weather="rain:rate=5+fog:mor=80", sensor="lidar:velodyne-vlp-16")
+    assert type(mixed) is tw.LidarWeather
+    radar = load_recipe("imaging-fog-20m", weather="rain:rate=5", sensor="radar:awr1843-like", radome_loss_db=2.0)
+    assert (radar.weather, radar.sensor) == (tw.Rain(5.0), AWR)
+    assert "wet_radome" in radar.chain.stages
+
+
+def test_sensors_options_and_keys_can_be_those_of_one_s_own_car() -> None:
+    camera = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
+    changes = {"image": {"sensor": camera, "rgb": False, "depth": 30.0, "airlight": 0.7}, "radar": None}
+    mine = load_recipe(MIX, transforms=changes, keys={"image": "CAM_FRONT"}, weather="fog:mor=50")
+    assert list(mine.plans) == ["CAM_FRONT", "points"]
+    frame = torch.full((1, 24, 32), 0.3)
+    wanted = tw.BayerFog(tw.Fog(mor_m=50.0), camera, depth=30.0, airlight=0.7)(frame)
+    assert torch.equal(mine({"CAM_FRONT": frame, "points": SAMPLE["points"]}, seed=1)["CAM_FRONT"], wanted)
+    assert "image" in load_recipe(MIX).plans
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "said"),
+    [
+        ("fog-30m", {"air_light": 0.5}, "unknown override 'air_light'.*'airlight'"),
+        ("fog-30m", {"sensor": "lidar"}, "fog-30m.*must be a camera; got lidar"),
+        ("fog-30m", {"airlight": 3.0}, "fog-30m.*airlight"),
+        ("os1-fog-50m", {"depth": 3.0}, "unknown override 'depth'"),
+        ("os1-fog-50m", {"sensor": "camera"}, "must be a lidar; got camera"),
+        ("os1-fog-50m", {"lost": "gone"}, "lost"),
+        ("imaging-fog-20m", {"radome_los_db": 2.0}, "'radome_loss_db'"),
+        ("imaging-fog-20m", {"sensor": "lidar"}, "must be a radar; got lidar"),
+        (MIX, {"seeds": 1}, "unknown override 'seeds'.*'seed'"),
+        (MIX, {"transforms": {"point": {}}}, "transforms: unknown override 'point'.*'points'"),
+        (MIX, {"transforms": {"points": {"depth": 3.0}}}, "'points': unknown override 'depth'"),
+        (MIX, {"transforms": {"points": {"sensor": "radar"}}}, "sensor must be a lidar; got radar"),
+        (MIX, {"keys": {"image": "points"}}, "two transforms would go to 'points'"),
+        (MIX, {"keys": {"imag": "a"}}, "keys: unknown override 'imag'"),
+        (MIX, {"weather": [None]}, "at least one weather that is not null"),
+        (MIX, {"transforms": {"image": None, "points": None, "radar": None}}, "at least one key"),
+        ("camera/robustness", {"weather": "rain:rate=5"}, "unknown override 'weather'"),
+    ],
+)
+def test_overrides_that_do_not_fit_are_named(name: str, overrides: dict[str, Any], said: str) -> None:
+    with pytest.raises(TorchweatherError, match=said):
+        load_recipe(name, **overrides)
+
+
+# ---- saving ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "transform",
     [
-        BayerRain(Rain(12.0, wind_m_per_s=(1.0, 0.5, 0.0)), SMALL, depth=30.0, far_m=80.0, ego_speed_m_per_s=13.9),
-        BayerFog(Fog(mor_m=77.0), SMALL, depth=FlatGround(), extinction="koschmieder", airlight=(0.6, 0.7, 0.8)),
-        BayerWeather(Mixture(Snow(1.5, albedo=0.85), Fog(mor_m=300.0)), SMALL, variant=None, drop_view="upper"),
-        AsBayer(BayerFog(Fog(mor_m=50.0), Camera.preset("sekonix-sf3325"))),
+        tw.BayerRain(
+            tw.Rain(12.0, wind_m_per_s=(1.0, 0.5, 0.0)), SMALL, depth=30.0, far_m=80.0, ego_speed_m_per_s=13.9
+        ),
+        tw.BayerFog(tw.Fog(mor_m=77.0), SMALL, depth=FlatGround(), extinction="koschmieder", airlight=(0.6, 0.7, 0.8)),
+        tw.BayerWeather(
+            tw.Mixture(tw.Snow(1.5, albedo=0.85), tw.Fog(mor_m=300.0)), SMALL, variant=None, drop_view="upper"
+        ),
+        tw.AsBayer(tw.BayerFog(tw.Fog(mor_m=50.0), tw.Camera.preset("sekonix-sf3325"))),
     ],
     ids=["rain", "fog", "mixture", "rgb"],
 )
-def test_what_is_saved_comes_back(transform: BayerWeather | AsBayer, tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    save_recipe(transform, path, title="Mine")
-    again = load_recipe(path)
+def test_what_is_saved_of_a_camera_comes_back(transform: Any, tmp_path: Path) -> None:
+    again = saved(transform, tmp_path)
     assert type(again) is type(transform)
-    before = transform.transform if isinstance(transform, AsBayer) else transform
-    after = again.transform if isinstance(again, AsBayer) else again
-    assert isinstance(after, BayerWeather)
+    before, after = (getattr(one, "transform", one) for one in (transform, again))
     assert type(after) is type(before)
     assert after.weather.to_dict() == before.weather.to_dict()
-    assert after.camera == before.camera
-    assert after.depth_source == before.depth_source
+    assert (after.camera, after.depth_source) == (before.camera, before.depth_source)
     assert after.chain.to_dict() == before.chain.to_dict()
-    # Saved once more it is the same file, to the letter.
-    twice = tmp_path / "twice.yaml"
-    save_recipe(again, twice, title="Mine")
-    assert twice.read_text() == path.read_text()
 
 
-def test_a_saved_recipe_gives_the_same_pixels(tmp_path: Path) -> None:
-    transform = BayerRain(Rain(30.0), SMALL, depth=25.0, airlight=0.7)
-    save_recipe(transform, tmp_path / "rain.yaml", title="Rain")
-    again = load_recipe(tmp_path / "rain.yaml")
+def test_a_saved_camera_gives_the_same_pixels(tmp_path: Path) -> None:
+    transform = tw.BayerRain(tw.Rain(30.0), SMALL, depth=25.0, airlight=0.7)
     frame = torch.full((1, 24, 32), 0.2)
-    assert isinstance(again, BayerWeather)
-    first, second = (each(frame, noise=each.draw(frame, seed=5)) for each in (transform, again))
+    first, second = (each(frame, noise=each.draw(frame, seed=5)) for each in (transform, saved(transform, tmp_path)))
     assert torch.equal(first, second)
 
 
 @pytest.mark.parametrize(
     "transform",
     [
-        LidarRain(Rain(12.0), HDL, q_back=0.6, lost="nan"),
-        LidarFog(Fog(mor_m=77.0), HDL, variant="hahner"),
-        LidarSnow(Snow(1.5), Lidar.preset("pandar64-wads"), complete_scan=True, q_eff=1.5),
-        LidarRain(Rain(12.0), HDL, variant="d3_4"),
-        LidarWeather(Mixture(Snow(1.5), Fog(mor_m=300.0)), HDL, fog_extinction="koschmieder"),
+        tw.LidarRain(tw.Rain(12.0), HDL, q_back=0.6, lost="nan"),
+        tw.LidarFog(tw.Fog(mor_m=77.0), HDL, variant="hahner"),
+        tw.LidarSnow(tw.Snow(1.5), tw.Lidar.preset("pandar64-wads"), complete_scan=True, q_eff=1.5),
+        tw.LidarRain(tw.Rain(12.0), HDL, variant="d3_4"),
+        tw.LidarWeather(tw.Mixture(tw.Snow(1.5), tw.Fog(mor_m=300.0)), HDL, fog_extinction="koschmieder"),
     ],
     ids=["rain", "fog", "snow", "d3.4", "mixture"],
 )
-def test_what_is_saved_of_a_lidar_comes_back_and_gives_the_same_cloud(transform: LidarWeather, tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    save_recipe(transform, path, title="Mine")
-    again = load_recipe(path)
-    assert isinstance(again, LidarWeather)
+def test_what_is_saved_of_a_lidar_comes_back_and_gives_the_same_cloud(transform: Any, tmp_path: Path) -> None:
+    again = saved(transform, tmp_path)
     assert type(again) is type(transform)
     assert again.sensor == transform.sensor
     assert again.chain.to_dict() == transform.chain.to_dict()
     assert (again.lost, again.complete_scan) == (transform.lost, transform.complete_scan)
-    if not transform.complete_scan:  # which wants a cloud of the scan pattern
+    if not transform.complete_scan:  # which takes a cloud of the scan pattern
         points = torch.rand(200, 4, generator=torch.Generator().manual_seed(1)) * 40
-        first, second = (each(points, each.draw(points, seed=5)) for each in (transform, again))
-        assert isinstance(first, torch.Tensor)
-        assert isinstance(second, torch.Tensor)
-        assert torch.equal(first.nan_to_num(-1), second.nan_to_num(-1))
-
-
-def test_a_lidar_recipe_takes_overrides_of_its_own_kind() -> None:
-    fog = load_recipe("os1-fog-50m", sensor={"return_mode": "dual"}, lost="drop")
-    assert isinstance(fog, LidarFog)
-    assert (fog.sensor.return_mode, fog.sensor.wavelength_nm, fog.lost) == ("dual", 865.0, "drop")
-    mixed = load_recipe("os1-fog-50m", weather="rain:rate=5+fog:mor=80", sensor="lidar:velodyne-vlp-16")
-    assert type(mixed) is LidarWeather
-    with pytest.raises(ValueError, match="depth"):
-        load_recipe("os1-fog-50m", depth=3.0)
-    with pytest.raises(TorchweatherError, match="must be a lidar; got camera"):
-        load_recipe("os1-fog-50m", sensor="camera")
-    with pytest.raises(TorchweatherError, match="lost"):
-        load_recipe("os1-fog-50m", lost="gone")
+        assert same(*(each(points, each.draw(points, seed=5)) for each in (transform, again)))
 
 
 @pytest.mark.parametrize(
     ("transform", "options"),
     [
-        (RadarAttenuation(Rain(12.0), AWR), {}),
-        (RadarAttenuation(Rain(12.0), AWR, radome_loss_db=0.7, lost="nan"), {"radome_loss_db": 0.7, "lost": "nan"}),
+        (tw.RadarAttenuation(tw.Rain(12.0), AWR), {}),
         (
-            RadarAttenuation(Snow(2.0), AWR, clutter=True, clutter_points=9, ego_speed_m_per_s=3.1),
+            tw.RadarAttenuation(tw.Rain(12.0), AWR, radome_loss_db=0.7, lost="nan"),
+            {"radome_loss_db": 0.7, "lost": "nan"},
+        ),
+        (
+            tw.RadarAttenuation(tw.Snow(2.0), AWR, clutter=True, clutter_points=9, ego_speed_m_per_s=3.1),
             {"clutter": True, "clutter_points": 9, "ego_speed_m_per_s": 3.1},
         ),
         (
-            RadarAttenuation(Mixture(Rain(5.0), Fog(mor_m=90.0)), AWR, variant="d3_4"),
+            tw.RadarAttenuation(tw.Mixture(tw.Rain(5.0), tw.Fog(mor_m=90.0)), AWR, variant="d3_4"),
             {"variant": "d3_4"},
         ),
     ],
     ids=["rain", "radome", "clutter", "d3.4"],
 )
 def test_what_is_saved_of_a_radar_comes_back_and_gives_the_same_points(
-    transform: RadarAttenuation, options: dict[str, object], tmp_path: Path
+    transform: Any, options: dict[str, object], tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.yaml"
-    save_recipe(transform, path, title="Mine")
-    assert read_recipe(path).options == options
-    again = load_recipe(path)
-    assert isinstance(again, RadarAttenuation)
-    assert (again.sensor, again.lost) == (transform.sensor, transform.lost)
+    again = saved(transform, tmp_path)
+    assert read_recipe(tmp_path / "mine.yaml", "transform").options == options
+    assert (type(again), again.sensor, again.lost) == (tw.RadarAttenuation, transform.sensor, transform.lost)
     assert again.chain.to_dict() == transform.chain.to_dict()
-    points = torch.tensor([[30.0, 2.0, 0.0, -1.0, -100.0, 5.0], [60.0, 0.0, 0.0, 0.0, -139.0, -3.0]])
-    first, second = (each(points, each.draw(points, seed=5)) for each in (transform, again))
-    assert isinstance(first, torch.Tensor)
-    assert isinstance(second, torch.Tensor)
-    assert torch.equal(first.nan_to_num(-1), second.nan_to_num(-1))
+    assert same(*(each(RADAR_POINTS, each.draw(RADAR_POINTS, seed=5)) for each in (transform, again)))
 
 
-def test_a_radar_recipe_takes_overrides_of_its_own_kind_and_refuses_others(tmp_path: Path) -> None:
-    radar = load_recipe("imaging-fog-20m", weather="rain:rate=5", sensor="radar:awr1843-like", radome_loss_db=2.0)
-    assert isinstance(radar, RadarAttenuation)
-    assert (radar.weather, radar.sensor) == (Rain(5.0), AWR)
-    assert "wet_radome" in radar.chain.stages
-    with pytest.raises(ValueError, match="radome_loss_db"):
-        load_recipe("imaging-fog-20m", radome_los_db=2.0)
-    with pytest.raises(TorchweatherError, match="must be a radar; got lidar"):
-        load_recipe("imaging-fog-20m", sensor="lidar")
-    changed = RadarAttenuation(Rain(12.0), AWR)
-    changed.chain = changed.chain.remove("radar_detection")
-    with pytest.raises(ValueError, match="radar_detection"):
-        save_recipe(changed, tmp_path / "mine.yaml", title="t")
+def without(transform: Any, stage: str) -> Any:
+    transform.chain = transform.chain.remove(stage)
+    return transform
 
 
-def test_a_lidar_recipe_is_not_for_images_and_holds_no_directions(tmp_path: Path) -> None:
-    lidar_fog = {
-        **{key: value for key, value in WELL.items() if key != "options"},
-        "transform": "LidarFog",
-        "sensor": {"kind": "lidar", "preset": "velodyne-vlp-16"},
-    }
-    assert read_recipe(written(tmp_path, lidar_fog)).build_sensor() == Lidar.preset("velodyne-vlp-16")
-    for change, said in (
-        ({"rgb": True}, "rgb belongs to a camera"),
-        ({"options": {"depth": 3.0}}, "'depth'"),
-        ({"sensor": {"kind": "camera"}}, "must be lidar"),
-        ({"sensor": {"kind": "lidar", "preset": "velodyne-vlp-16", "return_mode": "all"}}, "return_mode"),
-    ):
-        with pytest.raises(TorchweatherError, match=said):
-            read_recipe(written(tmp_path, {**lidar_fog, **change}))
-    along = Lidar.preset("velodyne-vlp-16", directions=torch.eye(3))
-    with pytest.raises(ValueError, match="directions"):
-        save_recipe(LidarFog(Fog(mor_m=50.0), along), tmp_path / "mine.yaml", title="t")
+def fog(**more: Any) -> tw.BayerFog:
+    return tw.BayerFog(tw.Fog(mor_m=50.0), SMALL, **more)
 
 
-def test_what_a_recipe_cannot_hold_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    with pytest.raises(ValueError, match="DepthMap"):
-        save_recipe(BayerFog(Fog(mor_m=50.0), SMALL, depth=DepthMap(torch.ones(24, 32))), path, title="t")
-    changed = BayerFog(Fog(mor_m=50.0), SMALL)
-    changed.chain = changed.chain.remove("quantise")
-    with pytest.raises(ValueError, match="save"):
-        save_recipe(changed, path, title="t")
-    with pytest.raises(TypeError, match="BayerRain"):
-        save_recipe(torch.nn.Identity(), path, title="t")
-    with pytest.raises(ValueError, match=r"\.yaml"):
-        save_recipe(BayerFog(Fog(mor_m=50.0), SMALL), tmp_path / "mine.json", title="t")
+NOT_SAVED = {
+    "DepthMap": (lambda: fog(depth=DepthMap(torch.ones(24, 32))), "mine.yaml"),
+    "quantise": (lambda: without(fog(), "quantise"), "mine.yaml"),
+    "radar_detection": (lambda: without(tw.RadarAttenuation(tw.Rain(12.0), AWR), "radar_detection"), "mine.yaml"),
+    "directions": (
+        lambda: tw.LidarFog(tw.Fog(50.0), tw.Lidar.preset("velodyne-vlp-16", directions=torch.eye(3))),
+        "mine.yaml",
+    ),
+    "BayerRain": (torch.nn.Identity, "mine.yaml"),
+    "not null": (lambda: tw.Compose({"points": tw.LidarFog(tw.Fog(mor_m=50.0), HDL)}, weather=[None]), "mine.yaml"),
+    r"must end in \.yaml": (fog, "mine.json"),
+    "no folder": (fog, "none/mine.yaml"),
+}
+
+
+@pytest.mark.parametrize("said", list(NOT_SAVED))
+def test_what_a_recipe_cannot_hold_is_refused_and_leaves_no_file(said: str, tmp_path: Path) -> None:
+    make, name = NOT_SAVED[said]
+    with pytest.raises(TorchweatherError, match=said):
+        save_recipe(make(), tmp_path / name, title="t")
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"format": "torchweather-recipe/9"}, "recipe/9"),
-        ({"wether": {}}, "'weather'"),
-        ({"options": {"air_light": 0.7}}, "'airlight'"),
-        ({"options": {"depth": "grond"}}, "ground"),
-        ({"transform": "BayerFrog"}, "'BayerFog'"),
-        ({"weather": {"kind": "fog", "mor_m": -1.0}}, "mor_m"),
-        ({"weather": {"kind": "fgo"}}, "'fog'"),
-        ({"weather": {"kind": "fog", "mor": 30.0}}, "mor"),
-        ({"weather": 3}, "keys with values"),
-        ({"sensor": {"kind": "camera", "preset": "lucid"}}, "lucid-triton"),
-        ({"sensor": {"kind": "lidar"}}, "camera"),
-        ({"rgb": "yes"}, "true or false"),
-    ],
-)
-def test_a_wrong_recipe_names_its_file_and_what_was_wanted(
-    change: dict[str, object], said: str, tmp_path: Path
-) -> None:
-    path = written(tmp_path, {**WELL, **change})
-    with pytest.raises(TorchweatherError, match=said) as caught:
-        read_recipe(path)
-    assert str(path) in str(caught.value)
-
-
-def test_a_missing_key_and_a_file_that_is_no_yaml_are_named(tmp_path: Path) -> None:
-    with pytest.raises(TorchweatherError, match="lacks 'sensor'"):
-        read_recipe(written(tmp_path, {key: value for key, value in WELL.items() if key != "sensor"}))
-    (tmp_path / "broken.yaml").write_text("a: [1,\n  b")
-    with pytest.raises(TorchweatherError, match="YAML"):
-        read_recipe(tmp_path / "broken.yaml")
-    (tmp_path / "object.yaml").write_text("!!python/object/apply:os.getcwd []")
-    with pytest.raises(TorchweatherError, match="YAML"):
-        read_recipe(tmp_path / "object.yaml")
-    with pytest.raises(TorchweatherError, match="no such file"):
-        read_recipe(tmp_path / "none.yaml")
-
-
-def test_unknown_names_and_overrides_are_refused_with_the_nearest() -> None:
-    with pytest.raises(ValueError, match="fog-30m"):
-        read_recipe("fog-31m")
-    with pytest.raises(ValueError, match="'airlight'"):
-        load_recipe("fog-30m", air_light=0.5)
-    with pytest.raises(TorchweatherError, match=r"fog-30m.*camera"):
-        load_recipe("fog-30m", sensor="lidar")
-    with pytest.raises(TorchweatherError, match=r"fog-30m.*airlight"):
-        load_recipe("fog-30m", airlight=3.0)
+def test_inputs_of_a_file_follow_its_keys(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    values = yaml.safe_load((recipes_folder() / "multi_sensor" / "rain-25mm-per-h.yaml").read_text())
+    path.write_text(yaml.safe_dump({**values, "inputs": {"points": {"directions": "beams"}}}))
+    assert load_recipe(path, keys={"points": "LIDAR_TOP"}).inputs == {"LIDAR_TOP": {"directions": "beams"}}
+    assert load_recipe(path, transforms={"points": None}).inputs == {}

@@ -37,18 +37,19 @@ def moved(old: str, homes: str | Mapping[str, Sequence[str]]) -> Callable[[str],
     return find
 
 
-def renamed(old: str, names: Mapping[str, tuple[str, Any]]) -> Callable[[str], Any]:
+def renamed(old: str, names: str | Mapping[str, tuple[str, Any]]) -> Callable[[str], Any]:
     """``__getattr__`` of a module whose names are others now.
 
     Args:
         old: name of the module.
-        names: each old name to the new one in words, and the object.
+        names: each old name to the new one in words, and the object; or the module that has them as ``RENAMED``.
     """
 
     def find(name: str) -> Any:
-        if name not in names:
+        table: Any = importlib.import_module(names).RENAMED if isinstance(names, str) else names
+        if name not in table:
             raise AttributeError(f"module {old!r} has no attribute {name!r}")
-        new, value = names[name]
+        new, value = table[name]
         text = f"{old}.{name} is {new} now; the old name goes with the next release."
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         return value

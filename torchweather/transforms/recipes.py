@@ -1,5 +1,5 @@
-"""Moved to ``torchweather.recipes.recipes``; this path goes with the next release."""
+"""Moved to ``torchweather.recipes``; this path goes with the next release."""
 
 from torchweather.core.moved import moved
 
-__getattr__ = moved(__name__, "torchweather.recipes.recipes")
+__getattr__ = moved(__name__, "torchweather.recipes")

@@ -1,3 +1,5 @@
 """Earlier path of recipes of kind suite; it goes with the next release."""
 
-from torchweather.recipes.suites import __getattr__ as __getattr__
+from torchweather.core.moved import renamed
+
+__getattr__ = renamed(__name__, "torchweather.recipes.suites")

@@ -1,24 +1,11 @@
-"""A recipe as its file states it: a weather, a sensor and a transform with its options.
-
-A recipe holds ``format: torchweather-recipe/1`` and
-
-- ``title``: what it does, in words;
-- ``transform``: ``BayerRain``, ``BayerFog``, ``BayerSnow`` or ``BayerWeather`` for a camera, ``LidarRain``,
-  ``LidarFog``, ``LidarSnow`` or ``LidarWeather`` for a LiDAR, ``RadarAttenuation`` for a radar;
-- ``weather``: ``kind`` and the weather's fields (``parts`` for a mixture);
-- ``sensor``: ``kind``, and a ``preset`` or the sensor's fields; fields beside a preset replace the preset's;
-- ``options``: keyword arguments of the transform; a camera's ``depth`` is a number of metres, ``ground``, or
-  ``auto`` (guessed from the picture);
-- ``rgb``: true for a camera's RGB images, by ``AsBayer`` (default false);
-- ``through_mosaic``: true for RGB images by way of the camera's mosaic (default false).
-"""
+"""A recipe of kind transform: a weather, a sensor, and a transform with its options."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import nn
 
@@ -29,25 +16,22 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import TRANSFORMS, TransformClass
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
+from torchweather.core.schema import refuse_unknown
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
 from torchweather.radar.sensor import Radar
 from torchweather.radar.transform import RadarAttenuation
-from torchweather.recipes.files import RECIPE, check_format, name_of, refuse_unknown
+from torchweather.recipes.files import name_of
 from torchweather.recipes.options import GROUND, OPTIONS
 from torchweather.sensors import SENSOR_CLASSES, sensor_preset
 
-__all__ = ["FORMAT", "Recipe", "as_weather", "built_recipe", "checked_recipe", "sensor_of_values"]
-
-FORMAT = RECIPE + "1"
-REQUIRED = ("format", "title", "transform", "weather", "sensor")
-KEYS = (*REQUIRED, "options", "rgb", "through_mosaic")
+__all__ = ["TransformRecipe", "checked_transform", "refuse_overrides", "sensor_of_values", "transform_class"]
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """A pipeline as its file states it.
+class TransformRecipe:
+    """A weather on one sensor, as its file states it.
 
     Args:
         name: path below the recipes' folder without its ending, such as ``camera/fog-30m``; for a file of one's own,
@@ -62,6 +46,7 @@ class Recipe:
         path: the file.
     """
 
+    kind: ClassVar[str] = "transform"
     name: str
     title: str
     transform: str
@@ -74,7 +59,7 @@ class Recipe:
 
     @property
     def sensor_kind(self) -> str:
-        """``camera``, ``lidar`` or ``radar``, as the transform wants it."""
+        """``camera``, ``lidar`` or ``radar``, as the transform takes it."""
         return kind_of(TRANSFORMS[self.transform])
 
     @property
@@ -82,6 +67,12 @@ class Recipe:
         """``kind:preset``, or the kind where the fields are given."""
         preset = self.sensor.get("preset")
         return f"{self.sensor['kind']}:{preset}" if preset else str(self.sensor["kind"])
+
+    @property
+    def overrides(self) -> list[str]:
+        """Names of what ``for_weather`` can replace."""
+        kind = self.sensor_kind
+        return ["sensor", *(["rgb", "through_mosaic"] if kind == "camera" else []), *OPTIONS[kind]]
 
     def build_weather(self) -> Weather:
         """The weather object."""
@@ -95,40 +86,62 @@ class Recipe:
         """The camera object."""
         return camera_of(self.sensor)
 
+    def build(self, **overrides: Any) -> nn.Module:
+        """The transform, ready to call; the overrides are those of ``load_recipe``."""
+        refuse_overrides(overrides, ["weather", *self.overrides], "load_recipe")
+        weather = overrides.pop("weather", None)
+        try:
+            return self.for_weather(self.build_weather() if weather is None else as_weather(weather), overrides)
+        except (TypeError, ValueError) as error:
+            raise TorchweatherError(f"{self.path or self.name}: {error}") from error
 
-def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options with the depth source that ``ground`` stands for; ``auto`` is known to the transform."""
-    return {key: FlatGround() if key == "depth" and one == GROUND else one for key, one in options.items()}
+    def for_weather(self, weather: Weather, overrides: Mapping[str, Any]) -> nn.Module:
+        """The transform for a weather, its sensor and options overridden."""
+        options = with_depth_source({**self.options, **overrides})
+        sensor, rgb = options.pop("sensor", None), bool(options.pop("rgb", self.rgb))
+        mosaic = bool(options.pop("through_mosaic", self.through_mosaic))
+        built = self.build_sensor() if sensor is None else self._as_sensor(sensor)
+        transform = transform_class(self, weather)(weather, built, **options)
+        if not rgb or not isinstance(transform, BayerWeather):
+            return transform
+        return AsBayer(transform, through_mosaic=mosaic)
+
+    def _as_sensor(self, sensor: Any) -> Camera | Lidar | Radar:
+        kind = self.sensor_kind
+        if isinstance(sensor, Mapping):
+            base = {} if "preset" in sensor else self.sensor
+            return sensor_of_values({"kind": kind, **base, **sensor}, kind)
+        built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
+        if not isinstance(built, SENSOR_CLASSES[kind]):
+            raise InputTypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
+        return built
 
 
-def checked_recipe(values: Any, path: Path) -> Recipe:
-    """The recipe that a file's values state; raises with file and key where they state none."""
-    check_format(values, path, "recipe", FORMAT, required=REQUIRED, known=KEYS)
-    options = values.get("options") or {}
-    for key, value in (("weather", values["weather"]), ("sensor", values["sensor"]), ("options", options)):
-        if not isinstance(value, Mapping):
-            raise TorchweatherError(f"{path}: {key} must be keys with values; got {value!r}.")
-    transform = values["transform"]
-    if transform not in TRANSFORMS:
-        raise TorchweatherError(
-            f"{path}: transform must be one of {', '.join(TRANSFORMS)}; got {transform!r}."
-            f"{nearest_name(transform, TRANSFORMS)}"
-        )
+def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> TransformRecipe:
+    """The recipe of a file's values, whose keys are of the schema.
+
+    Args:
+        values: of the file, or of one of its ``transforms`` with the title and a weather.
+        path: the file.
+        at: dotted key of the values in the file, with a dot at its end.
+
+    Raises:
+        TorchweatherError: with the file and the key.
+    """
+    transform, options = values["transform"], values.get("options", {})
     kind = kind_of(TRANSFORMS[transform])
-    refuse_unknown(options, OPTIONS[kind], path, "option")
+    refuse_unknown(options, OPTIONS[kind], f"{at}options", str(path))
     depth = options.get("depth")
     if isinstance(depth, str) and depth not in (GROUND, AUTO):
         raise TorchweatherError(
-            f"{path}: options.depth must be a number of metres, {GROUND!r} or {AUTO!r}; got {depth!r}."
+            f"{path}: {at}options.depth must be a number of metres, {GROUND!r} or {AUTO!r}; got {depth!r}."
         )
     for key in ("rgb", "through_mosaic"):
-        if not isinstance(values.get(key, False), bool):
-            raise TorchweatherError(f"{path}: {key} must be true or false; got {values[key]!r}.")
         if values.get(key, False) and kind != "camera":
-            raise TorchweatherError(f"{path}: {key} belongs to a camera; the transform is {transform}. Leave it out.")
+            raise TorchweatherError(f"{path}: {at}{key} is for a camera; the transform is {transform}. Leave it out.")
     if values.get("through_mosaic", False) and not values.get("rgb", False):
-        raise TorchweatherError(f"{path}: through_mosaic is for RGB images; add rgb: true, or leave it out.")
-    recipe = Recipe(
+        raise TorchweatherError(f"{path}: {at}through_mosaic is for RGB images; add rgb: true, or leave it out.")
+    recipe = TransformRecipe(
         name=name_of(path),
         title=str(values["title"]),
         transform=transform,
@@ -139,11 +152,11 @@ def checked_recipe(values: Any, path: Path) -> Recipe:
         through_mosaic=values.get("through_mosaic", False),
         path=path,
     )
-    try:
-        recipe.build_weather()
-        recipe.build_sensor()
-    except (TypeError, ValueError, KeyError) as error:
-        raise TorchweatherError(f"{path}: {error}") from error
+    for key, build in (("weather", recipe.build_weather), ("sensor", recipe.build_sensor)):
+        try:
+            build()
+        except (TypeError, ValueError, KeyError) as error:
+            raise TorchweatherError(f"{path}: {at}{key}: {error}") from error
     return recipe
 
 
@@ -152,6 +165,16 @@ def kind_of(transform: TransformClass) -> str:
     if issubclass(transform, RadarAttenuation):
         return "radar"
     return "lidar" if issubclass(transform, LidarWeather) else "camera"
+
+
+def transform_class(recipe: TransformRecipe, weather: Weather) -> type[WeatherTransform]:
+    """The recipe's class; for a weather that it does not take, the one that takes any."""
+    return class_for(TRANSFORMS[recipe.transform], weather)
+
+
+def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with the depth source that ``ground`` stands for; ``auto`` is known to the transform."""
+    return {key: FlatGround() if key == "depth" and one == GROUND else one for key, one in options.items()}
 
 
 def sensor_of_values(values: Mapping[str, Any], kind: str) -> Camera | Lidar | Radar:
@@ -200,23 +223,6 @@ def as_weather(weather: Any) -> Weather:
     return built
 
 
-def _as_sensor(sensor: Any, recipe: Recipe) -> Camera | Lidar | Radar:
-    kind = recipe.sensor_kind
-    if isinstance(sensor, Mapping):
-        base = {} if "preset" in sensor else recipe.sensor
-        return sensor_of_values({"kind": kind, **base, **sensor}, kind)
-    built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
-    if not isinstance(built, SENSOR_CLASSES[kind]):
-        raise InputTypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
-    return built
-
-
-def overrides_of(recipe: Recipe) -> list[str]:
-    """What ``load_recipe`` can be told of a recipe's sensor and transform."""
-    kind = recipe.sensor_kind
-    return ["sensor", *(["rgb", "through_mosaic"] if kind == "camera" else []), *OPTIONS[kind]]
-
-
 def refuse_overrides(given: Iterable[str], known: Iterable[str], owner: str) -> None:
     """Raise for an override that is not known, with the nearest one that is."""
     names = list(known)
@@ -225,20 +231,3 @@ def refuse_overrides(given: Iterable[str], known: Iterable[str], owner: str) -> 
             raise InputValueError(
                 f"{owner}: unknown override {key!r}; known are {', '.join(names)}.{nearest_name(key, names)}"
             )
-
-
-def built_recipe(recipe: Recipe, weather: Weather, overrides: Mapping[str, Any]) -> nn.Module:
-    """The transform of a recipe for a weather, its sensor and options overridden."""
-    options = with_depth_source({**recipe.options, **overrides})
-    sensor, rgb = options.pop("sensor", None), bool(options.pop("rgb", recipe.rgb))
-    mosaic = bool(options.pop("through_mosaic", recipe.through_mosaic))
-    built = recipe.build_sensor() if sensor is None else _as_sensor(sensor, recipe)
-    transform = transform_class(recipe, weather)(weather, built, **options)
-    if not rgb or not isinstance(transform, BayerWeather):
-        return transform
-    return AsBayer(transform, through_mosaic=mosaic)
-
-
-def transform_class(recipe: Recipe, weather: Weather) -> type[WeatherTransform]:
-    """The recipe's class; for a weather that it does not take, the one that takes any."""
-    return class_for(TRANSFORMS[recipe.transform], weather)

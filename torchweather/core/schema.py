@@ -1,0 +1,119 @@
+"""Tables of keys for mappings out of a file: unknown, missing and wrong keys are refused by their dotted name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from torchweather.core.errors import TorchweatherError, nearest_name
+
+__all__ = [
+    "FLAG",
+    "MAPPING",
+    "NUMBER",
+    "SHARE",
+    "TEXT",
+    "Key",
+    "check_format",
+    "check_keys",
+    "is_number",
+    "is_whole",
+    "one_of",
+    "refuse_unknown",
+]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a mapping.
+
+    Args:
+        takes: its values in words, for messages.
+        fits: whether it takes a value.
+        required: it must be there; another key may be absent or without a value.
+        names: its values, where they are names; the nearest is suggested.
+    """
+
+    takes: str
+    fits: Callable[[Any], bool]
+    required: bool = False
+    names: tuple[str, ...] = ()
+
+    @property
+    def needed(self) -> Key:
+        """The same key, which must be there."""
+        return replace(self, required=True)
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a number; true and false are none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def one_of(names: Iterable[str]) -> Key:
+    """A key that takes one of several names."""
+    known = tuple(names)
+    return Key(f"one of {', '.join(known)}", lambda value: isinstance(value, str) and value in known, names=known)
+
+
+TEXT = Key("text", lambda value: isinstance(value, str))
+FLAG = Key("true or false", lambda value: isinstance(value, bool))
+NUMBER = Key("a number", is_number)
+SHARE = Key("a number in [0, 1]", lambda value: is_number(value) and 0 <= value <= 1)
+MAPPING = Key("keys with values", lambda value: isinstance(value, Mapping))
+
+
+def check_format(values: Any, form: str, file: str, what: str) -> None:
+    """Raise unless the values of a file are a mapping whose ``format`` is ``form``."""
+    got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
+    if not isinstance(values, Mapping) or got != form:
+        raise TorchweatherError(f"{file}: format must be {form!r}; got {got!r}. Expected {what}.")
+
+
+def check_keys(values: Any, keys: Mapping[str, Key], file: str, at: str = "") -> None:
+    """Raise unless ``values`` is a mapping with the keys that it needs and no others, each with a value that fits.
+
+    Args:
+        values: of the file.
+        keys: by name.
+        file, at: the file and the dotted key of the mapping, for messages.
+
+    Example:
+        >>> try:
+        ...     check_keys({"kind": "fgo"}, {"kind": one_of(["rain", "fog"])}, "a.yaml", "weather")
+        ... except TorchweatherError as error:
+        ...     print(error)
+        a.yaml: weather.kind must be one of rain, fog; got 'fgo'. Did you mean 'fog'?
+    """
+    if not isinstance(values, Mapping):
+        raise TorchweatherError(f"{file}: {at or 'it'} must be {MAPPING.takes}: {', '.join(keys)}; got {values!r}.")
+    refuse_unknown(values, keys, at, file)
+    for name, key in keys.items():
+        where, value = f"{at}.{name}" if at else name, values.get(name)
+        if key.required and name not in values:
+            raise TorchweatherError(f"{file}: {where} is missing; expected {key.takes}.")
+        if not key.fits(value) and (key.required or value is not None):
+            near = nearest_name(value, key.names)
+            raise TorchweatherError(f"{file}: {where} must be {key.takes}; got {_short(value)}.{near}")
+
+
+def refuse_unknown(values: Mapping[str, Any], known: Iterable[str], at: str, file: str) -> None:
+    """Raise for a key that is none of the known ones, with the nearest of them."""
+    names = list(known)
+    for name in values:
+        if name not in names:
+            where = f"{at}.{name}" if at else str(name)
+            raise TorchweatherError(
+                f"{file}: unknown key {where!r}; known are {', '.join(names)}.{nearest_name(name, names)}"
+            )
+
+
+def _short(value: object) -> str:
+    shown = repr(value)
+    return shown if len(shown) <= 200 else f"{shown[:197]}..."
