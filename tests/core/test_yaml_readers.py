@@ -75,7 +75,12 @@ MATRIX = "[[1.0, 0.0, 0.0, @], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 2.0]]"
 def study(path: Path) -> Any:
     """A study of links, whose files are there."""
     split = np.array([0, 0])
-    of_links = {"length_km": np.ones(2), "frequency_ghz": np.full(2, 20.0), "polarisation": split, "split": split}
+    of_links: dict[str, Any] = {
+        "length_km": np.ones(2),
+        "frequency_ghz": np.full(2, 20.0),
+        "polarisation": split,
+        "split": split,
+    }
     np.savez(path.parent / "a.npz", **of_links)
     return Study.read(path.parent)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def test_every_file_is_one_recipe_of_one_kind() -> None:
 
 @pytest.mark.parametrize("recipe", list_recipes("transform"), ids=lambda recipe: recipe.name)
 def test_a_transform_builds_and_comes_back_from_its_own_file(recipe: Any, tmp_path: Path) -> None:
-    given = {"sensor": SMALL, "depth": 30.0, "airlight": 0.7} if recipe.sensor_kind == "camera" else {}
+    given: dict[str, Any] = {"sensor": SMALL, "depth": 30.0, "airlight": 0.7} if recipe.sensor_kind == "camera" else {}
     transform = load_recipe(recipe.name, **given)
     assert type(transform).__name__ == recipe.transform
     assert recipe.name.startswith(f"{recipe.sensor_kind}/")
@@ -92,7 +93,7 @@ def test_a_compose_comes_back_from_its_own_file(recipe: Any, tmp_path: Path) -> 
 
 def test_the_conditions_of_d34_are_there() -> None:
     recipes = list_recipes("transform")
-    weathers = [recipe.build_weather() for recipe in recipes if recipe.sensor_kind == "camera"]
+    weathers: list[Any] = [recipe.build_weather() for recipe in recipes if recipe.sensor_kind == "camera"]
     assert {float(w.rate_mm_per_h) for w in weathers if isinstance(w, tw.Rain)} == D34_RAIN
     assert {float(w.mor_m) for w in weathers if isinstance(w, tw.Fog)} == D34_FOG
     snow = [w for w in weathers if isinstance(w, tw.Snow) and w.size_distribution == "brandes"]
@@ -353,7 +354,7 @@ def fog(**more: Any) -> tw.BayerFog:
     return tw.BayerFog(tw.Fog(mor_m=50.0), SMALL, **more)
 
 
-NOT_SAVED = {
+NOT_SAVED: dict[str, tuple[Callable[[], Any], str]] = {
     "DepthMap": (lambda: fog(depth=DepthMap(torch.ones(24, 32))), "mine.yaml"),
     "quantise": (lambda: without(fog(), "quantise"), "mine.yaml"),
     "radar_detection": (lambda: without(tw.RadarAttenuation(tw.Rain(12.0), AWR), "radar_detection"), "mine.yaml"),

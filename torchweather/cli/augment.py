@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("source", type=Path, metavar="SRC", help="root of the data set; it is only read")
     parser.add_argument("target", type=Path, metavar="DST", help="root of the results: new, or of an earlier run")
-    parser.add_argument("--recipe", required=True, help="a ready-made pipeline (see torchweather list), or a file")
+    parser.add_argument("--recipe", required=True, help="a recipe (see torchweather list), or a file of one's own")
     parser.add_argument("--workers", type=int, default=1, help="processes; 0: none but this one; default 1")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--layout", choices=LAYOUTS, default="auto", help="of SRC; default: what its folders say")

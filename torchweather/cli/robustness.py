@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 NAME = "robustness"
 SUMMARY = "an ONNX detector in weather of five severities: a page, mean corruption error, resilience rate"
-DESCRIPTION = """Puts the weathers of a suite (torchweather list) on labelled frames or clouds, runs an ONNX detector on
-them with onnxruntime, and compares its answer with the ground truth. Writes robustness.csv, performance.csv,
+DESCRIPTION = """Puts the weathers of a recipe (torchweather list) on labelled frames or clouds, runs an ONNX detector
+on them with onnxruntime, and compares its answer with the ground truth. Writes robustness.csv, performance.csv,
 scores.csv, robustness.json, index.html and correlation/. The detector's inputs, outputs and decoder are declared in
 YAML; without a declaration one is written from the graph, to be filled in. DIR holds images/ (or clouds/; else the
 files lie in DIR), depth/ with a map for each image, and the truth: annotations.json (COCO) for boxes, labels/ for
-segmentation. A single recipe is one condition. Guessed depth, such as flat ground, is refused unless
+segmentation. A recipe of kind transform is one condition. Guessed depth, such as flat ground, is refused unless
 --allow-guessed-depth is given."""
 
 # By the sensor: arguments that belong to it.
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="its inputs, outputs and decoder; default the model's name with .yaml; written where there is none",
     )
     parser.add_argument(
-        "--recipe", help="suite or recipe, by name or file; default the sensor's suite, such as camera/robustness"
+        "--recipe", help="recipe of kind suite or transform; default the sensor's suite, such as camera/robustness"
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="frames or clouds, depth, truth")
     parser.add_argument(

@@ -172,7 +172,7 @@ class _Loader(yaml.SafeLoader):
         key = index.value if isinstance(index, yaml.ScalarNode) else index if isinstance(index, int) else "?"
         self.path.append(key)
         if len(self.path) > MAX_DEPTH:
-            line = self.peek_event().start_mark.line
+            line = self.peek_event().start_mark.line  # type: ignore[no-untyped-call]
             raise _Refused(f"it is nested more than {MAX_DEPTH} levels deep", tuple(self.path[1:]), line)
         node = super().compose_node(parent, index)
         self.path.pop()

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
 from torchweather.camera.options import CameraOptions
-from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import plan_of, sensor_of
 from torchweather.core.errors import InputValueError
@@ -20,8 +19,8 @@ from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.effect import Effect
+from torchweather.pipeline.sensor import Sensor
 from torchweather.radar.options import RadarOptions
-from torchweather.radar.sensor import Radar
 from torchweather.radar.transform import RadarAttenuation
 
 __all__ = [
@@ -44,7 +43,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-def sensor_values(sensor: Camera | Lidar | Radar) -> dict[str, Any]:
+def sensor_values(sensor: Sensor) -> dict[str, Any]:
     """A sensor as a recipe holds it: all its fields that are set."""
     if isinstance(sensor, Lidar) and sensor.directions is not None:
         raise InputValueError(
