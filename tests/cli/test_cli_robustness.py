@@ -229,7 +229,7 @@ WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "decoder": (with_declaration(decoder="boxen"), "decoder must be one of boxes, yolov8"),
     "input": (with_declaration(input={"name": "picture"}), "the declaration says input 'picture'"),
     "empty folder": (emptied("images"), "no images; wanted"),
-    "no truth": (emptied("annotations.json"), "wanted ground truth as COCO's JSON"),
+    "no truth": (emptied("annotations.json"), "expected JSON with ground truth, COCO's"),
     "truth of another frame": (renamed_frame, "no ground truth for x"),
     "no depth": (emptied("depth"), "no depth map for 0.png"),
     "no data": (replaced("--data", "/nowhere/at/all"), "no such folder"),
@@ -243,7 +243,7 @@ WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "overlap": (replaced("--iou", "50"), "--iou must be numbers in (0, 1]"),
     "metric": (replaced("--metrics", "pnsr"), "Did you mean 'psnr'"),
     "seeds": (replaced("--seeds", "0"), "seeds must be 1 or more"),
-    "baseline": (replaced("--baseline", "/nowhere"), "wanted the robustness.json of another run"),
+    "baseline": (replaced("--baseline", "/nowhere"), "expected JSON with the result of another run"),
 }
 
 

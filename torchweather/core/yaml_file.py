@@ -18,7 +18,7 @@ import yaml
 
 from torchweather.core.exceptions import TorchweatherError
 
-__all__ = ["dump_yaml", "parse_json", "parse_yaml", "read_yaml"]
+__all__ = ["dump_yaml", "parse_json", "parse_yaml", "read_json", "read_yaml"]
 
 MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 50
@@ -71,16 +71,19 @@ def read_yaml(
         ...     print(str(error).removeprefix(f"{file}: "))
         fog.mor_m: expected YAML with a weather; the key 'mor_m' stands twice (line 1).
     """
+    return parse_yaml(_text(path, f"YAML with {what}", max_bytes), str(path), what, number_keys=number_keys)
+
+
+def _text(path: str | os.PathLike[str], wanted: str, max_bytes: float) -> str:
     file = Path(path)
     try:
         if (size := file.stat().st_size) > max_bytes:
-            raise TorchweatherError(f"{file}: expected YAML with {what}, {max_bytes} bytes at most; got {size} bytes.")
-        text = file.read_text(encoding="utf-8")
+            raise TorchweatherError(f"{file}: expected {wanted}, {max_bytes} bytes at most; got {size} bytes.")
+        return file.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise TorchweatherError(f"{file}: no such file; expected YAML with {what}.") from error
+        raise TorchweatherError(f"{file}: no such file; expected {wanted}.") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise TorchweatherError(f"{file}: expected YAML with {what}; it cannot be read: {error}.") from error
-    return parse_yaml(text, str(file), what, number_keys=number_keys)
+        raise TorchweatherError(f"{file}: expected {wanted}; it cannot be read: {error}.") from error
 
 
 def parse_yaml(
@@ -115,6 +118,11 @@ def parse_yaml(
     finally:
         if loader is not None:
             loader.dispose()
+
+
+def read_json(path: str | os.PathLike[str], what: str) -> Any:
+    """Plain values of a JSON file, as ``parse_json`` gives them."""
+    return parse_json(_text(path, f"JSON with {what}", math.inf), str(path), what)
 
 
 def parse_json(text: str, file: str, what: str) -> Any:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.schema import check_format
+from torchweather.core.yaml_file import read_json
 from torchweather.evaluation.robustness.result import RobustnessResult
 
 __all__ = ["RESULT_FORMAT", "read_baseline"]
@@ -26,15 +27,8 @@ def read_baseline(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     file = Path(path)
     file = file / "robustness.json" if file.is_dir() else file
-    try:
-        values: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{file}: no such file; wanted the robustness.json of another run.") from error
-    except (OSError, ValueError) as error:
-        raise TorchweatherError(f"{file}: wanted the robustness.json of another run; got no JSON ({error}).") from error
-    if not isinstance(values, dict) or values.get("format") != RESULT_FORMAT:
-        got = values.get("format") if isinstance(values, dict) else type(values).__name__
-        raise TorchweatherError(f"{file}: wanted a result of format {RESULT_FORMAT!r}; got {got!r}.")
+    values: Any = read_json(file, "the result of another run, robustness.json")
+    check_format(values, RESULT_FORMAT, str(file), "the result of another run")
     return {**values, "path": str(file)}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections import defaultdict
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.yaml_file import read_json
 from torchweather.io import read_image
 from torchweather.io.labels import read_labels
 
@@ -58,17 +58,15 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
         TorchweatherError: the file is missing or no such JSON, or has no category that the detector knows.
     """
     file = Path(path)
+    values = read_json(file, "ground truth, COCO's")
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
         images = {each["id"]: Path(each["file_name"]).stem for each in values["images"]}
         names = {each["id"]: str(each["name"]) for each in values["categories"]}
         boxes = [
             (images[each["image_id"]], names[each["category_id"]], [float(v) for v in each["bbox"]], each)
             for each in values["annotations"]
         ]
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{file}: no such file; wanted ground truth as COCO's JSON.") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise TorchweatherError(
             f"{file}: wanted ground truth as COCO's JSON (images, annotations, categories); it cannot be read "
