@@ -32,7 +32,7 @@ def test_as_many_particles_are_drawn_as_expected(weather: Rain | Snow) -> None:
     depth = torch.full((1, 48, 64), DEPTH_M)
     expected = falling_numbers(transform, depth)["particles_drawn_one_by_one"]
     part = populations(transform)[0]
-    state = CameraState(
+    state = CameraState.of(
         signal=torch.zeros(1, 1, 48, 64),
         depth_m=depth[None],
         ray_per_depth=torch.ones(1, 1, 48, 64),

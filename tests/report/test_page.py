@@ -30,7 +30,6 @@ SAMPLES: dict[str, parts.Part] = {
     "Prose": parts.Prose([EVIL, parts.markup("<em>{}</em>", EVIL)]),
     "Heading": parts.Heading(EVIL, EVIL),
     "Facts": parts.Facts([(EVIL, EVIL)]),
-    "Big": parts.Big([(EVIL, EVIL)]),
     "Legend": parts.Legend([parts.Key(EVIL, "#fff"), parts.Key(EVIL, glyph=EVIL)], chart=True),
     "Table": parts.Table(
         [EVIL, parts.Column(EVIL, "words"), "n"],
@@ -40,7 +39,6 @@ SAMPLES: dict[str, parts.Part] = {
     "Figure": FIGURE,
     "Pictures": parts.Pictures([FIGURE, FIGURE]),
     "Listing": parts.Listing([EVIL]),
-    "Definitions": parts.Definitions([(EVIL, EVIL)]),
     "Code": parts.Code(EVIL),
     "Details": parts.Details(EVIL, [parts.Note(EVIL)]),
     "Columns": parts.Columns([(EVIL, [parts.Note(EVIL)]), (EVIL, [])]),

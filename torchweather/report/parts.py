@@ -106,16 +106,10 @@ class Heading(Part):
 
 @dataclass(frozen=True)
 class Facts(Part):
-    """Names and values in a row."""
+    """Names with values: in a row (``facts``), as large numbers (``big``), or one below the other (``reasons``)."""
 
     items: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Big(Part):
-    """Large numbers in a row, each with what it is."""
-
-    items: Sequence[tuple[str, str]]
+    look: str = "facts"
 
 
 @dataclass(frozen=True)
@@ -226,13 +220,6 @@ class Listing(Part):
     """A list with bullets."""
 
     items: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Definitions(Part):
-    """Terms and what is to be said of each."""
-
-    items: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)

@@ -153,9 +153,9 @@ def _lead(summary: Mapping[str, Any], result: RobustnessResult, found: Rates) ->
         relative = f"the baseline, {summary['baseline']}"
     rate = "resilience rate (mRR): share of it that the weather leaves, mean over weathers"
     big = [
-        (clear, f"{result.measure} in clear air{f'; {interval} over the frames, 95 %' if interval else ''}"),
-        (_percent(found.mean_resilience), rate),
-        (fixed_text(found.mean_corruption_error), f"corruption error (mCE), relative to {relative}"),
+        (f"{result.measure} in clear air{f'; {interval} over the frames, 95 %' if interval else ''}", clear),
+        (rate, _percent(found.mean_resilience)),
+        (f"corruption error (mCE), relative to {relative}", fixed_text(found.mean_corruption_error)),
     ]
     facts = [
         ("model", summary["model"]),
@@ -167,7 +167,7 @@ def _lead(summary: Mapping[str, Any], result: RobustnessResult, found: Rates) ->
         ("version", summary["torchweather"]),
     ]
     notes = map(parts.Note, summary["notes"])
-    return [parts.Paragraph(text, "lead"), parts.Big(big), parts.Facts(facts), *notes]
+    return [parts.Paragraph(text, "lead"), parts.Facts(big, "big"), parts.Facts(facts), *notes]
 
 
 def _overview(result: RobustnessResult, found: Rates) -> parts.Table:

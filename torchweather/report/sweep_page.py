@@ -95,7 +95,7 @@ def write_sweep(
             "seeds": list(seeds),
             "table": f"scores.{table}",
             "notes": list(notes),
-            "depth": least_sure(*(getattr(subject, "depth_confidence", EXACT) for subject in subjects)),
+            "depth": least_sure(*(getattr(subject, "depth_confidence", "") or EXACT for subject in subjects)),
             "machine": machine(),
             "series": records,
             "seconds": round(time.perf_counter() - started, 3),
@@ -257,7 +257,7 @@ def _section(number: int, record: Mapping[str, Any], series: Series, trends: Ser
     ]
     if misses:
         scores = "one score does" if len(misses) == 1 else f"{len(misses)} scores do"
-        found += [parts.Heading(f"Why {scores} not follow"), parts.Definitions(misses)]
+        found += [parts.Heading(f"Why {scores} not follow"), parts.Facts(misses, "reasons")]
     found.append(_numbers(record, series, trends))
     return Section(f"{_title(series)}, {series.scene}", found, id=f"part-{number}")
 
