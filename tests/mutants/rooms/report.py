@@ -31,4 +31,28 @@ MUTANTS = (
         "undefined=jinja2.Undefined",
         ("tests/report/test_page.py::test_a_missing_value_is_an_error",),
     ),
+    Mutant(
+        "figure_without_words",
+        "a figure without a text for those who do not see it is refused",
+        "torchweather.report.parts",
+        "if not self.alt:",
+        "if self.alt is None:",
+        ("tests/report/test_page.py::test_a_figure_without_words_for_it_is_refused",),
+    ),
+    Mutant(
+        "link_not_quoted",
+        "a file's name in a link is quoted",
+        "torchweather.report.parts",
+        'target if target.startswith("#") else quote(target)',
+        "target",
+        ("tests/report/test_page.py::test_markup_stays_and_what_is_filled_in_does_not",),
+    ),
+    Mutant(
+        "markup_not_escaped",
+        "values that are filled into markup are escaped",
+        "torchweather.report.parts",
+        "return Markup(text).format(*values, **named)",
+        "return Markup(text.format(*values, **named))",
+        ("tests/report/test_page.py::test_markup_stays_and_what_is_filled_in_does_not",),
+    ),
 )
