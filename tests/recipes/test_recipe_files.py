@@ -27,6 +27,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "multi_sensor": {"weather": {"kind": "rain", "rate_mm_per_h": 25.0}, "transforms": {"points": LIDAR}, "p": 1.0},
     "suite": {"sensor": {"kind": "camera"}, "weathers": {"rain": {"rate_mm_per_h": RATES}}},
 }
+KITTI = {"kind": "camera", "preset": "kitti"}
 VLP = {"kind": "lidar", "preset": "velodyne-vlp-16"}
 
 
@@ -80,6 +81,15 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
         ({"weather": 3}, "weather must be keys with values; got 3"),
         ({"sensor": {"kind": "camera", "preset": "lucid"}}, "sensor: .*lucid-triton"),
         ({"sensor": {"kind": "lidar"}}, "sensor.kind must be camera; got 'lidar'"),
+        (
+            {"sensor": {"kind": "camera", "preset": "kitti", "widht": 3}},
+            "unknown key 'sensor.widht'.*Did you mean 'width'",
+        ),
+        (
+            {"sensor": {"kind": "camera", "preset": "kitti", "width": 3.5}},
+            "sensor.width must be a whole number; got 3.5",
+        ),
+        ({"rgb": None}, "rgb must be true or false; got None"),
         ({"rgb": "yes"}, "rgb must be true or false; got 'yes'"),
         ({"through_mosaic": True}, "through_mosaic is for RGB images"),
         ({"transform": "LidarFog", "sensor": VLP, "options": {}, "rgb": True}, "rgb is for a camera"),
@@ -96,7 +106,10 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
         ({"weather": {"choice": [None], "weight": [1]}}, "weather: wanted choice"),
         ({"transforms": {"points": {**LIDAR, "sensors": 1}}}, "unknown key 'transforms.points.sensors'.*'sensor'"),
         ({"transforms": {"points": {**LIDAR, "transform": "LidarRian"}}}, "transforms.points.transform.*'LidarRain'"),
-        ({"transforms": {"points": {**LIDAR, "sensor": RADAR}}}, "transforms.points.sensor: sensor.kind must be lidar"),
+        (
+            {"transforms": {"points": {**LIDAR, "sensor": RADAR}}},
+            "transforms.points.sensor.kind must be lidar",
+        ),
         ({"transforms": {"points": {**LIDAR, "options": {"lsot": "nan"}}}}, "'transforms.points.options.lsot'.*'lost'"),
         ({"transforms": {"points": {"sensor": LIDAR["sensor"]}}}, "transforms.points.transform is missing"),
         ({"transforms": {"points": 3}}, "transforms.points must be keys with values"),

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from torchweather.core.errors import TorchweatherError, nearest_name
 
 __all__ = [
+    "ANY",
     "FLAG",
     "MAPPING",
     "NUMBER",
+    "NUMBERS",
     "SHARE",
     "TEXT",
+    "WHOLE",
     "Key",
     "check_format",
     "check_keys",
+    "field_keys",
     "is_number",
     "is_whole",
     "one_of",
@@ -31,19 +35,26 @@ class Key:
     Args:
         takes: its values in words, for messages.
         fits: whether it takes a value.
-        required: it must be there; another key may be absent or without a value.
+        required: it must be there.
         names: its values, where they are names; the nearest is suggested.
+        null: it may stand without a value.
     """
 
     takes: str
     fits: Callable[[Any], bool]
     required: bool = False
     names: tuple[str, ...] = ()
+    null: bool = False
 
     @property
     def needed(self) -> Key:
         """The same key, which must be there."""
         return replace(self, required=True)
+
+    @property
+    def or_null(self) -> Key:
+        """The same key, which may stand without a value."""
+        return replace(self, null=True)
 
 
 def is_number(value: object) -> bool:
@@ -56,16 +67,24 @@ def is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
+def _is_number_or_list(value: object) -> bool:
+    return is_number(value) or NUMBERS.fits(value)
+
+
 def one_of(names: Iterable[str]) -> Key:
     """A key that takes one of several names."""
     known = tuple(names)
-    return Key(f"one of {', '.join(known)}", lambda value: isinstance(value, str) and value in known, names=known)
+    takes = f"one of {', '.join(known)}" if len(known) > 1 else known[0]
+    return Key(takes, lambda value: isinstance(value, str) and value in known, names=known)
 
 
 TEXT = Key("text", lambda value: isinstance(value, str))
 FLAG = Key("true or false", lambda value: isinstance(value, bool))
 NUMBER = Key("a number", is_number)
 SHARE = Key("a number in [0, 1]", lambda value: is_number(value) and 0 <= value <= 1)
+WHOLE = Key("a whole number", is_whole)
+NUMBERS = Key("a list of numbers", lambda value: isinstance(value, list) and all(map(_is_number_or_list, value)))
+ANY = Key("a value", lambda value: True)
 MAPPING = Key("keys with values", lambda value: isinstance(value, Mapping))
 
 
@@ -92,15 +111,35 @@ def check_keys(values: Any, keys: Mapping[str, Key], file: str, at: str = "") ->
         a.yaml: weather.kind must be one of rain, fog; got 'fgo'. Did you mean 'fog'?
     """
     if not isinstance(values, Mapping):
-        raise TorchweatherError(f"{file}: {at or 'it'} must be {MAPPING.takes}: {', '.join(keys)}; got {values!r}.")
+        raise TorchweatherError(
+            f"{file}: {at or 'it'} must be {MAPPING.takes}: {', '.join(keys)}; got {_short(values)}."
+        )
     refuse_unknown(values, keys, at, file)
     for name, key in keys.items():
         where, value = f"{at}.{name}" if at else name, values.get(name)
-        if key.required and name not in values:
-            raise TorchweatherError(f"{file}: {where} is missing; expected {key.takes}.")
-        if not key.fits(value) and (key.required or value is not None):
-            near = nearest_name(value, key.names)
-            raise TorchweatherError(f"{file}: {where} must be {key.takes}; got {_short(value)}.{near}")
+        if name not in values:
+            if key.required:
+                raise TorchweatherError(f"{file}: {where} is missing; expected {key.takes}.")
+        elif not key.fits(value) and not (key.null and value is None):
+            advice = nearest_name(value, key.names)
+            if isinstance(value, str) and "number" in key.takes:  # YAML 1.1 takes 1e-3 for text
+                advice = " It is text; a number has a point: 1.0e-3, not 1e-3."
+            raise TorchweatherError(f"{file}: {where} must be {key.takes}; got {_short(value)}.{advice}")
+
+
+def field_keys(kind: type) -> dict[str, Key]:
+    """Keys of a dataclass's fields after their annotations, none of which must be there.
+
+    Args:
+        kind: a dataclass of numbers, text, true or false, and tuples or tensors of numbers.
+    """
+    by_type = {"tuple": NUMBERS, "Tensor": NUMBERS, "str": TEXT, "bool": FLAG, "int": WHOLE}
+    found = {}
+    for one in fields(kind):
+        annotation = str(one.type)
+        key = by_type.get(annotation.partition("[")[0].partition(" ")[0], NUMBER)
+        found[one.name] = key.or_null if "None" in annotation else key
+    return found
 
 
 def refuse_unknown(values: Mapping[str, Any], known: Iterable[str], at: str, file: str) -> None:

@@ -22,7 +22,7 @@ MODEL_FORMAT = "torchweather-model/1"
 KEYS = {
     "format": TEXT.needed,
     "effects": Key("a list of effects", lambda value: isinstance(value, list), required=True),
-    "empirical": Key(f"{MAPPING.takes}, the arguments of an Empirical stage", MAPPING.fits),
+    "empirical": Key(f"{MAPPING.takes}, the arguments of an Empirical stage", MAPPING.fits).or_null,
 }
 T = TypeVar("T", bound=RecipeTransform)
 

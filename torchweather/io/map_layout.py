@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
-from torchweather.core.schema import refuse_unknown
+from torchweather.core.schema import NUMBERS, Key, check_keys, field_keys
 from torchweather.core.yaml_file import read_yaml
 from torchweather.radar.power_map import MAP_DIMENSIONS, MapAxes, PowerScale
 
@@ -117,6 +117,14 @@ class MapLayout:
         return PowerScale.steps(self.step_db, self.bottom_db) if kind == "db_steps" else PowerScale(kind)
 
 
+AXIS = Key("a list of numbers, or first and step", lambda value: NUMBERS.fits(value) or isinstance(value, Mapping))
+KEYS = {
+    **field_keys(MapLayout),
+    **dict.fromkeys(AXES.values(), AXIS.or_null),
+    "dims": Key(f"a list of {', '.join(MAP_DIMENSIONS)}", lambda value: isinstance(value, list)).or_null,
+}
+
+
 def _turning(first_m: float, step_m: float) -> MapLayout:
     return MapLayout(range_m={"first": first_m, "step": step_m})
 
@@ -151,10 +159,7 @@ def map_layout(name_or_path: str) -> MapLayout:
         return MAP_LAYOUTS[name_or_path]
     path = Path(name_or_path)
     content = read_yaml(path, "the layout of a radar map")
-    known = [one.name for one in fields(MapLayout)]
-    if not isinstance(content, dict):
-        raise TorchweatherError(f"{path}: expected YAML with {', '.join(known)}; got {type(content).__name__}.")
-    refuse_unknown(content, known, "", str(path))
+    check_keys(content, KEYS, str(path))
     try:
         return MapLayout(**content)
     except (TypeError, ValueError) as error:

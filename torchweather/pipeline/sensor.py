@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
 from functools import lru_cache
@@ -13,6 +12,7 @@ from typing import Any, ClassVar, Self
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.schema import ANY, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import parse_yaml, read_yaml
 
 __all__ = ["Sensor"]
@@ -79,20 +79,17 @@ class Sensor:
     @classmethod
     def _from_file(cls, path: Path, overrides: Mapping[str, Any]) -> Self:
         """The sensor of a YAML file; errors carry the path and the field."""
-        values = _loaded(path, cls.kind)
-        kinds = {field.name: str(field.type) for field in fields(cls)}  # type: ignore[arg-type]
-        for key, value in values.items():
-            if key in _OTHER_KEYS:
-                continue
-            if key not in kinds:
-                near = nearest_name(key, [*kinds, *_OTHER_KEYS])
-                calibration = "" if near else " A calibration of OpenCV or ROS is read by --camera FILE."
-                raise TorchweatherError(f"{path}: {key}: no field of a {cls.kind}.{near or calibration}")
-            wanted = _wanted(kinds[key], value)
-            if wanted:
-                raise TorchweatherError(f"{path}: {key}: expected {wanted}; got {value!r}.")
-        if values.get("kind", cls.kind) != cls.kind:
-            raise TorchweatherError(f"{path}: kind: expected {cls.kind}; got {values['kind']!r}.")
+        values = read_yaml(path, f"the fields of a {cls.kind}")
+        if isinstance(values, dict) and list(values) == [cls.kind]:  # one section, named by the kind
+            values = values[cls.kind]
+        keys = {"kind": one_of([cls.kind]), "preset": one_of(_presets()[cls.kind]), "source": ANY, **field_keys(cls)}
+        for key in values if isinstance(values, dict) else ():
+            if key not in keys and not nearest_name(key, keys):
+                raise TorchweatherError(
+                    f"{path}: unknown key {key!r}: no field of a {cls.kind}. A calibration of OpenCV or ROS is read by "
+                    "--camera FILE."
+                )
+        check_keys(values, keys, str(path))
         given = {key: value for key, value in values.items() if key not in _OTHER_KEYS} | dict(overrides)
         preset = values.get("preset")
         required = [field.name for field in fields(cls) if field.default is field.default_factory is MISSING]  # type: ignore[arg-type]
@@ -103,10 +100,7 @@ class Sensor:
                 "preset to start from."
             )
         try:
-            if preset is None:
-                return cls.from_dict(given)
-            check_one_of("preset", preset, _presets()[cls.kind], owner=cls)
-            return cls.preset(preset, **given)
+            return cls.from_dict(given) if preset is None else cls.preset(preset, **given)
         except (ValueError, TypeError) as error:
             raise TorchweatherError(f"{path}: {error}") from error
 
@@ -121,42 +115,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Tensor):
         return value.tolist()
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
-
-
-def _loaded(path: Path, kind: str) -> dict[str, Any]:
-    """Keys and values of a sensor file; a file that holds one section named by its kind is taken from there."""
-    content = read_yaml(path, f"the fields of a {kind}")
-    if isinstance(content, dict) and list(content) == [kind] and isinstance(content[kind], dict):
-        content = content[kind]
-    if not isinstance(content, dict):
-        shown = "nothing" if content is None else type(content).__name__
-        raise TorchweatherError(
-            f"{path}: expected YAML with the fields of a {kind}, one 'name: value' a line; got {shown}."
-        )
-    return content
-
-
-def _wanted(annotation: str, value: Any) -> str:
-    """The kind of value that a field takes, in words; empty where ``value`` is one."""
-    if value is None and "None" in annotation:
-        return ""
-    if annotation.startswith(("tuple", "Tensor")):
-        return "" if isinstance(value, list) and _all_numbers(value) else "a list of numbers"
-    if annotation.startswith("str"):
-        return "" if isinstance(value, str) else "text"
-    if annotation.startswith("bool"):
-        return "" if isinstance(value, bool) else "true or false"
-    if annotation.startswith("int"):
-        return "" if isinstance(value, int) and not isinstance(value, bool) else "a whole number"
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    # YAML 1.1 takes 1e-3 for text.
-    return "" if number else "a number (with a point: 1.0e-3, not 1e-3)" if isinstance(value, str) else "a number"
-
-
-def _all_numbers(values: list[Any]) -> bool:
-    return all(
-        _all_numbers(value)
-        if isinstance(value, list)
-        else isinstance(value, numbers.Real) and not isinstance(value, bool)
-        for value in values
-    )

@@ -97,8 +97,7 @@ def checked_multi_sensor(values: Mapping[str, Any], path: Path) -> MultiSensorRe
     recipes = {}
     for key, one in values["transforms"].items():
         check_keys(one, OF_A_SENSOR, file, f"transforms.{key}")
-        given = {name: value for name, value in one.items() if value is not None}
-        whole = {"title": values["title"], "weather": first.to_dict(), **given}
+        whole = {"title": values["title"], "weather": first.to_dict(), **one}
         recipes[key] = checked_transform(whole, path, f"transforms.{key}.")
     options = {key: values[key] for key in OF_COMPOSE if key in values}
     inputs = options.get("inputs", {})

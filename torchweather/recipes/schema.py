@@ -48,7 +48,7 @@ TITLE = Key("text", lambda value: not isinstance(value, (Mapping, list)), requir
 OF_A_SENSOR: dict[str, Key] = {
     "transform": one_of(TRANSFORMS).needed,
     "sensor": MAPPING.needed,
-    "options": MAPPING,
+    "options": MAPPING.or_null,
     "rgb": FLAG,
     "through_mosaic": FLAG,
 }
@@ -63,13 +63,13 @@ SCHEMA: dict[str, dict[str, Key]] = {
         "inputs": MAPPING,
         "mosaic_clear": FLAG,
     },
-    "suite": {"sensor": MAPPING.needed, "weathers": FILLED, "options": MAPPING},
+    "suite": {"sensor": MAPPING.needed, "weathers": FILLED, "options": MAPPING.or_null},
 }
 """By kind: the keys beside ``format``, ``kind`` and ``title``."""
 
 
 def read_values(path: Path) -> dict[str, Any]:
-    """Plain values of a recipe's file, of its kind's keys; those without a value are left out.
+    """Plain values of a recipe's file, of its kind's keys.
 
     Raises:
         TorchweatherError: the file is missing or no YAML, or has unknown, missing or wrong keys.
@@ -84,4 +84,4 @@ def read_values(path: Path) -> dict[str, Any]:
     check_format(values, FORMAT, file, "a recipe")
     check_keys({key: values[key] for key in KIND if key in values}, KIND, file)  # it decides about the other keys
     check_keys(values, {"format": TEXT, **KIND, "title": TITLE, **SCHEMA[values["kind"]]}, file)
-    return {key: value for key, value in values.items() if value is not None}
+    return dict(values)

@@ -13,7 +13,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.schema import MAPPING, check_keys, one_of, refuse_unknown
 from torchweather.recipes.files import name_of
 from torchweather.recipes.options import OPTIONS
-from torchweather.recipes.transform import refuse_overrides, sensor_of_values
+from torchweather.recipes.transform import refuse_overrides, sensor_keys, sensor_of_values
 from torchweather.sensors import SENSOR_CLASSES
 
 __all__ = ["SEVERITIES", "Condition", "SuiteRecipe", "checked_suite"]
@@ -98,9 +98,10 @@ def checked_suite(values: Mapping[str, Any], path: Path) -> SuiteRecipe:
     Raises:
         TorchweatherError: with the file and the key.
     """
-    file, sensor, options = str(path), dict(values["sensor"]), dict(values.get("options", {}))
+    file, sensor, options = str(path), dict(values["sensor"]), dict(values.get("options") or {})
     kinds = {"kind": one_of(SENSOR_CLASSES).needed}
     check_keys({key: sensor[key] for key in kinds if key in sensor}, kinds, file, "sensor")
+    check_keys(sensor, sensor_keys(sensor["kind"]), file, "sensor")
     refuse_unknown(options, OPTIONS[sensor["kind"]], "options", file)
     weathers = {name: _weather(name, fields, file) for name, fields in values["weathers"].items()}
     suite = SuiteRecipe(name_of(path), str(values["title"]), sensor, weathers, options, path)

@@ -16,7 +16,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import TRANSFORMS, TransformClass
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
-from torchweather.core.schema import refuse_unknown
+from torchweather.core.schema import TEXT, Key, check_keys, field_keys, one_of, refuse_unknown
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
@@ -128,8 +128,9 @@ def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> Tr
     Raises:
         TorchweatherError: with the file and the key.
     """
-    transform, options = values["transform"], values.get("options", {})
+    transform, options = values["transform"], values.get("options") or {}
     kind = kind_of(TRANSFORMS[transform])
+    check_keys(values["sensor"], sensor_keys(kind), str(path), f"{at}sensor")
     refuse_unknown(options, OPTIONS[kind], f"{at}options", str(path))
     depth = options.get("depth")
     if isinstance(depth, str) and depth not in (GROUND, AUTO):
@@ -175,6 +176,11 @@ def transform_class(recipe: TransformRecipe, weather: Weather) -> type[WeatherTr
 def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options with the depth source that ``ground`` stands for; ``auto`` is known to the transform."""
     return {key: FlatGround() if key == "depth" and one == GROUND else one for key, one in options.items()}
+
+
+def sensor_keys(kind: str) -> dict[str, Key]:
+    """Keys of a recipe's ``sensor``."""
+    return {"kind": one_of([kind]).needed, "preset": TEXT.or_null, **field_keys(SENSOR_CLASSES[kind])}
 
 
 def sensor_of_values(values: Mapping[str, Any], kind: str) -> Camera | Lidar | Radar:

@@ -45,7 +45,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.schema import MAPPING, TEXT, Key, check_format, check_keys, is_whole, one_of, refuse_unknown
 from torchweather.core.yaml_file import read_yaml
 from torchweather.evaluation.robustness.declared_forms import DECODERS, INPUT
-from torchweather.evaluation.robustness.declared_keys import KEYS, MAY_BE_NULL
+from torchweather.evaluation.robustness.declared_keys import KEYS
 from torchweather.evaluation.robustness.input_ports import INPUT_PORTS
 
 __all__ = ["FORMAT", "Declaration", "read_declaration"]
@@ -61,7 +61,7 @@ SCHEMA = {
     "decoder": one_of(DECODERS).needed,
     "outputs": MAPPING.needed,
     "classes": Key("a list of names, or number to name", lambda value: isinstance(value, (Mapping, list)), True),
-    "options": MAPPING,
+    "options": MAPPING.or_null,
 }
 
 
@@ -159,7 +159,7 @@ def _filled(
 ) -> dict[str, Any]:
     """The values of the input or the options, the defaults filled in."""
     check_keys(given, {**more, **{key: KEYS[key] for key in defaults}}, str(path), at)
-    return {**defaults, **{key: value for key, value in given.items() if value is not None or key in MAY_BE_NULL}}
+    return {**defaults, **given}
 
 
 def _check_filled_in(values: Any, path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from torchweather.core.schema import FLAG, NUMBER, SHARE, Key, is_number, is_whole, one_of
 
-__all__ = ["KEYS", "MAY_BE_NULL"]
+__all__ = ["KEYS"]
 
 
 def _not_negative(value: Any) -> bool:
@@ -34,8 +34,6 @@ def _listed(each: Callable[[Any], bool], number: int | None = None) -> Callable[
     )
 
 
-MAY_BE_NULL = ("nms_iou", "operating_threshold", "size")
-"""Keys whose null is a value of its own; any other key without a value takes its default."""
 KEYS: dict[str, Key] = {
     "layout": one_of(("NCHW", "NHWC")),
     "colour": one_of(("RGB", "BGR", "bayer")),
@@ -48,15 +46,15 @@ KEYS: dict[str, Key] = {
     "mean": Key("a number, or one a colour", _colours(NUMBER.fits)),
     "std": Key("a number more than 0, or one a colour", _colours(_positive)),
     "fill": Key("a level from 0 to 255, or one a colour", _colours(lambda v: _not_negative(v) and v <= 255)),
-    "size": Key("[height, width] in pixels", _listed(_whole(1), 2)),
+    "size": Key("[height, width] in pixels", _listed(_whole(1), 2)).or_null,
     "multiple": Key("a whole number of pixels, 1 or more", _whole(1)),
     "columns": Key("3 or more (x, y, z, intensity, ...)", _whole(3)),
     "enlarge": FLAG,
     "batch": FLAG,
     "normalised": FLAG,
     "threshold": SHARE,
-    "operating_threshold": SHARE,
-    "nms_iou": SHARE,
+    "operating_threshold": SHARE.or_null,
+    "nms_iou": SHARE.or_null,
     "strides": Key("a list of pixels, one a level", _listed(_positive)),
     "centre": Key("a number of strides, 0 or more", _not_negative),
 }

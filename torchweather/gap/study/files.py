@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import TorchweatherError, check_one_of, nearest_name
-from torchweather.core.schema import check_format, refuse_unknown
+from torchweather.core.errors import TorchweatherError, check_one_of
+from torchweather.core.schema import ANY, MAPPING, TEXT, Key, check_format, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import dump_yaml, read_yaml
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.content_hash import plain
@@ -24,8 +24,13 @@ __all__ = ["FORMAT", "STUDY_FILE", "StudyValues", "read_values", "write_folder"]
 
 FORMAT = "torchweather-study/1"
 STUDY_FILE = "study.yaml"
-KEYS = ("format", "sensor", "scenes", "conditions", "links", "series")
-SENSOR_KEYS = ("kind", "preset", "overrides", "beams", "links")
+ROWS = Key(
+    "a list of entries with keys",
+    lambda value: isinstance(value, list) and all(isinstance(row, Mapping) for row in value),
+)
+KEYS = {"format": TEXT, "sensor": MAPPING.needed, "scenes": ROWS, "conditions": ROWS, "links": ANY, "series": ANY}
+OF_LINKS = {"kind": one_of(KINDS).needed, "links": ANY}
+OF_SENSOR = {**OF_LINKS, "preset": ANY, "overrides": MAPPING.or_null, "beams": ANY}
 # A file of a hundred thousand frames has a tenth of it.
 MOST_BYTES = 64 * 2**20
 SERIES = "series"
@@ -61,16 +66,10 @@ def read_values(folder: Path) -> StudyValues:
     path = folder / STUDY_FILE
     owner, values = str(path), read_yaml(path, "a study", max_bytes=MOST_BYTES)
     check_format(values, FORMAT, owner, "a study")
-    refuse_unknown(values, KEYS, "", owner)
-    sensor = values.get("sensor")
-    if not isinstance(sensor, Mapping):
-        raise TorchweatherError(f"{owner}: sensor must have keys {', '.join(SENSOR_KEYS)}; got {sensor!r}.")
-    refuse_unknown(sensor, SENSOR_KEYS, "sensor", owner)
-    kind = sensor.get("kind")
-    if kind not in KINDS:
-        raise TorchweatherError(
-            f"{owner}: sensor.kind must be one of {', '.join(KINDS)}; got {kind!r}.{nearest_name(kind, KINDS)}"
-        )
+    check_keys(values, KEYS, owner)
+    sensor = values["sensor"]
+    check_keys(sensor, OF_LINKS if sensor.get("kind") == "link" else OF_SENSOR, owner, "sensor")
+    kind = sensor["kind"]
     files = _Files(folder, owner)
     links = {"sensor.links": sensor.get("links"), "links": values.get("links")}
     given = {key: value for key, value in links.items() if value is not None}
@@ -78,8 +77,8 @@ def read_values(folder: Path) -> StudyValues:
         raise TorchweatherError(f"{owner}: links stands twice, in sensor and by itself; name it once.")
     return StudyValues(
         owner=owner,
-        kind=str(kind),
-        sensor=_sensor(sensor, str(kind), owner),
+        kind=kind,
+        sensor=_sensor(sensor, kind, owner),
         beams=None if sensor.get("beams") is None else files.one(sensor["beams"], "sensor.beams"),
         links=next((files.one(value, key) for key, value in given.items()), None),
         scenes=[
@@ -90,14 +89,14 @@ def read_values(folder: Path) -> StudyValues:
                 if row.get("geometry") is None
                 else files.one(row["geometry"], f"scenes[{place}].geometry"),
             }
-            for place, row in enumerate(_rows(values.get("scenes", []), "scenes", owner))
+            for place, row in enumerate(values.get("scenes", []))
         ],
-        conditions=_conditions(values, str(kind), files, owner),
+        conditions=_conditions(values, kind, files, owner),
     )
 
 
 def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str) -> list[dict[str, Any]]:
-    rows = _rows(values.get("conditions", []), "conditions", owner)
+    rows = values.get("conditions", [])
     for place, row in enumerate(rows):
         if "rel_sd" in row:
             known = [LINK_REL_SD] if kind == "link" else sorted({spread for _, spread in WEATHERS.values()})
@@ -125,12 +124,6 @@ def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str)
             "conditions. Name the file in conditions."
         )
     return [{"id": SERIES, "frames": [files.one(values[SERIES], SERIES)]}]
-
-
-def _rows(values: Any, what: str, owner: str) -> list[Mapping[str, Any]]:
-    if not isinstance(values, list) or not all(isinstance(row, Mapping) for row in values):
-        raise TorchweatherError(f"{owner}: {what} must be a list of entries with keys; got {type(values).__name__}.")
-    return values
 
 
 @dataclass(frozen=True)
@@ -173,13 +166,10 @@ class _Files:
 def _sensor(values: Mapping[str, Any], kind: str, owner: str) -> Lidar | Camera | Radar | None:
     preset, overrides = values.get("preset"), values.get("overrides") or {}
     if kind == "link":
-        refuse_unknown(values, ("kind", "links"), "sensor", owner)
         return None
     sensor = SENSORS[kind]
-    if not isinstance(overrides, Mapping):
-        raise TorchweatherError(f"{owner}: sensor.overrides must be fields with values; got {overrides!r}.")
-    known = [field.name for field in fields(sensor) if field.name != "directions"]
-    refuse_unknown(overrides, known, "sensor.overrides", owner)
+    known = {name: key for name, key in field_keys(sensor).items() if name != "directions"}
+    check_keys(overrides, known, owner, "sensor.overrides")
     try:
         if preset is None:
             return sensor.from_dict(overrides)
