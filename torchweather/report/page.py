@@ -61,7 +61,8 @@ def storable(value: Any) -> Any:
 def _terse(style: str) -> Markup:
     """A style sheet without comments and line ends."""
     bare = re.sub(r"/\*.*?\*/", "", style, flags=re.DOTALL)
-    return Markup(re.sub(r"\s*([{};,])\s*|(:)\s+|\s+", lambda found: found[1] or found[2] or " ", bare))
+    tight = re.sub(r"\s*([{};,])\s*|(:)\s+|\s+", lambda found: found[1] or found[2] or " ", bare)
+    return Markup(tight.replace(";}", "}"))
 
 
 def _flush(script: str) -> Markup:
