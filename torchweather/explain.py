@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -40,6 +41,7 @@ ATTENUATION_MODELS = {
 MELTING_MODEL = "Mie, flakes enclosed in their melt water (an upper bound)"
 
 Sensor = Camera | Lidar | Radar
+Parts = list[tuple[Weather, SizeDistribution]]
 
 
 def explain(
@@ -92,14 +94,9 @@ def explain(
     # Nothing scatters where nothing falls, and an empty distribution has no sizes to integrate over.
     present = [(part, distribution) for part, distribution in parts if float(distribution.total_per_m3) > 0]
     numbers: dict[str, Any] = {"weather": weather.to_dict(), "sensor": name}
-    if isinstance(sensor, Radar):
-        radar = _radar(sensor, wavelength_nm, frequency_ghz, polarisation)
-        band = _radar_band(present, radar)
-        numbers["bands"] = [band]
-        numbers["attenuation_db_per_km"] = band["attenuation_db_per_km"]
-    else:
-        bands = _bands(sensor, wavelength_nm, frequency_ghz, polarisation)
-        numbers["bands"] = [_optical_band(present, sensor, *band) for band in bands]
+    numbers["bands"] = BANDS[sensor.kind](present, sensor, wavelength_nm, frequency_ghz, polarisation)
+    band = numbers["bands"][0]
+    numbers |= {key: band[key] for key in ("attenuation_db_per_km",) if key in band}
     described = [_part(part, distribution) for part, distribution in parts]
     numbers["mor_m"] = _mor_m(present)
     for key in ("particles_per_m3", "liquid_water_g_per_m3"):
@@ -122,34 +119,33 @@ def _distribution(part: Weather) -> SizeDistribution:
     return part.distribution(float(intensity))
 
 
-def _radar(radar: Radar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None) -> Radar:
-    if wavelength_nm is not None:
-        raise InputValueError("explain: wavelength_nm is for cameras and LiDARs; a radar takes frequency_ghz.")
-    wanted: dict[str, Any] = {"frequency_ghz": frequency_ghz, "polarisation": polarisation}
-    return replace(radar, **{key: value for key, value in wanted.items() if value is not None})
-
-
-def _bands(
-    sensor: Camera | Lidar, wavelength_nm: float | None, frequency_ghz: float | None, polarisation: str | None
-) -> list[tuple[str, float]]:
+def _optical_bands(
+    parts: Parts,
+    sensor: Camera | Lidar,
+    wavelength_nm: float | None,
+    frequency_ghz: float | None,
+    polarisation: str | None,
+    *,
+    effective: bool,
+) -> list[dict[str, Any]]:
+    """Bands of a camera or LiDAR; ``effective`` adds the extinction without the forward lobe."""
     if frequency_ghz is not None or polarisation is not None:
         raise InputValueError(
             f"explain: frequency_ghz and polarisation are for radars; a {sensor.kind} takes wavelength_nm."
         )
-    if wavelength_nm is None:
-        return list(sensor.bands.items())
-    known = {wavelength: name for name, wavelength in sensor.bands.items()}
-    return [(known.get(wavelength_nm, f"{wavelength_nm:g} nm"), float(wavelength_nm))]
+    named = sensor.bands
+    if wavelength_nm is not None:
+        known = {wavelength: name for name, wavelength in named.items()}
+        named = {known.get(wavelength_nm, f"{wavelength_nm:g} nm"): float(wavelength_nm)}
+    return [_optical_band(parts, name, wavelength, effective=effective) for name, wavelength in named.items()]
 
 
-def _optical_band(
-    parts: list[tuple[Weather, SizeDistribution]], sensor: Camera | Lidar, name: str, wavelength_nm: float
-) -> dict[str, Any]:
-    extinction, effective, backscatter = 0.0, 0.0, 0.0
+def _optical_band(parts: Parts, name: str, wavelength_nm: float, *, effective: bool) -> dict[str, Any]:
+    extinction, seen, backscatter = 0.0, 0.0, 0.0
     for part, distribution in parts:
         alone = float(extinction_per_m(distribution, wavelength_nm, temperature_c=_temperature_c(part)))
         extinction += alone
-        effective += alone * Q_EFF[part.kind] / 2.0
+        seen += alone * Q_EFF[part.kind] / 2.0
         # A flake is a Lambertian disk: Q_back = 4 rho (PHYSICS.md 5.9). Rain and fog have defaults of their own.
         q_back = 4.0 * part.albedo if isinstance(part, Snow) else None
         beta = backscatter_per_m_sr(distribution, wavelength_nm, temperature_c=_temperature_c(part), q_back=q_back)
@@ -160,12 +156,20 @@ def _optical_band(
         "extinction_per_m": extinction,
         "backscatter_per_m_sr": backscatter,
     }
-    if isinstance(sensor, Lidar):
-        band["extinction_effective_per_m"] = effective
-    return band
+    return {**band, "extinction_effective_per_m": seen} if effective else band
 
 
-def _radar_band(parts: list[tuple[Weather, SizeDistribution]], radar: Radar) -> dict[str, Any]:
+def _radar_bands(
+    parts: Parts,
+    radar: Radar,
+    wavelength_nm: float | None,
+    frequency_ghz: float | None,
+    polarisation: str | None,
+) -> list[dict[str, Any]]:
+    if wavelength_nm is not None:
+        raise InputValueError("explain: wavelength_nm is for cameras and LiDARs; a radar takes frequency_ghz.")
+    wanted: dict[str, Any] = {"frequency_ghz": frequency_ghz, "polarisation": polarisation}
+    radar = replace(radar, **{key: value for key, value in wanted.items() if value is not None})
     attenuation, backscatter = 0.0, 0.0
     for part, distribution in parts:
         attenuation += float(weather_attenuation_db_per_km(part, radar))
@@ -174,7 +178,7 @@ def _radar_band(parts: list[tuple[Weather, SizeDistribution]], radar: Radar) -> 
             distribution, radar.frequency_ghz, temperature_c=_temperature_c(part), melt_fraction=melted
         )
         backscatter += float(reflectivity) / (4.0 * math.pi)
-    return {
+    band: dict[str, Any] = {
         "name": "carrier",
         "frequency_ghz": float(radar.frequency_ghz),
         "polarisation": radar.polarisation,
@@ -182,6 +186,15 @@ def _radar_band(parts: list[tuple[Weather, SizeDistribution]], radar: Radar) -> 
         "backscatter_per_m_sr": backscatter,
         "attenuation_db_per_km": attenuation,
     }
+    return [band]
+
+
+BANDS: dict[str, Callable[..., list[dict[str, Any]]]] = {
+    "camera": partial(_optical_bands, effective=False),
+    "lidar": partial(_optical_bands, effective=True),
+    "radar": _radar_bands,
+}
+"""By the kind of the sensor: its bands in weathers, from the sensor and what replaces its wavelength or carrier."""
 
 
 def _part(part: Weather, distribution: SizeDistribution) -> dict[str, Any]:

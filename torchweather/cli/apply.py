@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.cli.detections import RADAR_ARGUMENTS, add_radar_arguments
@@ -32,6 +34,8 @@ SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.
 CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
 KINDS = ("camera", "lidar", "radar")
+Work = tuple[Callable[..., list[dict[str, Any]]], Callable[[dict[str, Any]], str]]
+"""What processes the inputs, and what describes one result in a line."""
 SEQUENCE_ARGUMENTS = ("sequence", "frame_rate_hz")
 # By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
 ARGUMENTS = {
@@ -50,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--out", type=Path, required=True, help="folder for the results; of a sequence also a video, .mp4"
     )
     parser.add_argument("--weather", help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +")
-    parser.add_argument("--recipe", help="a ready-made pipeline (see torchweather list), or a file of one's own")
+    parser.add_argument("--recipe", help="a recipe of kind transform (see torchweather list), or a file of one's own")
     parser.add_argument(
         "--sensor", help="camera, lidar or radar, with :PRESET; default the recipe's, else camera:lucid-triton"
     )
@@ -115,40 +119,58 @@ def run(args: argparse.Namespace) -> int:
 
 def _process(
     args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, kind: str, preset: str
-) -> tuple[list[dict[str, object]], str]:
+) -> tuple[list[dict[str, Any]], str]:
     """What was done to every frame, as values and as text."""
-    scenes = _scenes(args, kind)
-    sequence = kind == "camera" and _is_sequence(args)
-    if isinstance(args.ego_speed_m_per_s, Path) and not sequence:
-        raise InputValueError(
-            f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
-            "--sequence; give one number of m/s."
-        )
-    if sequence and args.preview:
+    process, line = WORK[kind](args)
+    done = process(args, weather, recipe, preset)
+    return done, "\n".join(line(entry) for entry in done)
+
+
+def _camera_work(args: argparse.Namespace) -> Work:
+    _refuse_scenes(args)
+    if not _is_sequence(args):
+        _refuse_speed_file(args)
+        from torchweather.cli import apply_camera
+
+        return apply_camera.process, apply_camera.line
+    if args.preview:
         raise InputValueError("apply: --preview is of single frames; give some of them without --sequence.")
+    from torchweather.cli import apply_sequence
+
+    return apply_sequence.process, apply_sequence.line
+
+
+def _lidar_work(args: argparse.Namespace) -> Work:
+    _refuse_scenes(args)
+    _refuse_speed_file(args)
+    from torchweather.cli import apply_lidar
+
+    return apply_lidar.process, apply_lidar.line
+
+
+def _radar_work(args: argparse.Namespace) -> Work:
+    scenes = _scenes(args)
+    if scenes and len(scenes) < len(args.inputs):
+        raise InputValueError(f"apply: {scenes[0]} is a scene, other inputs are files; run apply for each.")
+    _refuse_speed_file(args)
     if scenes:
         from torchweather.cli import apply_radar_scene
 
-        done = apply_radar_scene.process(args, weather, recipe, preset, scenes)
-        return done, "\n".join(apply_radar_scene.line(entry) for entry in done)
-    if sequence:
-        from torchweather.cli import apply_sequence
+        names = [scene.removeprefix(SCENE) for scene in scenes]
+        return partial(apply_radar_scene.process, names=names), apply_radar_scene.line
+    from torchweather.cli import apply_radar, apply_radar_map
 
-        done = apply_sequence.process(args, weather, recipe, preset)
-        return done, "\n".join(apply_sequence.line(entry) for entry in done)
-    if kind == "lidar":
-        from torchweather.cli import apply_lidar as work
-    elif kind == "radar":
-        from torchweather.cli.apply_radar_map import has_maps
+    if apply_radar_map.has_maps(args):
+        return apply_radar_map.process, apply_radar_map.line
+    return apply_radar.process, apply_radar.line
 
-        if has_maps(args):
-            from torchweather.cli import apply_radar_map as work  # type: ignore[no-redef]
-        else:
-            from torchweather.cli import apply_radar as work  # type: ignore[no-redef]
-    else:
-        from torchweather.cli import apply_camera as work  # type: ignore[no-redef]
-    done = work.process(args, weather, recipe, preset)
-    return done, "\n".join(work.line(entry) for entry in done)
+
+WORK: dict[str, Callable[[argparse.Namespace], Work]] = {
+    "camera": _camera_work,
+    "lidar": _lidar_work,
+    "radar": _radar_work,
+}
+"""By the kind of the sensor."""
 
 
 def _is_sequence(args: argparse.Namespace) -> bool:
@@ -174,17 +196,25 @@ def _speed(text: str) -> float | Path:
         return Path(text)
 
 
-def _scenes(args: argparse.Namespace, kind: str) -> list[str]:
-    """Names of the embedded scenes among the inputs, which are all scenes or none."""
-    scenes = [str(path) for path in args.inputs if str(path).startswith(SCENE)]
-    if scenes and kind != "radar":
+def _refuse_speed_file(args: argparse.Namespace) -> None:
+    if isinstance(args.ego_speed_m_per_s, Path):
         raise InputValueError(
-            f"apply: {scenes[0]} is simulated for a radar; give --sensor radar:PRESET. torchweather demo shows the "
+            f"apply: --ego-speed-m-per-s {args.ego_speed_m_per_s} is a file of speeds, which is for a video or "
+            "--sequence; give one number of m/s."
+        )
+
+
+def _scenes(args: argparse.Namespace) -> list[str]:
+    """Embedded scenes among the inputs."""
+    return [str(path) for path in args.inputs if str(path).startswith(SCENE)]
+
+
+def _refuse_scenes(args: argparse.Namespace) -> None:
+    for scene in _scenes(args):
+        raise InputValueError(
+            f"apply: {scene} is simulated for a radar; give --sensor radar:PRESET. torchweather demo shows the "
             "embedded scenes as a camera and a LiDAR see them."
         )
-    if scenes and len(scenes) < len(args.inputs):
-        raise InputValueError(f"apply: {scenes[0]} is a scene, other inputs are files; run apply for each.")
-    return [scene.removeprefix(SCENE) for scene in scenes]
 
 
 def _sensor(args: argparse.Namespace, recipe: TransformRecipe | None) -> tuple[str, str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.frames import add_camera_arguments, add_depth_arguments
+from torchweather.cli.sensor_text import preset_named
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
@@ -74,8 +75,7 @@ def _gathered(args: argparse.Namespace) -> list[Path]:
     from torchweather.cli.frames import gathered
 
     frames = gathered(args.inputs)
-    if args.sensor.partition(":")[0] != "camera":
-        raise InputValueError(f"demo: --sensor must be a camera; got {args.sensor!r}.")
+    preset_named(args.sensor, "camera", "demo: --sensor must be a camera")
     if not frames and args.depth is not None:
         raise InputValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
     for name in ("lidar", "radar"):

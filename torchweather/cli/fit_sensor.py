@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.cli.sensor_text import preset_named
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
@@ -184,9 +185,7 @@ def _sensor(args: argparse.Namespace, frame: CloudFrame) -> tuple[str, Lidar]:
     from torchweather.cli.ouster_product import preset_of_product
     from torchweather.lidar.sensor import Lidar
 
-    kind, _, preset = (args.sensor or "lidar").partition(":")
-    if kind != "lidar":
-        raise InputValueError(f"fit-sensor: --sensor must be lidar:PRESET; got {args.sensor!r}.")
+    preset = preset_named(args.sensor, "lidar", "fit-sensor: --sensor must be lidar:PRESET")
     preset = preset or preset_of_product(frame.product) or ""
     if not preset:
         raise InputValueError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,26 @@ __all__ = ["RobustnessFrames", "truth_file"]
 
 FOLDERS = {"camera": ("images", "image_2"), "lidar": ("clouds", "velodyne")}
 """By the sensor: folders that may hold the data."""
+
+
+def _find_depth(args: argparse.Namespace, file: Path, stem: str) -> None:
+    """Take the depth in the data; a guessed one is refused before the first frame, as all have the same source."""
+    from torchweather.camera.depth import GUESSED
+    from torchweather.cli.frames import depth_source
+    from torchweather.core.errors import TorchweatherError
+    from torchweather.evaluation.robustness.run import guessed_depth_error
+
+    if args.depth is None and (args.data / "depth").is_dir():
+        args.depth = str(args.data / "depth")
+    if args.allow_guessed_depth:
+        return
+    # Without --depth, a picture's depth is guessed from it and a raw frame's is flat ground: both are guesses.
+    if depth_source(args.depth or "ground", args.depth_encoding, file, args=args).confidence == GUESSED:
+        raise TorchweatherError(guessed_depth_error(stem))
+
+
+BEFORE: dict[str, Callable[[argparse.Namespace, Path, str], None]] = {"camera": _find_depth}
+"""By the sensor: what is settled with the first file and its stem before any frame is rendered."""
 
 
 def truth_file(args: argparse.Namespace) -> Path:
@@ -36,8 +56,6 @@ class RobustnessFrames:
         preset: str,
         notes: list[str],
     ) -> None:
-        from torchweather.cli.clouds import gathered_clouds
-        from torchweather.cli.frames import gathered
         from torchweather.cli.sweep_inputs import MAKERS
         from torchweather.evaluation.robustness import read_boxes_truth
         from torchweather.evaluation.robustness.frames import stem_of
@@ -46,8 +64,8 @@ class RobustnessFrames:
         if not args.data.is_dir():
             raise InputValueError(f"{args.data}: no such folder; wanted one with {FOLDERS[declaration.sensor][0]}/.")
         inside = [args.data / name for name in FOLDERS[declaration.sensor] if (args.data / name).is_dir()]
-        gather = gathered if declaration.sensor == "camera" else gathered_clouds
-        self.files = gather([inside[0] if inside else args.data])
+        maker = MAKERS[declaration.sensor]
+        self.files = maker.gathered([inside[0] if inside else args.data])
         self.stems = [stem_of(file) for file in self.files]
         twice = {stem for stem in self.stems if self.stems.count(stem) > 1}
         if twice:
@@ -69,64 +87,29 @@ class RobustnessFrames:
                 ):
                     wanted = ", ".join(LABEL_SUFFIXES[declaration.sensor])
                     raise InputValueError(f"{self.labels}: no ground truth for {stem}; wanted {stem} with {wanted}.")
-        if declaration.sensor == "camera" and args.depth is None and (args.data / "depth").is_dir():
-            args.depth = str(args.data / "depth")
-        self._refuse_guess(args)
+        if declaration.sensor in BEFORE:
+            BEFORE[declaration.sensor](args, self.files[0], self.stems[0])
         # What a sweep can say and this command does not.
         args.region, args.complete_scan, args.sky_only, args.meta = None, False, False, None
-        self.maker = MAKERS[declaration.sensor](args, preset, notes)
+        self.maker = maker(args, preset, notes)
+        self.maker.take_fields(source.sensor)
         self.options = dict(source.options)
-        self._take_fields(args, source, preset)
-
-    def _refuse_guess(self, args: argparse.Namespace) -> None:
-        """Refuse guessed depth before the first frame is rendered; all frames have the same kind of source."""
-        from torchweather.camera.depth import GUESSED
-        from torchweather.cli.frames import depth_source
-        from torchweather.core.errors import TorchweatherError
-        from torchweather.evaluation.robustness.run import guessed_depth_error
-
-        if self.declaration.sensor != "camera" or args.allow_guessed_depth:
-            return
-        # Without --depth, a picture's depth is guessed from it and a raw frame's is flat ground: both are guesses.
-        source = depth_source(args.depth or "ground", args.depth_encoding, self.files[0], args=args)
-        if source.confidence == GUESSED:
-            raise TorchweatherError(guessed_depth_error(self.stems[0]))
-
-    def _take_fields(self, args: argparse.Namespace, source: SuiteRecipe | TransformRecipe, preset: str) -> None:
-        """What the suite or recipe says of its sensor beside the preset; the command line's own stands above it."""
-        from torchweather.cli.clouds import lidar_fields
-        from torchweather.cli.frames import camera_fields
-        from torchweather.recipes.transform import camera_of, lidar_of
-
-        if self.declaration.sensor == "camera":
-            fields = {**source.sensor, **camera_fields(args)}
-            self.maker.camera = camera_of({**fields, "kind": "camera", "preset": preset})  # type: ignore[attr-defined]
-        else:
-            fields = {**source.sensor, **lidar_fields(args)}
-            self.maker.lidar = lidar_of({**fields, "kind": "lidar", "preset": preset})  # type: ignore[attr-defined]
 
     def __iter__(self) -> Iterator[LabelledFrame]:
         from dataclasses import replace
 
         from torchweather.core.errors import TorchweatherError
         from torchweather.evaluation.robustness import LabelledFrame, read_label_truth
-        from torchweather.evaluation.sweep import CameraSubject, LidarSubject
 
         for file, stem in zip(self.files, self.stems, strict=True):
             subjects = self.maker.files(file)
             if len(subjects) != 1:
                 raise TorchweatherError(f"{file}: wanted one frame a file; got {len(subjects)}.")
-            subject = subjects[0]
-            assert isinstance(subject, (CameraSubject, LidarSubject))
+            subject: Any = subjects[0]
             options = {key: value for key, value in self.options.items() if key not in ("depth", "lost")}
             subject = replace(subject, options={**options, **subject.options})
             if self.truths is not None:
                 yield LabelledFrame(stem, subject, self.truths[stem])
                 continue
-            shape = (
-                (len(subject.points),)
-                if isinstance(subject, LidarSubject)
-                else (int(subject.data.shape[-2]), int(subject.data.shape[-1]))
-            )
-            truth = read_label_truth(self.labels, stem, self.declaration.sensor, shape)
+            truth = read_label_truth(self.labels, stem, self.declaration.sensor, subject.label_shape)
             yield LabelledFrame(stem, subject, truth)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,16 @@ class Maker(ABC):
 
     def __init__(self, args: argparse.Namespace, preset: str, notes: list[str]) -> None:
         self.args, self.preset, self.notes = args, preset, notes
+        self.take_fields({})
+
+    @staticmethod
+    @abstractmethod
+    def gathered(inputs: list[Path]) -> list[Path]:
+        """Files of the sensor among files and folders."""
+
+    @abstractmethod
+    def take_fields(self, fields: Mapping[str, Any]) -> None:
+        """Take the sensor: the preset, with the fields and, above them, those of the command line."""
 
     def scene(self, name: str) -> Subject:
         """An embedded scene by its name."""
@@ -55,13 +65,10 @@ class Maker(ABC):
     def files(self, path: Path) -> list[Subject]:
         """A file, or the files of a folder, which are judged together."""
         scene = path.resolve().name if path.is_dir() else ""
-        found = [subject for file in self._gathered([path]) for subject in self._of_file(file, scene)]
+        found = [subject for file in self.gathered([path]) for subject in self._of_file(file, scene)]
         if not found:
             raise TorchweatherError(f"{path}: no frames in it.")
         return found
-
-    @abstractmethod
-    def _gathered(self, inputs: list[Path]) -> list[Path]: ...
 
     @abstractmethod
     def _of_scene(self, scene: Scene, *, indoors: bool) -> Subject: ...
@@ -77,12 +84,18 @@ class Maker(ABC):
 class _Camera(Maker):
     def __init__(self, args: argparse.Namespace, preset: str, notes: list[str]) -> None:
         super().__init__(args, preset, notes)
-        self.camera = camera_of({"kind": "camera", "preset": preset, **camera_fields(args)})
         given = {"airlight": args.airlight, "ego_speed_m_per_s": args.ego_speed_m_per_s}
         self.options = {name: value for name, value in given.items() if value is not None}
 
-    def _gathered(self, inputs: list[Path]) -> list[Path]:
+    @staticmethod
+    def gathered(inputs: list[Path]) -> list[Path]:
+        """Images."""
         return gathered(inputs)
+
+    def take_fields(self, fields: Mapping[str, Any]) -> None:
+        """Take the camera."""
+        values = {**fields, **camera_fields(self.args)}
+        self.camera = camera_of({**values, "kind": "camera", "preset": self.preset})
 
     def _of_scene(self, scene: Scene, *, indoors: bool) -> Subject:
         camera = self._sized()
@@ -145,11 +158,17 @@ def _refuse_guess(source: DepthSource, file: Path, args: argparse.Namespace) -> 
 class _Lidar(Maker):
     def __init__(self, args: argparse.Namespace, preset: str, notes: list[str]) -> None:
         super().__init__(args, preset, notes)
-        self.lidar = lidar_of({"kind": "lidar", "preset": preset, **lidar_fields(args)})
         self.options = {"complete_scan": complete_scan_of(args)} if args.complete_scan or args.sky_only else {}
 
-    def _gathered(self, inputs: list[Path]) -> list[Path]:
+    @staticmethod
+    def gathered(inputs: list[Path]) -> list[Path]:
+        """Clouds."""
         return gathered_clouds(inputs)
+
+    def take_fields(self, fields: Mapping[str, Any]) -> None:
+        """Take the LiDAR."""
+        values = {**fields, **lidar_fields(self.args)}
+        self.lidar = lidar_of({**values, "kind": "lidar", "preset": self.preset})
 
     def _of_scene(self, scene: Scene, *, indoors: bool) -> Subject:
         view = lidar_view(scene, self.lidar, range_noise_seed=self.args.seed)
@@ -181,12 +200,15 @@ class _Lidar(Maker):
 
 
 class _Radar(Maker):
-    def __init__(self, args: argparse.Namespace, preset: str, notes: list[str]) -> None:
-        super().__init__(args, preset, notes)
-        self.radar = radar_of({"kind": "radar", "preset": preset, **radar_fields(args)})
-
-    def _gathered(self, inputs: list[Path]) -> list[Path]:
+    @staticmethod
+    def gathered(inputs: list[Path]) -> list[Path]:
+        """Lists of detections."""
         return gathered_detections(inputs)
+
+    def take_fields(self, fields: Mapping[str, Any]) -> None:
+        """Take the radar."""
+        values = {**fields, **radar_fields(self.args)}
+        self.radar = radar_of({**values, "kind": "radar", "preset": self.preset})
 
     def _of_scene(self, scene: Scene, *, indoors: bool) -> Subject:
         walking = {thing.name: WALKING[thing.name] for thing in scene.objects if thing.name in WALKING}
@@ -206,7 +228,7 @@ class _Radar(Maker):
         yield RadarSubject(str(file), scene=scene, region=self._region, points=clear.points, radar=self.radar)
 
 
-MAKERS: dict[str, Callable[[argparse.Namespace, str, list[str]], Maker]] = {
+MAKERS: dict[str, type[Maker]] = {
     "camera": _Camera,
     "lidar": _Lidar,
     "radar": _Radar,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import add_complete_scan, add_lidar_fields
+from torchweather.cli.sensor_text import preset_named
 from torchweather.core.exceptions import InputTypeError, InputValueError
 
 if TYPE_CHECKING:
@@ -142,9 +143,7 @@ def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, 
     from torchweather.core.errors import TorchweatherError
     from torchweather.sensors import DEFAULT_PRESETS
 
-    kind, _, preset = (args.sensor or "lidar").partition(":")
-    if kind != "lidar":
-        raise InputValueError(f"view: --sensor must be lidar, with :PRESET; got {args.sensor!r}.")
+    preset = preset_named(args.sensor, "lidar", "view: --sensor must be lidar, with :PRESET")
     if args.input.is_dir():
         raise InputValueError(f"view: {args.input} is a folder; give one point cloud.")
     (path,) = gathered_clouds([args.input])

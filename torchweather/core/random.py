@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.core.errors import InputTypeError, InputValueError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 
 # torch is imported where it is needed: the noise of an exported graph is drawn without it.
 if TYPE_CHECKING:

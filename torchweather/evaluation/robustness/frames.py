@@ -118,13 +118,7 @@ class FrameInWeather(ABC):
 class _PictureInWeather(FrameInWeather):
     """A camera's frame."""
 
-    def __init__(
-        self,
-        frame: LabelledFrame,
-        subject: CameraSubject,
-        detector: OnnxDetector,
-        look: OnLook,
-    ) -> None:
+    def __init__(self, frame: LabelledFrame, subject: CameraSubject, detector: OnnxDetector, look: OnLook) -> None:
         super().__init__(frame, detector, look)
         self.subject = subject
 
