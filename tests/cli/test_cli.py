@@ -254,7 +254,9 @@ def test_list_names_everything(run: Any) -> None:
     code, out, _ = run("list", "--json")
     names = json.loads(out)
     assert code == 0
-    assert {"name", "title", "transform", "weather", "sensor"} <= set(names["recipes"][0])
+    assert {"name", "kind", "title", "transform", "weather", "sensor"} <= set(names["recipes"][0])
+    for old, kind in (("pipelines", "multi_sensor"), ("suites", "suite")):
+        assert names[old] == [recipe for recipe in names["recipes"] if recipe["kind"] == kind] != []
     assert "camera/rain-25mm-per-h" in [recipe["name"] for recipe in names["recipes"]]
     assert {"camera:lucid-triton", "lidar:ouster-os1-128", "radar:imaging-77ghz"} <= {
         sensor["name"] for sensor in names["sensors"]

@@ -369,7 +369,8 @@ def test_list_knows_the_radar(run: Any) -> None:
         assert name in text
     names = json.loads(run("list", "--json")[1])
     assert {"PathAttenuation", "WetRadome", "VolumeClutter", "RadarDetection", "ToRadarPoints"} <= set(names["stages"])
-    recipes = [recipe for recipe in names["recipes"] if recipe["name"].startswith("radar/")]
+    transforms = [recipe for recipe in names["recipes"] if recipe["kind"] == "transform"]
+    recipes = [recipe for recipe in transforms if recipe["name"].startswith("radar/")]
     assert len(recipes) >= 6
     assert {recipe["transform"] for recipe in recipes} == {"RadarAttenuation"}
     assert {recipe["sensor"] for recipe in recipes} == {"radar:imaging-77ghz", "radar:awr1843-like"}

@@ -77,6 +77,17 @@ class Sensor:
         return cls(**values)
 
     @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Self:
+        """The sensor of a recipe's plain values: ``kind``, and a ``preset`` with fields replaced, or all fields."""
+        given = dict(values)
+        kind, preset = given.pop("kind", None), given.pop("preset", None)
+        if kind != cls.kind:
+            raise InputValueError(f"sensor.kind must be {cls.kind}; got {kind!r}.")
+        # A list of YAML stands for a tuple of the dataclass.
+        given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+        return cls.from_dict(given) if preset is None else cls.preset(str(preset), **given)
+
+    @classmethod
     def _from_file(cls, path: Path, overrides: Mapping[str, Any]) -> Self:
         """The sensor of a YAML file; errors carry the path and the field."""
         values = read_yaml(path, f"the fields of a {cls.kind}")

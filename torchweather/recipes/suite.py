@@ -13,7 +13,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.schema import MAPPING, check_keys, one_of, refuse_unknown
 from torchweather.recipes.files import name_of
 from torchweather.recipes.options import OPTIONS
-from torchweather.recipes.transform import refuse_overrides, sensor_keys, sensor_of_values
+from torchweather.recipes.transform import refuse_overrides, sensor_keys
 from torchweather.sensors import SENSOR_CLASSES
 
 __all__ = ["SEVERITIES", "Condition", "SuiteRecipe", "checked_suite"]
@@ -107,7 +107,7 @@ def checked_suite(values: Mapping[str, Any], path: Path) -> SuiteRecipe:
     suite = SuiteRecipe(name_of(path), str(values["title"]), sensor, weathers, options, path)
     try:
         if len(sensor) > 1:
-            sensor_of_values(sensor, suite.sensor_kind)
+            SENSOR_CLASSES[suite.sensor_kind].from_values(sensor)
     except (TypeError, ValueError, KeyError) as error:
         raise TorchweatherError(f"{path}: sensor: {error}") from error
     for name, fields in weathers.items():

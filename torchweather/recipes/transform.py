@@ -26,7 +26,10 @@ from torchweather.recipes.files import name_of
 from torchweather.recipes.options import GROUND, OPTIONS
 from torchweather.sensors import SENSOR_CLASSES, sensor_preset
 
-__all__ = ["TransformRecipe", "checked_transform", "refuse_overrides", "sensor_of_values", "transform_class"]
+__all__ = ["TransformRecipe", "checked_transform", "refuse_overrides", "transform_class"]
+
+
+camera_of, lidar_of, radar_of = Camera.from_values, Lidar.from_values, Radar.from_values
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class TransformRecipe:
 
     def build_sensor(self) -> Camera | Lidar | Radar:
         """The sensor object."""
-        return sensor_of_values(self.sensor, self.sensor_kind)
+        return SENSOR_CLASSES[self.sensor_kind].from_values(self.sensor)
 
     def build_camera(self) -> Camera:
         """The camera object."""
@@ -110,7 +113,7 @@ class TransformRecipe:
         kind = self.sensor_kind
         if isinstance(sensor, Mapping):
             base = {} if "preset" in sensor else self.sensor
-            return sensor_of_values({"kind": kind, **base, **sensor}, kind)
+            return SENSOR_CLASSES[kind].from_values({"kind": kind, **base, **sensor})
         built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
         if not isinstance(built, SENSOR_CLASSES[kind]):
             raise InputTypeError(f"sensor must be a {kind}; got {getattr(built, 'kind', type(built).__name__)}.")
@@ -181,44 +184,6 @@ def with_depth_source(options: Mapping[str, Any]) -> dict[str, Any]:
 def sensor_keys(kind: str) -> dict[str, Key]:
     """Keys of a recipe's ``sensor``."""
     return {"kind": one_of([kind]).needed, "preset": TEXT.or_null, **field_keys(SENSOR_CLASSES[kind])}
-
-
-def sensor_of_values(values: Mapping[str, Any], kind: str) -> Camera | Lidar | Radar:
-    """The sensor of a recipe's ``sensor``: a preset with fields replaced, or all fields.
-
-    Args:
-        values: ``kind``, and ``preset`` or the sensor's fields.
-        kind: that the transform takes: ``camera``, ``lidar`` or ``radar``.
-    """
-    fields = dict(values)
-    given, preset = fields.pop("kind", None), fields.pop("preset", None)
-    if given != kind:
-        raise InputValueError(f"sensor.kind must be {kind}; got {given!r}.")
-    # A list of YAML stands for a tuple of the dataclass.
-    fields = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
-    sensor = SENSOR_CLASSES[kind]
-    return sensor.from_dict(fields) if preset is None else sensor.preset(str(preset), **fields)
-
-
-def camera_of(values: Mapping[str, Any]) -> Camera:
-    """The camera of a recipe's ``sensor``."""
-    built = sensor_of_values(values, "camera")
-    assert isinstance(built, Camera)
-    return built
-
-
-def lidar_of(values: Mapping[str, Any]) -> Lidar:
-    """The LiDAR of a recipe's ``sensor``."""
-    built = sensor_of_values(values, "lidar")
-    assert isinstance(built, Lidar)
-    return built
-
-
-def radar_of(values: Mapping[str, Any]) -> Radar:
-    """The radar of a recipe's ``sensor``."""
-    built = sensor_of_values(values, "radar")
-    assert isinstance(built, Radar)
-    return built
 
 
 def as_weather(weather: Any) -> Weather:
