@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -142,12 +142,11 @@ class AsBayer(nn.Module):
             before, inner, scene = self._raw(rgb, depth)
             return image_of_mosaic(before, inner(before, scene, noise), rgb, inner.camera, self.method)
         state, after, _ = self._planes(rgb, depth, noise, keep_truth=False)
-        return encoded_planes(after.signal.reshape(rgb.shape), state.signal.reshape(rgb.shape), rgb)
+        return encoded_planes(after.image.signal.reshape(rgb.shape), state.image.signal.reshape(rgb.shape), rgb)
 
     def with_weather(self, weather: Weather) -> AsBayer:
         """The same for another weather; tables that both need are shared."""
-        inner = self.transform.with_weather(weather)
-        assert isinstance(inner, BayerWeather)
+        inner: Any = self.transform.with_weather(weather)
         return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
 
     def at_ego_speed(self, ego_speed_m_per_s: float) -> AsBayer:
@@ -183,7 +182,7 @@ class AsBayer(nn.Module):
         state, after, scene = self._planes(rgb, depth, noise, keep_truth=True)
         transmission, airlight, mask = self.transform.truth_of(state, after)
         return RgbResult(
-            rgb=encoded_planes(after.signal.reshape(rgb.shape), state.signal.reshape(rgb.shape), rgb),
+            rgb=encoded_planes(after.image.signal.reshape(rgb.shape), state.image.signal.reshape(rgb.shape), rgb),
             transmission=transmission[:, FADING_PLANE].reshape(*batch, 1, height, width),
             airlight=airlight.reshape(*batch, 3),
             particle_mask=mask.reshape(*batch, 1, height, width),

@@ -92,11 +92,7 @@ def builder(
         options["lost"] = args.lost
     if args.complete_scan or args.sky_only:
         options["complete_scan"] = complete_scan_of(args)
-    kind = LidarWeather
-    if recipe is not None:
-        chosen = transform_class(recipe, weather)
-        assert issubclass(chosen, LidarWeather)  # a recipe for another sensor was refused before
-        kind = chosen
+    kind: Any = LidarWeather if recipe is None else transform_class(recipe, weather)
     return lidar_of({**sensor, **lidar_fields(args)}), partial(kind, weather, **options)
 
 
