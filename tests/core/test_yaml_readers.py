@@ -158,6 +158,7 @@ VALUES = {
     "name": ("!!python/name:os.system ''", "the tag !!python/name:os.system"),
     "binary": ("!!binary aGVsbG8=", "the tag !!binary"),
     "deep": ("[" * 5_000, "nested more than 50 levels deep"),
+    "integer of no digits": ("!!int ''", "'' is no int"),
     "itself": ("&s {a: *s}", "an alias holds itself"),
     "twice inside": ("{a: 1, a: 2}", "the key 'a' stands twice"),
     "key of no text": ("{no: 1}", "a key must be text; got 'no'"),
@@ -213,6 +214,8 @@ def test_a_hostile_file_is_refused_with_key_or_line(reader: Reader, tmp_path: Pa
     assert f"aliases unfold into more than {MAX_ALIASED} values" in message
     assert ": b" in message
     assert "aliases unfold" in refused(reader, tmp_path, f"{good}{BOMB}\nb: {{<<: {{a: *b11}}}}\n")
+    chain = "\n".join(["c0: &c0 [x]", *(f"c{k}: &c{k} [*c{k - 1}]" for k in range(1, 400))])
+    assert "nested more than 50 levels deep" in refused(reader, tmp_path, f"{good}{chain}\n")
     message = refused(reader, tmp_path, f"{good}---\na: 1\n")
     assert "expected a single document" in message
     assert f"(line {good.count(chr(10)) + 1})" in message

@@ -22,6 +22,7 @@ __all__ = ["dump_yaml", "parse_json", "parse_yaml", "read_json", "read_yaml"]
 
 MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 50
+TOO_DEEP = f"it is nested more than {MAX_DEPTH} levels deep"
 MAX_ALIASED = 100_000  # values that aliases may unfold into
 MAX_INTEGER = 2**64  # a seed has 64 bits
 TAG = "tag:yaml.org,2002:"
@@ -36,11 +37,11 @@ Path_ = tuple[str | int, ...]
 
 
 class _Refused(Exception):
-    """A problem, the key that has it, and the line from 0."""
+    """A problem, the key that has it, and its place."""
 
-    def __init__(self, problem: str, path: Path_, line: int) -> None:
-        super().__init__(problem)
-        self.problem, self.path, self.line = problem, path, line
+    def __init__(self, problem: str, path: Path_, at: Any) -> None:
+        super().__init__(f"{problem} (line {at.start_mark.line + 1})")
+        self.path = path
 
 
 def read_yaml(
@@ -111,8 +112,7 @@ def parse_yaml(
         return None if node is None else _Values(loader, number_keys, tags or {}, allow_nan).of(node, ())
     except _Refused as found:
         at = f" {dotted(found.path)}:" if found.path else ""
-        problem = f"{found.problem} (line {found.line + 1})"
-        raise TorchweatherError(f"{file}:{at} expected YAML with {what}; {problem}.") from None
+        raise TorchweatherError(f"{file}:{at} expected YAML with {what}; {found}.") from None
     except yaml.YAMLError as error:
         raise TorchweatherError(f"{file}: expected YAML with {what}; it cannot be read: {_reason(error)}.") from error
     finally:
@@ -140,10 +140,11 @@ def parse_json(text: str, file: str, what: str) -> Any:
         raise TorchweatherError(f"{file}: expected JSON with {what}; {problem}.")
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        values = dict(pairs)
-        if len(values) < len(pairs):
-            keys = [key for key, _ in pairs]
-            refuse(f"the key {next(key for key in keys if keys.count(key) > 1)!r} stands twice")
+        values: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in values:
+                refuse(f"the key {key!r} stands twice")
+            values[key] = value
         return values
 
     def integer(digits: str) -> int:
@@ -180,8 +181,7 @@ class _Loader(yaml.SafeLoader):
         key = index.value if isinstance(index, yaml.ScalarNode) else index if isinstance(index, int) else "?"
         self.path.append(key)
         if len(self.path) > MAX_DEPTH:
-            line = self.peek_event().start_mark.line  # type: ignore[no-untyped-call]
-            raise _Refused(f"it is nested more than {MAX_DEPTH} levels deep", tuple(self.path[1:]), line)
+            raise _Refused(TOO_DEEP, tuple(self.path[1:]), self.peek_event())  # type: ignore[no-untyped-call]
         node = super().compose_node(parent, index)
         self.path.pop()
         return node
@@ -201,15 +201,17 @@ class _Values:
         tag = TAG + self.tags[node.tag] if node.tag in self.tags else node.tag
         if tag not in PLAIN[type(node)]:
             name = tag.replace(TAG, "!!")
-            raise _refused(f"the tag {name} is none of plain values; leave it out", node, path)
+            raise _Refused(f"the tag {name} is none of plain values; leave it out", path, node)
         if isinstance(node, yaml.ScalarNode):
             return self.scalar(node, path)
         if id(node) in self.open:
-            raise _refused("an alias holds itself", node, path)
+            raise _Refused("an alias holds itself", path, node)
+        if len(path) > MAX_DEPTH:  # by aliases of aliases
+            raise _Refused(TOO_DEEP, path, node)
         if id(node) in self.seen:
             self.aliased += 1 + len(node.value)
             if self.aliased > MAX_ALIASED:
-                raise _refused(f"its aliases unfold into more than {MAX_ALIASED} values", node, path)
+                raise _Refused(f"its aliases unfold into more than {MAX_ALIASED} values", path, node)
         self.seen.add(id(node))
         self.open.add(id(node))
         if isinstance(node, yaml.MappingNode):
@@ -228,23 +230,25 @@ class _Values:
                 parts = self.of(value_node, (*path, "<<"))
                 for part in reversed(parts if isinstance(parts, list) else [parts]):
                     if not isinstance(part, dict):
-                        raise _refused("<< merges mappings only", value_node, (*path, "<<"))
+                        raise _Refused("<< merges mappings only", (*path, "<<"), value_node)
                     merged.update(part)
                 continue
             key = self.key(key_node, path)
             if key in own:
-                raise _refused(f"the key {key!r} stands twice", key_node, (*path, str(key)))
+                raise _Refused(f"the key {key!r} stands twice", (*path, str(key)), key_node)
             own[key] = self.of(value_node, (*path, str(key)))
         return merged | own
 
     def key(self, node: yaml.Node, path: Path_) -> Hashable:
         """A key: text, or a whole number where the mapping may have such."""
         if not isinstance(node, yaml.ScalarNode):
-            raise _refused("a key must be text; got a list or a mapping", node, path)
+            raise _Refused("a key must be text; got a list or a mapping", path, node)
         key = self.of(node, (*path, node.value))
         if isinstance(key, str) or (type(key) is int and dotted(path) in self.number_keys):
             return key
-        raise _refused(f"a key must be text; got {node.value!r}, put it in quotes", node, (*path, node.value))
+        raise _Refused(
+            f"a key must be text; got {node.value!r}, put it in quotes", (*path, node.value), node.start_mark
+        )
 
     def scalar(self, node: yaml.ScalarNode, path: Path_) -> Any:
         """Text, a number, true, false or nothing; a date stays text."""
@@ -255,21 +259,19 @@ class _Values:
             value = self.loader.construct_object(node)
         except OverflowError:
             value = math.inf
-        except (ValueError, KeyError, AttributeError):
+        except (ValueError, LookupError, AttributeError):
             name = "date" if node.tag.endswith("timestamp") else node.tag.removeprefix(TAG)
-            raise _refused(f"{text[:40]!r} is no {name}; put it in quotes if it is text", node, path) from None
+            raise _Refused(
+                f"{text[:40]!r} is no {name}; put it in quotes if it is text", path, node.start_mark
+            ) from None
         if node.tag == TAG + "int" and not abs(value) < MAX_INTEGER:
-            raise _refused(f"expected an integer of 64 bits at most; got {len(text)} digits", node, path)
+            raise _Refused(f"expected an integer of 64 bits at most; got {len(text)} digits", path, node)
         if isinstance(value, float) and (
             (math.isnan(value) and not self.nan) or (math.isinf(value) and "inf" not in text.lower())
         ):
-            raise _refused(f"expected a number; got {text[:40]}", node, path)
+            raise _Refused(f"expected a number; got {text[:40]}", path, node)
         times = node.tag == TAG + "timestamp" or (":" in text and not isinstance(value, str))  # 10:30 is no 630
         return text if times else value
-
-
-def _refused(problem: str, node: yaml.Node, path: Path_) -> _Refused:
-    return _Refused(problem, path, node.start_mark.line)
 
 
 def _reason(error: yaml.YAMLError) -> str:
