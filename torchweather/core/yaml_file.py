@@ -246,9 +246,7 @@ class _Values:
         key = self.of(node, (*path, node.value))
         if isinstance(key, str) or (type(key) is int and dotted(path) in self.number_keys):
             return key
-        raise _Refused(
-            f"a key must be text; got {node.value!r}, put it in quotes", (*path, node.value), node.start_mark
-        )
+        raise _Refused(f"a key must be text; got {node.value!r}, put it in quotes", (*path, node.value), node)
 
     def scalar(self, node: yaml.ScalarNode, path: Path_) -> Any:
         """Text, a number, true, false or nothing; a date stays text."""
@@ -261,9 +259,7 @@ class _Values:
             value = math.inf
         except (ValueError, LookupError, AttributeError):
             name = "date" if node.tag.endswith("timestamp") else node.tag.removeprefix(TAG)
-            raise _Refused(
-                f"{text[:40]!r} is no {name}; put it in quotes if it is text", path, node.start_mark
-            ) from None
+            raise _Refused(f"{text[:40]!r} is no {name}; put it in quotes if it is text", path, node) from None
         if node.tag == TAG + "int" and not abs(value) < MAX_INTEGER:
             raise _Refused(f"expected an integer of 64 bits at most; got {len(text)} digits", path, node)
         if isinstance(value, float) and (
