@@ -90,8 +90,8 @@ def update_boxes(
     records = []
     for number, record in enumerate(boxes.records):
         new = {**record, **{key: _plain(column[number]) for key, column in found.items()}}
-        count = _NUSCENES_COUNTS.get(sensor)
-        if count in record:
+        count = _NUSCENES_COUNTS.get(sensor, "")
+        if count and count in record:
             new[count] = new[f"{sensor}_points_left"]
         records.append(new)
     return replace(boxes, records=tuple(records))

@@ -65,7 +65,8 @@ class CameraFile(FrameFile):
     def _camera(self) -> Camera:
         """The recipe's camera with the intrinsics of the data set, or scaled to the size of the image."""
         height, width = self.data.shape[-2:]
-        camera, matrix = self.plan.sensor, self.file.camera_matrix
+        camera = self.plan.sensor
+        matrix: Any = self.file.camera_matrix
         if matrix is None and self.frame.calibration is not None:
             matrix = read_kitti_calibration(self.paths.source(self.frame.calibration)).camera_matrix.tolist()
         if matrix is not None:
