@@ -150,6 +150,7 @@ BOMB = "\n".join(
 )
 # What fills the hole, and the refusal; each has the whole key of the hole.
 VALUES = {
+    "integer of 30 digits": ("1" * 30, "64 bits at most; got 30 digits"),
     "integer of 400 digits": ("1" * 400, "64 bits at most; got 400 digits"),
     "integer beyond Python's limit": ("1" * 5_000, "64 bits at most; got 5000 digits"),
     "number of 400 digits": ("1" * 400 + ".0", "expected a number; got 111"),

@@ -136,8 +136,8 @@ MUTANTS = (
         "wrong_values_pass",
         "a value that does not fit its key is refused",
         SCHEMA,
-        "if not key.fits(value) and (key.required or value is not None):",
-        "if False:",
+        "elif not key.fits(value) and not (key.null and value is None):",
+        "elif False:",
         ("tests/recipes/test_recipe_files.py::test_what_is_wrong_is_refused_with_file_and_key",),
     ),
     Mutant(
