@@ -60,7 +60,7 @@ def test_good_files_are_read(tmp_path: Path) -> None:
 
 ALL_KINDS: list[tuple[dict[str, Any], str]] = [
     ({"format": "torchweather-recipe/9"}, r"format must be 'torchweather-recipe/2'; got 'torchweather-recipe/9'"),
-    ({"kind": ...}, "kind is missing; expected one of transform, multi_sensor, suite"),
+    ({"kind": ...}, "kind must be one of transform, multi_sensor, suite; got None"),
     ({"kind": "multisensor"}, "kind must be one of .*Did you mean 'multi_sensor'"),
     ({"kind": ["suite"]}, "kind must be one of"),
     ({"title": ...}, "title is missing"),
@@ -72,7 +72,7 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
         ({"wether": {}}, "unknown key 'wether'.*Did you mean 'weather'"),
         ({"sensor": ...}, "sensor is missing"),
         ({"options": {"air_light": 0.7}}, "unknown key 'options.air_light'.*Did you mean 'airlight'"),
-        ({"options": {"depth": "grond"}}, "options.depth must be a number of metres, 'ground'"),
+        ({"options": {"depth": "grond"}}, "options.depth must be metres, 'ground' or 'auto'; got 'grond'"),
         ({"options": [1]}, "options must be keys with values"),
         ({"transform": "BayerFrog"}, "transform must be one of .*Did you mean 'BayerFog'"),
         ({"weather": {"kind": "fog", "mor_m": -1.0}}, "weather: Fog: mor_m must"),
@@ -123,13 +123,13 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
     "suite": [
         ({"wheathers": {}}, "unknown key 'wheathers'.*Did you mean 'weathers'"),
         ({"sensor": {"kind": "lider"}}, "sensor.kind must be one of .*Did you mean 'lidar'"),
-        ({"sensor": {}}, "sensor.kind is missing"),
+        ({"sensor": {}}, "sensor.kind must be one of camera, lidar, radar; got None"),
         ({"sensor": {"kind": "camera", "preset": "lucid-tritom"}}, "sensor: .*Did you mean 'lucid-triton'"),
         ({"options": {"airligth": 1}}, "unknown key 'options.airligth'.*Did you mean 'airlight'"),
         ({"weathers": {}}, "weathers must be keys with values"),
         ({"weathers": {"rian": {"mor_m": RATES}}}, "weathers.rian.kind must be one of .*Did you mean 'rain'"),
         ({"weathers": {"rain": 5}}, "weathers.rain must be keys with values"),
-        ({"weathers": {"both": {"parts": {}}}}, "weathers.both.parts must be a list"),
+        ({"weathers": {"both": {"parts": {}}}}, "weathers.both.parts must be a list of entries with keys"),
         (rain(siz="x"), "weathers.rain: .*siz"),
         (rain(rate_mm_per_h=RATES[:4]), r"weathers.rain: expected 5 severities.*\[4\]"),
         (rain(rate_mm_per_h=5.0), "weathers.rain: expected 5 severities.*no list"),

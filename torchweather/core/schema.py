@@ -14,12 +14,14 @@ __all__ = [
     "MAPPING",
     "NUMBER",
     "NUMBERS",
+    "ROWS",
     "SHARE",
     "TEXT",
     "WHOLE",
     "Key",
     "check_format",
     "check_keys",
+    "check_value",
     "field_keys",
     "is_number",
     "is_whole",
@@ -86,6 +88,7 @@ WHOLE = Key("a whole number", is_whole)
 NUMBERS = Key("a list of numbers", lambda value: isinstance(value, list) and all(map(_is_number_or_list, value)))
 ANY = Key("a value", lambda value: True)
 MAPPING = Key("keys with values", lambda value: isinstance(value, Mapping))
+ROWS = Key("a list of entries with keys", lambda value: isinstance(value, list) and all(map(MAPPING.fits, value)))
 
 
 def check_format(values: Any, form: str, file: str, what: str) -> None:
@@ -110,21 +113,25 @@ def check_keys(values: Any, keys: Mapping[str, Key], file: str, at: str = "") ->
         ...     print(error)
         a.yaml: weather.kind must be one of rain, fog; got 'fgo'. Did you mean 'fog'?
     """
-    if not isinstance(values, Mapping):
-        raise TorchweatherError(
-            f"{file}: {at or 'it'} must be {MAPPING.takes}: {', '.join(keys)}; got {_short(values)}."
-        )
+    check_value(values, Key(f"{MAPPING.takes}: {', '.join(keys)}", MAPPING.fits), file, at or "it")
     refuse_unknown(values, keys, at, file)
     for name, key in keys.items():
         where, value = f"{at}.{name}" if at else name, values.get(name)
         if name not in values:
             if key.required:
                 raise TorchweatherError(f"{file}: {where} is missing; expected {key.takes}.")
-        elif not key.fits(value) and not (key.null and value is None):
-            advice = nearest_name(value, key.names)
-            if isinstance(value, str) and "number" in key.takes:  # YAML 1.1 takes 1e-3 for text
-                advice = " It is text; a number has a point: 1.0e-3, not 1e-3."
-            raise TorchweatherError(f"{file}: {where} must be {key.takes}; got {_short(value)}.{advice}")
+        else:
+            check_value(value, key, file, where)
+
+
+def check_value(value: Any, key: Key, file: str, at: str) -> None:
+    """Raise unless a key takes the value."""
+    if key.fits(value) or (key.null and value is None):
+        return
+    advice = nearest_name(value, key.names)
+    if isinstance(value, str) and key.takes.startswith(("a number", "a whole")):  # YAML 1.1 takes 1e-3 for text
+        advice = " It is text; a number has a point: 1.0e-3, not 1e-3."
+    raise TorchweatherError(f"{file}: {at} must be {key.takes}; got {_short(value)}.{advice}")
 
 
 def field_keys(kind: type) -> dict[str, Key]:

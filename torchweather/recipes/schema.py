@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.compose.plans import TRANSFORMS
-from torchweather.core.schema import FLAG, MAPPING, SHARE, TEXT, Key, check_format, check_keys, one_of
+from torchweather.core.schema import FLAG, MAPPING, SHARE, TEXT, Key, check_format, check_keys, check_value, one_of
 from torchweather.core.yaml_file import read_yaml
 from torchweather.recipes.files import KINDS
 
@@ -42,7 +42,6 @@ OLD_FORMATS = {
     "torchweather-suite/1": "suite",
 }
 FILLED = Key("keys with values", lambda value: isinstance(value, Mapping) and bool(value), required=True)
-KIND = {"kind": one_of(KINDS).needed}
 TITLE = Key("text", lambda value: not isinstance(value, (Mapping, list)), required=True)
 
 OF_A_SENSOR: dict[str, Key] = {
@@ -82,6 +81,6 @@ def read_values(path: Path) -> dict[str, Any]:
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         values = {**values, "format": FORMAT, "kind": values.get("kind", kind)}
     check_format(values, FORMAT, file, "a recipe")
-    check_keys({key: values[key] for key in KIND if key in values}, KIND, file)  # it decides about the other keys
-    check_keys(values, {"format": TEXT, **KIND, "title": TITLE, **SCHEMA[values["kind"]]}, file)
+    check_value(values.get("kind"), one_of(KINDS), file, "kind")
+    check_keys(values, {"format": TEXT, "kind": TEXT, "title": TITLE, **SCHEMA[values["kind"]]}, file)
     return dict(values)

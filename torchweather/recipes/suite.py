@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from torchweather.atmosphere.weather import WEATHERS, Weather, weather_from_dict
 from torchweather.core.errors import TorchweatherError
-from torchweather.core.schema import MAPPING, check_keys, one_of, refuse_unknown
+from torchweather.core.schema import MAPPING, ROWS, check_keys, check_value, one_of, refuse_unknown
 from torchweather.recipes.files import name_of
 from torchweather.recipes.options import OPTIONS
 from torchweather.recipes.transform import refuse_overrides, sensor_keys
@@ -99,8 +99,7 @@ def checked_suite(values: Mapping[str, Any], path: Path) -> SuiteRecipe:
         TorchweatherError: with the file and the key.
     """
     file, sensor, options = str(path), dict(values["sensor"]), dict(values.get("options") or {})
-    kinds = {"kind": one_of(SENSOR_CLASSES).needed}
-    check_keys({key: sensor[key] for key in kinds if key in sensor}, kinds, file, "sensor")
+    check_value(sensor.get("kind"), one_of(SENSOR_CLASSES), file, "sensor.kind")
     check_keys(sensor, sensor_keys(sensor["kind"]), file, "sensor")
     refuse_unknown(options, OPTIONS[sensor["kind"]], "options", file)
     weathers = {name: _weather(name, fields, file) for name, fields in values["weathers"].items()}
@@ -127,15 +126,13 @@ def checked_suite(values: Mapping[str, Any], path: Path) -> SuiteRecipe:
 def _weather(name: str, fields: Any, file: str) -> dict[str, Any]:
     """The fields of a weather, its kind among them."""
     at = f"weathers.{name}"
-    if not isinstance(fields, Mapping):
-        raise TorchweatherError(f"{file}: {at} must be {MAPPING.takes}; got {fields!r}.")
+    check_value(fields, MAPPING, file, at)
     found = dict(fields)
     found.setdefault("kind", MIXTURE if "parts" in found else name)
     parts = found.get("parts", [found])
-    if not isinstance(parts, list) or not all(isinstance(part, Mapping) for part in parts):
-        raise TorchweatherError(f"{file}: {at}.parts must be a list of weathers, each with its kind; got {parts!r}.")
+    check_value(parts, ROWS, file, f"{at}.parts")
     for part in parts:
-        check_keys({"kind": part.get("kind")}, {"kind": one_of(WEATHERS).needed}, file, at)
+        check_value(part.get("kind"), one_of(WEATHERS), file, f"{at}.kind")
         if _intensity(part) not in part:
             raise TorchweatherError(f"{file}: {at}.{_intensity(part)} is missing; expected a number or {SEVERITIES}.")
     varied = [part[_intensity(part)] for part in parts if isinstance(part.get(_intensity(part)), list)]

@@ -16,7 +16,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import TRANSFORMS, TransformClass
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
-from torchweather.core.schema import TEXT, Key, check_keys, field_keys, one_of, refuse_unknown
+from torchweather.core.schema import TEXT, Key, check_keys, check_value, field_keys, one_of, refuse_unknown
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
@@ -29,6 +29,7 @@ from torchweather.sensors import SENSOR_CLASSES, sensor_preset
 __all__ = ["TransformRecipe", "checked_transform", "refuse_overrides", "transform_class"]
 
 
+DEPTH = Key(f"metres, {GROUND!r} or {AUTO!r}", lambda value: not isinstance(value, str) or value in (GROUND, AUTO))
 camera_of, lidar_of, radar_of = Camera.from_values, Lidar.from_values, Radar.from_values
 
 
@@ -135,11 +136,7 @@ def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> Tr
     kind = kind_of(TRANSFORMS[transform])
     check_keys(values["sensor"], sensor_keys(kind), str(path), f"{at}sensor")
     refuse_unknown(options, OPTIONS[kind], f"{at}options", str(path))
-    depth = options.get("depth")
-    if isinstance(depth, str) and depth not in (GROUND, AUTO):
-        raise TorchweatherError(
-            f"{path}: {at}options.depth must be a number of metres, {GROUND!r} or {AUTO!r}; got {depth!r}."
-        )
+    check_value(options.get("depth"), DEPTH, str(path), f"{at}options.depth")
     for key in ("rgb", "through_mosaic"):
         if values.get(key, False) and kind != "camera":
             raise TorchweatherError(f"{path}: {at}{key} is for a camera; the transform is {transform}. Leave it out.")

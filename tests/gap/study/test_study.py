@@ -309,7 +309,7 @@ BAD_VALUES = [
     (("conditions", 0, "id"), 7, r"conditions\[0\].id must be text"),
     (("conditions", 0, "framse"), [], r"unknown key 'conditions\[0\].framse'.*Did you mean 'frames'"),
     (("conditions",), [], r"conditions must hold at least one condition"),
-    (("conditions",), {"c0": 1}, r"conditions\[0\] must have keys"),
+    (("conditions",), {"c0": 1}, r"conditions\[0\] must be keys with values"),
     (("scenes",), [], r"scenes must hold at least one scene"),
     (("scenes", 0, "clear"), [], r"scenes\[0\].clear must hold at least one frame"),
     (("scenes", 0, "claer"), [], r"unknown key 'scenes\[0\].claer'.*Did you mean 'clear'"),

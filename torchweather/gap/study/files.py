@@ -9,7 +9,7 @@ from typing import Any
 
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, check_one_of
-from torchweather.core.schema import ANY, MAPPING, TEXT, Key, check_format, check_keys, field_keys, one_of
+from torchweather.core.schema import ANY, MAPPING, ROWS, TEXT, check_format, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import dump_yaml, read_yaml
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.content_hash import plain
@@ -24,10 +24,6 @@ __all__ = ["FORMAT", "STUDY_FILE", "StudyValues", "read_values", "write_folder"]
 
 FORMAT = "torchweather-study/1"
 STUDY_FILE = "study.yaml"
-ROWS = Key(
-    "a list of entries with keys",
-    lambda value: isinstance(value, list) and all(isinstance(row, Mapping) for row in value),
-)
 KEYS = {"format": TEXT, "sensor": MAPPING.needed, "scenes": ROWS, "conditions": ROWS, "links": ANY, "series": ANY}
 OF_LINKS = {"kind": one_of(KINDS).needed, "links": ANY}
 OF_SENSOR = {**OF_LINKS, "preset": ANY, "overrides": MAPPING.or_null, "beams": ANY}

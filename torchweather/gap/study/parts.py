@@ -16,7 +16,7 @@ from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weat
 from torchweather.camera.airlight import airlight_argument
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
-from torchweather.core.schema import refuse_unknown
+from torchweather.core.schema import ANY, Key, check_keys, check_value, one_of, refuse_unknown
 from torchweather.gap.study.checks import ARRAYS, FrameRule
 from torchweather.gap.study.conditions import Condition, StudyScene
 from torchweather.gap.study.frames import Frame, Frames, FrameSource, load
@@ -29,13 +29,15 @@ __all__ = ["KINDS", "Parts", "SENSORS", "build_parts"]
 
 KINDS = ("lidar", "camera", "radar", "link")
 SENSORS: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"lidar": Lidar, "camera": Camera, "radar": Radar}
-# What a weather's weather_intensity is called, and the relative standard deviation of its record.
+# The name of a weather's intensity, and the relative standard deviation of its record.
 WEATHERS: dict[str, tuple[str, str]] = {
     Rain.kind: (Rain.intensity_name, "rate_rel_sd"),
     Snow.kind: (Snow.intensity_name, "rate_rel_sd"),
     Fog.kind: (Fog.intensity_name, "mor_rel_sd"),
 }
 CLEAR = "clear"
+WEATHER_KIND = one_of((*WEATHERS, CLEAR))
+ID = Key("text, such as 's0' (numbers in quotes)", lambda value: isinstance(value, str) and bool(value))
 SCENE_KEYS = ("id", "clear", "geometry")
 CONDITION_KEYS = (
     *("id", "scene", "weather", "rel_sd", "frames", "time_s", "split"),
@@ -145,13 +147,8 @@ def _conditions(
         name = _name(row, key, built, owner)
         rule = frame_rule
         if kind != "link":
-            scene = row.get("scene")
-            if scene not in list(scenes):
-                raise TorchweatherError(
-                    f"{owner}: {key}.scene must be one of {', '.join(scenes)}; got {_shown(scene)}."
-                    f"{nearest_name(scene, scenes)}"
-                )
-            rule = _frame_rule(kind, frame_rule, str(scene), scenes[str(scene)].geometry)
+            check_value(row.get("scene"), one_of(scenes), owner, f"{key}.scene")
+            rule = _frame_rule(kind, frame_rule, row["scene"], scenes[row["scene"]].geometry)
         weather, rel_sd = _weather(row, kind, key, owner)
         frames = _frames(row, "frames", key, rule, owner)
         split = row.get("split")
@@ -162,7 +159,7 @@ def _conditions(
             )
         built[name] = Condition(
             id=name,
-            scene="" if kind == "link" else str(row["scene"]),
+            scene="" if kind == "link" else row["scene"],
             weather=weather,
             frames=frames,
             rel_sd=rel_sd,
@@ -219,21 +216,15 @@ def _rows(values: Any, what: str, keys: Sequence[str], owner: str) -> dict[str, 
     """Entries of a list by the name under which messages know them."""
     if not isinstance(values, (list, tuple)):
         raise TorchweatherError(f"{owner}: {what} must be a list of entries with keys; got {_shown(values)}.")
-    rows = {}
-    for place, row in enumerate(values):
-        if not isinstance(row, Mapping):
-            raise TorchweatherError(f"{owner}: {what}[{place}] must have keys {', '.join(keys)}; got {_shown(row)}.")
-        refuse_unknown(row, keys, f"{what}[{place}]", owner)
-        rows[f"{what}[{place}]"] = row
+    rows = {f"{what}[{place}]": row for place, row in enumerate(values)}
+    for key, row in rows.items():
+        check_keys(row, dict.fromkeys(keys, ANY), owner, key)
     return rows
 
 
 def _name(row: Values, key: str, known: Mapping[str, Any], owner: str) -> str:
-    name = row.get("id")
-    if not isinstance(name, str) or not name:
-        raise TorchweatherError(
-            f"{owner}: {key}.id must be text, such as 's0' (numbers in quotes); got {_shown(name)}."
-        )
+    check_value(row.get("id"), ID, owner, f"{key}.id")
+    name: str = row["id"]
     if name in known:
         raise TorchweatherError(f"{owner}: {key}.id must differ from the others; {name!r} stands twice.")
     return name
@@ -254,7 +245,7 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
         if name == CLEAR:
             refuse_unknown(given, ("kind",), where, owner)
             return None, 0.0
-        _check_kind(name, where, owner)
+        check_value(name, WEATHER_KIND, owner, f"{where}.kind")
         weather_intensity, spread = WEATHERS[str(name)]
         if weather_intensity not in given:
             raise TorchweatherError(
@@ -278,18 +269,10 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
         raise TorchweatherError(
             f"{owner}: {where} must be a weather such as Rain(25.0), 'rain:rate=25' or 'clear'; got {_shown(weather)}."
         )
-    _check_kind(weather.kind, where, owner)
+    check_value(weather.kind, WEATHER_KIND, owner, f"{where}.kind")
     if isinstance(weather.intensity, Tensor):
         raise TorchweatherError(f"{owner}: {where}: {weather.intensity_name} must be one number; got a tensor.")
     return weather, rel_sd
-
-
-def _check_kind(name: Any, where: str, owner: str) -> None:
-    kinds = (*WEATHERS, CLEAR)
-    if name not in kinds:
-        raise TorchweatherError(
-            f"{owner}: {where}.kind must be one of {', '.join(kinds)}; got {_shown(name)}.{nearest_name(name, kinds)}"
-        )
 
 
 def _times(values: Any, frames: int, name: str) -> np.ndarray[Any, np.dtype[np.float64]] | None:
