@@ -67,7 +67,7 @@ CAMERA = "{kind: camera, preset: lucid-triton}"
 RECIPE = "format: torchweather-recipe/2\ntitle: mine\n"
 STUDY = (
     "format: torchweather-study/1\nsensor: {kind: link}\n"
-    "conditions:\n- {id: a, ego_speed_m_per_s: @, frames: [a.npz]}\nlinks: a.npz\n"
+    "conditions:\n- {id: a, rain_rel_sd: @, frames: [a.npz]}\nlinks: a.npz\n"
 )
 MATRIX = "[[1.0, 0.0, 0.0, @], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 2.0]]"
 
@@ -105,7 +105,7 @@ READERS = {
         "500.0",
         "weathers.fog.mor_m[0]",
     ),
-    "study": Reader(study, STUDY, "10.0", "conditions[0].ego_speed_m_per_s", "study.yaml"),
+    "study": Reader(study, STUDY, "0.1", "conditions[0].rain_rel_sd", "study.yaml"),
     "declaration": Reader(
         read_declaration,
         "format: torchweather-detector/1\ntitle: cars\nsensor: camera\ninput: {name: images, scale: @}\n"

@@ -9,7 +9,18 @@ from typing import Any
 
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, check_one_of
-from torchweather.core.schema import ANY, MAPPING, ROWS, TEXT, check_format, check_keys, field_keys, one_of
+from torchweather.core.schema import (
+    ANY,
+    MAPPING,
+    NUMBER,
+    ROWS,
+    TEXT,
+    check_format,
+    check_keys,
+    check_value,
+    field_keys,
+    one_of,
+)
 from torchweather.core.yaml_file import dump_yaml, read_yaml
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.content_hash import plain
@@ -94,6 +105,8 @@ def read_values(folder: Path) -> StudyValues:
 def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str) -> list[dict[str, Any]]:
     rows = values.get("conditions", [])
     for place, row in enumerate(rows):
+        if kind == "link":
+            check_value(row.get(LINK_REL_SD), NUMBER.or_null, owner, f"conditions[{place}].{LINK_REL_SD}")
         if "rel_sd" in row:
             known = [LINK_REL_SD] if kind == "link" else sorted({spread for _, spread in WEATHERS.values()})
             raise TorchweatherError(
