@@ -78,7 +78,7 @@ def read_values(path: Path) -> dict[str, Any]:
     if isinstance(old, str) and old in OLD_FORMATS:
         kind = OLD_FORMATS[old]
         text = f"{file}: format: {old} is {FORMAT} with kind: {kind} now; the old format goes with the next release."
-        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        warnings.warn(text, DeprecationWarning, stacklevel=3)
         values = {**values, "format": FORMAT, "kind": values.get("kind", kind)}
     check_format(values, FORMAT, file, "a recipe")
     check_value(values.get("kind"), one_of(KINDS), file, "kind")
