@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.yaml_file import MAX_ALIASED, parse_json, parse_yaml, read_yaml
@@ -88,7 +89,8 @@ def study(path: Path) -> Any:
 READERS = {
     "transform": Reader(
         load_recipe,
-        f"{RECIPE}kind: transform\ntransform: BayerFog\nweather: {{kind: fog, mor_m: @}}\nsensor: {CAMERA}\n",
+        f"{RECIPE}kind: transform\ntransform: BayerFog\nsensor: {CAMERA}\n"
+        "weather: {kind: fog, mor_m: @, size_distribution: advection}\n",
         "50.0",
         "weather.mor_m",
     ),
@@ -228,6 +230,40 @@ def test_a_misspelt_key_is_refused_with_the_nearest(reader: Reader, tmp_path: Pa
     first = good.partition(":")[0]
     if not reader.foreign:
         assert f"Did you mean '{first}'" in refused(reader, tmp_path, f"{good}{first}x: 1\n")
+
+
+# Each in the place of every value of a good file.
+ANYTHING: tuple[Any, ...] = (
+    *(None, 5, True, "x", "", [], {}, [5], [None], {"a": 1}, [{"a": 1}], 1e300, {"kind": "fog"}, {"choice": [5]}),
+    *({"kind": "mixture", "parts": [5]}, {"choice": [{"kind": "mixture", "parts": 5}]}, {"uniform": ["a", "b"]}),
+)
+
+
+def places(values: Any) -> Iterator[tuple[Any, Any]]:
+    """Every mapping or list in plain values with each of its keys."""
+    for key, value in values.items() if isinstance(values, dict) else enumerate(values):
+        yield values, key
+        if isinstance(value, (dict, list)):
+            yield from places(value)
+
+
+@pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
+def test_whatever_stands_in_the_place_of_a_value_is_read_or_refused_with_the_file(
+    reader: Reader, tmp_path: Path
+) -> None:
+    values, refusals = yaml.safe_load(reader.text.replace(HOLE, reader.number)), list[str]()
+    for holder, key in list(places(values)):
+        kept = holder[key]
+        for value in ANYTHING:
+            holder[key] = value
+            path = reader.write(tmp_path, yaml.safe_dump(values))
+            try:
+                reader.read(path)
+            except TorchweatherError as error:
+                refusals.append(str(error))
+        holder[key] = kept
+    assert [message for message in refusals if str(tmp_path) not in message] == []
+    assert len(refusals) > len(ANYTHING)
 
 
 def test_a_file_that_is_missing_or_no_text_is_named(tmp_path: Path) -> None:

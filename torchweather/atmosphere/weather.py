@@ -28,6 +28,7 @@ from torchweather.core.errors import (
     owner_name,
 )
 from torchweather.core.random import keyed_stream
+from torchweather.core.schema import MAPPING, NUMBERS, ROWS, check_value
 from torchweather.physics import (
     FOG,
     RAIN,
@@ -180,7 +181,10 @@ class Weather:
             if key not in known:
                 raise InputValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
             if key == cls.intensity_name and isinstance(value, list):
+                check_value(value, NUMBERS, cls.__name__, key)
                 value = torch.tensor(value)
+            if key == "size_distribution" and not isinstance(value, (str, Mapping, Binned)):
+                raise InputTypeError(f"{cls.__name__}: {key} must be a name or its bins; got {value!r}.")
             if isinstance(value, Mapping):
                 if key == "size_distribution":
                     value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
@@ -595,8 +599,10 @@ ALIASES = {
 
 def weather_from_dict(values: Mapping[str, Any]) -> Weather:
     """The weather that ``to_dict`` wrote: ``{"kind": "rain", "rate_mm_per_h": 25.0, ...}``."""
+    check_value(values, MAPPING, "torchweather", "weather")
     kind = values.get("kind")
     if kind == "mixture":
+        check_value(values.get("parts"), ROWS, "Mixture", "parts")
         return Mixture(*(weather_from_dict(part) for part in values["parts"]))
     check_one_of("weather kind", kind, WEATHERS, owner="torchweather")
     return WEATHERS[str(kind)].from_dict(values)

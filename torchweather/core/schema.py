@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 
 __all__ = [
     "ANY",
@@ -61,7 +62,7 @@ class Key:
 
 def is_number(value: object) -> bool:
     """Whether a value is a number; true and false are none."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def is_whole(value: object) -> bool:
@@ -88,7 +89,9 @@ WHOLE = Key("a whole number", is_whole)
 NUMBERS = Key("a list of numbers", lambda value: isinstance(value, list) and all(map(_is_number_or_list, value)))
 ANY = Key("a value", lambda value: True)
 MAPPING = Key("keys with values", lambda value: isinstance(value, Mapping))
-ROWS = Key("a list of entries with keys", lambda value: isinstance(value, list) and all(map(MAPPING.fits, value)))
+ROWS = Key(
+    "a list of entries with keys", lambda value: isinstance(value, (list, tuple)) and all(map(MAPPING.fits, value))
+)
 
 
 def check_format(values: Any, form: str, file: str, what: str) -> None:
@@ -131,7 +134,7 @@ def check_value(value: Any, key: Key, file: str, at: str) -> None:
     advice = nearest_name(value, key.names)
     if isinstance(value, str) and key.takes.startswith(("a number", "a whole")):  # YAML 1.1 takes 1e-3 for text
         advice = " It is text; a number has a point: 1.0e-3, not 1e-3."
-    raise TorchweatherError(f"{file}: {at} must be {key.takes}; got {_short(value)}.{advice}")
+    raise InputValueError(f"{file}: {at} must be {key.takes}; got {_short(value)}.{advice}")
 
 
 def field_keys(kind: type) -> dict[str, Key]:

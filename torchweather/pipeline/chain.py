@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.core.random import in_parallel, sample_seeds
-from torchweather.core.schema import check_format, refuse_unknown
+from torchweather.core.schema import check_format, check_value, one_of, refuse_unknown
 from torchweather.core.yaml_file import dump_yaml, parse_yaml
 from torchweather.pipeline.registry import STAGES, load_catalogue
 from torchweather.pipeline.stage import Stage, State
@@ -114,15 +114,11 @@ class Chain(nn.Module):
         for number, entry in enumerate(_entries(values, owner)):
             arguments = dict(entry)
             name, kind = arguments.pop("name", None), arguments.pop("stage", None)
-            if not isinstance(name, str) or name in stages:
+            if not isinstance(name, str) or not name or "." in name or name in stages:
                 raise TorchweatherError(
                     f"{owner}: stages[{number}]: wanted a name of its own for each stage; got {name!r}."
                 )
-            if kind not in STAGES:
-                raise TorchweatherError(
-                    f"{owner}: stages[{number}]: stage must be one of {', '.join(STAGES)}; got {kind!r}."
-                    f"{nearest_name(kind, STAGES)}"
-                )
+            check_value(kind, one_of(STAGES), owner, f"stages[{number}].stage")
             try:
                 stages[name] = STAGES[kind](**arguments)
             except (TypeError, ValueError, KeyError, AttributeError) as error:
