@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from torchweather.atmosphere.weather import Mixture
 from torchweather.core.errors import InputValueError
-from torchweather.core.random import Variate, draw_variates
 from torchweather.export.metadata import described, sections_of
-from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, intensity_inputs
+from torchweather.export.traceable import (
+    TRACED_BATCH,
+    GraphForm,
+    PointGraph,
+    Traceable,
+    intensity_inputs,
+    without_samples,
+)
 from torchweather.lidar.stages import Extinction, ParticleReturns
 from torchweather.lidar.transform import LidarWeather
 
@@ -24,7 +28,6 @@ UNITS = {
     "points": "x, y, z in m (x forward, y left, z up), intensity in the sensor's unit, further columns carried along"
 }
 OUTPUTS = ("cloud", "kind", "second", "second_kind")
-TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
 
 
 def traceable_lidar(transform: LidarWeather, points: int, columns: int, directions: bool | None) -> Traceable:
@@ -53,7 +56,7 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
         )
     if directions is None:
         directions = transform.sensor.directions is not None
-    graph = _LidarGraph(transform)
+    graph = _LidarGraph(_Weathered(_for_any_cloud(transform)), transform.chain, _intensities(transform))
     batch, count = torch.export.Dim("batch", min=1), torch.export.Dim("points", min=1)
     device = next(transform.buffers()).device
     generator = torch.Generator().manual_seed(0)
@@ -61,18 +64,12 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     along = [torch.nn.functional.normalize(cloud[0, :, :3], dim=-1)] if directions else []
     # Where beams without return end takes a search of the whole sweep: the graph is told.
     ways = [cloud[..., 0].clone()] if directions and transform.beam_ends == "scene" else []
-    intensities = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.intensities]
-    noise, noise_shapes = [], []
-    for key, variate in graph.variates.items():
-        stage, _, _ = key.partition(".")
-        array = draw_variates(range(TRACED_BATCH), stage, [variate], {"N": points})[key]
-        noise.append(torch.from_numpy(array).to(device))
-        noise_shapes.append({0: batch} | {i + 1: count for i, size in enumerate(variate.shape) if size == "N"})
+    intensities, noise, intensity_shapes, noise_shapes = graph.example(points, batch, count, device)
     shapes: tuple[Any, ...] = (
         {0: batch, 1: count},
         [{0: count} for _ in along],
         [{0: batch, 1: count} for _ in ways],
-        [{0: batch} for _ in intensities],
+        intensity_shapes,
         noise_shapes,
     )
     inputs = ["points", *(["directions"] if along else []), *(["reach_m"] if ways else [])]
@@ -84,21 +81,14 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     )
 
 
-def _trace(transform: LidarWeather, sizes: GraphSizes) -> Traceable:
-    return traceable_lidar(transform, sizes.points, sizes.columns, sizes.directions)
+LIDAR_FORM = GraphForm(
+    lambda transform, sizes: traceable_lidar(transform, sizes.points, sizes.columns, sizes.directions),
+    fewest_columns=4,
+)
 
 
-LIDAR_FORM = GraphForm(_trace, fewest_columns=4)
-
-
-class _LidarGraph(nn.Module):
+class _LidarGraph(PointGraph):
     """A LiDAR transform as a function of tensors only."""
-
-    def __init__(self, transform: LidarWeather) -> None:
-        super().__init__()
-        self.weathered = _Weathered(_for_any_cloud(transform))
-        self.variates = _variates(transform)
-        self.intensities = _intensities(transform)
 
     def forward(
         self,
@@ -108,17 +98,8 @@ class _LidarGraph(nn.Module):
         intensities: list[Tensor],
         noise: list[Tensor],
     ) -> tuple[Tensor, ...]:
-        named_noise = dict(zip(self.variates, noise, strict=True))
-        named_intensities = {
-            f"transform.chain.{buffer}": intensity
-            for buffers, intensity in zip(self.intensities.values(), intensities, strict=True)
-            for buffer in buffers
-        }
-        along = directions[0] if directions else None
-        found: tuple[Tensor, ...] = torch.func.functional_call(
-            self.weathered, named_intensities, (points, along, ways[0] if ways else None, named_noise)
-        )
-        return found
+        along, way = (given[0] if given else None for given in (directions, ways))
+        return self.called((points, along, way), intensities, noise)
 
 
 class _Weathered(nn.Module):
@@ -138,19 +119,9 @@ class _Weathered(nn.Module):
 
 def _for_any_cloud(transform: LidarWeather) -> LidarWeather:
     """The transform without what fits one cloud alone: directions, number of columns, an intensity for each sample."""
-    fits_any = copy.copy(transform)
+    fits_any = without_samples(transform)
     fits_any.sensor = replace(transform.sensor, directions=None, columns=None)
-    parts = transform.weather.parts
-    fits_any.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in parts))  # type: ignore[type-var]
     return fits_any
-
-
-def _variates(transform: LidarWeather) -> dict[str, Variate]:
-    return {
-        f"{name}.{variate.name}": variate
-        for name, stage in transform.chain.stages.items()
-        for variate in stage.variates()
-    }
 
 
 def _intensities(transform: LidarWeather) -> dict[str, list[str]]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import copy
-from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from torchweather.atmosphere.weather import Mixture
 from torchweather.core.errors import InputValueError
-from torchweather.core.random import draw_variates
 from torchweather.export.metadata import described, described_sensor, sections_of
-from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, intensity_inputs
+from torchweather.export.traceable import (
+    TRACED_BATCH,
+    GraphForm,
+    PointGraph,
+    Traceable,
+    intensity_inputs,
+    without_samples,
+)
 from torchweather.radar import RangeDopplerMap
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.clutter import VolumeClutter
@@ -27,7 +30,6 @@ UNITS = {
 }
 OUTPUTS = ("detections", "kind", "snr_db", "attenuation_db")
 MAP_INPUTS, MAP_OUTPUTS = ("real", "imaginary"), ("map_real", "map_imaginary", "power_dbm")
-TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
 
 
 def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> Traceable:
@@ -43,19 +45,13 @@ def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> T
             f'to_onnx: {type(transform).__name__}(lost="drop") gives as many detections as are left, which no graph '
             'can say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
         )
-    graph = _RadarGraph(transform)
+    graph = _RadarGraph(_Weathered(without_samples(transform)), transform.chain, _intensities(transform))
     batch, count = torch.export.Dim("batch", min=1), torch.export.Dim("points", min=1)
     device = next(transform.buffers()).device
     generator = torch.Generator().manual_seed(0)
     detections = torch.rand(TRACED_BATCH, points, columns, generator=generator).to(device)
-    intensities = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in graph.intensities]
-    noise, noise_shapes = [], []
-    for key, variate in graph.variates.items():
-        stage, _, _ = key.partition(".")
-        array = draw_variates(range(TRACED_BATCH), stage, [variate], {"N": points})[key]
-        noise.append(torch.from_numpy(array).to(device))
-        noise_shapes.append({0: batch} | {i + 1: count for i, size in enumerate(variate.shape) if size == "N"})
-    shapes: tuple[Any, ...] = ({0: batch, 1: count}, [{0: batch} for _ in intensities], noise_shapes)
+    intensities, noise, intensity_shapes, noise_shapes = graph.example(points, batch, count, device)
+    shapes: tuple[Any, ...] = ({0: batch, 1: count}, intensity_shapes, noise_shapes)
     inputs = ["points", *graph.intensities, *graph.variates]
     arguments, sections = (detections, intensities, noise), (SECTIONS, *sections_of(transform.weather))
     return Traceable(
@@ -75,40 +71,17 @@ def traceable_map(transform: RangeDopplerMap) -> Traceable:
     return Traceable(transform, tuple(parts), shapes, list(MAP_INPUTS), list(MAP_OUTPUTS), {}, own, (MAP_SECTION,))
 
 
-def _trace(transform: RadarAttenuation, sizes: GraphSizes) -> Traceable:
-    return traceable_radar(transform, sizes.points, sizes.columns)
+RADAR_FORM = GraphForm(
+    lambda transform, sizes: traceable_radar(transform, sizes.points, sizes.columns), fewest_columns=6
+)
+MAP_FORM = GraphForm(lambda transform, sizes: traceable_map(transform))
 
 
-def _trace_map(transform: RangeDopplerMap, sizes: GraphSizes) -> Traceable:
-    return traceable_map(transform)
-
-
-RADAR_FORM = GraphForm(_trace, fewest_columns=6)
-MAP_FORM = GraphForm(_trace_map)
-
-
-class _RadarGraph(nn.Module):
+class _RadarGraph(PointGraph):
     """A radar transform as a function of tensors only."""
 
-    def __init__(self, transform: RadarAttenuation) -> None:
-        super().__init__()
-        self.weathered = _Weathered(_for_any_list(transform))
-        self.variates = {
-            f"{name}.{variate.name}": variate
-            for name, stage in transform.chain.stages.items()
-            for variate in stage.variates()
-        }
-        self.intensities = _intensities(transform)
-
     def forward(self, points: Tensor, intensities: list[Tensor], noise: list[Tensor]) -> tuple[Tensor, ...]:
-        named_noise = dict(zip(self.variates, noise, strict=True))
-        named_intensities = {
-            f"transform.chain.{buffer}": intensity
-            for buffers, intensity in zip(self.intensities.values(), intensities, strict=True)
-            for buffer in buffers
-        }
-        found: tuple[Tensor, ...] = torch.func.functional_call(self.weathered, named_intensities, (points, named_noise))
-        return found
+        return self.called((points,), intensities, noise)
 
 
 class _Weathered(nn.Module):
@@ -122,14 +95,6 @@ class _Weathered(nn.Module):
         result = self.transform.run(points, noise)
         found = (result.points, result.kind, result.snr_db, result.attenuation_db)
         return tuple(tensor for tensor in found if isinstance(tensor, Tensor))
-
-
-def _for_any_list(transform: RadarAttenuation) -> RadarAttenuation:
-    """The transform without an intensity for each sample, which would fit one number of samples alone."""
-    fits_any = copy.copy(transform)
-    parts = transform.weather.parts
-    fits_any.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in parts))  # type: ignore[type-var]
-    return fits_any
 
 
 def _intensities(transform: RadarAttenuation) -> dict[str, list[str]]:

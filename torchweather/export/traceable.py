@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from copy import copy
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
-from torch import nn
+import torch
+from torch import Tensor, nn
 
-from torchweather.atmosphere.weather import Weather
-from torchweather.core.random import Variate
+from torchweather.atmosphere.weather import Mixture, Weather
+from torchweather.core.random import Variate, draw_variates
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.sensor_transform import WeatherTransform
 
-__all__ = ["GraphForm", "GraphSizes", "Traceable", "intensity_inputs"]
+__all__ = [
+    "TRACED_BATCH",
+    "GraphForm",
+    "GraphSizes",
+    "PointGraph",
+    "Traceable",
+    "intensity_inputs",
+    "variates_of",
+    "without_samples",
+]
 
 FALLING = ("rain", "snow")
+TRACED_BATCH = 2  # the exporter takes a size of 1 for one that never changes
 
 
 @dataclass(frozen=True)
@@ -69,6 +83,56 @@ class GraphForm:
     fewest_columns: int = 0
     whole_cells: bool = True
     takes_masks: bool = False
+
+
+class PointGraph(nn.Module):
+    """A transform of clouds or lists as a function of tensors only.
+
+    Args:
+        weathered: gives the tensors of the result; holds the transform as ``transform``.
+        intensities: input of the graph to the buffers of the chain that it sets.
+    """
+
+    def __init__(self, weathered: nn.Module, chain: Chain, intensities: Mapping[str, Sequence[str]]) -> None:
+        super().__init__()
+        self.weathered, self.variates, self.intensities = weathered, variates_of(chain), intensities
+
+    def called(self, data: Sequence[Any], intensities: Sequence[Tensor], noise: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """The tensors of the result for data, intensities and noise in the order of the graph's inputs."""
+        set_to = {
+            f"transform.chain.{buffer}": intensity
+            for buffers, intensity in zip(self.intensities.values(), intensities, strict=True)
+            for buffer in buffers
+        }
+        named_noise = dict(zip(self.variates, noise, strict=True))
+        found: tuple[Tensor, ...] = torch.func.functional_call(self.weathered, set_to, (*data, named_noise))
+        return found
+
+    def example(self, points: int, batch: Any, count: Any, device: torch.device) -> tuple[Any, Any, Any, Any]:
+        """Intensities and noise to trace with, and the dynamic shapes of both."""
+        intensities = [torch.full((TRACED_BATCH,), 50.0, device=device) for _ in self.intensities]
+        noise, shapes = [], []
+        for key, variate in self.variates.items():
+            stage, _, _ = key.partition(".")
+            array = draw_variates(range(TRACED_BATCH), stage, [variate], {"N": points})[key]
+            noise.append(torch.from_numpy(array).to(device))
+            shapes.append({0: batch} | {i + 1: count for i, size in enumerate(variate.shape) if size == "N"})
+        return intensities, noise, [{0: batch} for _ in intensities], shapes
+
+
+def variates_of(chain: Chain) -> dict[str, Variate]:
+    """Noise inputs of a graph and what fills them."""
+    return {f"{name}.{variate.name}": variate for name, stage in chain.stages.items() for variate in stage.variates()}
+
+
+T = TypeVar("T", bound=WeatherTransform)
+
+
+def without_samples(transform: T) -> T:
+    """The transform without an intensity for each sample, which would fit one number of samples alone."""
+    fits_any, parts = copy(transform), transform.weather.parts
+    fits_any.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in parts))  # type: ignore[type-var]
+    return fits_any
 
 
 def intensity_inputs(parts: Sequence[Weather]) -> dict[str, str]:
