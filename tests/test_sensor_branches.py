@@ -31,7 +31,7 @@ BORDERS = {
     "radar/fmcw/fmcw.py": 1,
     "radar/fmcw/range_doppler_map.py": 1,
 }
-LIMITS = {"evaluation": 5, "gap": 50, "recipes": 6, "report": 18}
+LIMITS = {"evaluation": 5, "gap": 51, "recipes": 6, "report": 18}
 
 
 def is_branch(node: ast.AST) -> bool:
