@@ -6,8 +6,10 @@ left that no effect explains.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,10 +32,17 @@ from torchweather.gap.inference.candidate_fits import (
 from torchweather.gap.inference.forward_selection import (
     ALARM_P,
     HELD_GAIN,
+    HELD_LOSS,
     MOST_EFFECTS,
+    REST_P,
+    REST_SHARE,
+    SURE_GAIN,
     SURE_P,
+    UNKNOWN_SHARE,
     GapResult,
     _confusable,
+    _earns,
+    _verdict,
     _without_idle,
     find_gap_with,
 )
@@ -45,6 +54,7 @@ from torchweather.gap.inference.global_test import (
     located_templates,
     overdispersion,
 )
+from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.simulated_distribution import observations
@@ -230,6 +240,124 @@ def test_an_effect_may_hide_behind_what_is_left_open() -> None:
             assert found_in(result)[WINDOW] == pytest.approx(strength, abs=4 * 0.05)
     other = searched((EXTINCTION, 0.3), **like)
     assert list(found_in(other)) == [EXTINCTION]
+
+
+# ---- gates, on plain numbers -----------------------------------------------------------------------------------------
+
+
+BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
+EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
+
+
+def screening(
+    misfit: float = 1200.0,
+    p_value: float = 1e-9,
+    excess: float = 0.0,
+    rest_p: float = 1.0,
+    rest_common_p: float = 1.0,
+    common_p: float = 1.0,
+) -> Any:
+    """Noise gains 30 at most; some statistics exceed theirs."""
+    rest = SimpleNamespace(
+        excess=lambda left: excess, p_value=lambda left: rest_p, common_p_value=lambda left: rest_common_p
+    )
+    noise = np.full(100, 30.0)
+    return SimpleNamespace(misfit=misfit, p_value=p_value, common_p_value=common_p, best_null=noise, rest=rest)
+
+
+def left_by(misfit: float) -> Any:
+    """A fit."""
+    return SimpleNamespace(misfit=misfit, residual=np.zeros(4), nuisance=NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict"),
+    [
+        (0.0, "named"),
+        (0.5 * REST_SHARE, "named"),
+        (REST_SHARE + 0.01, "named_and_rest"),
+        (UNKNOWN_SHARE - 0.01, "named_and_rest"),
+        (UNKNOWN_SHARE + 0.01, "unknown"),
+        (0.9, "unknown"),
+    ],
+)
+def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, verdict: str) -> None:
+    """Of 1,000 that the effect explains and what it leaves, where that is no noise."""
+    excess = 1000.0 * share / (1.0 - share)
+    for sure in ({"rest_p": 0.5 * REST_P}, {"rest_common_p": 0.5 * REST_P}):
+        assert _verdict(screening(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
+    noise = screening(excess=excess, rest_p=2.0 * REST_P, rest_common_p=2.0 * REST_P)
+    assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
+
+
+@pytest.mark.parametrize(
+    ("gain", "p_value", "verdict"),
+    [(29.0, 0.5 * SURE_P, "unknown"), (29.0, 2.0 * SURE_P, "none"), (31.0, 2.0 * SURE_P, "named")],
+)
+def test_what_noise_gains_is_no_name(gain: float, p_value: float, verdict: str) -> None:
+    """Although something is missing, if that is sure."""
+    found = screening(misfit=1200.0, p_value=p_value)
+    assert _verdict(found, left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
+
+
+@pytest.mark.parametrize(("common_p", "verdict"), [(0.9 * ALARM_P, "unknown"), (1.1 * ALARM_P, "none")])
+def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: float, verdict: str) -> None:
+    """An alarm is enough where an effect explains no more than noise, or held-out conditions speak against it."""
+    found = screening(p_value=2.0 * SURE_P, common_p=common_p)
+    assert _verdict(found, left_by(1200.0 - 29.0), BEFORE, EXPLAINED) == verdict
+    worse = HeldOut(gap=2.1, floor=1.0, spread=0.05, misfit=1000.0)
+    assert _verdict(found, left_by(1200.0 - 60.0), BEFORE, worse) == verdict
+
+
+@pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
+@pytest.mark.parametrize(
+    ("explained", "least"),
+    [(0.9 * SURE_GAIN, 0.0), (10.0 * SURE_GAIN, -9.0 * SURE_GAIN * HELD_LOSS)],
+    ids=["weak", "strong"],
+)
+def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, explained: float, least: float) -> None:
+    """They must not speak against a weak effect; a strong one may lose a little there."""
+    found = screening(misfit=210.0 + explained, p_value=p_value)
+    for gained, expected in ((least - 0.1, verdict), (least + 0.1, "named")):
+        after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained)
+        assert _verdict(found, left_by(210.0), BEFORE, after) == expected
+
+
+def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
+    for gap, verdict in ((1.45, "named"), (1.55, "named_and_rest")):
+        assert _verdict(screening(), left_by(210.0), BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("gap", "verdict"),
+    [(2.9, "named_and_rest"), (4.0, "named_and_rest"), (5.0, "unknown")],  # of 20: 1.9, 3.8 and 6 % of the square
+)
+def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(gap: float, verdict: str) -> None:
+    """That over the floor's."""
+    before = HeldOut(20.0, 1.0, 0.05, 16000.0)
+    assert _verdict(screening(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+    far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
+    assert _verdict(screening(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
+    # ... but ten floors are not a rest, whatever was explained.
+    assert _verdict(screening(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0)) == "unknown"
+
+
+def test_a_further_effect_must_gain_what_it_needs_also_over_the_others_fitted_again() -> None:
+    search = likelihood_of(LinearSimulator([effect(WINDOW, 2.0), effect(NOISE, 0.3)]))
+    base = search.begin()
+    first, second = ({name: {DIRECTIONS[name][0]: size}} for name, size in ((WINDOW, 2.0), (NOISE, 0.3)))
+    best = Candidate(WINDOW, search.fit(ParameterPoint(first), base.nuisance, base.base), 1e4)
+    both = search.fit(ParameterPoint({**first, **second}), base.nuisance, base.base)
+    gained = best.fit.misfit - both.misfit
+    assert gained > 300.0
+    for stated, needed, earns in ((1e6, 0.9, True), (0.5 * gained, 0.9, False), (1e6, 1.1, False)):
+        assert _earns(search, best, Candidate(NOISE, both, stated), needed * gained, math.inf) is earns
+
+
+def test_a_further_effect_helps_where_it_was_not_fitted() -> None:
+    hidden = ((WINDOW, 2.0), (NOISE, 0.15))
+    assert set(found_in(searched(*hidden))) == {WINDOW, NOISE}
+    assert list(found_in(searched(*hidden, elsewhere=[effect(WINDOW, 2.0)]))) == [WINDOW]
 
 
 # ---- the alarm -------------------------------------------------------------------------------------------------------
