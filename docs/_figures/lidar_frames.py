@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -99,7 +99,7 @@ def frames_of(beams: Beams, weather: Weather, effects: Sequence[Mapping[str, Any
         beams.sensor.range_noise_m * noise[..., None] * beams.directions * torch.from_numpy(beams.hit)[:, None]
     )
     # The angle of incidence comes with the scene, not with the cloud.
-    state = replace(transform.state_of(points, beams.directions), cos_incidence=beams.cos_incidence[None])
+    state = transform.state_of(points, beams.directions).changed(cos_incidence=beams.cos_incidence[None])
     with torch.no_grad():
         found = transform.chain(state, transform.chain.draw(state, seed=torch.arange(count)))
     range_m = torch.linalg.vector_norm(found.points[..., :3], dim=-1)

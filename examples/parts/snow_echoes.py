@@ -45,10 +45,12 @@ class LastAndOther(Stage):
         self.sensor = sensor
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
-        range_m, signal = state.range_m, state.signal
-        strength = torch.where(signal >= state.threshold, signal, 0.0)
-        near = (state.clear_range_m > 0) & (state.clear_range_m < self.sensor.near_start_m)
-        strength[..., 0] = torch.where(near, torch.inf, torch.where(state.clear_range_m > 0, strength[..., 0], 0.0))
+        range_m, signal = state.returns.range_m, state.returns.signal
+        strength = torch.where(signal >= state.receiver.threshold, signal, 0.0)
+        near = (state.scene.clear_range_m > 0) & (state.scene.clear_range_m < self.sensor.near_start_m)
+        strength[..., 0] = torch.where(
+            near, torch.inf, torch.where(state.scene.clear_range_m > 0, strength[..., 0], 0.0)
+        )
         kept = strength.clone()
         for k in range(strength.shape[-1]):
             louder = strength > strength[..., k : k + 1]
@@ -59,12 +61,11 @@ class LastAndOther(Stage):
         other = others.argmax(-1, keepdim=True)
         chosen = torch.cat([last, other], -1)
         there = torch.cat([kept.gather(-1, last), others.gather(-1, other)], -1) > 0
-        lost = torch.full_like(state.kind[..., :2], int(tw.PointKind.LOST))
-        return replace(
-            state,
+        lost = torch.full_like(state.returns.kind[..., :2], int(tw.PointKind.LOST))
+        return state.changed(
             range_m=torch.where(there, range_m.gather(-1, chosen), 0.0),
             signal=torch.where(there, signal.gather(-1, chosen), 0.0),
-            kind=torch.where(there, state.kind.gather(-1, chosen), lost),
+            kind=torch.where(there, state.returns.kind.gather(-1, chosen), lost),
         )
 
 

@@ -367,9 +367,9 @@ def test_clutter_follows_the_density() -> None:
     air = transform.chain.stages["air"]
     assert isinstance(air, PatchyAir)
     attenuation, before = transform.chain.stages["path_attenuation"], transform.state_of(detection)
-    found = stage(attenuation(replace(before, patches=air.field(even(g))), {}), noise)
+    found = stage(attenuation(before.changed(patches=air.field(even(g))), {}), noise)
     denser = VolumeClutter(Rain(20), RADAR, share=density, capacity=400)
-    wanted = denser(replace(state, attenuation_db_per_km=density * state.attenuation_db_per_km), noise)
+    wanted = denser(state.changed(attenuation_db_per_km=density * state.air.attenuation_db_per_km), noise)
     assert int(wanted.clutter_valid.sum()) > 100
     assert torch.equal(found.clutter_valid, wanted.clutter_valid)
     torch.testing.assert_close(found.clutter, wanted.clutter, rtol=2e-3, atol=2e-2)
@@ -377,7 +377,7 @@ def test_clutter_follows_the_density() -> None:
     left = []
     for of_seed in range(10):
         patches = PatchyAir(LENGTH_M).field(one_wave(0.0, 1.0, 0.75))
-        uneven = stage(attenuation(replace(before, patches=patches), {}), stage.draw(state, seed=[of_seed]))
+        uneven = stage(attenuation(before.changed(patches=patches), {}), stage.draw(state, seed=[of_seed]))
         left.append(uneven.clutter[uneven.clutter_valid][:, 1] > 0)
     share = torch.cat(left).double()
     assert float(share.mean()) > 0.5 + 8 * 0.5 / math.sqrt(len(share))
@@ -391,7 +391,7 @@ def test_the_way_to_clutter_goes_through_the_patches_of_the_other_weather() -> N
     assert isinstance(stage, VolumeClutter)
     assert isinstance(air, PatchyAir)
     state = transform.state_of(torch.tensor([[50.0, 0.0, 0.0, 0.0, -60.0, 10.0]]))
-    found = stage._denser(torch.tensor([[20.0, 60.0]]), attenuation(replace(state, patches=air.field(even(1.2))), {}))
+    found = stage._denser(torch.tensor([[20.0, 60.0]]), attenuation(state.changed(patches=air.field(even(1.2))), {}))
     assert found is not None
     per_km = float(attenuation.parts["rain"]())  # type: ignore[union-attr,operator,index]
     for place, range_m in enumerate((20.0, 60.0)):

@@ -56,13 +56,13 @@ def states(weather: Weather, flat: bool) -> tuple[BayerWeather, CameraState, Cam
 def test_the_mosaic_of_weathered_planes_is_the_weathered_mosaic(weather: Weather) -> None:
     # What a drop shows is the frame's mean, which a mosaic knows from a quarter of the pixels: a flat frame for rain.
     transform, raw, planes = states(weather, flat=any(isinstance(part, Rain) for part in weather.parts))
-    noise = transform.draw(raw.signal, seed=5)
+    noise = transform.draw(raw.image.signal, seed=5)
     of_mosaic, of_planes = transform.weathered(raw, noise), transform.weathered(planes, noise)
     # The same operations in float32, with sums over a mosaic's and a plane's pixels in another order. Behind fog a
     # frame is flat no more: its mean over a quarter of the pixels is off by some 1e-4, of which a drop shows a tenth.
     mixed = len(weather.parts) > 1
     torch.testing.assert_close(
-        mosaic(of_planes.signal, "RGGB"), of_mosaic.signal, rtol=0.0, atol=1e-5 if mixed else 2e-6
+        mosaic(of_planes.image.signal, "RGGB"), of_mosaic.image.signal, rtol=0.0, atol=1e-5 if mixed else 2e-6
     )
 
 
@@ -80,16 +80,15 @@ def test_effects_of_the_camera_take_colour_planes(name: str) -> None:
     if "normal" in effect.needs:
         state = _with_level_ground(state)
     after = transform.weathered(state)
-    assert after.signal.shape == (1, 3, H, W)
-    assert bool(after.signal.isfinite().all())
+    assert after.image.signal.shape == (1, 3, H, W)
+    assert bool(after.image.signal.isfinite().all())
 
 
 def _with_level_ground(state: CameraState) -> CameraState:
-    from dataclasses import replace
 
     normal = torch.zeros(1, 3, H, W)
     normal[:, 2] = 1.0
-    return replace(state, normal=normal)
+    return state.changed(normal=normal)
 
 
 @pytest.mark.parametrize("weather", WEATHERS, ids=IDS)
@@ -220,7 +219,7 @@ def test_an_overcast_sky_has_the_cie_s_gradient_and_stays_in_the_sky() -> None:
     cam = camera()
     rain = BayerWeather(Rain(50.0), cam, airlight=0.5, sky="overcast")
     state = rain.planes_state(linear := torch.full((1, 3, H, W), 0.2), SceneDepth(depth_m), (1,))
-    after = rain.chain.stages["overcast_sky"](state, {}).signal
+    after = rain.chain.stages["overcast_sky"](state, {}).image.signal
     assert torch.equal(after[..., 16:, :], linear[..., 16:, :])
     sine = [math.sin(math.atan((20.0 - row) / 60.0)) for row in (2, 14)]
     share = 50.0 / 50.1  # of the sky at 50 mm/h

@@ -237,7 +237,10 @@ WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "recipe of another sensor": (replaced("--recipe", "imaging-fog-20m"), "radar/imaging-fog-20m is for a radar"),
     "unknown recipe": (replaced("--recipe", "camera/robustnes"), "Did you mean 'camera/robustness'"),
     "drawn weather": (drawn_weather, "a condition is one weather"),
-    "several sensors": (replaced("--recipe", "multi_sensor/training-mix"), "is of kind multi_sensor; expected suite or transform"),
+    "several sensors": (
+        replaced("--recipe", "multi_sensor/training-mix"),
+        "is of kind multi_sensor; expected suite or transform",
+    ),
     "sensor": (replaced("--sensor", "lidar:os1"), "--sensor is a lidar; the detector is for a camera"),
     "argument of a lidar": (replaced("--max-range-m", "50"), "--max-range-m is for a lidar"),
     "overlap": (replaced("--iou", "50"), "--iou must be numbers in (0, 1]"),

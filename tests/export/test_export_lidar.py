@@ -1,4 +1,4 @@
-"""ONNX of the LiDAR transforms: onnxruntime gives what torch gives, for other clouds and intensities than those traced."""
+"""ONNX export of LiDAR transforms: the graph gives what torch gives, for other clouds and intensities."""
 
 from __future__ import annotations
 

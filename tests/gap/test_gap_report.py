@@ -449,7 +449,10 @@ VALID: dict[str, Any] = {
             yaml.safe_dump({**VALID, "effects": [{"effect": "lidar.window_loss", "loss": 1}]}),
             r"effects\[0\]: .*loss_db",
         ),
-        (yaml.safe_dump({**VALID, "empirical": [1]}), "empirical must be keys with values, the arguments of an Empirical stage"),
+        (
+            yaml.safe_dump({**VALID, "empirical": [1]}),
+            "empirical must be keys with values, the arguments of an Empirical stage",
+        ),
         (yaml.safe_dump({**VALID, "empirical": {"kind": "intensity"}}), "empirical: .*missing"),
         (
             yaml.safe_dump({**VALID, "empirical": {**EMPIRICAL.config(), "kind": "x"}}),
@@ -465,5 +468,7 @@ def test_a_broken_file_is_named(text: str, said: str, tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(TorchweatherError, match=r"nowhere.yaml: no such file; expected YAML with a model written by GapReport.write"):
+    with pytest.raises(
+        TorchweatherError, match=r"nowhere.yaml: no such file; expected YAML with a model written by GapReport.write"
+    ):
         read_model(tmp_path / "nowhere.yaml")

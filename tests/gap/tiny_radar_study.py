@@ -84,7 +84,7 @@ def through(
     with torch.no_grad():
         noise = {k: v.double() for k, v in transform.chain.draw(state, seed=torch.tensor([seed])).items()}
         out: Any = transform.chain(state, noise)
-    rows, kind = out.points[0].numpy(), out.kind[0].numpy()
+    rows, kind = out.returns.points[0].numpy(), out.returns.kind[0].numpy()
     there = kind[: len(seen)] != int(PointKind.LOST)
     more = rows[len(seen) :][kind[len(seen) :] != int(PointKind.LOST)]
     range_m = np.linalg.norm(more[:, :3], axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ def through(
         for name in ("cos_incidence", "up")
     }
     with torch.no_grad():
-        state = replace(transform.state_of(points, direction), grid=shape, **geometry)
+        state = transform.state_of(points, direction).changed(grid=shape, **geometry)
         out: Any = chain(state, chain.draw(state, seed=torch.tensor([seed]))).points
     found = out[0, :, :3].norm(dim=-1)
     return {

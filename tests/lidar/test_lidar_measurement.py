@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -39,11 +38,11 @@ def test_a_measurement_is_the_norm_and_the_intensity_of_the_points(unit: str, mo
     assert isinstance(last, ToPoints)
     own = own_noise(noise, "to_points")
     out = last(before, own)
-    clouds = [out.points] if out.second is None else [out.points, out.second]
+    clouds = [out.returns.points] if out.returns.second is None else [out.returns.points, out.returns.second]
     assert len(clouds) == (2 if mode == "dual" else 1)
     for echo, each in enumerate(clouds):
         range_m, intensity = last.measurement(before, own, echo)
-        there = before.kind[..., echo] != 2
+        there = before.returns.kind[..., echo] != 2
         assert bool(there.any())
         assert bool((~there).any())
         # Three coordinates in single precision, squared and added.
@@ -57,7 +56,7 @@ def test_a_lost_echo_has_no_range_and_no_intensity_whatever_it_had() -> None:
     transform = rain()
     state = begin(transform)
     before = states(transform.chain, state, transform.chain.draw(state, seed=1))["detection"]
-    gone = replace(before, kind=torch.full_like(before.kind, 2))
+    gone = before.changed(kind=torch.full_like(before.returns.kind, 2))
     last = transform.chain.stages["to_points"]
     assert isinstance(last, ToPoints)
     for values in last.measurement(gone, {}):
@@ -72,8 +71,8 @@ def test_what_no_stage_touched_has_the_bits_that_came_in() -> None:
     last = transform.chain.stages["to_points"]
     assert isinstance(last, ToPoints)
     range_m, intensity = last.measurement(before, own_noise(noise, "to_points"))
-    assert torch.equal(range_m, state.clear_range_m)
-    assert torch.equal(intensity, state.points_in[..., 3])
+    assert torch.equal(range_m, state.scene.clear_range_m)
+    assert torch.equal(intensity, state.scene.points_in[..., 3])
 
 
 # ---- one table for all samples ---------------------------------------------------------------------------------------
@@ -95,11 +94,11 @@ def out_of(transform: LidarWeather, state: LidarState, noise: dict[str, Tensor])
 
 def sample(state: LidarState, place: int) -> LidarState:
     """One of a batch."""
-    values: dict[str, Any] = {field.name: getattr(state, field.name) for field in fields(LidarState)}
+    values: dict[str, Any] = {name: state.field(name) for name in LidarState.part_of}
     for name, value in values.items():
         if isinstance(value, Tensor) and value.ndim and value.shape[0] == BATCH:
             values[name] = value[place : place + 1]
-    return LidarState(**values)
+    return LidarState.of(**values)
 
 
 @pytest.mark.parametrize("kind", WEATHERS)
@@ -116,18 +115,18 @@ def test_a_batch_in_one_weather_is_its_samples_one_by_one(kind: str, monkeypatch
     together = WEATHERS[kind]()
     state = begin(together, BATCH)
     noise = together.chain.draw(state, seed=torch.tensor([5, 6, 7]))
-    found = out_of(together, state, noise).points
+    found = out_of(together, state, noise).returns.points
     assert found is not None
     tables = 2 if kind == "all" else 1
     assert solved == [1] * tables  # one sample's, whatever the batch
     alone = WEATHERS[kind]()
     for place in range(BATCH):
         own = {name: value[place : place + 1] for name, value in noise.items()}
-        one = out_of(alone, sample(state, place), own).points
+        one = out_of(alone, sample(state, place), own).returns.points
         assert one is not None
         assert torch.equal(one[0], found[place])
     # The same stages serve another number of samples afterwards.
-    two = out_of(together, sample(state, 1), {name: value[1:2] for name, value in noise.items()}).points
+    two = out_of(together, sample(state, 1), {name: value[1:2] for name, value in noise.items()}).returns.points
     assert two is not None
     assert torch.equal(two[0], found[1])
 
@@ -137,11 +136,11 @@ def test_samples_in_different_weather_have_tables_of_their_own() -> None:
     together = LidarRain(Rain(rates), scan_sensor())
     state = begin(together, BATCH)
     noise = together.chain.draw(state, seed=torch.tensor([5, 6, 7]))
-    found = out_of(together, state, noise).points
+    found = out_of(together, state, noise).returns.points
     assert found is not None
     for place, rate in enumerate(rates.tolist()):
         own = {name: value[place : place + 1] for name, value in noise.items()}
-        one = out_of(LidarRain(Rain(rate), scan_sensor()), sample(state, place), own).points
+        one = out_of(LidarRain(Rain(rate), scan_sensor()), sample(state, place), own).returns.points
         assert one is not None
         assert torch.equal(one[0], found[place])
 
@@ -150,12 +149,12 @@ def test_a_shared_table_is_not_used_for_another_weather() -> None:
     transform = rain()
     state = begin(transform, BATCH)
     noise = transform.chain.draw(state, seed=torch.tensor([5, 6, 7]))
-    before = out_of(transform, state, noise).points
+    before = out_of(transform, state, noise).returns.points
     stage = transform.chain.stages["particle_returns"]
     assert isinstance(stage, ParticleReturns)
     part: Any = stage.kinds["rain"]
     part.rate_mm_per_h = part.rate_mm_per_h * 3.0
-    after = out_of(transform, state, noise).points
+    after = out_of(transform, state, noise).returns.points
     assert before is not None
     assert after is not None
     assert not torch.equal(before, after)

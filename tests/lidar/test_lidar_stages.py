@@ -29,7 +29,7 @@ def state_of(points: Tensor, sensor: Lidar = SENSOR) -> LidarState:
     points = points.reshape(1, -1, points.shape[-1])
     range_m = points[..., :3].norm(dim=-1)
     nothing = torch.zeros_like(range_m)[..., None]
-    return LidarState(
+    return LidarState.of(
         points_in=points,
         empty_direction=None,
         clear_range_m=range_m,
@@ -49,8 +49,7 @@ def beam(*echoes: tuple[float, float, int], sensor: Lidar = SENSOR) -> LidarStat
     state = state_of(torch.tensor([[object_m, 0.0, 0.0, 0.2]]), sensor)
     range_m, signal, kind = (torch.tensor([[values]]) for values in zip(*echoes, strict=True))
     threshold = sensor.threshold_per_m2_sr
-    return replace(
-        state,
+    return state.changed(
         range_m=range_m,
         signal=signal * threshold,
         kind=kind.to(torch.int8),
@@ -62,7 +61,9 @@ def beam(*echoes: tuple[float, float, int], sensor: Lidar = SENSOR) -> LidarStat
 def reported(state: LidarState, mode: str, sensor: Lidar = SENSOR) -> list[tuple[float, int]]:
     """(range, kind) of what the receiver reports."""
     found = Detection(replace(sensor, return_mode=mode))(state, {})
-    return [(round(float(r), 3), int(k)) for r, k in zip(found.range_m[0, 0], found.kind[0, 0], strict=True)]
+    return [
+        (round(float(r), 3), int(k)) for r, k in zip(found.returns.range_m[0, 0], found.returns.kind[0, 0], strict=True)
+    ]
 
 
 # ---- energies ---------------------------------------------------------------------------------------------------
@@ -73,7 +74,7 @@ def energies(intensity: float, range_m: float, unit: str, margin: float = 0.0) -
     sensor = replace(SENSOR, intensity_unit=unit)
     state = state_of(torch.tensor([[range_m, 0.0, 0.0, intensity]], dtype=torch.float64), sensor)
     after = ToEnergy(sensor)(state, {"margin": torch.full((1, 1), 1.0 - math.exp(-margin))})
-    return float(after.signal) / X_THR
+    return float(after.returns.signal) / X_THR
 
 
 @pytest.mark.parametrize(
@@ -109,8 +110,8 @@ def test_what_was_detected_stands_on_the_threshold_times_its_margin(unit: str) -
 
 def test_a_beam_without_return_has_no_signal_and_is_lost() -> None:
     state = ToEnergy(SENSOR)(state_of(torch.tensor([[0.0, 0.0, 0.0, 0.7]])), {"margin": torch.full((1, 1), 0.5)})
-    assert float(state.signal) == 0.0
-    assert int(state.kind) == LOST
+    assert float(state.returns.signal) == 0.0
+    assert int(state.returns.kind) == LOST
 
 
 # ---- extinction -------------------------------------------------------------------------------------------------
@@ -122,8 +123,8 @@ def test_an_object_at_half_the_attenuation_length_keeps_one_e_th(weather: Any) -
     stage = Extinction([weather], SENSOR)
     alpha = float(stage.extinction_per_m(1))
     state = state_of(torch.tensor([[0.5 / alpha, 0.0, 0.0, 1.0]], dtype=torch.float64))
-    after = stage(replace(state, signal=torch.ones_like(state.signal)), {})
-    assert float(after.signal) == pytest.approx(math.exp(-1.0), rel=1e-6)
+    after = stage(state.changed(signal=torch.ones_like(state.returns.signal)), {})
+    assert float(after.returns.signal) == pytest.approx(math.exp(-1.0), rel=1e-6)
 
 
 @pytest.mark.parametrize(("mor_m", "alpha_per_m"), [(50.0, 2.9957 / 50), (200.0, 2.9957 / 200)])
@@ -291,17 +292,17 @@ def test_a_particles_intensity_is_its_equivalent_reflectivity(unit: str) -> None
     assert reflectivity == pytest.approx(0.05)
     scale = {"reflectivity": 1.0, "reflectivity_percent": 100.0, "uint8_linear": 255.0, "uint8_calibrated": 100.0}
     wanted = {"photons": 500.0, "none": 1.0}.get(unit) or reflectivity * scale[unit]
-    assert after.points is not None
-    assert after.points[0, 0].tolist() == pytest.approx([5.0, 0.0, 0.0, wanted], rel=1e-5)
+    assert after.returns.points is not None
+    assert after.returns.points[0, 0].tolist() == pytest.approx([5.0, 0.0, 0.0, wanted], rel=1e-5)
 
 
 def test_a_particle_is_rounded_down_where_the_cloud_counts() -> None:
     sensor = replace(SENSOR, intensity_unit="uint8_linear")
     state = beam((40.0, 1.1, OBJECT), (5.0, 50.0, PARTICLE), sensor=sensor)
-    state = replace(state, points_in=torch.tensor([[[40.0, 0.0, 0.0, 17.0]]]), integral=torch.tensor([[True]]))
+    state = state.changed(points_in=torch.tensor([[[40.0, 0.0, 0.0, 17.0]]]), integral=torch.tensor([[True]]))
     after = ToPoints(sensor)(Detection(sensor)(state, {}), {})
-    assert after.points is not None
-    assert float(after.points[0, 0, 3]) == math.floor(0.05 * 255)
+    assert after.returns.points is not None
+    assert float(after.returns.points[0, 0, 3]) == math.floor(0.05 * 255)
 
 
 def test_range_noise_and_resolution_are_a_particles_only() -> None:
@@ -309,9 +310,9 @@ def test_range_noise_and_resolution_are_a_particles_only() -> None:
     stage = ToPoints(sensor)
     noise = {"range_noise": torch.full((1, 1, 1), 3.0)}
     particle = stage(Detection(sensor)(beam((40.0, 1.1, OBJECT), (5.04, 50.0, PARTICLE)), {}), noise)
-    assert float(particle.points[0, 0, 0]) == pytest.approx(5.25)  # 5.04 + 0.3 to the nearest quarter
+    assert float(particle.returns.points[0, 0, 0]) == pytest.approx(5.25)  # 5.04 + 0.3 to the nearest quarter
     stays = stage(Detection(sensor)(beam((40.1, 50.0, OBJECT), (5.04, 2.0, PARTICLE)), {}), noise)
-    assert torch.equal(stays.points, torch.tensor([[[40.1, 0.0, 0.0, 0.2]]]))
+    assert torch.equal(stays.returns.points, torch.tensor([[[40.1, 0.0, 0.0, 0.2]]]))
 
 
 def test_a_decibel_is_a_tenth_of_a_decade_of_power() -> None:

@@ -6,7 +6,6 @@ import pickletools
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -53,13 +52,13 @@ class Flicker(Stage):
         return (Variate("gain", "normal", (1, 1, 1)), Variate("row", "uniform", (1, "H", 1)))
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
-        return replace(state, signal=state.signal * (1 + self.std * noise["gain"]))
+        return state.changed(signal=state.image.signal * (1 + self.std * noise["gain"]))
 
 
 def state_of(batch: int = 2) -> CameraState:
     signal = torch.rand((batch, 1, 32, 48), generator=torch.Generator().manual_seed(0)) * 0.5
     depth = FlatGround()(CAMERA, 32, 48)
-    return CameraState(
+    return CameraState.of(
         signal=signal,
         depth_m=depth.expand(batch, 1, 32, 48),
         ray_per_depth=torch.ones(1, 1, 32, 48),
@@ -126,7 +125,9 @@ def test_a_stage_draws_the_same_alone_as_in_its_chain() -> None:
 
 def test_drawing_depends_on_shapes_only() -> None:
     state, chain = state_of(), chain_of()
-    other = replace(state, signal=torch.zeros_like(state.signal), depth_m=torch.full_like(state.depth_m, 3.0))
+    other = state.changed(
+        signal=torch.zeros_like(state.image.signal), depth_m=torch.full_like(state.scene.depth_m, 3.0)
+    )
     first, second = chain.draw(state, seed=7), chain.draw(other, seed=7)
     assert all(torch.equal(first[key], second[key]) for key in first)
     heavier = chain_of(60.0).draw(state, seed=7)
@@ -151,7 +152,7 @@ def test_a_saved_chain_gives_the_same_bits(tmp_path: Path, rate: float | Tensor)
     assert list(loaded.stages) == list(chain.stages)
     again = loaded.draw(state, seed=7)
     assert all(torch.equal(again[key], noise[key]) for key in noise)
-    assert torch.equal(loaded(state, noise).signal, chain(state, noise).signal)
+    assert torch.equal(loaded(state, noise).image.signal, chain(state, noise).image.signal)
 
 
 def test_fitted_parameters_are_saved(tmp_path: Path) -> None:
@@ -159,7 +160,7 @@ def test_fitted_parameters_are_saved(tmp_path: Path) -> None:
     chain.stages["particle_veil"].populations[1].rate_mm_per_h.fill_(3.0)  # type: ignore[index, union-attr, operator]
     chain.save(tmp_path / "chain.zip")
     state, noise = state_of(), chain.draw(state_of(), seed=7)
-    assert torch.equal(Chain.load(tmp_path / "chain.zip")(state, noise).signal, chain(state, noise).signal)
+    assert torch.equal(Chain.load(tmp_path / "chain.zip")(state, noise).image.signal, chain(state, noise).image.signal)
 
 
 def test_nothing_is_pickled(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def state_of(points: Tensor, **fields: Any) -> RadarState:
     batch = len(points)
     range_m = points[..., :3].norm(dim=-1)
     none = points.new_zeros(batch)
-    state = RadarState(
+    state = RadarState.of(
         points_in=points,
         range_m=range_m,
         gain_db=torch.zeros_like(range_m),
@@ -50,7 +50,7 @@ def state_of(points: Tensor, **fields: Any) -> RadarState:
         attenuation_db_per_km=none,
         cover_loss_db=none,
     )
-    return replace(state, **fields)
+    return state.changed(**fields)
 
 
 def at(range_m: float, power_db: float = -50.0, number: int = 1) -> Tensor:
@@ -60,7 +60,7 @@ def at(range_m: float, power_db: float = -50.0, number: int = 1) -> Tensor:
 
 
 def gain_db(stage: PathAttenuation, range_m: float) -> float:
-    return float(stage(state_of(at(range_m)), {}).gain_db)
+    return float(stage(state_of(at(range_m)), {}).returns.gain_db)
 
 
 # ---- attenuation ------------------------------------------------------------------------------------------------
@@ -191,8 +191,8 @@ def test_a_second_stage_adds_to_the_first() -> None:
     for stage in (PathAttenuation([Rain(10.0)], SENSOR), PathAttenuation([Fog(50.0)], SENSOR)):
         state = stage(state, {})
     both = PathAttenuation([Rain(10.0), Fog(50.0)], SENSOR)(state_of(at(200.0)), {})
-    assert float(state.gain_db) == pytest.approx(float(both.gain_db), rel=1e-6)
-    assert float(state.attenuation_db_per_km) == pytest.approx(float(both.attenuation_db_per_km), rel=1e-6)
+    assert float(state.returns.gain_db) == pytest.approx(float(both.returns.gain_db), rel=1e-6)
+    assert float(state.air.attenuation_db_per_km) == pytest.approx(float(both.air.attenuation_db_per_km), rel=1e-6)
 
 
 def test_the_same_weather_twice_and_none_at_all_are_refused() -> None:
@@ -228,7 +228,7 @@ def test_the_gradient_of_the_intensity(make: Any, none: float, some: float, sign
     """More rain, or less visibility, takes more: against the difference quotient, and finite where nothing falls."""
     intensity = torch.tensor([none, some], dtype=torch.float64, requires_grad=True)
     state = state_of(at(150.0).expand(2, 1, 6))
-    loss = -PathAttenuation([make(intensity)], SENSOR)(state, {}).gain_db[:, 0]
+    loss = -PathAttenuation([make(intensity)], SENSOR)(state, {}).returns.gain_db[:, 0]
     (gradient,) = torch.autograd.grad(loss.sum(), intensity)
     assert loss[0] == 0.0
     assert gradient[0] == 0.0
@@ -246,24 +246,24 @@ def test_a_wet_cover_costs_the_same_at_every_range_and_the_dry_one_nothing() -> 
     points = torch.cat([at(range_m) for range_m in (2.0, 50.0, 300.0)])
     for rate, film_db, wanted in ((8.0, 1.5, 0.5 + 3.0), (1.0, 1.5, 2.0), (0.0, 1.5, 0.5), (8.0, 0.0, 0.5)):
         after = WetRadome(rate, loss_db=0.5, film_db=film_db)(state_of(points), {})
-        assert after.gain_db[0].tolist() == pytest.approx([-wanted] * 3, rel=1e-6)
-        assert float(after.cover_loss_db) == pytest.approx(wanted, rel=1e-6)
-        assert torch.equal(after.noise_floor_db, state_of(points).noise_floor_db)
+        assert after.returns.gain_db[0].tolist() == pytest.approx([-wanted] * 3, rel=1e-6)
+        assert float(after.receiver.cover_loss_db) == pytest.approx(wanted, rel=1e-6)
+        assert torch.equal(after.receiver.noise_floor_db, state_of(points).receiver.noise_floor_db)
     for dry in (WetRadome(50.0), WetRadome(0.0, film_db=2.0)):
-        assert bool((dry(state_of(points), {}).gain_db == 0).all())
+        assert bool((dry(state_of(points), {}).returns.gain_db == 0).all())
 
 
 def test_a_wet_cover_leaves_rows_without_detection_alone() -> None:
     state = state_of(torch.cat([at(0.0), at(20.0)]))
-    assert WetRadome(loss_db=2.0)(state, {}).gain_db.tolist() == [[0.0, -2.0]]
+    assert WetRadome(loss_db=2.0)(state, {}).returns.gain_db.tolist() == [[0.0, -2.0]]
 
 
 def test_a_film_for_each_sample_and_its_gradient() -> None:
     """3 dB at 1 mm/h to the power 1/2: derivative 1.5 / sqrt(R), and 0 where it does not rain."""
     rate = torch.tensor([0.0, 4.0, 9.0], requires_grad=True)
     after = WetRadome(rate, film_db=3.0, film_exponent=0.5)(state_of(at(10.0).expand(3, 1, 6)), {})
-    assert after.cover_loss_db.tolist() == pytest.approx([0.0, 6.0, 9.0])
-    (gradient,) = torch.autograd.grad(after.cover_loss_db.sum(), rate)
+    assert after.receiver.cover_loss_db.tolist() == pytest.approx([0.0, 6.0, 9.0])
+    (gradient,) = torch.autograd.grad(after.receiver.cover_loss_db.sum(), rate)
     assert gradient.tolist() == pytest.approx([0.0, 0.75, 0.5])
 
 
@@ -279,7 +279,7 @@ def test_a_cover_that_amplifies_is_refused(name: str) -> None:
 def detected(power_db: float, gain: float, margin: float = 0.5, range_m: float = 20.0) -> RadarState:
     """After detection, with a margin given as the probability of a smaller one."""
     state = state_of(at(range_m, power_db))
-    state = replace(state, gain_db=torch.full_like(state.gain_db, gain))
+    state = state.changed(gain_db=torch.full_like(state.returns.gain_db, gain))
     found: RadarState = RadarDetection(SENSOR)(state, {"margin": torch.full((1, 1), margin, dtype=torch.float64)})
     return found
 
@@ -297,9 +297,9 @@ def detected(power_db: float, gain: float, margin: float = 0.5, range_m: float =
 )
 def test_a_target_is_lost_below_the_floor_plus_the_detection_snr(power_db: float, gain: float, kind: int) -> None:
     after = detected(power_db, gain)
-    assert int(after.kind) == kind
-    assert after.snr_db is not None
-    assert float(after.snr_db) == pytest.approx(power_db + gain + 120.0, abs=1e-9)
+    assert int(after.returns.kind) == kind
+    assert after.returns.snr_db is not None
+    assert float(after.returns.snr_db) == pytest.approx(power_db + gain + 120.0, abs=1e-9)
 
 
 def test_a_power_below_the_threshold_stands_above_it_by_the_margin() -> None:
@@ -308,10 +308,10 @@ def test_a_power_below_the_threshold_stands_above_it_by_the_margin() -> None:
         for u in (0.0, 0.5, 0.9):
             margin_db = -3.0 * math.log(1.0 - u)
             clear, weak, gone = (detected(power_db, gain, u) for gain in (0.0, -0.9 * margin_db, -margin_db - 0.01))
-            assert int(clear.kind) == int(weak.kind) == OBJECT
-            assert int(gone.kind) == LOST
-            assert clear.snr_db is not None
-            assert float(clear.snr_db) == pytest.approx(10.0 + margin_db, abs=1e-6)
+            assert int(clear.returns.kind) == int(weak.returns.kind) == OBJECT
+            assert int(gone.returns.kind) == LOST
+            assert clear.returns.snr_db is not None
+            assert float(clear.returns.snr_db) == pytest.approx(10.0 + margin_db, abs=1e-6)
 
 
 def test_the_drawn_margins_are_exponential() -> None:
@@ -320,15 +320,15 @@ def test_the_drawn_margins_are_exponential() -> None:
     state = state_of(at(20.0, -130.0, number))
     stage = RadarDetection(sensor)
     after = stage(state, stage.draw(state, seed=5))
-    assert after.snr_db is not None
-    assert kstest((after.snr_db[0] - 10.0).numpy(), "expon", args=(0.0, 2.0)).pvalue > 1e-3
+    assert after.returns.snr_db is not None
+    assert kstest((after.returns.snr_db[0] - 10.0).numpy(), "expon", args=(0.0, 2.0)).pvalue > 1e-3
 
 
 def test_a_row_without_detection_stays_one() -> None:
     after = detected(-40.0, 0.0, range_m=0.0)
-    assert int(after.kind) == LOST
-    assert after.snr_db is not None
-    assert float(after.snr_db) == -math.inf
+    assert int(after.returns.kind) == LOST
+    assert after.returns.snr_db is not None
+    assert float(after.returns.snr_db) == -math.inf
 
 
 def test_the_weathers_own_rows_follow_with_their_own_snr() -> None:
@@ -336,9 +336,9 @@ def test_the_weathers_own_rows_follow_with_their_own_snr() -> None:
     clutter[0, 0] = torch.tensor([5.0, 1.0, 0.0, 2.0, -107.0, -40.0])
     state = state_of(at(20.0), clutter=clutter, clutter_valid=torch.tensor([[True, False]]))
     after = RadarDetection(SENSOR)(state, {"margin": torch.zeros(1, 1)})
-    assert after.kind.tolist() == [[OBJECT, PARTICLE, LOST]]
-    assert after.snr_db is not None
-    assert after.snr_db[0].tolist() == pytest.approx([70.0, 13.0, -math.inf])
+    assert after.returns.kind.tolist() == [[OBJECT, PARTICLE, LOST]]
+    assert after.returns.snr_db is not None
+    assert after.returns.snr_db[0].tolist() == pytest.approx([70.0, 13.0, -math.inf])
 
 
 # ---- points -----------------------------------------------------------------------------------------------------
@@ -348,12 +348,11 @@ def test_rows_leave_with_their_weakened_power_and_lost_ones_at_the_origin() -> N
     points = torch.cat([at(50.0), at(60.0), at(0.0)])
     points = torch.cat([points, torch.tensor([[7.0], [8.0], [9.0]])], 1)
     state = state_of(points)
-    state = replace(
-        state,
+    state = state.changed(
         gain_db=torch.tensor([[-4.0, -90.0, 0.0]], dtype=torch.float64),
         kind=torch.tensor([[OBJECT, LOST, LOST]], dtype=torch.int8),
     )
-    out = ToRadarPoints()(state, {}).points
+    out = ToRadarPoints()(state, {}).returns.points
     assert out is not None
     assert out[0].tolist() == [
         [*points[0, :4].tolist(), -54.0, 10.0, 7.0],
@@ -366,6 +365,6 @@ def test_further_columns_of_the_weathers_own_rows_are_zero() -> None:
     points = torch.cat([at(50.0), torch.tensor([[7.0, 8.0]])], 1)
     clutter = torch.arange(6.0, dtype=torch.float64).reshape(1, 1, 6)
     out = ToRadarPoints()(state_of(points, clutter=clutter, clutter_valid=torch.ones(1, 1, dtype=torch.bool)), {})
-    assert out.points is not None
-    assert torch.equal(out.points[0, 0], points[0])
-    assert out.points[0, 1].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 0.0, 0.0]
+    assert out.returns.points is not None
+    assert torch.equal(out.returns.points[0, 0], points[0])
+    assert out.returns.points[0, 1].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 0.0, 0.0]

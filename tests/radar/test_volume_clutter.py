@@ -47,7 +47,7 @@ def state_of(batch: int = BATCH, sensor: Radar = RADAR, **fields: float) -> Rada
     """A list without detections, before the clutter; double precision."""
     none = torch.zeros(batch, 0, dtype=torch.float64)
     values = {"attenuation_db_per_km": 0.0, "cover_loss_db": 0.0, "noise_floor_db": sensor.floor_db, **fields}
-    return RadarState(
+    return RadarState.of(
         points_in=torch.zeros(batch, 0, 6, dtype=torch.float64),
         range_m=none,
         gain_db=none,
@@ -61,9 +61,9 @@ def after(stage: VolumeClutter, state: RadarState | None = None, seed: int = 1) 
     """Rows ``(B, K, 6)`` and which of them are there."""
     state = state_of() if state is None else state
     found = stage(state, stage.draw(state, seed=seed))
-    assert found.clutter is not None
-    assert found.clutter_valid is not None
-    return found.clutter, found.clutter_valid
+    assert found.returns.clutter is not None
+    assert found.returns.clutter_valid is not None
+    return found.returns.clutter, found.returns.clutter_valid
 
 
 def rows_of(stage: VolumeClutter, state: RadarState | None = None, seed: int = 1) -> Array:
@@ -376,12 +376,12 @@ def test_a_rate_for_each_sample() -> None:
     state = state_of(3)
     noise = stage.draw(state, seed=torch.tensor([1, 2, 3]))
     together = stage(state, noise)
-    assert int(together.clutter_valid[0].sum()) == 0
+    assert int(together.returns.clutter_valid[0].sum()) == 0
     for row, rate in ((1, 25.0), (2, 5.0)):
         alone = VolumeClutter(Rain(rate), RADAR, capacity=2048)
         single = alone(state_of(1), {key: value[row : row + 1] for key, value in noise.items()})
-        assert torch.equal(single.clutter_valid[0], together.clutter_valid[row])
-        assert torch.allclose(single.clutter[0], together.clutter[row], rtol=1e-6)
+        assert torch.equal(single.returns.clutter_valid[0], together.returns.clutter_valid[row])
+        assert torch.allclose(single.returns.clutter[0], together.returns.clutter[row], rtol=1e-6)
 
 
 def test_the_gradient_of_the_rate_is_finite_also_where_it_does_not_rain() -> None:
@@ -399,9 +399,9 @@ def test_rows_of_an_earlier_stage_stay() -> None:
     state = state_of(2)
     alone = [stage(state, stage.draw(state, seed=1)) for stage in stages]
     both = stages[1](alone[0], stages[1].draw(state, seed=1))
-    assert torch.equal(both.clutter, torch.cat([one.clutter for one in alone], 1))
-    assert torch.equal(both.clutter_valid, torch.cat([one.clutter_valid for one in alone], 1))
-    assert bool(alone[0].clutter_valid.any())
+    assert torch.equal(both.returns.clutter, torch.cat([one.returns.clutter for one in alone], 1))
+    assert torch.equal(both.returns.clutter_valid, torch.cat([one.returns.clutter_valid for one in alone], 1))
+    assert bool(alone[0].returns.clutter_valid.any())
 
 
 def test_a_stage_is_rebuilt_from_its_arguments() -> None:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -232,7 +232,7 @@ class PatchyAir(Stage):
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state with the field."""
-        return replace(state, patches=self.field(noise))
+        return state.changed(patches=self.field(noise))
 
 
 def patchy_air(weather: Weather, ego_speed_m_per_s: float = 0.0) -> dict[str, Stage]:

@@ -86,7 +86,7 @@ def estimate_airlight(
         extinction_per_m: ``(B, 3)`` of the fog: as it tends to 0, grey tends to the sky's own light, so that thin fog
             leaves a sky at the horizon as it is.
     """
-    planes = state.cfa_index is None
+    planes = state.receiver.cfa_index is None
     light, seen = _horizon_sky(state, STRIDES_PX)
     if is_exporting() or not bool(seen.all()):
         # A sky may show between the thinned pixels only.
@@ -101,7 +101,7 @@ def estimate_airlight(
     if grey and not planes:
         instead = instead.mean(1, keepdim=True).expand_as(light)
     airlight = torch.where(seen[:, None], light, instead)
-    if not is_exporting() and state.signal.numel():
+    if not is_exporting() and state.image.signal.numel():
         _warn(airlight, seen, owner, planes=planes)
     return airlight
 
@@ -113,7 +113,7 @@ def own_air(extinction_per_m: Tensor) -> Tensor:
 
 def _grey_without_sky(state: CameraState) -> Tensor:
     """Stand-in for the airlight of a picture without a sky, ``(B, 3)``: a grey by day, the mean light at night."""
-    mean = (frame_mean(state) * state.signal.new_tensor(REC709)).sum(1, keepdim=True)
+    mean = (frame_mean(state) * state.image.signal.new_tensor(REC709)).sum(1, keepdim=True)
     return torch.where(mean < NIGHT_BELOW, mean, DEFAULT_GREY).expand(-1, 3)
 
 
@@ -139,18 +139,18 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> Non
 def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Sky's light per colour ``(B, 3)``, weighted towards the horizon, from some rows and columns; and whether every
     colour was seen, ``(B,)``."""
-    signal = _thinned(state, state.signal, steps_px)  # (B, 4 or 3, n)
-    if state.sky is None:
-        sky = torch.isinf(_thinned(state, state.depth_m, steps_px)).to(signal.dtype)
+    signal = _thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
+    if state.scene.sky is None:
+        sky = torch.isinf(_thinned(state, state.scene.depth_m, steps_px)).to(signal.dtype)
     else:
-        sky = _thinned(state, state.sky, steps_px).to(signal.dtype)
+        sky = _thinned(state, state.scene.sky, steps_px).to(signal.dtype)
     weight = sky
-    if state.sine_elevation is not None:
-        weight = towards_horizon(sky, _thinned(state, state.sine_elevation, steps_px).to(signal.dtype))
+    if state.scene.sine_elevation is not None:
+        weight = towards_horizon(sky, _thinned(state, state.scene.sine_elevation, steps_px).to(signal.dtype))
     weight = weight.expand(len(signal), weight.shape[1], -1)
     seen = (sky > 0.5).any(-1).all(1).expand(len(signal))
     light = (signal * weight).sum(-1) / weight.sum(-1).clamp_min(1e-12)
-    return per_colour(light.view(-1, 2, 2), state) if state.cfa_index is not None else light, seen
+    return per_colour(light.view(-1, 2, 2), state) if state.receiver.cfa_index is not None else light, seen
 
 
 def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
@@ -168,7 +168,7 @@ def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
 def _thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Tensor:
     """Every so many rows and columns of each phase of a mosaic, ``(B, 4, n)``, or of each plane, ``(B, C, n)``."""
     down, across = steps_px
-    if state.cfa_index is None:
+    if state.receiver.cfa_index is None:
         return image[..., ::down, ::across].flatten(2)
     return torch.stack([image[:, 0, y::down, x::across].flatten(1) for y in (0, 1) for x in (0, 1)], 1)
 
@@ -185,30 +185,30 @@ def _neutral(light: Tensor) -> Tensor:
 
 def _brightest(state: CameraState) -> Tensor:
     """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``."""
-    planes = torch.cat([state.signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
+    planes = torch.cat([state.image.signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
     smooth = torch.nn.functional.avg_pool2d(planes, 3, stride=1, padding=1, count_include_pad=False)
     return smooth.amax((-2, -1)).view(-1, 2, 2)
 
 
 def per_colour(cells: Tensor, state: CameraState) -> Tensor:
     """Mean over the cells of each colour, ``(B, 2, 2)`` to ``(B, 3)``."""
-    cfa = state.cfa_index
+    cfa = state.receiver.cfa_index
     assert cfa is not None
     return torch.stack([(cells * (cfa == c)).sum((1, 2)) / (cfa == c).sum().clamp_min(1) for c in range(3)], 1)
 
 
 def frame_mean(state: CameraState) -> Tensor:
     """Mean signal of each colour over the frame, ``(B, 3)``."""
-    if state.cfa_index is None:
-        return state.signal.mean((-2, -1))
-    signal = state.by_cells(state.signal)  # (B, 1, H/2, 2, W)
+    if state.receiver.cfa_index is None:
+        return state.image.signal.mean((-2, -1))
+    signal = state.by_cells(state.image.signal)  # (B, 1, H/2, 2, W)
     even, odd = signal[..., 0::2].mean((1, 2, 4)), signal[..., 1::2].mean((1, 2, 4))  # (B, 2)
     return per_colour(torch.stack([even, odd], -1), state)
 
 
 def scaled_airlight(airlight: Tensor, state: CameraState) -> Tensor:
     """Airlight ``(B, 3)`` in the light that the state says, up to saturation."""
-    return airlight if state.airlight_scale is None else (airlight * state.airlight_scale).clamp_max(1.0)
+    return airlight if state.air.airlight_scale is None else (airlight * state.air.airlight_scale).clamp_max(1.0)
 
 
 def given_or_estimated(
@@ -217,4 +217,4 @@ def given_or_estimated(
     """Airlight ``(B, 3)``: the given signals, or an estimate of the given mode for fog of an extinction."""
     if given is None or isinstance(given, str):
         return estimate_airlight(state, owner, given, extinction_per_m)
-    return state.signal.new_tensor(given).expand(state.batch, 3)
+    return state.image.signal.new_tensor(given).expand(state.batch, 3)

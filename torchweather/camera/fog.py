@@ -6,7 +6,6 @@ import copy
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -157,23 +156,25 @@ class ExtinctionAndAirlight(Stage):
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor], out: Tensor | None = None) -> CameraState:
         """The foggy frame."""
-        extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
+        extinction = self.extinction_per_m(state.batch).to(state.image.signal.dtype)
         airlight = scaled_airlight(self.airlight(state), state)
-        if state.extinction_scale is not None:
-            extinction = extinction * state.extinction_scale
-        density = state.fog_density
-        if state.patches is not None and self.weather.patch_log_std != 0.0:
-            banks = state.patches.banks(self.weather)
+        if state.air.extinction_scale is not None:
+            extinction = extinction * state.air.extinction_scale
+        density = state.air.fog_density
+        if state.air.patches is not None and self.weather.patch_log_std != 0.0:
+            banks = state.air.patches.banks(self.weather)
             azimuth_rad, level = ground_rays(state)
-            patchy = banks.mean_to(azimuth_rad, level * state.depth_m.clamp_max(FARTHEST_M)).to(state.signal.dtype)
+            patchy = banks.mean_to(azimuth_rad, level * state.scene.depth_m.clamp_max(FARTHEST_M)).to(
+                state.image.signal.dtype
+            )
             density = patchy if density is None else density * patchy
-            state = replace(state, fog_density=density)
+            state = state.changed(fog_density=density)
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
         # Zero extinction times infinite depth is zero, and so is its gradient.
         clip = is_exporting() or extinction.requires_grad or density is not None or bool((extinction == 0).any())
 
-        estimated = state.cfa_index is None and not isinstance(self.given_airlight, tuple)
+        estimated = state.receiver.cfa_index is None and not isinstance(self.given_airlight, tuple)
         own = state.per_pixel(own_air(extinction)) if estimated else None
 
         def let_through(ray_m: Tensor, rows: tuple[Any, ...]) -> Tensor:
@@ -182,51 +183,53 @@ class ExtinctionAndAirlight(Stage):
 
         def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))
-            depth_m = state.depth_m[rows].clamp_max(FARTHEST_M) if clip else state.depth_m[rows]
+            depth_m = state.scene.depth_m[rows].clamp_max(FARTHEST_M) if clip else state.scene.depth_m[rows]
             clear = let_through(state.fog_path_m(depth_m, slice(first, last)), rows)
-            if state.sky is not None and state.ray_in_layer_m is not None:
+            if state.scene.sky is not None and state.scene.ray_in_layer_m is not None:
                 # The share of the pixel that is sky is seen through all of the layer (PHYSICS.md 10.11).
-                above = let_through(state.ray_in_layer_m[rows], rows)
-                clear = torch.lerp(clear, above, state.by_cells(state.sky[rows]).to(clear.dtype))
+                above = let_through(state.scene.ray_in_layer_m[rows], rows)
+                clear = torch.lerp(clear, above, state.by_cells(state.scene.sky[rows]).to(clear.dtype))
             if own is not None:
                 # Air as thin as the picture's own adds the light that each pixel of its sky has already.
-                sky = torch.isinf(state.depth_m[rows]) if state.sky is None else state.sky[rows]
+                sky = torch.isinf(state.scene.depth_m[rows]) if state.scene.sky is None else state.scene.sky[rows]
                 clear = 1.0 - (1.0 - clear) * (1.0 - state.by_cells(sky.to(clear.dtype)) * own)
-            if state.near_mask is not None:
-                clear = torch.lerp(clear, torch.ones_like(clear), state.by_cells(state.near_mask[rows]).to(clear.dtype))
+            if state.scene.near_mask is not None:
+                clear = torch.lerp(
+                    clear, torch.ones_like(clear), state.by_cells(state.scene.near_mask[rows]).to(clear.dtype)
+                )
             # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.
-            ends = light_rows.expand_as(clear), state.by_cells(state.signal[rows])
-            if into is not None and not clear.requires_grad and state.cfa_index is not None:
+            ends = light_rows.expand_as(clear), state.by_cells(state.image.signal[rows])
+            if into is not None and not clear.requires_grad and state.receiver.cfa_index is not None:
                 torch.lerp(*ends, clear, out=state.by_cells(into))
                 seen = into
             else:
                 seen = torch.lerp(*ends, clear).flatten(2, 3)
-            if not state.keep_truth:
+            if not state.receiver.keep_truth:
                 return (seen,)
             return seen, torch.nn.functional.threshold(clear, OPAQUE_TRANSMISSION, 0.0).flatten(2, 3)
 
-        results = by_rows(band, state.signal.shape, state.signal, out)
-        transmission = results[1] if state.keep_truth else None
-        return replace(
-            state, signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
+        results = by_rows(band, state.image.signal.shape, state.image.signal, out)
+        transmission = results[1] if state.receiver.keep_truth else None
+        return state.changed(
+            signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
         )
 
 
 def rays(state: CameraState) -> tuple[Tensor, Tensor]:
     """x and y of every pixel's ray, scaled to z = 1, in the camera's frame, ``(1 or B, 1, H, W)`` each."""
-    assert state.camera is not None
-    height, width = state.signal.shape[-2:]
-    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(state.signal).unbind(-1))
+    assert state.receiver.camera is not None
+    height, width = state.image.signal.shape[-2:]
+    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.scene.intrinsics.to(state.image.signal).unbind(-1))
     column = torch.arange(width, device=fx.device).to(fx.dtype)
     row = torch.arange(height, device=fx.device).to(fx.dtype)[:, None]
     x, y = ((column - cx) / fx).expand(-1, 1, height, width), ((row - cy) / fy).expand(-1, 1, height, width)
-    return state.camera.undistort(x, y)
+    return state.receiver.camera.undistort(x, y)
 
 
 def ground_rays(state: CameraState) -> tuple[Tensor, Tensor]:
     """Azimuth of every pixel's ray, and metres over ground per metre of depth, ``(1 or B, 1, H, W)`` each."""
-    assert state.camera is not None
-    return over_ground(state.camera, *rays(state))
+    assert state.receiver.camera is not None
+    return over_ground(state.receiver.camera, *rays(state))
 
 
 def over_ground(camera: Camera, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -263,5 +266,5 @@ class Quantise(Stage):
         if not is_exporting() and float(self.levels) == 0:
             return state
         steps = self.levels.clamp_min(1)
-        rounded = torch.round(state.signal.clamp(0, 1) * steps) / steps
-        return replace(state, signal=torch.where(self.levels > 0, rounded, state.signal))
+        rounded = torch.round(state.image.signal.clamp(0, 1) * steps) / steps
+        return state.changed(signal=torch.where(self.levels > 0, rounded, state.image.signal))

@@ -29,7 +29,7 @@ FREQUENCIES = 512  # of the discrete Gaussian's transform; more than twice its l
 
 def spacing_px(state: CameraState) -> int:
     """Pixels from one sample of a colour to the next: 2 in a mosaic, 1 in colour planes."""
-    return 1 if state.cfa_index is None else 2
+    return 1 if state.receiver.cfa_index is None else 2
 
 
 def phases(image: Tensor, spacing: int = 2) -> Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -67,13 +66,17 @@ class OvercastSky(Stage):
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The frame under its new sky."""
-        if state.sine_elevation is None:
+        if state.scene.sine_elevation is None:
             raise InputValueError("OvercastSky: expected a state with the elevation of its rays; this one has none.")
-        sky = torch.isinf(state.depth_m).to(state.signal.dtype) if state.sky is None else state.sky
-        rate = self.rate_mm_per_h.to(state.signal)
+        sky = (
+            torch.isinf(state.scene.depth_m).to(state.image.signal.dtype)
+            if state.scene.sky is None
+            else state.scene.sky
+        )
+        rate = self.rate_mm_per_h.to(state.image.signal)
         share = (rate / (rate + TRACE_MM_PER_H)).view(-1, 1, 1, 1) * sky
         light = given_or_estimated("grey" if self.given is None else self.given, state, self)
         level = (light * light.new_tensor(REC709)).sum(1).view(-1, 1, 1, 1)
-        up = state.sine_elevation.to(state.signal).clamp_min(0.0)
+        up = state.scene.sine_elevation.to(state.image.signal).clamp_min(0.0)
         overcast = (level * (1.0 + 2.0 * up) / (1.0 + 2.0 * LEVEL_SINE)).clamp_max(1.0)
-        return replace(state, signal=torch.lerp(state.signal, overcast.expand_as(state.signal), share))
+        return state.changed(signal=torch.lerp(state.image.signal, overcast.expand_as(state.image.signal), share))

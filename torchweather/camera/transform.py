@@ -273,15 +273,17 @@ class BayerWeather(WeatherTransform):
 
     def truth_of(self, state: CameraState, after: CameraState) -> tuple[Tensor, Tensor, Tensor]:
         """Transmission ``(B, C, H, W)``, airlight ``(B, 3)`` and particle mask ``(B, 1, H, W)`` of a frame."""
-        airlight = after.airlight
+        airlight = after.air.airlight
         if airlight is None:
-            veil, lit = self.chain.stages.get("particle_veil"), replace(state, airlight_scale=after.airlight_scale)
+            veil, lit = self.chain.stages.get("particle_veil"), state.changed(airlight_scale=after.air.airlight_scale)
             if isinstance(veil, ParticleVeil):
                 airlight = veil.ambient(lit)
             else:
                 airlight = scaled_airlight(given_or_estimated(None, state, self), lit)
-        transmission = torch.ones_like(state.signal) if after.transmission is None else after.transmission
-        mask = torch.zeros_like(state.one_plane) if after.particle_mask is None else after.particle_mask
+        transmission = (
+            torch.ones_like(state.image.signal) if after.image.transmission is None else after.image.transmission
+        )
+        mask = torch.zeros_like(state.one_plane) if after.image.particle_mask is None else after.image.particle_mask
         return transmission, airlight, mask
 
     def draw(
@@ -421,8 +423,7 @@ class BayerWeather(WeatherTransform):
         height, width = bayer.shape[-2:]
         linear = raw_to_linear(bayer, self.camera, self).reshape(-1, 1, height, width)
         state = self.planes_state(linear, self.scene_of(bayer, depth), bayer.shape[:-3], keep_truth=keep_truth)
-        return replace(
-            state,
+        return state.changed(
             cfa_index=torch.tensor(cfa_colour_index(self.camera.bayer_pattern), device=linear.device),
             normal=None if normal is None else self._normal(normal, bayer, linear),
         )
@@ -447,7 +448,7 @@ class BayerWeather(WeatherTransform):
 
         depth_m = flat("depth_m")
         assert depth_m is not None
-        return CameraState(
+        return CameraState.of(
             signal=linear,
             depth_m=depth_m,
             ray_per_depth=rays.per_depth,
@@ -532,7 +533,7 @@ class BayerWeather(WeatherTransform):
 
     def _raw(self, after: CameraState, before: CameraState, bayer: Tensor) -> Tensor:
         return raw_from_linear(
-            after.signal.reshape(bayer.shape), before.signal.reshape(bayer.shape), bayer, self.camera
+            after.image.signal.reshape(bayer.shape), before.image.signal.reshape(bayer.shape), bayer, self.camera
         )
 
     def _run_into(self, state: CameraState, out: Tensor) -> None:
@@ -543,12 +544,16 @@ class BayerWeather(WeatherTransform):
             raise InputValueError(
                 f"{type(self).__name__}: out= takes linear light; this camera compands (response_knots)."
             )
-        if out.dtype != state.signal.dtype or out.numel() != state.signal.numel() or not out.is_contiguous():
+        if (
+            out.dtype != state.image.signal.dtype
+            or out.numel() != state.image.signal.numel()
+            or not out.is_contiguous()
+        ):
             raise InputValueError(
-                f"{type(self).__name__}: out must be contiguous {state.signal.dtype} of {state.signal.numel()} "
-                f"elements; got {out.dtype}, {tuple(out.shape)}."
+                f"{type(self).__name__}: out must be contiguous {state.image.signal.dtype} of "
+                f"{state.image.signal.numel()} elements; got {out.dtype}, {tuple(out.shape)}."
             )
-        fog(state, {}, out=out.view(state.signal.shape))
+        fog(state, {}, out=out.view(state.image.signal.shape))
 
 
 class BayerRain(BayerWeather):

@@ -18,7 +18,7 @@ from torchweather.camera.transform import BayerWeather
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import draw_variates, sizes_of
 from torchweather.export.metadata import described, sections_of
-from torchweather.export.traceable import GraphForm, GraphSizes, Traceable
+from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, variates_of
 
 __all__ = ["BAYER_FORM", "IMAGE_OUTPUTS", "RGB_FORM", "traceable_camera"]
 
@@ -80,11 +80,7 @@ class _CameraGraph(nn.Module):
         cfa = torch.tensor(cfa_colour_index(self.camera.bayer_pattern)) if self.image == "bayer" else None
         self.register_buffer("cfa_index", cfa)
         self.cfa_index: Tensor | None
-        self.variates = {
-            f"{name}.{variate.name}": variate
-            for name, stage in self.chain.stages.items()
-            for variate in stage.variates()
-        }
+        self.variates = variates_of(self.chain)
         self.intensities = _intensities(transform)
 
     def forward(
@@ -102,7 +98,7 @@ class _CameraGraph(nn.Module):
         y = (torch.arange(height, device=image.device).to(image.dtype) - cy) / fy
         rays = rays_of(self.camera, *self.camera.undistort(x[None, :], y[:, None]), self.layer_top_m)
         named_shares = dict(zip(self.shares, shares, strict=True))
-        state = CameraState(
+        state = CameraState.of(
             signal=linear_planes(image) if self.cfa_index is None else image,
             depth_m=depth,
             ray_per_depth=rays.per_depth,
@@ -118,8 +114,8 @@ class _CameraGraph(nn.Module):
         named_intensities = dict(zip(self.intensities.values(), intensities, strict=True))
         after: CameraState = torch.func.functional_call(self.chain, named_intensities, (state, named_noise))
         if self.cfa_index is None:
-            return encoded_planes(after.signal, state.signal, image)
-        return after.signal
+            return encoded_planes(after.image.signal, state.image.signal, image)
+        return after.image.signal
 
 
 def _intensities(transform: BayerWeather) -> dict[str, str]:

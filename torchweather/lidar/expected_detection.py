@@ -46,12 +46,12 @@ def expected_detection(
     References:
         PHYSICS.md 5.3-5.5.
     """
-    range_m, seen = state.clear_range_m, state.clear_range_m > 0
+    range_m, seen = state.scene.clear_range_m, state.scene.clear_range_m > 0
     threshold = to_energy.beam.threshold
     law = _Margin.of(to_energy, range_m)
     alpha = extinction.extinction_per_m(state.batch).to(range_m)
     transmission = torch.exp(-2.0 * alpha[:, None] * range_m)
-    clear = to_energy.signal_of_intensity(state.points_in[..., 3], range_m, state.zero_intensity)
+    clear = to_energy.signal_of_intensity(state.scene.points_in[..., 3], range_m, state.scene.zero_intensity)
     floored, dimmed = torch.maximum(clear, threshold * torch.ones_like(clear)), clear * transmission
     rivals = _Rivals(range_m, alpha, returns, detection)
 

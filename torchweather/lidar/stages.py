@@ -157,15 +157,14 @@ class ToEnergy(_SensorStage):
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the objects' signals."""
 
-        range_m, margin = state.clear_range_m, noise["margin"]
+        range_m, margin = state.scene.clear_range_m, noise["margin"]
         seen = range_m > 0
         floor = self.beam.threshold * torch.exp(self.log_margin(range_m, margin))
-        given = self.signal_of_intensity(state.points_in[..., 3], range_m, state.zero_intensity)
+        given = self.signal_of_intensity(state.scene.points_in[..., 3], range_m, state.scene.zero_intensity)
         signal = torch.maximum(given, floor)
         signal = torch.where(seen, signal, 0.0)
         kind = torch.where(seen, OBJECT, LOST).to(torch.int8)
-        return replace(
-            state,
+        return state.changed(
             clear_signal=signal,
             signal=signal[..., None],
             range_m=range_m[..., None],
@@ -274,26 +273,30 @@ class Extinction(Stage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the objects' signals weakened."""
-        extinction = self.extinction_per_m(state.batch).to(state.signal.dtype)
-        if state.density_scale is not None:
-            extinction = extinction * state.density_scale.to(extinction)
-        if state.patches is not None:
-            state = self._through_patches(state, state.patches)
-        if state.beam_density is not None:
-            own = state.beam_density if state.path_density is None else state.path_density * state.beam_density
-            state = replace(state, path_density=own)
+        extinction = self.extinction_per_m(state.batch).to(state.returns.signal.dtype)
+        if state.air.density_scale is not None:
+            extinction = extinction * state.air.density_scale.to(extinction)
+        if state.air.patches is not None:
+            state = self._through_patches(state, state.air.patches)
+        if state.air.beam_density is not None:
+            own = (
+                state.air.beam_density
+                if state.air.path_density is None
+                else state.air.path_density * state.air.beam_density
+            )
+            state = state.changed(path_density=own)
         clear = torch.exp(-2.0 * extinction[:, None] * state.uniform_m)
-        return replace(state, signal=state.signal * clear[..., None], extinction_per_m=extinction)
+        return state.changed(signal=state.returns.signal * clear[..., None], extinction_per_m=extinction)
 
     def _through_patches(self, state: LidarState, patches: PatchField) -> LidarState:
         """The state with the mean density on each beam's way: of several weathers, weighted by what each takes."""
         parts: dict[str, _PartExtinction] = dict(self.parts.items())  # type: ignore[arg-type]
-        takes = [part().expand(state.batch).to(state.signal.dtype) for part in parts.values()]
+        takes = [part().expand(state.batch).to(state.returns.signal.dtype) for part in parts.values()]
         extra_m = mean_extra_m(patches, [part.weather for part in parts.values()], takes)
         azimuth_rad, level = _azimuth_and_level(state)
         # Patches are columns: the mean on a way that rises is that on its shadow.
-        density = mean_density(extra_m, azimuth_rad, level * state.reach_m, patches.step_m)
-        return replace(state, extra_m=extra_m, path_density=density)
+        density = mean_density(extra_m, azimuth_rad, level * state.air.reach_m, patches.step_m)
+        return state.changed(extra_m=extra_m, path_density=density)
 
 
 @register
@@ -364,20 +367,24 @@ class ParticleReturns(Stage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with an echo more for each return that a beam may have."""
-        extinction = state.extinction_per_m
+        extinction = state.air.extinction_per_m
         if extinction is None:
-            extinction = torch.zeros(state.batch, dtype=state.signal.dtype, device=state.signal.device)
-        ranges, signals = [state.range_m], [state.signal]
+            extinction = torch.zeros(state.batch, dtype=state.returns.signal.dtype, device=state.returns.signal.device)
+        ranges, signals = [state.returns.range_m], [state.returns.signal]
         extinction = extinction.to(self.beam.threshold.dtype)
-        beam = self.beam if state.extra_divergence_rad is None else self.beam.widened(state.extra_divergence_rad)
+        beam = (
+            self.beam
+            if state.receiver.extra_divergence_rad is None
+            else self.beam.widened(state.receiver.extra_divergence_rad)
+        )
         for kind, part in self.kinds.items():
             arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
-            drawn = self._drawn if state.patches is None else self._drawn_in_patches
+            drawn = self._drawn if state.air.patches is None else self._drawn_in_patches
             range_m, signal = drawn(part, beam, extinction, arrival, place, state)
-            ranges.append(range_m.to(state.range_m.dtype))
-            signals.append(signal.to(state.signal.dtype))
-        kinds = [state.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
-        return replace(state, range_m=_joined(ranges), signal=_joined(signals), kind=_joined(kinds))
+            ranges.append(range_m.to(state.returns.range_m.dtype))
+            signals.append(signal.to(state.returns.signal.dtype))
+        kinds = [state.returns.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
+        return state.changed(range_m=_joined(ranges), signal=_joined(signals), kind=_joined(kinds))
 
     def _drawn(
         self,
@@ -389,9 +396,9 @@ class ParticleReturns(Stage):
         state: LidarState,
     ) -> tuple[Tensor, Tensor]:
         """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
-        reach_m = state.reach_m.to(extinction.dtype)
+        reach_m = state.air.reach_m.to(extinction.dtype)
         reach, start = part.grid.position(reach_m), part.start(reach_m)
-        density, sizes = state.density_scale, state.size_factors
+        density, sizes = state.air.density_scale, state.air.size_factors
         table = self._table(part, beam, extinction, density, sizes) if start is None else None
         between = None if table is not None else part.between(beam, extinction, density, sizes=sizes)
 
@@ -401,7 +408,7 @@ class ParticleReturns(Stage):
             assert between is not None
             return strongest_before(between, arrived, own_place, reach, start)
 
-        return _echoes(part, beam, reach_m, arrival, place, strongest, state.beam_density)
+        return _echoes(part, beam, reach_m, arrival, place, strongest, state.air.beam_density)
 
     def _drawn_in_patches(
         self,
@@ -413,27 +420,29 @@ class ParticleReturns(Stage):
         state: LidarState,
     ) -> tuple[Tensor, Tensor]:
         """As ``_drawn``, each beam in the air of its sector, level with the ground."""
-        assert state.patches is not None
-        banks = state.patches.banks(part.weather)
-        way_m = torch.zeros_like(banks.extra_m) if state.extra_m is None else state.extra_m  # of all weather together
+        assert state.air.patches is not None
+        banks = state.air.patches.banks(part.weather)
+        way_m = (
+            torch.zeros_like(banks.extra_m) if state.air.extra_m is None else state.air.extra_m
+        )  # of all weather together
         air = Banks(banks.density.to(extinction), way_m.to(extinction), banks.step_m).of_sectors()
 
         def each(values: Tensor | None) -> Tensor | None:
             return None if values is None else values.repeat_interleave(SECTORS, 0)
 
-        if state.extra_divergence_rad is not None:
-            beam = self.beam.widened(state.extra_divergence_rad.repeat_interleave(SECTORS, 0))
-        own = (state.density_scale, air, state.size_factors)
+        if state.receiver.extra_divergence_rad is not None:
+            beam = self.beam.widened(state.receiver.extra_divergence_rad.repeat_interleave(SECTORS, 0))
+        own = (state.air.density_scale, air, state.air.size_factors)
         of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(own[0]), own[1], each(own[2]))
         between, places = part.between(*of_sectors), part.places(*of_sectors)
         sector = sector_of(_azimuth_and_level(state)[0])
-        reach_m = state.reach_m.to(extinction.dtype)
+        reach_m = state.air.reach_m.to(extinction.dtype)
         reach = part.grid.position(reach_m)
 
         def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             return strongest_before(between, arrived, own_place, reach, None, places, sector, SECTORS)
 
-        return _echoes(part, beam, reach_m, arrival, place, strongest, state.beam_density)
+        return _echoes(part, beam, reach_m, arrival, place, strongest, state.air.beam_density)
 
     def _table(
         self,
@@ -539,10 +548,13 @@ class Detection(_SensorStage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
-        threshold, clear_range_m = state.detected_from, state.clear_range_m
+        threshold, clear_range_m = state.detected_from, state.scene.clear_range_m
         echoes = [
             _Echoes(*parts)
-            for parts in zip(*(values.unbind(-1) for values in (state.range_m, state.signal, state.kind)), strict=True)
+            for parts in zip(
+                *(values.unbind(-1) for values in (state.returns.range_m, state.returns.signal, state.returns.kind)),
+                strict=True,
+            )
         ]
         zero = torch.zeros_like(clear_range_m)
         # Strength decides; 0 is an echo that is not seen.
@@ -568,7 +580,7 @@ class Detection(_SensorStage):
                 chosen = [strongest, _Echoes(*second)]
         columns = zip(*(echo.parts for echo in chosen), strict=True)
         range_m, signal, kind = (torch.stack(values, 1).transpose(1, 2) for values in columns)
-        return replace(state, range_m=range_m, signal=signal, kind=kind)
+        return state.changed(range_m=range_m, signal=signal, kind=kind)
 
     def _merged(self, ranges: Sequence[Tensor], strengths: Sequence[Tensor]) -> list[Tensor]:
         """Strengths with 0 for every echo that is part of a stronger one."""
@@ -650,9 +662,9 @@ class ToPoints(_SensorStage):
         drawn = noise.get("range_noise")
         clouds = [
             self._cloud(state, echo, None if drawn is None else drawn[:, echo])
-            for echo in range(state.range_m.shape[-1])
+            for echo in range(state.returns.range_m.shape[-1])
         ]
-        return replace(state, points=clouds[0], second=clouds[1] if len(clouds) > 1 else None)
+        return state.changed(points=clouds[0], second=clouds[1] if len(clouds) > 1 else None)
 
     def _measured(self, range_m: Tensor, noise: Tensor | None) -> Tensor:
         """Range of a particle as the sensor measures it."""
@@ -672,27 +684,33 @@ class ToPoints(_SensorStage):
 
     def _out(self, state: LidarState, noise: Tensor | None, echo: int) -> tuple[Tensor, Tensor, Tensor]:
         """Range and intensity of one reported echo, and where there is none, ``(B, N)`` each."""
-        clear = state.clear_range_m
-        range_m, signal, kind = state.range_m[..., echo], state.signal[..., echo], state.kind[..., echo]
+        clear = state.scene.clear_range_m
+        range_m, signal, kind = (
+            state.returns.range_m[..., echo],
+            state.returns.signal[..., echo],
+            state.returns.kind[..., echo],
+        )
         particle, lost = kind == PARTICLE, kind == LOST
         range_m = torch.where(particle, self._measured(range_m, noise), range_m)
-        gain = signal / torch.where(clear > 0, state.clear_signal, 1.0)
-        unit, intensity, integral = self.sensor.intensity_unit, state.points_in[..., 3], state.integral
-        returned = intensity_from_signal(signal, range_m, unit, integral, self.photons_at_threshold / state.threshold)
+        gain = signal / torch.where(clear > 0, state.scene.clear_signal, 1.0)
+        unit, intensity, integral = self.sensor.intensity_unit, state.scene.points_in[..., 3], state.scene.integral
+        returned = intensity_from_signal(
+            signal, range_m, unit, integral, self.photons_at_threshold / state.receiver.threshold
+        )
         value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
         return range_m, value, lost
 
     def _cloud(self, state: LidarState, echo: int, noise: Tensor | None) -> Tensor:
         """Points ``(B, N, C)`` of one reported echo."""
-        points, clear = state.points_in, state.clear_range_m
+        points, clear = state.scene.points_in, state.scene.clear_range_m
         range_m, value, lost = self._out(state, noise, echo)
         seen = clear > 0
         gone = lost & seen
         # 1 for an object that stayed where it was, and for a beam that was empty and stayed so.
         scale = torch.where(lost, 1.0, range_m / torch.where(seen, clear, 1.0))
         columns = list(points[..., :3].unbind(-1))  # one by one: several times faster than under a mask of one column
-        if state.empty_direction is not None:
-            along = state.empty_direction.to(points).unbind(-1)
+        if state.scene.empty_direction is not None:
+            along = state.scene.empty_direction.to(points).unbind(-1)
             here = seen | lost
             columns = [torch.where(here, own, given) for own, given in zip(columns, along, strict=True)]
         columns = [torch.where(gone, 0.0, column * scale) for column in columns]

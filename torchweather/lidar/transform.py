@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -284,8 +284,8 @@ class LidarWeather(WeatherTransform):
             return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, state = self._begin(points, directions, reach_m)
         state = _own_vehicle_restored(self._through(state, noise, beams.first_row), beams)
-        assert state.points is not None
-        return self._outgoing(state.points, state.kind[..., 0], points, beams)
+        assert state.returns.points is not None
+        return self._outgoing(state.returns.points, state.returns.kind[..., 0], points, beams)
 
     def run(
         self,
@@ -303,30 +303,30 @@ class LidarWeather(WeatherTransform):
             return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, before = self._begin(points, directions, reach_m)
         state = _own_vehicle_restored(self._through(before, noise, beams.first_row), beams)
-        assert state.points is not None
-        batch, count = state.kind.shape[:2]
+        assert state.returns.points is not None
+        batch, count = state.returns.kind.shape[:2]
         rows = torch.arange(count, device=points.device)
         source = torch.where(rows < count - beams.appended, rows, -1).expand(batch, count)
-        transmission = torch.ones_like(state.reach_m)
-        if state.extinction_per_m is not None:
+        transmission = torch.ones_like(state.air.reach_m)
+        if state.air.extinction_per_m is not None:
             # To the object where particles end before it: at the ground above a return from below it.
-            under = (before.clear_range_m > 0) & (before.reach_m < before.clear_range_m)
-            way_m = torch.where(under, before.clear_range_m, state.reach_m)
-            way_m = way_m if state.path_density is None else way_m * state.path_density
-            transmission = torch.exp(-2.0 * state.extinction_per_m[:, None].to(transmission) * way_m)
+            under = (before.scene.clear_range_m > 0) & (before.air.reach_m < before.scene.clear_range_m)
+            way_m = torch.where(under, before.scene.clear_range_m, state.air.reach_m)
+            way_m = way_m if state.air.path_density is None else way_m * state.air.path_density
+            transmission = torch.exp(-2.0 * state.air.extinction_per_m[:, None].to(transmission) * way_m)
         if beams.on_own is not None:
             transmission = torch.where(beams.on_own, 1.0, transmission)
         second = second_source = second_kind = None
-        if state.second is not None:
-            kind = state.kind[..., 1]
+        if state.returns.second is not None:
+            kind = state.returns.kind[..., 1]
             there = torch.where(kind == PointKind.LOST, -1, source)
-            second = self._outgoing(state.second, kind, points, beams)
+            second = self._outgoing(state.returns.second, kind, points, beams)
             second_source = self._outgoing(there, kind, points, beams)
             second_kind = self._outgoing(kind, kind, points, beams)
-        kind = state.kind[..., 0]
+        kind = state.returns.kind[..., 0]
         lead = points.shape[:-2]
         return LidarResult(
-            points=self._outgoing(state.points, kind, points, beams),
+            points=self._outgoing(state.returns.points, kind, points, beams),
             kind=self._outgoing(kind, kind, points, beams),
             source=self._outgoing(source, kind, points, beams),
             transmission=self._outgoing(transmission.to(points.dtype), kind, points, beams),
@@ -335,7 +335,7 @@ class LidarWeather(WeatherTransform):
             second_kind=second_kind,
             beam_end=None if beams.end is None else self._outgoing(beams.end, kind, points, beams),
             beam_end_counts=None if beams.end is None else _counts_of(beams).reshape(*lead, len(BeamEnd)),
-            empty_beams=(before.clear_range_m == 0).sum(-1).reshape(lead),
+            empty_beams=(before.scene.clear_range_m == 0).sum(-1).reshape(lead),
             floored_points=self._floored(before).reshape(lead),
             scan=beams.scan,
             own_vehicle_points=None if beams.on_own is None else beams.on_own.sum(-1).reshape(lead),
@@ -422,7 +422,9 @@ class LidarWeather(WeatherTransform):
         stages = [self._stage(kind) for kind in (ToEnergy, Extinction, ParticleReturns, Detection)]
         signal, reported = expected_detection(state, *stages)
         if beams.on_own is not None:
-            clear = stages[0].signal_of_intensity(state.points_in[..., 3], state.clear_range_m, state.zero_intensity)
+            clear = stages[0].signal_of_intensity(
+                state.scene.points_in[..., 3], state.scene.clear_range_m, state.scene.zero_intensity
+            )
             signal = torch.where(beams.on_own, clear.clamp_min(stages[0].beam.threshold), signal)
             reported = torch.where(beams.on_own, 1.0, reported)
         lead = points.shape[:-2]
@@ -469,7 +471,7 @@ class LidarWeather(WeatherTransform):
                 range_m > 0, range_m if beams.end_m is None else beams.end_m.minimum(range_m), farthest
             )
         nothing = torch.zeros_like(range_m)[..., None]
-        state = LidarState(
+        state = LidarState.of(
             points_in=flat,
             empty_direction=beams.empty_direction,
             clear_range_m=range_m,
@@ -506,9 +508,11 @@ class LidarWeather(WeatherTransform):
     ) -> LidarState:
         if noise is None:
             drawn = self.chain.draw(state)
-            flat = {key: value.to(state.points_in.device) for key, value in drawn.items()}
+            flat = {key: value.to(state.scene.points_in.device) for key, value in drawn.items()}
         else:
-            flat = {key: value.to(state.points_in.device) for key, value in self._flat_noise(noise, state).items()}
+            flat = {
+                key: value.to(state.scene.points_in.device) for key, value in self._flat_noise(noise, state).items()
+            }
         if first_row is not None:  # echoes of one beam meet the same particles
             flat = {key: _of_first(value, first_row) for key, value in flat.items()}
         if self._is_large(state):
@@ -518,17 +522,17 @@ class LidarWeather(WeatherTransform):
 
     def _is_large(self, state: LidarState) -> bool:
         """Whether the cloud is worked on in portions of its beams."""
-        batch, beams = state.clear_range_m.shape
+        batch, beams = state.scene.clear_range_m.shape
         if is_exporting() or batch * beams <= BEAMS_AT_ONCE or batch > beams:
             return False
         if not all(stage.each_beam_alone for stage in self.chain.stages.values()):
             return False
-        learns = (state.points_in, *self.chain.buffers())
+        learns = (state.scene.points_in, *self.chain.buffers())
         return not (torch.is_grad_enabled() and any(value.requires_grad for value in learns))
 
     def _in_portions(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state after the chain, portion by portion: fresh memory for larger arrays costs more than the work."""
-        batch, beams = state.clear_range_m.shape
+        batch, beams = state.scene.clear_range_m.shape
         size = max(1, BEAMS_AT_ONCE // batch)
         found = []
         for start in range(0, beams, size):
@@ -536,14 +540,16 @@ class LidarWeather(WeatherTransform):
             found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
         joined: dict[str, Any] = {}
         for name in ("points", "second", "kind", "reach_m", "path_density"):
-            values = [getattr(part, name) for part in found]
+            values = [part.field(name) for part in found]
             joined[name] = None if values[0] is None else torch.cat(values, 1)
-        return replace(state, extinction_per_m=found[0].extinction_per_m, **joined)
+        return state.changed(extinction_per_m=found[0].air.extinction_per_m, **joined)
 
     def _floored(self, state: LidarState) -> Tensor:
         stage = self._stage(ToEnergy)
-        signal = stage.signal_of_intensity(state.points_in[..., 3], state.clear_range_m, state.zero_intensity)
-        floored: Tensor = (state.clear_range_m > 0) & (signal < stage.beam.threshold)
+        signal = stage.signal_of_intensity(
+            state.scene.points_in[..., 3], state.scene.clear_range_m, state.scene.zero_intensity
+        )
+        floored: Tensor = (state.scene.clear_range_m > 0) & (signal < stage.beam.threshold)
         return floored.sum(-1)
 
     def _outgoing(self, values: Tensor, kind: Tensor, points: Tensor, beams: Beams) -> Cloud:
@@ -565,18 +571,18 @@ class LidarWeather(WeatherTransform):
 
 def _own_vehicle_restored(state: LidarState, beams: Beams) -> LidarState:
     """The state after the chain, with returns on the own vehicle as they came: no second echo, no particle."""
-    if beams.on_own is None or state.points is None:
+    if beams.on_own is None or state.returns.points is None:
         return state
     own = beams.on_own
-    points = torch.where(own[..., None], state.points_in, state.points)
-    kind = state.kind.clone()
+    points = torch.where(own[..., None], state.scene.points_in, state.returns.points)
+    kind = state.returns.kind.clone()
     kind[..., 0] = torch.where(own, int(PointKind.OBJECT), kind[..., 0])
-    second = state.second
+    second = state.returns.second
     if second is not None:
         first = torch.arange(second.shape[-1], device=second.device) < 4
-        second = torch.where(own[..., None], torch.where(first, 0.0, state.points_in), second)
+        second = torch.where(own[..., None], torch.where(first, 0.0, state.scene.points_in), second)
         kind[..., 1] = torch.where(own, int(PointKind.LOST), kind[..., 1])
-    return replace(state, points=points, kind=kind, second=second)
+    return state.changed(points=points, kind=kind, second=second)
 
 
 def _counts_of(beams: Beams) -> Tensor:

@@ -7,7 +7,7 @@ bounds and typical size, where it stands in the chain, along which axes it shows
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -105,7 +105,7 @@ class Effect(Stage):
         ...     after, axes = "particle_returns", ("intensity",)
         ...
         ...     def changes(self, state, noise):
-        ...         return {"signal": state.signal * 10 ** (-0.1 * self.value("loss_db", state.signal))}
+        ...         return {"signal": state.returns.signal * 10 ** (-0.1 * self.value("loss_db", state.returns.signal))}
         >>> LidarGainDrift(loss_db=2.0)
         LidarGainDrift(loss_db=2.0)
 
@@ -172,7 +172,7 @@ class Effect(Stage):
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state after the effect."""
-        missing = [name for name in self.needs if getattr(state, name) is None]
+        missing = [name for name in self.needs if state.field(name) is None]
         if missing:
             raise InputValueError(
                 f"{type(self).__name__}: wanted a state with {', '.join(missing)}; this one has none. "
@@ -181,9 +181,9 @@ class Effect(Stage):
         identity = self.at_identity
         changed = {}
         for name, after in self.changes(state, noise).items():
-            before = getattr(state, name)
+            before = state.field(name)
             changed[name] = after if before is None else _unless(_over(identity, after), before, after)
-        return replace(state, **changed)
+        return state.changed(**changed)
 
     def changes(self, state: Any, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """New values of the fields of the state that the effect changes.

@@ -182,19 +182,18 @@ class PathAttenuation(Stage):
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with weaker targets."""
-        per_km = self.attenuation_db_per_km(state.batch).to(state.gain_db.dtype)
+        per_km = self.attenuation_db_per_km(state.batch).to(state.returns.gain_db.dtype)
         parts: dict[str, _PartAttenuation] = dict(self.parts.items())  # type: ignore[arg-type]
-        loss_db, extra_m = self.two_way_db(state.range_m), None
-        if state.patches is not None:
+        loss_db, extra_m = self.two_way_db(state.scene.range_m), None
+        if state.air.patches is not None:
             takes = [part().expand(state.batch).to(per_km) for part in parts.values()]
-            extra_m = mean_extra_m(state.patches, [part.weather for part in parts.values()], takes)
-            x, y, _ = state.points_in[..., :3].unbind(-1)
+            extra_m = mean_extra_m(state.air.patches, [part.weather for part in parts.values()], takes)
+            x, y, _ = state.scene.points_in[..., :3].unbind(-1)
             ground_m = (x * x + y * y).sqrt()
-            loss_db = loss_db * mean_density(extra_m, torch.atan2(y, x), ground_m, state.patches.step_m)
-        return replace(
-            state,
-            gain_db=state.gain_db - loss_db,
-            attenuation_db_per_km=state.attenuation_db_per_km + per_km,
+            loss_db = loss_db * mean_density(extra_m, torch.atan2(y, x), ground_m, state.air.patches.step_m)
+        return state.changed(
+            gain_db=state.returns.gain_db - loss_db,
+            attenuation_db_per_km=state.air.attenuation_db_per_km + per_km,
             extra_m=extra_m,
             sensor=self.sensor,
             weathers=tuple(part.at_rest for part in parts.values()),
@@ -264,6 +263,8 @@ class WetRadome(Stage):
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with all targets weaker."""
-        loss = self.two_way_db(state.batch).to(state.gain_db.dtype)
-        of_targets = torch.where(state.range_m > 0, loss[:, None], 0.0)
-        return replace(state, gain_db=state.gain_db - of_targets, cover_loss_db=state.cover_loss_db + loss)
+        loss = self.two_way_db(state.batch).to(state.returns.gain_db.dtype)
+        of_targets = torch.where(state.scene.range_m > 0, loss[:, None], 0.0)
+        return state.changed(
+            gain_db=state.returns.gain_db - of_targets, cover_loss_db=state.receiver.cover_loss_db + loss
+        )

@@ -214,8 +214,8 @@ class VolumeClutter(Stage):
         """The state with the weather's own detections."""
         if self.identity:
             return state
-        own = {key: value.to(state.gain_db.dtype) for key, value in noise.items()}
-        eta, fall, fall_std = (value.to(state.gain_db.dtype) for value in self.falling(state.batch))
+        own = {key: value.to(state.returns.gain_db.dtype) for key, value in noise.items()}
+        eta, fall, fall_std = (value.to(state.returns.gain_db.dtype) for value in self.falling(state.batch))
         threshold_db = state.detected_from_db
         node_m = self._nodes_m(state)
         bins = self._doppler_bins(fall, fall_std)
@@ -231,21 +231,24 @@ class VolumeClutter(Stage):
         off_db = 2.0 * (self.sensor.gain_dbi(azimuth, elevation) - self.sensor.antenna_gain_dbi)
         peak_db = threshold_db[:, None] - missing.log() / DB
         power_db = _above_db(threshold_db[:, None], peak_db + off_db, own["power"])
-        if state.pattern_tilt_rad is not None:
-            azimuth = azimuth + state.pattern_tilt_rad[:, None]
+        if state.receiver.pattern_tilt_rad is not None:
+            azimuth = azimuth + state.receiver.pattern_tilt_rad[:, None]
         spread: float | Tensor = self.turbulence_m_per_s
-        if state.speed_std_m_per_s is not None:
-            more = state.speed_std_m_per_s[:, None]
+        if state.receiver.speed_std_m_per_s is not None:
+            more = state.receiver.speed_std_m_per_s[:, None]
             spread = torch.where(more > 0, (spread**2 + more.square()).clamp_min(NEVER).sqrt(), spread)
         clutter = self._rows(range_m, azimuth, elevation, power_db, off_db, fall, fall_std, own["doppler"], spread)
         clutter = torch.where(there[..., None], clutter, 0.0)
-        if state.clutter is not None and state.clutter_valid is not None:
-            clutter, there = torch.cat([state.clutter, clutter], 1), torch.cat([state.clutter_valid, there], 1)
-        return replace(state, clutter=clutter, clutter_valid=there)
+        if state.returns.clutter is not None and state.returns.clutter_valid is not None:
+            clutter, there = (
+                torch.cat([state.returns.clutter, clutter], 1),
+                torch.cat([state.returns.clutter_valid, there], 1),
+            )
+        return state.changed(clutter=clutter, clutter_valid=there)
 
     def _nodes_m(self, state: RadarState) -> Tensor:
         near, far = self.near_m, self.sensor.max_range_m
-        node = torch.arange(RANGE_NODES, device=state.gain_db.device, dtype=state.gain_db.dtype)
+        node = torch.arange(RANGE_NODES, device=state.returns.gain_db.device, dtype=state.returns.gain_db.dtype)
         return near * (far / near) ** (node / (RANGE_NODES - 1))[None]
 
     def _doppler_bins(self, fall: Tensor, fall_std: Tensor) -> Tensor:
@@ -264,7 +267,7 @@ class VolumeClutter(Stage):
         """Threshold over the mean echo of a cell at the peak of the pattern, ``(B, ...)``; at most 1e30."""
         reflectivity = (eta * self.share.to(eta)).clamp_min(NEVER)
         rcs = reflectivity[:, None] * cell_volume_m3(range_m, self.sensor) / bins[:, None]
-        path_db = 2e-3 * state.attenuation_db_per_km[:, None] * range_m + state.cover_loss_db[:, None]
+        path_db = 2e-3 * state.air.attenuation_db_per_km[:, None] * range_m + state.receiver.cover_loss_db[:, None]
         mean_db = self.sensor.constant_db + (rcs / range_m**4).log() / DB - path_db
         return torch.exp(DB * (threshold_db[:, None] - mean_db).clamp_max(300.0))
 
@@ -282,17 +285,17 @@ class VolumeClutter(Stage):
 
         More particles of this kind there, and more of all weather on the way to them and back.
         """
-        if state.patches is None:
+        if state.air.patches is None:
             return None
-        banks = state.patches.banks(self.falling.weather)
-        azimuth, elevation, _ = self._off_axis(state.gain_db)
+        banks = state.air.patches.banks(self.falling.weather)
+        azimuth, elevation, _ = self._off_axis(state.returns.gain_db)
         ground_m = range_m[..., None] * elevation.cos()
         azimuth = azimuth.expand_as(ground_m)
         there = banks.at(azimuth, ground_m)
-        if state.extra_m is None:  # a chain without path attenuation
+        if state.air.extra_m is None:  # a chain without path attenuation
             return there
-        way_db = 2e-3 * state.attenuation_db_per_km[:, None, None] * range_m[..., None]
-        more = mean_density(state.extra_m, azimuth, ground_m, banks.step_m) - 1.0
+        way_db = 2e-3 * state.air.attenuation_db_per_km[:, None, None] * range_m[..., None]
+        more = mean_density(state.air.extra_m, azimuth, ground_m, banks.step_m) - 1.0
         return there * torch.exp(-DB * way_db * more)
 
     def _cells_per_m(self, missing: Tensor, bins: Tensor, denser: Tensor | None = None) -> Tensor:

@@ -203,8 +203,8 @@ class RadarMapWeather(WeatherTransform):
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.forward(values, chosen.draw(values, seed=seeds))
         state = self._through(values, noise)
-        assert state.map_out is not None
-        return state.map_out.reshape(values.shape)
+        assert state.maps.map_out is not None
+        return state.maps.map_out.reshape(values.shape)
 
     def run(
         self,
@@ -219,25 +219,25 @@ class RadarMapWeather(WeatherTransform):
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.run(values, chosen.draw(values, seed=seeds))
         state = self._through(values, noise)
-        assert state.map_out is not None
-        assert state.map_in is not None
+        assert state.maps.map_out is not None
+        assert state.maps.map_in is not None
         batch = values.shape[: values.ndim - len(self.axes.dims)]
         receiver = self.chain.stages["map_receiver"]
         assert isinstance(receiver, MapReceiver)
-        loss_db = 0.0 - state.gain_db.reshape(state.batch, len(self.axes.range_m), -1)
-        clutter = state.map_clutter
+        loss_db = 0.0 - state.returns.gain_db.reshape(state.batch, len(self.axes.range_m), -1)
+        clutter = state.maps.map_clutter
         if clutter is None:
             clutter = loss_db.new_zeros(state.batch, *(1 for _ in self.axes.dims))
         parts = {
             "attenuation_db": self.axes.laid_out(loss_db, ("range", "azimuth")),
             "clutter_db": 10.0 * clutter.log10(),
-            "noise_floor_db": receiver.floor_db(state.map_in),
+            "noise_floor_db": receiver.floor_db(state.maps.map_in),
         }
         shaped = {
             name: part.expand(state.batch, *part.shape[1:]).reshape(*batch, *part.shape[1:])
             for name, part in parts.items()
         }
-        return RadarMapResult(values=state.map_out.reshape(values.shape), **shaped)
+        return RadarMapResult(values=state.maps.map_out.reshape(values.shape), **shaped)
 
     def of_map(self, power_map: RadarPowerMap, seed: int | None = None) -> RadarPowerMap:
         """A recorded map in the weather.

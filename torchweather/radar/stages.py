@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -53,23 +52,26 @@ class RadarDetection(Stage):
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with what is lost marked so."""
-        excess = state.points_in[..., POWER] - (state.noise_floor_db + state.detection_snr_db)[:, None]
+        excess = (
+            state.scene.points_in[..., POWER]
+            - (state.receiver.noise_floor_db + state.receiver.detection_snr_db)[:, None]
+        )
         margin = self.margin_db * -(1.0 - noise["margin"].to(excess)).log()
         excess = torch.where(excess < 0, margin.to(excess), excess)
-        above = excess + state.gain_db
-        snr = above + state.detection_snr_db
-        if state.noise_shift_db is not None:
-            above, snr = above - state.noise_shift_db[:, None], snr - state.noise_shift_db[:, None]
-        if state.threshold_shift_db is not None:
-            above = above - state.threshold_shift_db[:, None]
-        kind = state.kind.masked_fill(above < 0, LOST)
-        snr = torch.where(state.kind == LOST, -math.inf, snr)
-        if state.clutter is not None and state.clutter_valid is not None:
-            own = torch.where(state.clutter_valid, PARTICLE, LOST).to(torch.int8)
-            clutter_snr = state.clutter[..., POWER] - state.floor_db[:, None]
-            clutter_snr = torch.where(state.clutter_valid, clutter_snr, -math.inf)
+        above = excess + state.returns.gain_db
+        snr = above + state.receiver.detection_snr_db
+        if state.receiver.noise_shift_db is not None:
+            above, snr = above - state.receiver.noise_shift_db[:, None], snr - state.receiver.noise_shift_db[:, None]
+        if state.receiver.threshold_shift_db is not None:
+            above = above - state.receiver.threshold_shift_db[:, None]
+        kind = state.returns.kind.masked_fill(above < 0, LOST)
+        snr = torch.where(state.returns.kind == LOST, -math.inf, snr)
+        if state.returns.clutter is not None and state.returns.clutter_valid is not None:
+            own = torch.where(state.returns.clutter_valid, PARTICLE, LOST).to(torch.int8)
+            clutter_snr = state.returns.clutter[..., POWER] - state.floor_db[:, None]
+            clutter_snr = torch.where(state.returns.clutter_valid, clutter_snr, -math.inf)
             kind, snr = torch.cat([kind, own], 1), torch.cat([snr, clutter_snr], 1)
-        return replace(state, kind=kind, snr_db=snr)
+        return state.changed(kind=kind, snr_db=snr)
 
 
 @register
@@ -88,14 +90,16 @@ class ToRadarPoints(Stage):
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with the list that goes out."""
-        points = state.points_in
+        points = state.scene.points_in
         power = points[..., POWER]
-        weaker = torch.where(state.gain_db == 0, power, power + state.gain_db)
-        lost = (state.kind[:, : points.shape[1]] == LOST) & (state.range_m > 0)
+        weaker = torch.where(state.returns.gain_db == 0, power, power + state.returns.gain_db)
+        lost = (state.returns.kind[:, : points.shape[1]] == LOST) & (state.scene.range_m > 0)
         points = points.clone()
         points[..., :3].masked_fill_(lost[..., None], 0.0)
         points[..., POWER] = weaker
-        if state.clutter is not None:
-            further = points.new_zeros(*state.clutter.shape[:2], points.shape[-1] - state.clutter.shape[-1])
-            points = torch.cat([points, torch.cat([state.clutter.to(points), further], -1)], 1)
-        return replace(state, points=points)
+        if state.returns.clutter is not None:
+            further = points.new_zeros(
+                *state.returns.clutter.shape[:2], points.shape[-1] - state.returns.clutter.shape[-1]
+            )
+            points = torch.cat([points, torch.cat([state.returns.clutter.to(points), further], -1)], 1)
+        return state.changed(points=points)

@@ -230,8 +230,8 @@ class RadarAttenuation(WeatherTransform):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         state = self._through(self.state_of(points, **known), noise)
-        assert state.points is not None
-        return self._outgoing(self._marked(state.points, state, points), state, points)
+        assert state.returns.points is not None
+        return self._outgoing(self._marked(state.returns.points, state, points), state, points)
 
     def run(
         self,
@@ -248,20 +248,23 @@ class RadarAttenuation(WeatherTransform):
             return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         before = self.state_of(points, **known)
         state = self._through(before, noise)
-        assert state.points is not None
-        assert state.snr_db is not None
-        batch, total = state.kind.shape
+        assert state.returns.points is not None
+        assert state.returns.snr_db is not None
+        batch, total = state.returns.kind.shape
         count = points.shape[-2]
         rows = torch.arange(total, device=points.device)
         source = torch.where(rows < count, rows, -1).expand(batch, total)
-        loss = torch.cat([0.0 - state.gain_db, state.gain_db.new_zeros(batch, total - count)], 1)
-        power, threshold = before.points_in[..., POWER], before.noise_floor_db + before.detection_snr_db
-        floored = (before.range_m > 0) & (power < threshold[:, None])
+        loss = torch.cat([0.0 - state.returns.gain_db, state.returns.gain_db.new_zeros(batch, total - count)], 1)
+        power, threshold = (
+            before.scene.points_in[..., POWER],
+            before.receiver.noise_floor_db + before.receiver.detection_snr_db,
+        )
+        floored = (before.scene.range_m > 0) & (power < threshold[:, None])
         return RadarResult(
-            points=self._outgoing(self._marked(state.points, state, points), state, points),
-            kind=self._outgoing(state.kind, state, points),
+            points=self._outgoing(self._marked(state.returns.points, state, points), state, points),
+            kind=self._outgoing(state.returns.kind, state, points),
             source=self._outgoing(source, state, points),
-            snr_db=self._outgoing(state.snr_db.to(points.dtype), state, points),
+            snr_db=self._outgoing(state.returns.snr_db.to(points.dtype), state, points),
             attenuation_db=self._outgoing(loss.to(points.dtype), state, points),
             floored_points=floored.sum(-1).reshape(points.shape[:-2]),
         )
@@ -314,7 +317,7 @@ class RadarAttenuation(WeatherTransform):
         nothing = torch.zeros_like(range_m)
         per_sample = flat.new_zeros(flat.shape[0])  # len() would fix the batch of a graph
         there = torch.full_like(range_m, int(PointKind.OBJECT), dtype=torch.int8)
-        return RadarState(
+        return RadarState.of(
             points_in=flat,
             range_m=range_m,
             gain_db=nothing,
@@ -346,16 +349,16 @@ class RadarAttenuation(WeatherTransform):
 
     def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None) -> RadarState:
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
-        found: RadarState = self.chain(state, {key: value.to(state.gain_db) for key, value in drawn.items()})
+        found: RadarState = self.chain(state, {key: value.to(state.returns.gain_db) for key, value in drawn.items()})
         return found
 
     def _marked(self, values: Tensor, state: RadarState, points: Tensor) -> Tensor:
         """The list with what is lost as NaN, where asked for."""
         if self.lost != "nan":
             return values
-        clutter = state.kind[:, points.shape[-2] :]
-        had_detection = torch.cat([state.range_m > 0, torch.ones_like(clutter, dtype=torch.bool)], 1)
-        gone = (state.kind == PointKind.LOST) & had_detection
+        clutter = state.returns.kind[:, points.shape[-2] :]
+        had_detection = torch.cat([state.scene.range_m > 0, torch.ones_like(clutter, dtype=torch.bool)], 1)
+        gone = (state.returns.kind == PointKind.LOST) & had_detection
         first = torch.arange(values.shape[-1], device=values.device) < COLUMNS
         return torch.where(gone[..., None] & first, torch.nan, values)
 
@@ -366,7 +369,7 @@ class RadarAttenuation(WeatherTransform):
             values = values.to(points.dtype)
         if self.lost != "drop":
             return values.reshape(*batch, *values.shape[1:])
-        kept = [value[there] for value, there in zip(values, state.kind != PointKind.LOST, strict=True)]
+        kept = [value[there] for value, there in zip(values, state.returns.kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
 
 

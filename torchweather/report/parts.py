@@ -13,6 +13,8 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
+from torchweather.core.errors import InputValueError
+
 
 def markup(text: str, *values: object, **named: object) -> Markup:
     """Text with markup; values that are filled in are escaped.
@@ -203,7 +205,7 @@ class Figure(Part):
 
     def __post_init__(self) -> None:
         if not self.alt:
-            raise ValueError("Figure: alt must say what the picture shows; got an empty text.")
+            raise InputValueError("Figure: alt must say what the picture shows; got an empty text.")
 
 
 @dataclass(frozen=True)

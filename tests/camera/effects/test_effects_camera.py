@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +88,7 @@ def clear_state(picture: Tensor, depth_m: float | Tensor = 20.0, **more: Any) ->
     """A frame ``(H, W)`` in clear air."""
     depth_map = depth_m if isinstance(depth_m, Tensor) else torch.full((1, H, W), depth_m)
     state = rain_in_fog(Fog(mor_m=inf)).state_of(picture.reshape(1, H, W).double(), depth_map)
-    return replace(state, **more)
+    return state.changed(**more)
 
 
 def fog_alpha() -> Array:
@@ -105,8 +104,8 @@ def foggy(name: str, seed: int = 3, **values: Any) -> tuple[Array, Array, Array,
     chain = chain_with(transform, name, **values)
     state = begin(transform, dtype=torch.float64)
     after = chain(state, chain.draw(state, seed=seed))
-    length_m = (state.depth_m * state.ray_per_depth)[0, 0].numpy()
-    return state.signal[0, 0].numpy(), length_m, after.signal[0, 0].numpy(), after
+    length_m = (state.scene.depth_m * state.scene.ray_per_depth)[0, 0].numpy()
+    return state.image.signal[0, 0].numpy(), length_m, after.image.signal[0, 0].numpy(), after
 
 
 # ---- what holds for all ------------------------------------------------------------------------------------------
@@ -184,7 +183,7 @@ def test_a_sample_at_identity_stays_beside_one_that_is_not(name: str, plain: Bay
     chain = with_effects(plain.chain, [active(name, **values)])
     state = begin(plain)
     noise = chain.draw(state, seed=3)
-    wanted, found = plain.chain(state, noise).signal, chain(state, noise).signal
+    wanted, found = plain.chain(state, noise).image.signal, chain(state, noise).image.signal
     for sample in (0, 2):
         assert torch.equal(found[sample], wanted[sample])
     assert not torch.equal(found[1], wanted[1])
@@ -202,11 +201,11 @@ def test_a_batch_with_parameters_of_its_own_equals_its_samples(name: str, plain:
     values, state = spread(name), begin(plain)
     chain = chain_with(plain, name, **values)
     noise = chain.draw(state, seed=3)
-    together = chain(state, noise).signal
+    together = chain(state, noise).image.signal
     for row in range(3):
         one = plain.state_of(frame()[row : row + 1], depth()[row : row + 1], normals())
         single = chain_with(plain, name, **{key: float(value[row]) for key, value in values.items()})
-        found = single(one, {key: value[row : row + 1] for key, value in noise.items()}).signal
+        found = single(one, {key: value[row : row + 1] for key, value in noise.items()}).image.signal
         # Fused multiplications differ with the shape: a few roundings of single precision.
         torch.testing.assert_close(found[0], together[row], rtol=1e-5, atol=2e-6)
 
@@ -216,7 +215,7 @@ def test_the_same_seed_gives_the_same_and_noise_has_the_streams_that_the_effect_
     name: str, plain: BayerWeather
 ) -> None:
     state, chain = begin(plain), with_effects(plain.chain, [active(name)])
-    once, again, other = (chain(state, chain.draw(state, seed=seed)).signal for seed in (3, 3, 8))
+    once, again, other = (chain(state, chain.draw(state, seed=seed)).image.signal for seed in (3, 3, 8))
     assert torch.equal(once, again)
     assert not torch.equal(once, other)
     own = f"{EFFECTS[name].default_name}."
@@ -235,7 +234,9 @@ def test_an_effect_comes_back_from_its_dictionary_and_its_chain_from_a_file(
     chain.save(tmp_path / "chain.zip")
     loaded, state = Chain.load(tmp_path / "chain.zip"), begin(plain)
     noise = chain.draw(state, seed=3)
-    assert torch.equal(loaded(state, noise).signal, with_effects(plain.chain, [effect])(state, noise).signal)
+    assert torch.equal(
+        loaded(state, noise).image.signal, with_effects(plain.chain, [effect])(state, noise).image.signal
+    )
 
 
 # Parameters on which the frame depends smoothly, with a step for differences.
@@ -270,7 +271,7 @@ def test_gradients_are_those_of_finite_differences(name: str, key: str, plain: B
 
     def response(value: Any) -> Tensor:
         after = with_effects(plain.chain, [active(name, **{key: value})])(state, noise)
-        total: Tensor = (weight * after.signal).sum()
+        total: Tensor = (weight * after.image.signal).sum()
         return total
 
     at, step = ACTIVE[name][key], SMOOTH[name][key]
@@ -298,7 +299,7 @@ def test_the_gradient_of_a_row_s_time_is_that_of_finite_differences() -> None:
     weight = torch.linspace(0.5, 1.5, H * W, dtype=torch.float64).reshape(H, W)
 
     def response(row_time_s: Tensor) -> Tensor:
-        moved = replace(state, row_time_s=row_time_s.reshape(1))
+        moved = state.changed(row_time_s=row_time_s.reshape(1))
         total: Tensor = (weight * part.listed_depth(moved, noise, part.at_rate(1))[0].double()).sum()
         return total
 
@@ -325,13 +326,13 @@ def test_a_count_has_a_gradient_where_no_particle_joins() -> None:
 def test_exposure_gain_multiplies_every_signal_up_to_saturation() -> None:
     picture = frame(1)[0, 0]
     for factor in (0.5, 2.0):
-        found = alone("camera.exposure_gain", clear_state(picture), factor=factor).signal[0, 0].numpy()
+        found = alone("camera.exposure_gain", clear_state(picture), factor=factor).image.signal[0, 0].numpy()
         np.testing.assert_allclose(found, np.minimum(factor * picture.numpy(), 1.0), rtol=1e-6)
 
 
 def test_stray_light_adds_the_offset_and_a_share_of_each_colours_mean() -> None:
     picture, colour = frame(1)[0, 0].double().numpy(), colour_of().numpy()
-    found = alone("camera.stray_light", clear_state(frame(1)), offset=0.03, share=0.2).signal[0, 0].numpy()
+    found = alone("camera.stray_light", clear_state(frame(1)), offset=0.03, share=0.2).image.signal[0, 0].numpy()
     for which in range(3):
         own = colour == which
         wanted = np.minimum(picture[own] + 0.03 + 0.2 * picture[own].mean(), 1.0)
@@ -340,7 +341,9 @@ def test_stray_light_adds_the_offset_and_a_share_of_each_colours_mean() -> None:
 
 @pytest.mark.parametrize("strength", [1.0, 2.5])
 def test_vignetting_is_a_power_of_the_cosine_to_the_fourth(strength: float) -> None:
-    found = alone("camera.vignetting", clear_state(torch.full((H, W), 0.5)), strength=strength).signal[0, 0].numpy()
+    found = (
+        alone("camera.vignetting", clear_state(torch.full((H, W), 0.5)), strength=strength).image.signal[0, 0].numpy()
+    )
     row, column = np.mgrid[:H, :W]
     radius_px = np.hypot(row - (H - 1) / 2, column - (W - 1) / 2)
     np.testing.assert_allclose(found, 0.5 * np.cos(np.arctan(radius_px / FOCAL_PX)) ** (4.0 * strength), rtol=1e-5)
@@ -353,7 +356,10 @@ def test_the_variance_of_the_noise_is_a_line_in_the_mean() -> None:
     draws = [effect.draw(state, seed=seed)["electrons"] for seed in range(60)]
     values = {"electrons_per_unit": electrons, "read_electrons": read}
     frames = np.stack(
-        [alone("camera.sensor_noise", state, {"electrons": draw}, **values).signal[0, 0].numpy() for draw in draws]
+        [
+            alone("camera.sensor_noise", state, {"electrons": draw}, **values).image.signal[0, 0].numpy()
+            for draw in draws
+        ]
     )
     variance = frames.reshape(-1, W).var(0)  # of 60 x 32 draws: 3 % each
     wanted = picture[0].numpy() / electrons + (read / electrons) ** 2
@@ -365,10 +371,10 @@ def test_the_variance_of_the_noise_is_a_line_in_the_mean() -> None:
 
 def test_saturation_cuts_and_a_tone_curve_bends() -> None:
     picture = frame(1)[0, 0]
-    cut = alone("camera.saturation", clear_state(picture), level=0.4).signal[0, 0].numpy()
+    cut = alone("camera.saturation", clear_state(picture), level=0.4).image.signal[0, 0].numpy()
     np.testing.assert_array_equal(cut, np.minimum(picture.numpy(), np.float32(0.4)))
     picture[0, :2] = torch.tensor([0.0, 1.0])
-    curved = alone("camera.tone_curve", clear_state(picture), gamma=0.45).signal[0, 0].numpy()
+    curved = alone("camera.tone_curve", clear_state(picture), gamma=0.45).image.signal[0, 0].numpy()
     np.testing.assert_allclose(curved, picture.double().numpy() ** 0.45, rtol=1e-5)
 
 
@@ -391,7 +397,7 @@ def moments(found: Array, row: int = 16, column: int = 24) -> tuple[float, Array
 @pytest.mark.parametrize("radius_px", [0.5, 1.5, 4.0, 9.0])
 def test_defocus_has_the_variance_of_its_disk_and_stays_in_the_colour(radius_px: float) -> None:
     picture = 0.3 + 0.6 * impulse()
-    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).signal[0, 0].double().numpy()
+    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).image.signal[0, 0].double().numpy()
     total, second = moments((found - 0.3) / 0.6)
     assert total == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(second, np.array([1.0, 1.0, 0.0]) * radius_px**2 / 4, rtol=1e-3, atol=1e-6)
@@ -402,7 +408,7 @@ def test_defocus_has_the_variance_of_its_disk_and_stays_in_the_colour(radius_px:
 def test_a_wide_defocus_is_an_even_disk() -> None:
     radius_px = 9.0
     picture = 0.3 + 0.6 * impulse()
-    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).signal[0, 0].double().numpy()
+    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).image.signal[0, 0].double().numpy()
     row, column = np.mgrid[:H, :W]
     away_px = np.hypot(row - 16, column - 24)
     same = (row % 2 == 0) & (column % 2 == 0)
@@ -417,7 +423,7 @@ def test_defocus_of_a_parabola_adds_exactly_the_variance_of_the_disk(radius_px: 
     u = torch.arange(W, dtype=torch.float64) - (W - 1) / 2
     curve = 1e-3
     picture = (0.2 + curve * u.square()).expand(H, W)
-    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).signal[0, 0]
+    found = alone("camera.defocus", clear_state(picture), radius_px=radius_px).image.signal[0, 0]
     inner = slice(14, W - 14)  # away from the edges
     wanted = picture[8:-8, inner] + curve * radius_px**2 / 4
     torch.testing.assert_close(found[8:-8, inner], wanted, rtol=0.0, atol=1e-6 + 2e-3 * curve * radius_px**2 / 4)
@@ -431,7 +437,9 @@ def test_ego_blur_of_parabolas_adds_the_variance_of_its_line_along_it_alone(leng
     curve, inner = 5e-4, (slice(10, -10), slice(12, -12))
     for place, more in ((along, length_px**2 / 12), (across, 0.0)):
         picture = 0.1 + curve * place.square()
-        found = alone("camera.ego_blur", clear_state(picture), length_px=length_px, angle_rad=angle_rad).signal[0, 0]
+        found = alone("camera.ego_blur", clear_state(picture), length_px=length_px, angle_rad=angle_rad).image.signal[
+            0, 0
+        ]
         # The line has 65 points: 1 in 65^2 less.
         torch.testing.assert_close(found[inner], (picture + curve * more)[inner], rtol=0.0, atol=1e-6)
 
@@ -442,7 +450,7 @@ def test_aerosol_glow_spreads_a_share_of_the_light_over_the_optical_depth_s_widt
     alpha = torch.full((1, 3), tau / 20.0)
     state = clear_state(0.9 * impulse(), 20.0, fog_extinction_per_m=alpha, ray_per_depth=torch.ones(1, 1, H, W))
     values = {"share_per_optical_depth": share, "width_px_per_optical_depth": width}
-    found = alone("camera.aerosol_glow", state, **values).signal[0, 0].double().numpy() / 0.9
+    found = alone("camera.aerosol_glow", state, **values).image.signal[0, 0].double().numpy() / 0.9
     total, second = moments(found)
     assert total == pytest.approx(1.0, abs=1e-4)
     moved = 1.0 - math.exp(-share * tau)
@@ -457,7 +465,7 @@ def test_aerosol_glow_softens_what_is_far_and_leaves_what_is_near_and_even_light
     stripes = (0.1 + 0.6 * ((torch.arange(W) // 2) % 2)).expand(1, H, W)
     chain = chain_with(transform, "camera.aerosol_glow", share_per_optical_depth=1.0, width_px_per_optical_depth=4.0)
     state = transform.state_of(stripes, depth_m)
-    before, after = transform.chain(state, {}).signal[0, 0], chain(state, {}).signal[0, 0]
+    before, after = transform.chain(state, {}).image.signal[0, 0], chain(state, {}).image.signal[0, 0]
     contrast = [
         float(one[::2, part].diff(dim=1).abs().mean())
         for part in (slice(0, 20, 2), slice(30, W, 2))
@@ -468,8 +476,8 @@ def test_aerosol_glow_softens_what_is_far_and_leaves_what_is_near_and_even_light
     even = clear_state(
         torch.full((H, W), 0.4), torch.rand(1, H, W) * 40.0, fog_extinction_per_m=torch.full((1, 3), 0.05)
     )
-    found = alone("camera.aerosol_glow", even, share_per_optical_depth=1.0, width_px_per_optical_depth=9.0).signal
-    torch.testing.assert_close(found, even.signal, rtol=1e-5, atol=0.0)
+    found = alone("camera.aerosol_glow", even, share_per_optical_depth=1.0, width_px_per_optical_depth=9.0).image.signal
+    torch.testing.assert_close(found, even.image.signal, rtol=1e-5, atol=0.0)
 
 
 def test_adherent_drops_show_the_mean_of_the_scene_under_soft_disks() -> None:
@@ -477,7 +485,7 @@ def test_adherent_drops_show_the_mean_of_the_scene_under_soft_disks() -> None:
     effect = EFFECTS["camera.adherent_drops"](cover=cover)
     state = clear_state(frame(1))
     noise = effect.draw(state, seed=4)
-    found = effect(state, noise).signal[0, 0].numpy()
+    found = effect(state, noise).image.signal[0, 0].numpy()
     drops = noise["drops"][0].double().numpy()
     areas = 4.0 ** drops[:, 2]
     areas *= -math.log(1.0 - cover) * H * W / areas.sum()
@@ -510,8 +518,8 @@ def test_airlight_scales_what_fog_adds_and_not_what_it_lets_through() -> None:
     through = np.exp(-fog_alpha()[colour] * length_m)
     light = (np.array(LIGHT) * [0.5, 0.9, 1.2])[colour]
     np.testing.assert_allclose(found, picture * through + light * (1.0 - through), rtol=1e-5)
-    assert after.airlight is not None
-    np.testing.assert_allclose(after.airlight[0].numpy(), np.array(LIGHT) * [0.5, 0.9, 1.2], rtol=1e-6)
+    assert after.air.airlight is not None
+    np.testing.assert_allclose(after.air.airlight[0].numpy(), np.array(LIGHT) * [0.5, 0.9, 1.2], rtol=1e-6)
 
 
 def test_airlight_above_saturation_is_saturation_and_the_result_says_so() -> None:
@@ -538,17 +546,17 @@ def test_height_fog_is_the_integral_of_its_density_along_the_ray() -> None:
     transform = rain_in_fog(Fog(mor_m=60.0), own_camera=own)
     state = begin(transform, dtype=torch.float64)
     after = alone("camera.height_fog", state, scale_height_m=scale_m)
-    assert after.fog_density is not None
+    assert after.air.fog_density is not None
     for row, column in ((0, 5), (9, 40), (20, 3), (31, 24)):
         y, x = (row - (H - 1) / 2) / FOCAL_PX, (column - (W - 1) / 2) / FOCAL_PX
         length = math.sqrt(1.0 + x * x + y * y)
         # The ray turned up by the pitch, height in metres per metre of ray.
         rise = (math.sin(pitch) - y * math.cos(pitch)) / length
-        far_m = min(float(state.depth_m[0, 0, row, column]) * length, 3e3)
+        far_m = min(float(state.scene.depth_m[0, 0, row, column]) * length, 3e3)
         place_m = np.linspace(0.0, far_m, 200_001)
         wanted = np.trapezoid(np.exp(-rise * place_m / scale_m), place_m)
-        depth_m = float(state.depth_m[0, 0, row, column].clamp_max(1e12)) * length
-        assert float(after.fog_density[0, 0, row, column]) * depth_m == pytest.approx(wanted, rel=2e-3)
+        depth_m = float(state.scene.depth_m[0, 0, row, column].clamp_max(1e12)) * length
+        assert float(after.air.fog_density[0, 0, row, column]) * depth_m == pytest.approx(wanted, rel=2e-3)
 
 
 def test_patches_have_mean_one_a_log_normal_spread_near_by_and_less_of_it_far_away() -> None:
@@ -556,13 +564,13 @@ def test_patches_have_mean_one_a_log_normal_spread_near_by_and_less_of_it_far_aw
     effect = EFFECTS["camera.patchy_fog"](log_std=log_std)
     near, far = clear_state(frame(1), 15.0), clear_state(frame(1), 300.0)
     draws = [effect.draw(near, seed=seed) for seed in range(300)]
-    density = [np.stack([effect(state, draw).fog_density[0, 0].numpy() for draw in draws]) for state in (near, far)]
+    density = [np.stack([effect(state, draw).air.fog_density[0, 0].numpy() for draw in draws]) for state in (near, far)]
     # 300 draws of about 24 banks: some percent.
     assert density[0].mean() == pytest.approx(1.0, abs=0.03)
     assert density[1].mean() == pytest.approx(1.0, abs=0.03)
     assert np.log(density[0]).std() == pytest.approx(log_std, rel=0.05)
     assert np.log(density[0]).mean() == pytest.approx(-(log_std**2) / 2, abs=0.04)
-    length_m = 300.0 * float(far.ray_per_depth.mean())
+    length_m = 300.0 * float(far.scene.ray_per_depth.mean())
     parts_m = np.diff([0.0, 20.0, 40.0, 80.0, 160.0, min(length_m, 320.0)])
     wanted = math.sqrt((math.exp(log_std**2) - 1.0) * ((parts_m / length_m) ** 2).sum())
     assert density[1].std() == pytest.approx(wanted, rel=0.06)
@@ -570,8 +578,8 @@ def test_patches_have_mean_one_a_log_normal_spread_near_by_and_less_of_it_far_aw
 
 def test_the_fog_of_a_density_is_the_weather_s_extinction_times_it() -> None:
     picture, length_m, found, after = foggy("camera.patchy_fog", log_std=0.7)
-    assert after.fog_density is not None
-    density, colour = after.fog_density[0, 0].numpy(), colour_of().numpy()
+    assert after.air.fog_density is not None
+    density, colour = after.air.fog_density[0, 0].numpy(), colour_of().numpy()
     assert density.std() > 0.1
     with np.errstate(invalid="ignore"):
         through = np.exp(-fog_alpha()[colour] * np.minimum(length_m, 1e9) * density)
@@ -592,7 +600,7 @@ def test_a_wet_road_is_darker_and_mirrors_the_picture_above_the_horizon() -> Non
     row = torch.arange(H, dtype=torch.float64)[:, None].expand(H, W)
     picture = 0.8 - 0.015 * row  # a line in the row, which interpolation keeps
     state = clear_state(picture, normal=normals()[None])
-    found = alone("camera.wet_surface", state, darkening=darkening, mirror=mirror).signal[0, 0]
+    found = alone("camera.wet_surface", state, darkening=darkening, mirror=mirror).image.signal[0, 0]
     torch.testing.assert_close(found[: H // 2], picture[: H // 2], rtol=1e-6, atol=0.0)
     for v in range(H // 2 + 1, H - 2):
         for u in (4, 23, 40):
@@ -620,12 +628,12 @@ def rain_only(**more: Any) -> BayerWeather:
 
 def marks_of(transform: BayerWeather, seed: int = 2, **fields: Tensor) -> Marks:
     """All listed particles of a draw, sample 0."""
-    state = replace(transform.state_of(frame(1), depth(1)), **fields)
+    state = transform.state_of(frame(1), depth(1)).changed(**fields)
     veil = transform.chain.stages["particle_veil"]
     assert isinstance(veil, ParticleVeil)
     part = veil.parts[0]
     noise = veil.draw(state, seed=seed)
-    tables = part.at_rate(1, state.particle_count)
+    tables = part.at_rate(1, state.air.particle_count)
     portions = [m for number in range(len(part.tables.listed)) for m in part.marks(state, noise, tables, number)]
 
     def join(name: str) -> Tensor:
@@ -680,9 +688,9 @@ def test_streak_contrast_scales_what_particles_change(factor: float, plain: Baye
     state = begin(transform)
     chain = chain_with(transform, "camera.streak_contrast", factor=factor)
     noise = chain.draw(state, seed=3)
-    change = (transform.chain(state, noise).signal - state.signal).numpy()
-    found = chain(state, noise).signal.numpy()
-    np.testing.assert_allclose(found, np.clip(state.signal.numpy() + factor * change, 0.0, 1.0), atol=2e-6)
+    change = (transform.chain(state, noise).image.signal - state.image.signal).numpy()
+    found = chain(state, noise).image.signal.numpy()
+    np.testing.assert_allclose(found, np.clip(state.image.signal.numpy() + factor * change, 0.0, 1.0), atol=2e-6)
     assert np.abs(change).max() > 0.01
 
 

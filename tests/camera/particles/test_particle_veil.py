@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -432,30 +431,29 @@ def test_what_samples_share_may_be_given_once_or_for_each() -> None:
     bayer = frame(camera).reshape(1, 1, camera.height, camera.width).expand(3, -1, -1, -1)
     depth_m = torch.linspace(3.0, 60.0, camera.height)[:, None].repeat(1, 1, 1, camera.width)
     depth_m[..., :4, :] = torch.inf  # sky
-    state = replace(transform.state_of(bayer, depth_m), keep_truth=True)
+    state = transform.state_of(bayer, depth_m).changed(keep_truth=True)
     stage = veil_of(transform)
     noise = stage.draw(state, seed=5)
     shared = {"particle_count": 1.3, "particle_reach_m": 40.0, "path_tangent": 0.2}
-    once = replace(state, **{name: torch.full((1,), value) for name, value in shared.items()})
-    each = replace(
-        state,
+    once = state.changed(**{name: torch.full((1,), value) for name, value in shared.items()})
+    each = state.changed(
         depth_m=depth_m.repeat(3, 1, 1, 1),
-        intrinsics=state.intrinsics.repeat(3, 1),
+        intrinsics=state.scene.intrinsics.repeat(3, 1),
         **{name: torch.full((3,), value) for name, value in shared.items()},
     )
     masks_found = []
     for given, rate in ((once, torch.tensor(30.0)), (each, torch.full((3,), 30.0))):
         for part in stage.parts:
             part.rate_mm_per_h = rate
-        masks_found.append(stage(given, noise).particle_mask)
+        masks_found.append(stage(given, noise).image.particle_mask)
     torch.testing.assert_close(*masks_found, rtol=0, atol=0)
 
 
 def test_the_optical_depth_alone_is_that_of_the_rendered_mask() -> None:
     camera = camera_of()
     transform = BayerWeather(Mixture(Rain(30.0), Snow(2.0)), camera, airlight=0.8)
-    state = replace(transform.state_of(frame(camera)[None], torch.full((1, 96, 96), 60.0)), keep_truth=True)
+    state = transform.state_of(frame(camera)[None], torch.full((1, 96, 96), 60.0)).changed(keep_truth=True)
     stage = veil_of(transform)
     noise = stage.draw(state, seed=3)
-    mask = stage(state, noise).particle_mask
+    mask = stage(state, noise).image.particle_mask
     torch.testing.assert_close(-torch.expm1(-stage.optical_depth(state, noise)), mask, rtol=1e-6, atol=1e-7)

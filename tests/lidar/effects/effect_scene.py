@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -110,7 +110,7 @@ def begin(transform: LidarWeather, batch: int = 3, dtype: torch.dtype = torch.fl
     state = transform.state_of(cloud(batch).to(dtype), directions().to(dtype))
     generator = torch.Generator().manual_seed(6)
     cosine, up = torch.rand(2, 1, BEAMS, generator=generator).to(dtype)
-    return replace(state, cos_incidence=0.05 + 0.95 * cosine, up=2.0 * up - 1.0)
+    return state.changed(cos_incidence=0.05 + 0.95 * cosine, up=2.0 * up - 1.0)
 
 
 def own_noise(noise: Mapping[str, Tensor], stage: str) -> dict[str, Tensor]:
@@ -129,20 +129,20 @@ def states(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> dict
 
 def assert_same_state(one: LidarState, other: LidarState, sample: int | slice = slice(None)) -> None:
     """Bit for bit; ``other`` may have echoes more, which are then empty, and fields that ``one`` leaves unset."""
-    for field in fields(LidarState):
-        first, second = getattr(one, field.name), getattr(other, field.name)
+    for field in LidarState.part_of:
+        first, second = one.field(field), other.field(field)
         if not isinstance(first, Tensor):
-            if field.name in OF_ONE and second is not None:
+            if field in OF_ONE and second is not None:
                 assert (second[sample] == 1.0).all()
-            elif field.name == "extra_divergence_rad" and second is not None:
+            elif field == "extra_divergence_rad" and second is not None:
                 assert (second[sample] == 0.0).all()
             else:
-                assert first == second, field.name
+                assert first == second, field
             continue
         if first.ndim and first.shape[0] > 1:
             first, second = first[sample], second[sample]
-        if field.name in ("range_m", "signal", "kind"):
+        if field in ("range_m", "signal", "kind"):
             more = second[..., first.shape[-1] :]
-            assert (more == 0).all(), field.name
+            assert (more == 0).all(), field
             second = second[..., : first.shape[-1]]
-        assert torch.equal(first, second), field.name
+        assert torch.equal(first, second), field

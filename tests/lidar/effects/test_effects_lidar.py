@@ -60,8 +60,8 @@ def outcomes(transform: LidarWeather, name: str, seed: int = 3, **values: Any) -
 
 
 def points_of(state: LidarState) -> Tensor:
-    assert state.points is not None
-    return state.points
+    assert state.returns.points is not None
+    return state.returns.points
 
 
 # ---- air and optics ----------------------------------------------------------------------------------------------
@@ -72,10 +72,10 @@ def test_window_loss_of_3_db_halves_every_signal_and_the_intensity_of_objects_an
 ) -> None:
     half_db = 10.0 * math.log10(2.0)
     before, after = around(transform, "lidar.window_loss", loss_db=half_db)
-    torch.testing.assert_close(after.signal, 0.5 * before.signal, rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(after.returns.signal, 0.5 * before.returns.signal, rtol=1e-6, atol=0.0)
     plain, lossy = outcomes(transform, "lidar.window_loss", loss_db=half_db)
     for kind in (OBJECT, PARTICLE):
-        both = (plain.kind[..., 0] == kind) & (lossy.kind[..., 0] == kind)
+        both = (plain.returns.kind[..., 0] == kind) & (lossy.returns.kind[..., 0] == kind)
         assert int(both.sum()) > 20
         ratio = points_of(lossy)[..., 3][both] / points_of(plain)[..., 3][both]
         torch.testing.assert_close(ratio, torch.full_like(ratio, 0.5), rtol=1e-5, atol=0.0)
@@ -84,12 +84,12 @@ def test_window_loss_of_3_db_halves_every_signal_and_the_intensity_of_objects_an
 def test_twice_the_extinction_is_the_objects_intensity_at_twice_alpha(transform: LidarWeather) -> None:
     alpha = float(transform.extinction_per_m)
     before, after = around(transform, "lidar.extinction_scale", factor=2.0)
-    clear_m, clear = before.clear_range_m.double(), before.clear_signal.double()
+    clear_m, clear = before.scene.clear_range_m.double(), before.scene.clear_signal.double()
     torch.testing.assert_close(
-        after.signal[..., 0].double(), clear * torch.exp(-4.0 * alpha * clear_m), rtol=1e-5, atol=0.0
+        after.returns.signal[..., 0].double(), clear * torch.exp(-4.0 * alpha * clear_m), rtol=1e-5, atol=0.0
     )
-    assert after.extinction_per_m is not None
-    assert after.extinction_per_m.tolist() == pytest.approx([2.0 * alpha] * 3)
+    assert after.air.extinction_per_m is not None
+    assert after.air.extinction_per_m.tolist() == pytest.approx([2.0 * alpha] * 3)
 
 
 def test_twice_the_extinction_is_the_rain_seen_with_twice_the_extinction_efficiency(transform: LidarWeather) -> None:
@@ -103,11 +103,11 @@ def test_twice_the_extinction_is_the_rain_seen_with_twice_the_extinction_efficie
 def test_limited_extent_attenuates_up_to_the_extent_and_has_no_particle_beyond(transform: LidarWeather) -> None:
     alpha, extent_m = float(transform.extinction_per_m), 7.0
     before, after = around(transform, "lidar.limited_extent", extent_m=extent_m)
-    inside_m = np.minimum(before.clear_range_m.double().numpy(), extent_m)
-    wanted = before.clear_signal.double().numpy() * np.exp(-2.0 * alpha * inside_m)
-    np.testing.assert_allclose(after.signal[..., 0].double().numpy(), wanted, rtol=1e-5)
+    inside_m = np.minimum(before.scene.clear_range_m.double().numpy(), extent_m)
+    wanted = before.scene.clear_signal.double().numpy() * np.exp(-2.0 * alpha * inside_m)
+    np.testing.assert_allclose(after.returns.signal[..., 0].double().numpy(), wanted, rtol=1e-5)
     plain, limited = outcomes(transform, "lidar.limited_extent", extent_m=3.0)
-    ranges = [state.range_m[state.kind == PARTICLE] for state in (plain, limited)]
+    ranges = [state.returns.range_m[state.returns.kind == PARTICLE] for state in (plain, limited)]
     assert float(ranges[0].max()) > 3.5
     assert float(ranges[1].max()) <= 3.0
     assert len(ranges[1]) > 50
@@ -121,9 +121,11 @@ def test_the_particles_of_a_limited_extent_are_those_in_front_of_a_wall_there(tr
     limited = states(chain, state, noise)["particle_returns"]
     wall = transform.state_of(torch.cat([4.0 * directions(), 0.5 * torch.ones(BEAMS, 1)], -1).expand(3, -1, -1))
     in_front = states(transform.chain, wall, noise)["particle_returns"]
-    far = (state.reach_m > 4.01) & (in_front.range_m[..., 1] > 0)
+    far = (state.air.reach_m > 4.01) & (in_front.returns.range_m[..., 1] > 0)
     assert int(far.sum()) > 200
-    torch.testing.assert_close(limited.range_m[..., 1][far], in_front.range_m[..., 1][far], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(
+        limited.returns.range_m[..., 1][far], in_front.returns.range_m[..., 1][far], rtol=1e-4, atol=1e-4
+    )
 
 
 def test_a_wider_beam_sees_more_drops_and_each_of_them_fainter() -> None:
@@ -131,12 +133,12 @@ def test_a_wider_beam_sees_more_drops_and_each_of_them_fainter() -> None:
     sensor = replace(scan_sensor(), exit_diameter_mm=0.1, divergence_mrad=1.0)
     transform = LidarRain(Rain(50.0), sensor, q_eff=0.0)
     _, after = around(transform, "lidar.beam_divergence", extra_mrad=2.0)
-    assert after.extra_divergence_rad is not None
-    assert after.extra_divergence_rad.tolist() == pytest.approx([2e-3] * 3)
+    assert after.receiver.extra_divergence_rad is not None
+    assert after.receiver.extra_divergence_rad.tolist() == pytest.approx([2e-3] * 3)
     part = transform.chain.stages["particle_returns"].kinds["rain"]
     own = transform.chain.stages["particle_returns"].beam
     signal, reach = torch.full((1, 1), 1e-5), torch.full((1, 1), 100.0)
-    wide = part.expected_above(own.widened(after.extra_divergence_rad[:1]), signal, torch.zeros(1), reach)
+    wide = part.expected_above(own.widened(after.receiver.extra_divergence_rad[:1]), signal, torch.zeros(1), reach)
     # Three times the diameter: nine times the area, and the same drops are those of nine times the signal before.
     equal = part.expected_above(own, 9.0 * signal, torch.zeros(1), reach)
     # But for the exit's 0.1 mm against 3 mm at 1 m, and for drops wider than the beam, near the sensor.
@@ -147,25 +149,28 @@ def test_a_wider_beam_sees_more_drops_and_each_of_them_fainter() -> None:
 def test_wet_targets_are_darker_by_up_and_incidence_and_particles_are_not(transform: LidarWeather, known: str) -> None:
     state = begin(transform)
     if known in ("incidence", "none"):
-        state = replace(state, up=None)
+        state = state.changed(up=None)
     if known in ("up", "none"):
-        state = replace(state, cos_incidence=None)
+        state = state.changed(cos_incidence=None)
     chain = with_effects(transform.chain, [EFFECTS["lidar.wet_target"](share=0.6)])
     found = states(chain, state, chain.draw(state, seed=3))
     before, after = found["extinction"], found["wet_target"]
     for beam in range(1, BEAMS, 37):
-        if float(before.clear_range_m[1, beam]) == 0.0:
+        if float(before.scene.clear_range_m[1, beam]) == 0.0:
             continue
         wet = 1.0
-        if state.up is not None:
-            wet *= 0.5 * (1.0 + float(state.up[0, beam]))
-        if state.cos_incidence is not None:
+        if state.scene.up is not None:
+            wet *= 0.5 * (1.0 + float(state.scene.up[0, beam]))
+        if state.scene.cos_incidence is not None:
             wet *= (
-                1.0 - 0.5 * (water_transmittance(float(state.cos_incidence[0, beam])) / water_transmittance(1.0)) ** 2
+                1.0
+                - 0.5 * (water_transmittance(float(state.scene.cos_incidence[0, beam])) / water_transmittance(1.0)) ** 2
             )
-        assert float(after.signal[1, beam, 0] / before.signal[1, beam, 0]) == pytest.approx(1.0 - 0.6 * wet, rel=1e-5)
+        assert float(after.returns.signal[1, beam, 0] / before.returns.signal[1, beam, 0]) == pytest.approx(
+            1.0 - 0.6 * wet, rel=1e-5
+        )
     plain = states(transform.chain, state, chain.draw(state, seed=3))["particle_returns"]
-    assert torch.equal(found["particle_returns"].signal[..., 1:], plain.signal[..., 1:])
+    assert torch.equal(found["particle_returns"].returns.signal[..., 1:], plain.returns.signal[..., 1:])
 
 
 def water_transmittance(cos_in: float) -> float:
@@ -190,14 +195,16 @@ def inside_sector(azimuth_rad: float, width_rad: float) -> Tensor:
 )
 def test_a_dirty_sector_weakens_its_beams_alone(transform: LidarWeather, azimuth_rad: float, width_rad: float) -> None:
     before, after = around(transform, "lidar.sector_loss", azimuth_rad=azimuth_rad, width_rad=width_rad, loss_db=10.0)
-    wanted = torch.where(inside_sector(azimuth_rad, width_rad)[None, :, None], 0.1, 1.0) * before.signal
-    torch.testing.assert_close(after.signal, wanted, rtol=1e-5, atol=0.0)
+    wanted = torch.where(inside_sector(azimuth_rad, width_rad)[None, :, None], 0.1, 1.0) * before.returns.signal
+    torch.testing.assert_close(after.returns.signal, wanted, rtol=1e-5, atol=0.0)
 
 
 def test_particles_are_brighter_and_objects_are_not(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.particle_backscatter", gain_db=10.0)
-    torch.testing.assert_close(after.signal[..., 1:], 10.0 * before.signal[..., 1:], rtol=1e-5, atol=0.0)
-    assert torch.equal(after.signal[..., 0], before.signal[..., 0])
+    torch.testing.assert_close(
+        after.returns.signal[..., 1:], 10.0 * before.returns.signal[..., 1:], rtol=1e-5, atol=0.0
+    )
+    assert torch.equal(after.returns.signal[..., 0], before.returns.signal[..., 0])
 
 
 def test_the_density_of_patchy_weather_has_mean_1_and_the_spread_asked_for(transform: LidarWeather) -> None:
@@ -205,15 +212,14 @@ def test_the_density_of_patchy_weather_has_mean_1_and_the_spread_asked_for(trans
     samples, log_std = 20_000, 0.5
     effect = EFFECTS["lidar.patchy_weather"](log_std=log_std)
     state = begin(transform, batch=1)
-    wide = replace(
-        state,
+    wide = state.changed(
         **{
-            name: getattr(state, name)[:, :1].expand(samples, *(-1,) * (getattr(state, name).ndim - 1))
+            name: state.field(name)[:, :1].expand(samples, *(-1,) * (state.field(name).ndim - 1))
             for name in ("points_in", "signal", "range_m", "kind", "clear_range_m", "reach_m", "clear_signal")
         },
     )
     noise = draw_variates(range(samples), effect.default_name, effect.variates(), wide.sizes)
-    found = effect(wide, {"density": torch.from_numpy(noise["patchy_weather.density"])}).density_scale
+    found = effect(wide, {"density": torch.from_numpy(noise["patchy_weather.density"])}).air.density_scale
     assert found is not None
     density = found.double()
     variance = math.exp(log_std**2) - 1.0
@@ -231,7 +237,7 @@ def test_a_dense_patch_is_the_rain_with_more_drops_of_every_size(transform: Lida
     drawn = noise["patchy_weather.density"][:, 0].double()
     density = torch.exp(drawn - 0.5)
     alpha = float(transform.extinction_per_m)
-    extinction = found["extinction"].extinction_per_m
+    extinction = found["extinction"].air.extinction_per_m
     assert extinction is not None
     torch.testing.assert_close(extinction.double(), alpha * density, rtol=1e-5, atol=0.0)
 
@@ -243,19 +249,19 @@ def test_a_static_structure_stands_where_it_was_put(transform: LidarWeather) -> 
     sensor, direction = scan_sensor(), directions().double()
     for sample in range(3):
         for beam in range(BEAMS):
-            clear_m = float(before.clear_range_m[sample, beam])
+            clear_m = float(before.scene.clear_range_m[sample, beam])
             slant_m = 9.0 / math.hypot(float(direction[beam, 0]), float(direction[beam, 1]))
-            got = after.clear_range_m[sample, beam], after.clear_signal[sample, beam]
+            got = after.scene.clear_range_m[sample, beam], after.scene.clear_signal[sample, beam]
             if bool(inside[beam]) and (clear_m == 0.0 or clear_m > slant_m):
                 assert float(got[0]) == pytest.approx(slant_m, rel=1e-5)
                 assert float(got[1]) == pytest.approx(0.1 / math.pi / slant_m**2, rel=1e-5)
-                assert int(after.kind[sample, beam, 0]) == OBJECT
-                assert float(after.points_in[sample, beam, 3]) == pytest.approx(0.1)
-                place = after.points_in[sample, beam, :3].double()
+                assert int(after.returns.kind[sample, beam, 0]) == OBJECT
+                assert float(after.scene.points_in[sample, beam, 3]) == pytest.approx(0.1)
+                place = after.scene.points_in[sample, beam, :3].double()
                 torch.testing.assert_close(place, direction[beam] * slant_m, rtol=1e-5, atol=1e-5)
             else:
                 assert float(got[0]) == clear_m
-                assert torch.equal(after.points_in[sample, beam], before.points_in[sample, beam])
+                assert torch.equal(after.scene.points_in[sample, beam], before.scene.points_in[sample, beam])
     assert sensor.near_full_m < 9.0
 
 
@@ -305,21 +311,21 @@ def test_spray_is_near_in_its_sector_and_as_frequent_as_asked_for(transform: Lid
     for seed in range(0, 60, 3):
         found = states(chain, state, chain.draw(state, seed=seed))
         before, after = found["particle_returns"], found["spray"]
-        assert after.signal.shape[-1] == before.signal.shape[-1] + 1
-        there = after.signal[..., -1] > 0
+        assert after.returns.signal.shape[-1] == before.returns.signal.shape[-1] + 1
+        there = after.returns.signal[..., -1] > 0
         assert not bool(there[:, ~inside].any())
-        assert (after.kind[..., -1] == PARTICLE).all()
-        reach_m = torch.where(before.clear_range_m > 0, before.clear_range_m, before.reach_m).double()
+        assert (after.returns.kind[..., -1] == PARTICLE).all()
+        reach_m = torch.where(before.scene.clear_range_m > 0, before.scene.clear_range_m, before.air.reach_m).double()
         mean = strength * (1.0 - torch.exp(-(reach_m - near_m).clamp_min(0.0) / 5.0))[:, inside]
         share = 1.0 - torch.exp(-mean)
         hits += int(there.sum())
         wanted += float(share.sum())
         variance += float((share * (1.0 - share)).sum())
-        assert (after.range_m[..., -1][there] <= reach_m[there]).all()
-        assert (after.range_m[..., -1][there] >= near_m).all()
+        assert (after.returns.range_m[..., -1][there] <= reach_m[there]).all()
+        assert (after.returns.range_m[..., -1][there] >= near_m).all()
         far = there & (reach_m > 40.0)
-        ranges.append(after.range_m[..., -1][far].double())
-        margins.append((after.signal[..., -1][far] / after.threshold).double().log10() * 10.0)
+        ranges.append(after.returns.range_m[..., -1][far].double())
+        margins.append((after.returns.signal[..., -1][far] / after.receiver.threshold).double().log10() * 10.0)
     assert hits == pytest.approx(wanted, abs=4.0 * math.sqrt(variance))
     range_m, margin_db = torch.cat(ranges), torch.cat(margins)
     number = len(range_m)
@@ -338,9 +344,9 @@ def test_spray_is_near_in_its_sector_and_as_frequent_as_asked_for(transform: Lid
 
 def test_a_threshold_of_6_db_more_loses_what_lies_within_6_db_and_leaves_intensities(transform: LidarWeather) -> None:
     plain, shifted = outcomes(transform, "lidar.threshold_shift", shift_db=6.0)
-    margin_db = 10.0 * torch.log10(plain.signal[..., 0] / plain.threshold)
-    seen = plain.kind[..., 0] == OBJECT
-    lost = seen & (shifted.kind[..., 0] != OBJECT)
+    margin_db = 10.0 * torch.log10(plain.returns.signal[..., 0] / plain.receiver.threshold)
+    seen = plain.returns.kind[..., 0] == OBJECT
+    lost = seen & (shifted.returns.kind[..., 0] != OBJECT)
     assert float(margin_db[lost].max()) < 6.0
     assert int(lost.sum()) > 50
     stayed = seen & ~lost
@@ -356,73 +362,79 @@ def test_nothing_nearer_than_the_blind_zone_is_reported() -> None:
     assert isinstance(result.kind, Tensor)
     assert result.kind.tolist() == [LOST, LOST, OBJECT]
     plain, blind = outcomes(rain(), "lidar.blind_zone", range_m=2.5)
-    near, far = (plain.range_m < 2.5) & (plain.kind == PARTICLE), (plain.range_m >= 2.5) & (plain.kind != LOST)
+    near, far = (
+        (plain.returns.range_m < 2.5) & (plain.returns.kind == PARTICLE),
+        (plain.returns.range_m >= 2.5) & (plain.returns.kind != LOST),
+    )
     assert int(near.sum()) > 50
-    assert torch.equal(blind.range_m[far], plain.range_m[far])
-    assert float(blind.range_m[blind.kind != LOST].min()) >= 2.5
+    assert torch.equal(blind.returns.range_m[far], plain.returns.range_m[far])
+    assert float(blind.returns.range_m[blind.returns.kind != LOST].min()) >= 2.5
 
 
 def test_range_noise_is_normal_with_the_spread_asked_for(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.range_noise", std_m=0.05)
-    reported = before.kind != LOST
-    error_m = (after.range_m - before.range_m)[reported].double()
+    reported = before.returns.kind != LOST
+    error_m = (after.returns.range_m - before.returns.range_m)[reported].double()
     number = len(error_m)
     assert float(error_m.mean()) == pytest.approx(0.0, abs=4.0 * 0.05 / math.sqrt(number))
     assert float(error_m.std()) == pytest.approx(0.05, rel=4.0 / math.sqrt(2 * number))
-    assert torch.equal(after.range_m[~reported], before.range_m[~reported])
+    assert torch.equal(after.returns.range_m[~reported], before.returns.range_m[~reported])
 
 
 def test_a_range_is_not_negative(transform: LidarWeather) -> None:
     _, after = around(transform, "lidar.range_bias", offset_m=-5.0)
-    assert float(after.range_m.min()) == 0.0
-    assert int((after.range_m[after.kind != LOST] == 0).sum()) > 5
+    assert float(after.returns.range_m.min()) == 0.0
+    assert int((after.returns.range_m[after.returns.kind != LOST] == 0).sum()) > 5
 
 
 def test_range_bias_walks_with_the_decades_of_the_signal(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.range_bias", offset_m=0.1, walk_m_per_decade=-0.05)
     for sample, beam in ((0, 1), (1, 7), (2, 33), (0, 444)):
-        assert int(before.kind[sample, beam, 0]) != LOST
-        decades = math.log10(float(before.signal[sample, beam, 0]) / scan_sensor().threshold_per_m2_sr)
-        moved = float(after.range_m[sample, beam, 0] - before.range_m[sample, beam, 0])
+        assert int(before.returns.kind[sample, beam, 0]) != LOST
+        decades = math.log10(float(before.returns.signal[sample, beam, 0]) / scan_sensor().threshold_per_m2_sr)
+        moved = float(after.returns.range_m[sample, beam, 0] - before.returns.range_m[sample, beam, 0])
         assert moved == pytest.approx(0.1 - 0.05 * decades, abs=1e-5)
 
 
 def test_range_stretch_grows_with_the_optical_depth_and_ends_with_the_weather(transform: LidarWeather) -> None:
     alpha = float(transform.extinction_per_m)
     before, after = around(transform, "lidar.range_stretch", m_per_optical_depth=3.0)
-    reported = before.kind != LOST
+    reported = before.returns.kind != LOST
     torch.testing.assert_close(
-        after.range_m[reported], (before.range_m * (1.0 + 3.0 * alpha))[reported], rtol=1e-5, atol=1e-5
+        after.returns.range_m[reported], (before.returns.range_m * (1.0 + 3.0 * alpha))[reported], rtol=1e-5, atol=1e-5
     )
     effects = [EFFECTS["lidar.range_stretch"](m_per_optical_depth=3.0), EFFECTS["lidar.limited_extent"](extent_m=10.0)]
     chain = with_effects(transform.chain, effects)
     state = begin(transform)
     found = states(chain, state, chain.draw(state, seed=3))
     before, after = found["detection"], found["range_stretch"]
-    far = (before.kind == OBJECT) & (before.range_m > 10.0)
+    far = (before.returns.kind == OBJECT) & (before.returns.range_m > 10.0)
     torch.testing.assert_close(
-        (after.range_m - before.range_m)[far], torch.full((int(far.sum()),), 30.0 * alpha), rtol=1e-3, atol=1e-5
+        (after.returns.range_m - before.returns.range_m)[far],
+        torch.full((int(far.sum()),), 30.0 * alpha),
+        rtol=1e-3,
+        atol=1e-5,
     )
 
 
 def test_the_last_return_drops_particles_in_front_of_what_is_seen_alone(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.last_return", probability=1.0)
-    seen = (before.kind[..., 0] == OBJECT) & (before.signal[..., 0] >= before.threshold)
-    assert (after.signal[..., 1:][seen] == 0).all()
-    assert torch.equal(after.signal[..., 1:][~seen], before.signal[..., 1:][~seen])
-    assert torch.equal(after.signal[..., 0], before.signal[..., 0])
+    seen = (before.returns.kind[..., 0] == OBJECT) & (before.returns.signal[..., 0] >= before.receiver.threshold)
+    assert (after.returns.signal[..., 1:][seen] == 0).all()
+    assert torch.equal(after.returns.signal[..., 1:][~seen], before.returns.signal[..., 1:][~seen])
+    assert torch.equal(after.returns.signal[..., 0], before.returns.signal[..., 0])
     part = around(transform, "lidar.last_return", probability=0.3)
-    had = seen & (before.signal[..., 1] > 0)
-    share = float((part[1].signal[..., 1][had] == 0).double().mean())
+    had = seen & (before.returns.signal[..., 1] > 0)
+    share = float((part[1].returns.signal[..., 1][had] == 0).double().mean())
     number = int(had.sum())
     assert share == pytest.approx(0.3, abs=4.0 * math.sqrt(0.21 / number))
 
 
 def test_in_strongest_mode_the_last_return_uncovers_the_objects(transform: LidarWeather) -> None:
     plain, last = outcomes(transform, "lidar.last_return", probability=1.0)
-    covered = (plain.kind[..., 0] == PARTICLE) & (last.kind[..., 0] == OBJECT)
+    covered = (plain.returns.kind[..., 0] == PARTICLE) & (last.returns.kind[..., 0] == OBJECT)
     assert int(covered.sum()) > 5
-    assert not bool(((plain.kind[..., 0] == OBJECT) & (last.kind[..., 0] != OBJECT)).any())
+    assert not bool(((plain.returns.kind[..., 0] == OBJECT) & (last.returns.kind[..., 0] != OBJECT)).any())
 
 
 def brute_force_isolated(range_m: Any, reported: Any, radius_m: float) -> Any:
@@ -448,16 +460,16 @@ def test_the_isolated_return_filter_removes_what_a_brute_force_search_finds(
 ) -> None:
     before, after = around(transform, "lidar.isolated_return_filter", probability=1.0, radius_m=radius_m)
     for sample in range(3):
-        range_m = before.range_m[sample, :, 0].numpy()
-        reported = before.kind[sample, :, 0].numpy() != LOST
+        range_m = before.returns.range_m[sample, :, 0].numpy()
+        reported = before.returns.kind[sample, :, 0].numpy() != LOST
         alone = brute_force_isolated(range_m, reported, radius_m)
         assert 5 < alone.sum() < reported.sum()
-        kept = after.kind[sample, :, 0].numpy() != LOST
+        kept = after.returns.kind[sample, :, 0].numpy() != LOST
         assert np.array_equal(kept, reported & ~alone)
-        assert (after.range_m[sample, :, 0].numpy()[alone] == 0).all()
+        assert (after.returns.range_m[sample, :, 0].numpy()[alone] == 0).all()
     half = around(transform, "lidar.isolated_return_filter", probability=0.5, radius_m=radius_m)[1]
-    removed = (before.kind != LOST) & (half.kind == LOST)
-    number = int(((before.kind != LOST) & (after.kind == LOST)).sum())
+    removed = (before.returns.kind != LOST) & (half.returns.kind == LOST)
+    number = int(((before.returns.kind != LOST) & (after.returns.kind == LOST)).sum())
     assert int(removed.sum()) == pytest.approx(0.5 * number, abs=4.0 * math.sqrt(0.25 * number))
 
 
@@ -471,19 +483,19 @@ def test_the_filter_looks_at_both_returns_of_a_dual_sensor() -> None:
     kind[..., 1] = LOST
     kind[0, 130, 1], range_m[0, 130, 1] = OBJECT, 40.0
     after = EFFECTS["lidar.isolated_return_filter"](probability=1.0, radius_m=1.0)(
-        replace(state, range_m=range_m, signal=torch.ones_like(range_m), kind=kind), {"removal": torch.zeros(1, BEAMS)}
+        state.changed(range_m=range_m, signal=torch.ones_like(range_m), kind=kind), {"removal": torch.zeros(1, BEAMS)}
     )
-    assert (after.kind[..., 0] == OBJECT).all()
-    assert (after.kind[..., 1] == LOST).all()
+    assert (after.returns.kind[..., 0] == OBJECT).all()
+    assert (after.returns.kind[..., 1] == LOST).all()
 
 
 @pytest.mark.parametrize("exponent", [0.5, 2.0])
 def test_a_curved_response_is_a_power_of_the_reflectivity(transform: LidarWeather, exponent: float) -> None:
     plain, curved = outcomes(transform, "lidar.intensity_compression", exponent=exponent)
-    assert torch.equal(plain.kind, curved.kind)
+    assert torch.equal(plain.returns.kind, curved.returns.kind)
     before, after = points_of(plain)[..., 3], points_of(curved)[..., 3]
     for kind in (OBJECT, PARTICLE):
-        of = plain.kind[..., 0] == kind
+        of = plain.returns.kind[..., 0] == kind
         assert int(of.sum()) > 50
         torch.testing.assert_close(after[of], before[of] ** exponent, rtol=1e-4, atol=1e-6)
 
@@ -580,7 +592,9 @@ def test_the_gain_of_a_ring_is_linear_in_its_row_and_0_in_the_middle(transform: 
     for row in range(ROWS):
         beams = slice(row * COLUMNS, (row + 1) * COLUMNS)
         factor = 10.0 ** (0.05 * (row - 3.5))
-        torch.testing.assert_close(after.signal[:, beams], factor * before.signal[:, beams], rtol=1e-5, atol=0.0)
+        torch.testing.assert_close(
+            after.returns.signal[:, beams], factor * before.returns.signal[:, beams], rtol=1e-5, atol=0.0
+        )
 
 
 # ---- together ----------------------------------------------------------------------------------------------------
@@ -592,18 +606,22 @@ def test_effects_of_one_place_follow_the_way_of_the_light() -> None:
     transform = rain(effects=effects)
     state = begin(transform)
     found = states(transform.chain, state, transform.chain.draw(state, seed=1))
-    torch.testing.assert_close(found["window_loss"].signal, 1e-3 * found["spray"].signal, rtol=1e-4, atol=0.0)
+    torch.testing.assert_close(
+        found["window_loss"].returns.signal, 1e-3 * found["spray"].returns.signal, rtol=1e-4, atol=0.0
+    )
     blind = rain(effects=[active("lidar.spray", width_rad=6.0), EFFECTS["lidar.blind_zone"](range_m=50.0)])
     found = states(blind.chain, state, blind.chain.draw(state, seed=1))
-    assert float(found["blind_zone"].signal[..., -1][found["spray"].range_m[..., -1] < 50.0].max()) == 0.0
+    assert (
+        float(found["blind_zone"].returns.signal[..., -1][found["spray"].returns.range_m[..., -1] < 50.0].max()) == 0.0
+    )
     lone = [
         EFFECTS["lidar.crosstalk"](probability=0.05),
         EFFECTS["lidar.isolated_return_filter"](probability=1.0, radius_m=0.01),
     ]
     both = rain(effects=lone)
     found = states(both.chain, state, both.chain.draw(state, seed=1))
-    spurious = found["crosstalk"].range_m != found["detection"].range_m
-    assert float((found["isolated_return_filter"].kind[spurious] == LOST).double().mean()) > 0.95
+    spurious = found["crosstalk"].returns.range_m != found["detection"].returns.range_m
+    assert float((found["isolated_return_filter"].returns.kind[spurious] == LOST).double().mean()) > 0.95
 
 
 def test_every_return_mode_takes_every_effect() -> None:
@@ -622,6 +640,6 @@ def test_a_single_column_is_no_neighbour_of_itself() -> None:
     state = LidarRain(Rain(0.0), scan_sensor(elevations_deg=None, columns=None)).state_of(cloud(1)[:, :4], None)
     range_m = torch.tensor([10.0, 10.3, 30.0, 50.0])[None, :, None]
     kind = torch.zeros_like(range_m, dtype=torch.int8)
-    state = replace(state, grid=(4, 1), range_m=range_m, signal=torch.ones_like(range_m), kind=kind)
+    state = state.changed(grid=(4, 1), range_m=range_m, signal=torch.ones_like(range_m), kind=kind)
     after = EFFECTS["lidar.isolated_return_filter"](probability=1.0)(state, {"removal": torch.zeros(1, 4)})
-    assert after.kind.flatten().tolist() == [OBJECT, OBJECT, LOST, LOST]
+    assert after.returns.kind.flatten().tolist() == [OBJECT, OBJECT, LOST, LOST]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,7 +28,7 @@ from tests.lidar.effects.effect_scene import (
 from torchweather.atmosphere.weather import Rain
 from torchweather.export import draw_feed, to_onnx
 from torchweather.export.lidar_graph import traceable_lidar
-from torchweather.recipes.recipes import load_recipe, save_recipe
+from torchweather.recipes import load_recipe, save_recipe
 from torchweather.stages import (
     EFFECTS,
     Chain,
@@ -221,7 +220,7 @@ def test_parameters_out_of_bounds_and_unknown_ones_are_refused_with_their_unit(n
 
 
 def test_a_state_without_what_an_effect_needs_is_refused(transform: LidarWeather) -> None:
-    state = replace(begin(transform), grid=None)
+    state = begin(transform).changed(grid=None)
     chain = with_effects(transform.chain, [active("lidar.ring_gain")])
     with pytest.raises(ValueError, match="LidarRingGain: wanted a state with grid; this one has none"):
         chain(state, chain.draw(state, seed=1))
@@ -261,7 +260,7 @@ def test_a_sample_at_identity_stays_beside_one_that_is_not(name: str, transform:
     for stage, wanted in plain.items():
         for sample in (0, 2):
             assert_same_state(wanted, after[stage], sample)
-    wanted_points, got = plain["to_points"].points, after["to_points"].points
+    wanted_points, got = plain["to_points"].returns.points, after["to_points"].returns.points
     assert wanted_points is not None
     assert got is not None
     assert not torch.equal(wanted_points[1], got[1])
@@ -292,12 +291,12 @@ def test_a_batch_with_parameters_of_its_own_equals_its_samples(name: str, transf
     state, values = begin(transform), spread(name)
     chain = with_effects(transform.chain, [EFFECTS[name](**values)])
     noise = chain.draw(state, seed=3)
-    together = chain(state, noise).points
+    together = chain(state, noise).returns.points
     for row in range(3):
         alone = with_effects(transform.chain, [EFFECTS[name](**{key: float(v[row]) for key, v in values.items()})])
         one = transform.state_of(cloud()[row : row + 1], directions())
-        one = replace(one, cos_incidence=state.cos_incidence, up=state.up)
-        found = alone(one, {key: value[row : row + 1] for key, value in noise.items()}).points
+        one = one.changed(cos_incidence=state.scene.cos_incidence, up=state.scene.up)
+        found = alone(one, {key: value[row : row + 1] for key, value in noise.items()}).returns.points
         # Fused multiplications differ with the shape: a few roundings of single precision.
         torch.testing.assert_close(found[0], together[row], rtol=2e-6, atol=1e-6)
 
@@ -306,7 +305,7 @@ def test_a_batch_with_parameters_of_its_own_equals_its_samples(name: str, transf
 def test_the_same_seed_gives_the_same_and_another_one_another(name: str, transform: LidarWeather) -> None:
     state = begin(transform)
     chain = with_effects(transform.chain, [active(name)])
-    once, again, other = (chain(state, chain.draw(state, seed=seed)).points for seed in (3, 3, 8))
+    once, again, other = (chain(state, chain.draw(state, seed=seed)).returns.points for seed in (3, 3, 8))
     assert torch.equal(once, again)
     assert not torch.equal(once, other)
     draws = own_noise(chain.draw(state, seed=3), EFFECTS[name].default_name)
@@ -324,8 +323,8 @@ def test_beams_are_alone_where_the_effect_says_so(name: str, transform: LidarWea
     chain = with_effects(transform.chain, [active(name)])
     noise = chain.draw(state, seed=3)
     part = slice(100, 300)
-    whole = chain(state, noise).points
-    found = chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}).points
+    whole = chain(state, noise).returns.points
+    found = chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}).returns.points
     torch.testing.assert_close(found, whole[:, part], rtol=2e-6, atol=1e-6)
 
 
@@ -372,9 +371,9 @@ def response(name: str, state: Any, noise: Any, **values: Any) -> Tensor:
     effect = active(name, **values)
     changed = effect(state, noise)
     weight = torch.linspace(0.5, 1.5, BEAMS, dtype=torch.float64)[None, :, None]
-    total = (weight * changed.signal).sum() / 1e-4 + (weight * changed.range_m).sum()
+    total = (weight * changed.returns.signal).sum() / 1e-4 + (weight * changed.returns.range_m).sum()
     for field in ("density_scale", "threshold_scale", "extra_divergence_rad", "beam_density", "size_factors"):
-        value = getattr(changed, field)
+        value = changed.field(field)
         if value is not None:
             each = weight[..., 0] if value.shape[-1] == BEAMS else 1.0
             total = total + (each * value.double()).sum()
@@ -433,7 +432,7 @@ def test_an_effect_comes_back_from_its_dictionary_and_its_chain_from_a_file(
         loaded = Chain.load(tmp_path / "chain.zip")
         assert loaded.to_dict() == chain.to_dict()
         noise = chain.draw(state, seed=3)
-        assert torch.equal(loaded(state, noise).points, chain(state, noise).points)
+        assert torch.equal(loaded(state, noise).returns.points, chain(state, noise).returns.points)
 
 
 @pytest.mark.parametrize("name", list(EFFECTS))
@@ -515,9 +514,9 @@ def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
     session = onnxruntime.InferenceSession(tmp_path / "rain.onnx", providers=["CPUExecutionProvider"])
     points = cloud()
     feed = draw_feed(session, points=BEAMS, seed=[5, 6, 7])
-    knobs = {"rate_mm_per_h": np.full(3, 50.0, np.float32)}
+    intensities = {"rate_mm_per_h": np.full(3, 50.0, np.float32)}
     got = session.run(
-        ["cloud", "kind"], {"points": points.numpy(), "directions": directions().numpy(), **knobs, **feed}
+        ["cloud", "kind"], {"points": points.numpy(), "directions": directions().numpy(), **intensities, **feed}
     )
     noise = {key: torch.from_numpy(value) for key, value in feed.items()}
     wanted = transform.run(points, noise, directions=directions())

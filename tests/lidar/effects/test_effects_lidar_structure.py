@@ -34,7 +34,7 @@ def slow_lobe(angle: float, middle: float, width: float, steepness: float = 1.0)
 
 
 def density_of(name: str, **values: Any) -> Tensor:
-    found = EFFECTS[name](**values)(begin(rain()), {}).beam_density
+    found = EFFECTS[name](**values)(begin(rain()), {}).air.beam_density
     assert found is not None
     return found
 
@@ -72,11 +72,11 @@ def test_beams_of_unknown_direction_and_straight_up_keep_their_density() -> None
     points = torch.tensor([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 9.0, 0.5], [0.0, 9.0, 0.0, 0.5]])
     state = rain().state_of(points[None], None)
     azimuth = EFFECTS["lidar.particle_density_azimuth"](amplitude=2.0, azimuth_rad=0.5 * math.pi)(state, {})
-    assert azimuth.beam_density is not None
-    assert azimuth.beam_density.tolist() == [[1.0, 1.0, pytest.approx(3.0)]]
+    assert azimuth.air.beam_density is not None
+    assert azimuth.air.beam_density.tolist() == [[1.0, 1.0, pytest.approx(3.0)]]
     elevation = EFFECTS["lidar.particle_density_elevation"](amplitude=2.0, elevation_rad=0.5 * math.pi)(state, {})
-    assert elevation.beam_density is not None
-    assert elevation.beam_density[0, :2].tolist() == [1.0, pytest.approx(3.0)]
+    assert elevation.air.beam_density is not None
+    assert elevation.air.beam_density[0, :2].tolist() == [1.0, pytest.approx(3.0)]
 
 
 def sky(count: int, sensor: Lidar, weather: Rain | Snow | Fog, **more: Any) -> tuple[LidarWeather, LidarState]:
@@ -93,8 +93,8 @@ SNOW_SENSOR = Lidar(wavelength_nm=905.0, range_at_10_percent_m=60.0)
 def share_and_ranges(weather: Snow, effects: list[Any], seed: int) -> tuple[float, Tensor]:
     transform, state = sky(20_000, SNOW_SENSOR, weather, effects=effects)
     found = transform.chain(state, transform.chain.draw(state, seed=seed))
-    seen = found.kind[0, :, 0] == PARTICLE
-    return float(seen.float().mean()), found.range_m[0, :, 0][seen]
+    seen = found.returns.kind[0, :, 0] == PARTICLE
+    return float(seen.float().mean()), found.returns.range_m[0, :, 0][seen]
 
 
 def test_three_times_the_density_is_three_times_the_number_by_poisson() -> None:
@@ -118,15 +118,15 @@ def test_the_strongest_of_three_times_as_many_is_that_of_three_times_the_density
     weather = Snow(rate_mm_per_h=0.5)
     transform, state = sky(20_000, SNOW_SENSOR, weather, q_eff=0.0)
     noise = transform.chain.draw(state, seed=3)
-    by_air = states(transform.chain, replace(state, density_scale=torch.tensor([3.0])), noise)
-    by_beam = states(transform.chain, replace(state, beam_density=torch.full((1, 20_000), 3.0)), noise)
+    by_air = states(transform.chain, state.changed(density_scale=torch.tensor([3.0])), noise)
+    by_beam = states(transform.chain, state.changed(beam_density=torch.full((1, 20_000), 3.0)), noise)
     first, second = (found["particle_returns"] for found in (by_air, by_beam))
-    seen = first.signal[..., 1] > first.threshold
+    seen = first.returns.signal[..., 1] > first.receiver.threshold
     assert int(seen.sum()) > 1000
     # Both are read from tables, on grids of arrivals and ranges that do not lie on one another.
-    close = (second.range_m[..., 1] / first.range_m[..., 1] - 1.0).abs()[seen]
+    close = (second.returns.range_m[..., 1] / first.returns.range_m[..., 1] - 1.0).abs()[seen]
     assert float(close.quantile(0.99)) < 0.01
-    torch.testing.assert_close(by_beam["extinction"].path_density, torch.full((1, 20_000), 3.0))
+    torch.testing.assert_close(by_beam["extinction"].air.path_density, torch.full((1, 20_000), 3.0))
 
 
 def test_objects_dim_by_the_density_of_their_beam() -> None:
@@ -134,11 +134,11 @@ def test_objects_dim_by_the_density_of_their_beam() -> None:
     state = begin(transform)
     chain = with_effects(transform.chain, [EFFECTS["lidar.particle_density_azimuth"](amplitude=2.0, azimuth_rad=3.0)])
     found = states(chain, state, chain.draw(state, seed=3))
-    density, extinction = found["particle_density_azimuth"].beam_density, found["extinction"]
+    density, extinction = found["particle_density_azimuth"].air.beam_density, found["extinction"]
     assert density is not None
-    wanted = torch.exp(-2.0 * transform.extinction_per_m * density * state.clear_range_m)
-    got = extinction.signal[..., 0] / found["to_energy"].signal[..., 0].clamp_min(1e-30)
-    seen = state.clear_range_m > 0
+    wanted = torch.exp(-2.0 * transform.extinction_per_m * density * state.scene.clear_range_m)
+    got = extinction.returns.signal[..., 0] / found["to_energy"].returns.signal[..., 0].clamp_min(1e-30)
+    seen = state.scene.clear_range_m > 0
     torch.testing.assert_close(got[seen], wanted[seen], rtol=1e-5, atol=0.0)
 
 
@@ -150,9 +150,9 @@ def test_a_lee_without_any_particle_returns_none() -> None:
 def test_fog_of_twice_the_density_reads_twice_as_much() -> None:
     transform, state = sky(500, SNOW_SENSOR, Fog(mor_m=80.0))
     noise = transform.chain.draw(state, seed=1)
-    plain = states(transform.chain, state, noise)["particle_returns"].signal[..., 1]
-    denser = replace(state, beam_density=torch.full((1, 500), 2.0))
-    dense = states(transform.chain, denser, noise)["particle_returns"].signal[..., 1]
+    plain = states(transform.chain, state, noise)["particle_returns"].returns.signal[..., 1]
+    denser = state.changed(beam_density=torch.full((1, 500), 2.0))
+    dense = states(transform.chain, denser, noise)["particle_returns"].returns.signal[..., 1]
     torch.testing.assert_close(dense, 2.0 * plain, rtol=1e-6, atol=0.0)
 
 
@@ -234,7 +234,7 @@ def ring_returns(share: float, seed: int, rate: float = 0.5) -> tuple[Tensor, Te
     )
     state = transform.state_of(torch.zeros(12, 1800, 4), ring(1800, RING_STEP))
     found = states(transform.chain, state, transform.chain.draw(state, seed=seed))["shared_particles"]
-    return found.range_m[..., 1], found.signal[..., 1] / found.threshold
+    return found.returns.range_m[..., 1], found.returns.signal[..., 1] / found.receiver.threshold
 
 
 def test_a_flake_is_in_two_beams_as_often_as_they_overlap_at_its_range() -> None:
@@ -266,7 +266,7 @@ def test_without_overlap_nothing_is_shared() -> None:
     found = states(transform.chain, state, transform.chain.draw(state, seed=1))["particle_returns"]
     # Beams of 0.1 mm + 1 mrad, 7 mrad apart: side by side up to 17 mm only.
     after = EFFECTS["lidar.shared_particles"](share=1.0)(found, noise)
-    assert torch.equal(after.range_m, found.range_m)
+    assert torch.equal(after.returns.range_m, found.returns.range_m)
 
 
 def test_a_flake_behind_the_neighbours_object_is_not_shared() -> None:
@@ -276,10 +276,10 @@ def test_a_flake_behind_the_neighbours_object_is_not_shared() -> None:
     state = transform.state_of(cloud, None)
     found = states(transform.chain, state, transform.chain.draw(state, seed=1))["particle_returns"]
     after = EFFECTS["lidar.shared_particles"](share=1.0)(found, {"neighbour": torch.zeros(4, 1800)})
-    assert not torch.equal(after.range_m, found.range_m)
-    assert (after.range_m[..., 1:] <= state.reach_m[..., None] + 1e-6).all()
-    assert torch.equal(after.range_m[..., 0], found.range_m[..., 0])
+    assert not torch.equal(after.returns.range_m, found.returns.range_m)
+    assert (after.returns.range_m[..., 1:] <= state.air.reach_m[..., None] + 1e-6).all()
+    assert torch.equal(after.returns.range_m[..., 0], found.returns.range_m[..., 0])
     # Nor is one lost that only one of the two beams reaches: those beside a near object, in the row before.
-    beyond = (found.range_m[..., 1:] > 5.0) & (torch.arange(1800) % 3 == 1)[:, None]
+    beyond = (found.returns.range_m[..., 1:] > 5.0) & (torch.arange(1800) % 3 == 1)[:, None]
     assert int(beyond.sum()) > 100
-    assert torch.equal(after.range_m[..., 1:][beyond], found.range_m[..., 1:][beyond])
+    assert torch.equal(after.returns.range_m[..., 1:][beyond], found.returns.range_m[..., 1:][beyond])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,16 +74,16 @@ def test_a_curve_of_zero_leaves_every_bit(kind: str) -> None:
 def test_outside_the_measured_range_it_does_nothing(kind: str) -> None:
     state, one = detected(), stage(kind)
     after = one(state, drawn(one, state))
-    coordinate = one._coordinate(state).expand_as(state.clear_range_m)
+    coordinate = one._coordinate(state).expand_as(state.scene.clear_range_m)
     outside = (coordinate < one.measured_from) | (coordinate > one.measured_to)
     if kind in ("loss", "range"):
         assert not outside.any()  # the curve of this kind covers the scene
-        assert not torch.equal(after.range_m, state.range_m)
+        assert not torch.equal(after.returns.range_m, state.returns.range_m)
         return
     assert 0.05 < float(outside.float().mean()) < 0.95
     for name in ("range_m", "signal", "kind"):
-        assert torch.equal(getattr(after, name)[outside], getattr(state, name)[outside]), name
-    changed = (after.signal != state.signal) | (after.range_m != state.range_m)
+        assert torch.equal(after.field(name)[outside], state.field(name)[outside]), name
+    changed = (after.returns.signal != state.returns.signal) | (after.returns.range_m != state.returns.range_m)
     assert changed[~outside].any()
 
 
@@ -119,10 +118,12 @@ def test_intensities_of_particles_follow_their_own_range() -> None:
     state = detected()
     one = Empirical("intensity", "particle_range_m", [1.0, 2.0], [0.5, 1.0], 0.0, 8.0, of="particle")
     after = one(state, {})
-    particle = (state.kind == PARTICLE) & (state.range_m <= 8.0)
-    wanted = torch.from_numpy(np.interp(state.range_m[particle], [1.0, 2.0], [0.5, 1.0])).float()
-    torch.testing.assert_close((after.signal / state.signal)[particle].log(), wanted, rtol=0.0, atol=1e-5)
-    assert torch.equal(after.signal[~particle], state.signal[~particle])
+    particle = (state.returns.kind == PARTICLE) & (state.returns.range_m <= 8.0)
+    wanted = torch.from_numpy(np.interp(state.returns.range_m[particle], [1.0, 2.0], [0.5, 1.0])).float()
+    torch.testing.assert_close(
+        (after.returns.signal / state.returns.signal)[particle].log(), wanted, rtol=0.0, atol=1e-5
+    )
+    assert torch.equal(after.returns.signal[~particle], state.returns.signal[~particle])
 
 
 def many(kind: int, count: int = 20_000) -> LidarState:
@@ -132,13 +133,12 @@ def many(kind: int, count: int = 20_000) -> LidarState:
     state = transform.state_of(given)
     noise = transform.chain.draw(state, seed=1)
     clear = transform.chain.stages["to_energy"](state, own_noise(noise, "to_energy"))
-    kinds = torch.full_like(clear.kind, kind)
+    kinds = torch.full_like(clear.returns.kind, kind)
     gone = kinds == LOST
-    return replace(
-        clear,
+    return clear.changed(
         kind=kinds,
-        range_m=torch.where(gone, 0.0, clear.range_m),
-        signal=torch.where(gone, 0.0, clear.signal),
+        range_m=torch.where(gone, 0.0, clear.returns.range_m),
+        signal=torch.where(gone, 0.0, clear.returns.signal),
     )
 
 
@@ -155,7 +155,7 @@ def test_so_many_returns_are_lost_or_come_back(before: int, value: float, after:
         assert (out.signal[changed] == 0).all()
     else:
         assert (out.range_m[changed] == 20.0).all()
-        assert (out.signal[changed] == state.threshold).all()
+        assert (out.signal[changed] == state.receiver.threshold).all()
     opposite = Empirical("loss", "every_beam", [0.0], [-value], 0.0, 0.0)
     assert_same_state(state, opposite(state, drawn(opposite, state)))
 
@@ -165,7 +165,7 @@ def test_noise_has_the_stated_spread_and_no_mean(kind: str, sd: float) -> None:
     state = many(OBJECT)
     one = Empirical(kind, "every_beam", [0.0], [sd], 0.0, 0.0)
     out = one(state, drawn(one, state))
-    apart = out.range_m - state.range_m if kind == "range_noise" else (out.signal / state.signal).log()
+    apart = out.range_m - state.returns.range_m if kind == "range_noise" else (out.signal / state.returns.signal).log()
     # 5 standard deviations of the mean and of the spread of 20,000 draws.
     assert float(apart.mean()) == pytest.approx(0.0, abs=5 * sd / math.sqrt(20_000))
     assert float(apart.std()) == pytest.approx(sd, rel=5 / math.sqrt(40_000))
@@ -174,7 +174,7 @@ def test_noise_has_the_stated_spread_and_no_mean(kind: str, sd: float) -> None:
 def test_ranges_are_moved_by_the_curve() -> None:
     state = many(OBJECT, 10)
     one = Empirical("range", "range_m", [10.0, 30.0], [0.0, 0.5], 10.0, 30.0)
-    torch.testing.assert_close(one(state, {}).range_m, torch.full_like(state.range_m, 20.25))
+    torch.testing.assert_close(one(state, {}).range_m, torch.full_like(state.returns.range_m, 20.25))
 
 
 def test_added_returns_fall_where_the_histogram_says() -> None:
@@ -188,35 +188,37 @@ def test_added_returns_fall_where_the_histogram_says() -> None:
     assert float(out.range_m[added].max()) < 20.0
     behind = float((added & (out.range_m > 9)).float().mean())
     assert behind == pytest.approx(0.4 * 5 / 8 * 11 / 31, abs=5 * math.sqrt(0.09 * 0.91 / 20_000))
-    assert (out.signal[added] >= state.threshold).all()
+    assert (out.signal[added] >= state.receiver.threshold).all()
     untouched = ~added
-    assert torch.equal(out.range_m[untouched], state.range_m[untouched])
+    assert torch.equal(out.range_m[untouched], state.returns.range_m[untouched])
 
 
 def test_returns_of_empty_beams_need_a_direction() -> None:
     state = detected()
     one = stage("returns", of="empty", axis="every_beam", measured_from=0.0, measured_to=0.0, value=[1.0])
-    empty = state.clear_range_m == 0
+    empty = state.scene.clear_range_m == 0
     out = one(state, drawn(one, state))
-    assert (out.kind[..., 0][empty] == PARTICLE).all()
-    assert torch.equal(out.kind[~empty], state.kind[~empty])
-    unknown = replace(state, empty_direction=None)
+    assert (out.returns.kind[..., 0][empty] == PARTICLE).all()
+    assert torch.equal(out.returns.kind[~empty], state.returns.kind[~empty])
+    unknown = state.changed(empty_direction=None)
     assert_same_state(unknown, one(unknown, drawn(one, unknown)))
 
 
 @pytest.mark.parametrize("axis", [axis for axis in AXES if axis not in ("particle_range_m", "every_beam")])
 def test_each_axis_is_the_quantity_of_its_name(axis: str) -> None:
     state = detected()
-    found = Empirical("intensity", axis, [0.0], [0.1], -1.0, 1.0)._coordinate(state).expand_as(state.clear_range_m)
-    known = state.clear_range_m > 0
+    found = (
+        Empirical("intensity", axis, [0.0], [0.1], -1.0, 1.0)._coordinate(state).expand_as(state.scene.clear_range_m)
+    )
+    known = state.scene.clear_range_m > 0
     x, y, z = directions().double().unbind(-1)
     wanted: dict[str, Any] = {
-        "range_m": state.clear_range_m,
+        "range_m": state.scene.clear_range_m,
         "azimuth_rad": torch.atan2(y, x),
         "elevation_rad": torch.asin(z),
-        "cos_incidence": state.cos_incidence,
-        "up": state.up,
-        "margin_db": 10.0 * torch.log10(state.clear_signal / state.threshold),
+        "cos_incidence": state.scene.cos_incidence,
+        "up": state.scene.up,
+        "margin_db": 10.0 * torch.log10(state.scene.clear_signal / state.receiver.threshold),
         "log_intensity": cloud()[..., 3].log(),
     }
     torch.testing.assert_close(
@@ -228,7 +230,7 @@ def test_each_axis_is_the_quantity_of_its_name(axis: str) -> None:
 def test_a_state_without_the_axis_is_refused(axis: str) -> None:
     one = Empirical("intensity", axis, [0.0], [0.1], -1.0, 1.0)
     with pytest.raises(ValueError, match=f"Empirical: wanted a state with {axis}, over which the curve was measured"):
-        one(replace(detected(), cos_incidence=None, up=None), {})
+        one(detected().changed(cos_incidence=None, up=None), {})
 
 
 @every_kind
@@ -253,10 +255,9 @@ def test_a_batch_is_its_samples(kind: str) -> None:
     noise = chain.draw(state, seed=torch.tensor([7, 8, 9]))
     whole = chain(state, noise)
     for number in range(3):
-        one = replace(
-            state,
+        one = state.changed(
             **{
-                name: getattr(state, name)[number : number + 1]
+                name: state.field(name)[number : number + 1]
                 for name in (
                     "points_in",
                     "zero_intensity",
@@ -271,7 +272,7 @@ def test_a_batch_is_its_samples(kind: str) -> None:
             },
         )
         alone = chain(one, chain.draw(one, seed=torch.tensor([7 + number])))
-        torch.testing.assert_close(alone.points[0], whole.points[number], rtol=0.0, atol=0.0)
+        torch.testing.assert_close(alone.returns.points[0], whole.returns.points[number], rtol=0.0, atol=0.0)
 
 
 def test_the_curve_can_be_fitted() -> None:
@@ -279,7 +280,7 @@ def test_the_curve_can_be_fitted() -> None:
     one = stage("intensity")
     value = one.value.clone().requires_grad_()
     out = torch.func.functional_call(one, {"value": value}, (state, {}))
-    out.signal.sum().backward()
+    out.returns.signal.sum().backward()
     assert value.grad is not None
     assert (value.grad[1:-1] != 0).all()
 
@@ -323,7 +324,7 @@ class InTurn(torch.nn.Module):
 
     def begin(self, points: Tensor, signal: Tensor) -> LidarState:
         range_m = points[..., :3].norm(dim=-1)
-        return LidarState(
+        return LidarState.of(
             points_in=points,
             empty_direction=None,
             clear_range_m=range_m,

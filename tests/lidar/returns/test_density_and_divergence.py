@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ def drawn(transform: LidarWeather, state: LidarState, seed: int = 1) -> tuple[Fl
         state = stage(state, own)
         if isinstance(stage, ParticleReturns):
             break
-    return state.range_m[..., 1].double().numpy(), state.signal[..., 1].double().numpy()
+    return state.returns.range_m[..., 1].double().numpy(), state.returns.signal[..., 1].double().numpy()
 
 
 def own_number_above(signal: float, reach_m: float, weather: Rain, q_back: float, **wider: float) -> float:
@@ -108,7 +107,7 @@ def test_the_share_of_beams_with_a_visible_drop_follows_the_density(density: flo
         SENSOR.threshold_per_m2_sr, SENSOR.max_range_m, Rain(25.0), float(part.q_back), extra_rad=0.0, density=density
     )
     share = 1.0 - math.exp(-wanted)
-    _, signal = drawn(transform, replace(state, density_scale=torch.tensor([density])))
+    _, signal = drawn(transform, state.changed(density_scale=torch.tensor([density])))
     found = (signal >= SENSOR.threshold_per_m2_sr).mean()
     assert found == pytest.approx(share, abs=4.0 * math.sqrt(share * (1.0 - share) / BEAMS) + 0.02 * wanted)
     assert abs(found - (1.0 - math.exp(-wanted / density))) > 0.02  # not that of the density 1
@@ -121,8 +120,8 @@ def test_twice_the_density_is_twice_the_snow_and_its_extinction() -> None:
     beam, clear = Beam(SENSOR), torch.zeros(2)
     both = part.between(beam, clear, torch.tensor([1.0, 2.0]))
     torch.testing.assert_close(both[1], 2.0 * both[0], rtol=1e-5, atol=1e-7)
-    state = replace(empty_beams(transform, 10, 2), density_scale=torch.tensor([1.0, 2.0]))
-    extinction = transform.chain.stages["extinction"](state, {}).extinction_per_m
+    state = empty_beams(transform, 10, 2).changed(density_scale=torch.tensor([1.0, 2.0]))
+    extinction = transform.chain.stages["extinction"](state, {}).air.extinction_per_m
     assert float(extinction[1] / extinction[0]) == pytest.approx(2.0)
 
 
@@ -162,7 +161,7 @@ def test_readings_of_fog_are_those_of_an_own_integral(density: float) -> None:
 
 
 def test_the_threshold_of_each_sample_decides() -> None:
-    state = LidarState(
+    state = LidarState.of(
         points_in=torch.ones(3, 1, 4),
         empty_direction=None,
         clear_range_m=torch.full((3, 1), 20.0),
@@ -175,17 +174,17 @@ def test_the_threshold_of_each_sample_decides() -> None:
         integral=torch.zeros(3, 1, dtype=torch.bool),
         threshold_scale=torch.tensor([1.0, 1.4, 1.6]),
     )
-    kind = Detection(SENSOR)(state, {}).kind.flatten().tolist()
+    kind = Detection(SENSOR)(state, {}).returns.kind.flatten().tolist()
     assert kind == [PointKind.OBJECT, PointKind.OBJECT, PointKind.LOST]
     assert state.detected_from.flatten().tolist() == pytest.approx([1.0, 1.4, 1.6])
-    assert float(replace(state, threshold_scale=None).detected_from) == 1.0
+    assert float(state.changed(threshold_scale=None).detected_from) == 1.0
 
 
 def test_a_near_object_without_any_signal_is_not_reported() -> None:
     """Nearer than the receiver's response an object of the input is always reported, unless it was taken away."""
     near = torch.tensor([[0.5]])
     for signal, kind in ((1e-9, PointKind.OBJECT), (0.0, PointKind.LOST)):
-        state = LidarState(
+        state = LidarState.of(
             points_in=torch.tensor([[[0.5, 0.0, 0.0, 0.3]]]),
             empty_direction=None,
             clear_range_m=near,
@@ -197,15 +196,15 @@ def test_a_near_object_without_any_signal_is_not_reported() -> None:
             threshold=torch.tensor(1.0),
             integral=torch.zeros(1, 1, dtype=torch.bool),
         )
-        assert int(Detection(SENSOR)(state, {}).kind) == kind
+        assert int(Detection(SENSOR)(state, {}).returns.kind) == kind
 
 
 def test_the_last_table_is_not_kept_for_another_density_or_divergence() -> None:
     transform = LidarRain(Rain(25.0), SENSOR, q_eff=0.0)  # else the extinction tells densities apart
     state = empty_beams(transform, 4000)
     plain = drawn(transform, state)[1]
-    dense = drawn(transform, replace(state, density_scale=torch.tensor([3.0])))[1]
-    wide = drawn(transform, replace(state, extra_divergence_rad=torch.tensor([4e-3])))[1]
+    dense = drawn(transform, state.changed(density_scale=torch.tensor([3.0])))[1]
+    wide = drawn(transform, state.changed(extra_divergence_rad=torch.tensor([4e-3])))[1]
     assert (dense > plain).mean() > 0.3
     assert not np.array_equal(wide, plain)
     assert np.array_equal(drawn(transform, state)[1], plain)
@@ -214,8 +213,8 @@ def test_the_last_table_is_not_kept_for_another_density_or_divergence() -> None:
 def test_the_energy_stage_tells_later_ones_the_sensor() -> None:
     transform = LidarRain(Rain(25.0), SENSOR)
     state = empty_beams(transform, 4)
-    assert state.sensor is None
+    assert state.receiver.sensor is None
     energy = transform.chain.stages["to_energy"]
     assert isinstance(energy, ToEnergy)
-    assert energy(state, {"margin": torch.zeros(1, 4)}).sensor == SENSOR
+    assert energy(state, {"margin": torch.zeros(1, 4)}).receiver.sensor == SENSOR
     assert isinstance(transform.chain.stages["extinction"], Extinction)

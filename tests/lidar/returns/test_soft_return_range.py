@@ -71,8 +71,8 @@ def drawn(mor_m: float, peak: float, object_m: float = 0.0) -> Readings:
     for name in ("to_energy", "extinction", "particle_returns"):
         own = {key.removeprefix(f"{name}."): value for key, value in noise.items() if key.startswith(f"{name}.")}
         state = fog.chain.stages[name](state, own)
-    photons = state.signal[0, :, 1] / state.threshold * PHOTONS
-    return Readings(state.range_m[0, :, 1].double().numpy(), photons.double().numpy())
+    photons = state.returns.signal[0, :, 1] / state.receiver.threshold * PHOTONS
+    return Readings(state.returns.range_m[0, :, 1].double().numpy(), photons.double().numpy())
 
 
 def by_brute_force(mor_m: float, peak: float, object_m: float = math.inf) -> Readings:

@@ -116,7 +116,10 @@ def reported(transform: LidarWeather, beams: Scene, seed: int) -> LidarState:
 
 
 def columns(state: LidarState, echo: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return tuple(values[0, :, echo].double().numpy() for values in (state.kind, state.range_m, state.signal))  # type: ignore[return-value]
+    return tuple(
+        values[0, :, echo].double().numpy()
+        for values in (state.returns.kind, state.returns.range_m, state.returns.signal)
+    )  # type: ignore[return-value]
 
 
 @pytest.mark.parametrize("mode", RETURN_MODES)

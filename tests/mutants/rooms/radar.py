@@ -15,8 +15,8 @@ MUTANTS = (
         "radar_attenuation_taken_one_way",
         "a radar wave passes the rain out and back",
         VOLUME_CLUTTER,
-        "path_db = 2e-3 * state.attenuation_db_per_km[:, None] * range_m + state",
-        "path_db = 1e-3 * state.attenuation_db_per_km[:, None] * range_m + state",
+        "path_db = 2e-3 * state.air.attenuation_db_per_km[:, None] * range_m + state",
+        "path_db = 1e-3 * state.air.attenuation_db_per_km[:, None] * range_m + state",
         (
             (
                 "tests/radar/test_volume_clutter.py::test_powers_above_the_threshold_are_exponential_about_"
@@ -41,8 +41,8 @@ MUTANTS = (
         "noise_and_detection_threshold_swapped",
         "a target is lost below the detection threshold, not below the noise",
         RADAR,
-        "kind = state.kind.masked_fill(above < 0, LOST)",
-        "kind = state.kind.masked_fill(snr < 0, LOST)",
+        "kind = state.returns.kind.masked_fill(above < 0, LOST)",
+        "kind = state.returns.kind.masked_fill(snr < 0, LOST)",
         ("tests/radar/test_radar_stages.py::test_a_target_is_lost_below_the_floor_plus_the_detection_snr",),
     ),
     Mutant(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import torch
@@ -97,25 +96,25 @@ ZERO_FOR_NONE = ("noise_shift_db", "threshold_shift_db", "pattern_tilt_rad", "sp
 
 def assert_same_state(one: RadarState, other: RadarState, sample: int | slice = slice(None)) -> None:
     """Bit for bit; ``other`` may have rows more, which are then empty, and fields that ``one`` leaves unset."""
-    for field in fields(RadarState):
-        first, second = getattr(one, field.name), getattr(other, field.name)
+    for field in RadarState.part_of:
+        first, second = one.field(field), other.field(field)
         if isinstance(first, Mapping):
             first, second = first["rain"], second["rain"]
         if not isinstance(first, Tensor):
-            if field.name in ZERO_FOR_NONE and second is not None:
+            if field in ZERO_FOR_NONE and second is not None:
                 assert (second[sample] == 0.0).all()
-            elif field.name in ("clutter", "clutter_valid") and second is not None:
+            elif field in ("clutter", "clutter_valid") and second is not None:
                 assert (second[sample] == 0).all()
             else:
-                assert first == second, field.name
+                assert first == second, field
             continue
         if first.ndim and first.shape[0] > 1:
             first, second = first[sample], second[sample]
-        if field.name in ("kind", "snr_db", "points", "clutter", "clutter_valid"):
+        if field in ("kind", "snr_db", "points", "clutter", "clutter_valid"):
             rows = 1 if isinstance(sample, slice) else 0
             count = first.shape[rows]
             more = second.narrow(rows, count, second.shape[rows] - count)
-            empty = {"kind": 2, "snr_db": -math.inf}.get(field.name, 0)
-            assert (more == empty).all(), field.name
+            empty = {"kind": 2, "snr_db": -math.inf}.get(field, 0)
+            assert (more == empty).all(), field
             second = second.narrow(rows, 0, count)
-        assert torch.equal(first, second), field.name
+        assert torch.equal(first, second), field

@@ -49,12 +49,12 @@ def outcomes(transform: RadarAttenuation, name: str, seed: int = 3, **values: An
 
 
 def target_kinds(state: RadarState) -> Tensor:
-    return state.kind[:, :TARGETS]
+    return state.returns.kind[:, :TARGETS]
 
 
 def points_of(state: RadarState) -> Tensor:
-    assert state.points is not None
-    return state.points
+    assert state.returns.points is not None
+    return state.returns.points
 
 
 # ---- cover, path, antenna, targets -------------------------------------------------------------------------------
@@ -66,9 +66,9 @@ def test_a_wet_cover_costs_every_target_the_same_and_leaves_the_floor(transform:
     films = [50.0**0.5, 200.0**0.5 * math.exp(-0.5), 300.0**0.5 * math.exp(-3.0)]
     wanted = 1.0 + 0.7 * max(films)
     assert films.index(max(films)) == 1
-    np.testing.assert_allclose((before.gain_db - after.gain_db)[THERE].numpy(), wanted, rtol=1e-5)
-    assert (after.gain_db[~THERE] == 0).all()
-    np.testing.assert_allclose(after.cover_loss_db.numpy(), wanted, rtol=1e-6)
+    np.testing.assert_allclose((before.returns.gain_db - after.returns.gain_db)[THERE].numpy(), wanted, rtol=1e-5)
+    assert (after.returns.gain_db[~THERE] == 0).all()
+    np.testing.assert_allclose(after.receiver.cover_loss_db.numpy(), wanted, rtol=1e-6)
     assert torch.equal(after.floor_db, before.floor_db)
 
 
@@ -103,9 +103,9 @@ def seed_noise(transform: RadarAttenuation) -> dict[str, Tensor]:
 def test_three_times_the_path_loss_is_two_more_in_range(transform: RadarAttenuation) -> None:
     """P.838 at 77 GHz, horizontal, 50 mm/h: 18.76 dB/km (PHYSICS.md 6.5)."""
     before, after = around(transform, "radar.path_loss_scale", factor=3.0)
-    wanted = -3.0 * 2.0 * 18.76e-3 * before.range_m.double().numpy()
-    np.testing.assert_allclose(after.gain_db.numpy(), wanted, rtol=3e-4)
-    np.testing.assert_allclose(after.attenuation_db_per_km.numpy(), 3.0 * 18.76, rtol=3e-4)
+    wanted = -3.0 * 2.0 * 18.76e-3 * before.scene.range_m.double().numpy()
+    np.testing.assert_allclose(after.returns.gain_db.numpy(), wanted, rtol=3e-4)
+    np.testing.assert_allclose(after.air.attenuation_db_per_km.numpy(), 3.0 * 18.76, rtol=3e-4)
 
 
 def pattern_db(azimuth: Array, elevation: Array) -> Array:
@@ -121,10 +121,10 @@ def test_a_turned_pattern_gains_where_it_points(transform: RadarAttenuation, ang
     x, y, z = detections()[..., :3].double().numpy()[THERE.numpy()].T
     azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     wanted = 2.0 * (pattern_db(azimuth - angle_rad, elevation) - pattern_db(azimuth, elevation))
-    got = (after.gain_db - before.gain_db)[THERE].numpy()
+    got = (after.returns.gain_db - before.returns.gain_db)[THERE].numpy()
     np.testing.assert_allclose(got, wanted, atol=2e-5)
     assert wanted[azimuth * angle_rad > angle_rad**2].min() > 0
-    assert (after.gain_db[~THERE] == 0).all()
+    assert (after.returns.gain_db[~THERE] == 0).all()
 
 
 def test_a_pattern_turned_away_from_what_is_behind_the_radar_changes_nothing_there() -> None:
@@ -151,16 +151,18 @@ def test_wet_targets_gain_by_their_class(transform: RadarAttenuation) -> None:
     by_class = {-1: 0.0, 0: 2.0, 1: -3.0, 2: 0.5, 3: 0.0}  # unknown, three given, one beyond
     gains = [by_class[int(one)] for one in known()["target_class"]]
     wanted = torch.where(THERE, torch.tensor(gains), 0.0)
-    torch.testing.assert_close(after.gain_db - before.gain_db, wanted, atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(after.returns.gain_db - before.returns.gain_db, wanted, atol=1e-5, rtol=0.0)
 
 
 def test_one_gain_counts_for_all_known_classes_and_each_sample_may_have_its_own(transform: RadarAttenuation) -> None:
     of_known = (known()["target_class"] >= 0) & THERE
     before, after = around(transform, "radar.wet_rcs", gain_db=4.0)
-    torch.testing.assert_close(after.gain_db - before.gain_db, 4.0 * of_known.float(), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(
+        after.returns.gain_db - before.returns.gain_db, 4.0 * of_known.float(), atol=1e-5, rtol=0.0
+    )
     _, each = around(transform, "radar.wet_rcs", gain_db=torch.tensor([[1.0], [0.0], [2.0]]).expand(3, 4))
     wanted = torch.tensor([[1.0], [0.0], [2.0]]) * of_known
-    torch.testing.assert_close(each.gain_db - before.gain_db, wanted, atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(each.returns.gain_db - before.returns.gain_db, wanted, atol=1e-5, rtol=0.0)
 
 
 def many(transform: RadarAttenuation, name: str, samples: int, **values: Any) -> RadarState:
@@ -171,12 +173,14 @@ def many(transform: RadarAttenuation, name: str, samples: int, **values: Any) ->
     before = transform.chain.stages["path_attenuation"](state, {})
     own = {key.partition(".")[2]: torch.from_numpy(value) for key, value in noise.items()}
     after: RadarState = effect(before, own)
-    return replace(after, gain_db=after.gain_db - before.gain_db)
+    return after.changed(gain_db=after.returns.gain_db - before.returns.gain_db)
 
 
 def test_powers_fluctuate_with_the_spread_asked_for_about_the_same_mean_power(transform: RadarAttenuation) -> None:
     std_db = 2.0
-    gain_db = many(transform, "radar.fluctuation", 2000, log_std_db=std_db).gain_db[:, THERE[0]].double().numpy()
+    gain_db = (
+        many(transform, "radar.fluctuation", 2000, log_std_db=std_db).returns.gain_db[:, THERE[0]].double().numpy()
+    )
     number = gain_db.size
     assert gain_db.std() == pytest.approx(std_db, rel=4.0 / math.sqrt(2 * number))
     assert gain_db.mean() == pytest.approx(-math.log(10.0) / 20.0 * std_db**2, abs=4.0 * std_db / math.sqrt(number))
@@ -192,9 +196,9 @@ def test_powers_fluctuate_with_the_spread_asked_for_about_the_same_mean_power(tr
 
 def test_a_higher_floor_lowers_snrs_and_leaves_powers(transform: RadarAttenuation) -> None:
     plain, higher = outcomes(transform, "radar.noise_floor", shift_db=6.0)
-    assert plain.snr_db is not None
-    assert higher.snr_db is not None
-    torch.testing.assert_close(higher.snr_db[THERE], plain.snr_db[THERE] - 6.0, atol=1e-5, rtol=0.0)
+    assert plain.returns.snr_db is not None
+    assert higher.returns.snr_db is not None
+    torch.testing.assert_close(higher.returns.snr_db[THERE], plain.returns.snr_db[THERE] - 6.0, atol=1e-5, rtol=0.0)
     assert torch.equal(points_of(higher)[..., 3:], points_of(plain)[..., 3:])
     np.testing.assert_allclose((higher.floor_db - plain.floor_db).numpy(), 6.0, atol=1e-5)
     check_threshold(plain, higher, 6.0)
@@ -202,9 +206,9 @@ def test_a_higher_floor_lowers_snrs_and_leaves_powers(transform: RadarAttenuatio
 
 def test_a_higher_threshold_loses_what_lies_within_it_and_leaves_snrs_and_powers(transform: RadarAttenuation) -> None:
     plain, higher = outcomes(transform, "radar.cfar_shift", shift_db=6.0)
-    assert plain.snr_db is not None
-    assert higher.snr_db is not None
-    assert torch.equal(higher.snr_db, plain.snr_db)
+    assert plain.returns.snr_db is not None
+    assert higher.returns.snr_db is not None
+    assert torch.equal(higher.returns.snr_db, plain.returns.snr_db)
     assert torch.equal(points_of(higher)[..., 3:], points_of(plain)[..., 3:])
     assert torch.equal(higher.floor_db, plain.floor_db)
     check_threshold(plain, higher, 6.0)
@@ -212,11 +216,11 @@ def test_a_higher_threshold_loses_what_lies_within_it_and_leaves_snrs_and_powers
 
 def check_threshold(plain: RadarState, higher: RadarState, shift_db: float) -> None:
     """Lost is what exceeds the detection SNR by less than the shift, and nothing else."""
-    assert plain.snr_db is not None
-    margin_db = plain.snr_db.double().numpy() - SENSOR.detection_snr_db
+    assert plain.returns.snr_db is not None
+    margin_db = plain.returns.snr_db.double().numpy() - SENSOR.detection_snr_db
     wanted = np.where((margin_db >= shift_db) & THERE.numpy(), OBJECT, LOST)
-    assert np.array_equal(higher.kind.numpy(), wanted)
-    newly = (plain.kind == OBJECT) & (higher.kind == LOST)
+    assert np.array_equal(higher.returns.kind.numpy(), wanted)
+    newly = (plain.returns.kind == OBJECT) & (higher.returns.kind == LOST)
     assert int(newly.sum()) > 10
     assert (points_of(higher)[..., :3][newly] == 0).all()
 
@@ -255,20 +259,20 @@ def test_a_lower_threshold_lists_the_cells_whose_noise_exceeds_it(transform: Rad
     low, high = (10.0 ** (0.1 * (SENSOR.detection_snr_db + shift)) for shift in (shift_db, 0.0))
     cells = SENSOR.samples * SENSOR.chirps
     state = transform.state_of(detections()[:1].expand(samples, -1, -1))
-    state = replace(transform.chain.stages["path_attenuation"](state, {}), noise_shift_db=torch.full((samples,), up_db))
+    state = transform.chain.stages["path_attenuation"](state, {}).changed(noise_shift_db=torch.full((samples,), up_db))
     effect = EFFECTS["radar.cfar_shift"](shift_db=shift_db)
     noise = draw_variates(range(samples), effect.default_name, effect.variates(), state.sizes)
     after: RadarState = effect(state, {key.partition(".")[2]: torch.from_numpy(value) for key, value in noise.items()})
-    assert after.clutter is not None
-    assert after.clutter_valid is not None
+    assert after.returns.clutter is not None
+    assert after.returns.clutter_valid is not None
     rng = np.random.default_rng(0)
     exceeding = np.concatenate([one[(one > low) & (one < high)] for one in rng.exponential(size=(samples, cells))])
-    counts = after.clutter_valid.sum(1).numpy()
+    counts = after.returns.clutter_valid.sum(1).numpy()
     expected = len(exceeding) / samples
     assert 5.0 < expected < 50.0
     assert counts.mean() == pytest.approx(expected, abs=4.0 * math.sqrt(2.0 * expected / samples))
     assert counts.var() == pytest.approx(expected, rel=4.0 * math.sqrt(2.0 / samples))  # Poisson
-    rows = after.clutter[after.clutter_valid].double().numpy()
+    rows = after.returns.clutter[after.returns.clutter_valid].double().numpy()
     snr = 10.0 ** (0.1 * (rows[:, 4] - SENSOR.floor_db - up_db))
     assert snr.min() >= low * (1.0 - 1e-5)
     # Of exponential law behind the threshold: a mean of 1 over it.
@@ -277,13 +281,13 @@ def test_a_lower_threshold_lists_the_cells_whose_noise_exceeds_it(transform: Rad
     assert range_m.max() <= SENSOR.max_range_m * (1.0 + 1e-6)
     assert range_m.mean() == pytest.approx(0.5 * SENSOR.max_range_m, rel=4.0 / math.sqrt(3.0 * len(rows)))
     assert np.abs(rows[:, 3]).max() <= SENSOR.max_speed_m_per_s
-    assert (after.clutter[~after.clutter_valid] == 0).all()
+    assert (after.returns.clutter[~after.returns.clutter_valid] == 0).all()
 
 
 def test_a_higher_threshold_lists_nothing_and_draws_nothing(transform: RadarAttenuation) -> None:
     effect = EFFECTS["radar.cfar_shift"](shift_db=2.0)
     assert effect.variates() == ()
-    assert many(transform, "radar.cfar_shift", 2, shift_db=2.0).clutter is None
+    assert many(transform, "radar.cfar_shift", 2, shift_db=2.0).returns.clutter is None
     state = transform.chain.stages["path_attenuation"](begin(transform), {})
     with pytest.raises(ValueError, match="it was built with a threshold that is no lower and so draws nothing"):
         torch.func.functional_call(effect, {"shift_db": torch.tensor(-2.0)}, (state, {}))
@@ -292,17 +296,17 @@ def test_a_higher_threshold_lists_nothing_and_draws_nothing(transform: RadarAtte
 def test_noise_that_is_listed_is_told_from_what_a_target_reports(transform: RadarAttenuation) -> None:
     """Through the whole chain: rows behind the targets', of the kind PARTICLE."""
     plain, lower = outcomes(transform, "radar.cfar_shift", shift_db=-4.0)
-    assert (lower.kind[:, TARGETS:] == PARTICLE).sum(1).min() > 20
+    assert (lower.returns.kind[:, TARGETS:] == PARTICLE).sum(1).min() > 20
     assert torch.equal(points_of(lower)[:, :TARGETS, 3:], points_of(plain)[..., 3:])
 
 
 def test_an_interferer_raises_the_floor_of_as_many_frames_as_asked_for(transform: RadarAttenuation) -> None:
     found = many(transform, "radar.interference", 4000, probability=0.2, level_db=7.0)
-    assert found.noise_shift_db is not None
-    levels = found.noise_shift_db.double().numpy()
+    assert found.receiver.noise_shift_db is not None
+    levels = found.receiver.noise_shift_db.double().numpy()
     assert set(np.unique(levels)) == {0.0, 7.0}
     assert (levels > 0).mean() == pytest.approx(0.2, abs=4.0 * math.sqrt(0.16 / 4000))
-    assert (found.gain_db == 0).all()
+    assert (found.returns.gain_db == 0).all()
 
 
 def test_floors_add_up(transform: RadarAttenuation) -> None:
@@ -310,17 +314,17 @@ def test_floors_add_up(transform: RadarAttenuation) -> None:
     chain = with_effects(transform.chain, effects)
     state = begin(transform)
     found = chain(state, chain.draw(state, seed=1))
-    np.testing.assert_allclose((found.floor_db - state.noise_floor_db).numpy(), 5.0, atol=1e-5)
+    np.testing.assert_allclose((found.floor_db - state.receiver.noise_floor_db).numpy(), 5.0, atol=1e-5)
 
 
 def test_speeds_of_targets_scatter_by_what_is_asked_for(transform: RadarAttenuation) -> None:
     found = many(transform, "radar.doppler_spread", 1000, std_m_per_s=0.4)
-    error = (found.points_in[..., 3] - detections()[0, :, 3])[:, THERE[0]].double().numpy()
+    error = (found.scene.points_in[..., 3] - detections()[0, :, 3])[:, THERE[0]].double().numpy()
     assert error.mean() == pytest.approx(0.0, abs=4.0 * 0.4 / math.sqrt(error.size))
     assert error.std() == pytest.approx(0.4, rel=4.0 / math.sqrt(2 * error.size))
     others = [0, 1, 2, 4, 5, 6]
-    assert torch.equal(found.points_in[..., others], detections()[:1, :, others].expand(1000, -1, -1))
-    assert torch.equal(found.points_in[:, ~THERE[0]], detections()[:1, ~THERE[0]].expand(1000, -1, -1))
+    assert torch.equal(found.scene.points_in[..., others], detections()[:1, :, others].expand(1000, -1, -1))
+    assert torch.equal(found.scene.points_in[:, ~THERE[0]], detections()[:1, ~THERE[0]].expand(1000, -1, -1))
 
 
 def test_speeds_of_clutter_scatter_more_by_as_much() -> None:
@@ -409,16 +413,16 @@ def test_an_unresolved_second_path_makes_lobes(transform: RadarAttenuation, dela
     second = amplitude * hann_response(delay_bins)
     phase = 2.0 * np.pi * noise["multipath.phase"].double().numpy()
     wanted = 20.0 * np.log10(np.abs(1.0 + second * np.exp(1j * phase)))
-    got = (after.gain_db - before.gain_db).double().numpy()
+    got = (after.returns.gain_db - before.returns.gain_db).double().numpy()
     np.testing.assert_allclose(got[THERE.numpy()], wanted[THERE.numpy()], atol=2e-4)
-    assert after.clutter_valid is not None
-    assert bool(after.clutter_valid.any()) == (delay_bins > 2.0)
+    assert after.returns.clutter_valid is not None
+    assert bool(after.returns.clutter_valid.any()) == (delay_bins > 2.0)
 
 
 def test_ghosts_stand_behind_their_targets(transform: RadarAttenuation) -> None:
     amplitude, delay_m = 0.3, 5.0
     _, found = outcomes(transform, "radar.multipath", amplitude=amplitude, delay_m=delay_m)
-    points, kind = points_of(found).double().numpy(), found.kind.numpy()
+    points, kind = points_of(found).double().numpy(), found.returns.kind.numpy()
     seen = 0
     for sample in range(3):
         for row in range(TARGETS):
@@ -503,10 +507,10 @@ def test_half_the_share_is_half_the_reflectivity() -> None:
     for sample, share in enumerate((0.5, 2.0, 0.0)):
         stage.share.fill_(share)
         wanted = stage(state, own)
-        assert wanted.clutter is not None
-        assert found.clutter is not None
-        torch.testing.assert_close(found.clutter[sample], wanted.clutter[sample], rtol=1e-5, atol=1e-5)
-    assert not bool(found.clutter_valid[2].any())
+        assert wanted.returns.clutter is not None
+        assert found.returns.clutter is not None
+        torch.testing.assert_close(found.returns.clutter[sample], wanted.returns.clutter[sample], rtol=1e-5, atol=1e-5)
+    assert not bool(found.returns.clutter_valid[2].any())
 
 
 def test_fog_is_not_detected() -> None:

@@ -29,7 +29,7 @@ from tests.radar.effects.radar_effect_scene import (
 )
 from torchweather.atmosphere.weather import Mixture, Rain, Snow
 from torchweather.export import draw_feed, to_onnx
-from torchweather.recipes.recipes import load_recipe, save_recipe
+from torchweather.recipes import load_recipe, save_recipe
 from torchweather.stages import EFFECTS, Chain, PointKind, effect_from_dict, with_effects
 from torchweather.transforms import RadarAttenuation
 
@@ -195,24 +195,30 @@ def test_a_sample_at_identity_stays_beside_one_that_is_not(name: str, clutter: b
             values[p.name] = torch.stack([torch.full_like(given, p.value), given, torch.full_like(given, p.value)])
     if name == "radar.range_migration":
         state = begin(transform)  # frame 0 of sample 1 would not drift
-        state.frame_number.fill_(4.0)
+        state.scene.frame_number.fill_(4.0)
     chain = rain(clutter=clutter, effects=[active(name, **values)]).chain
     noise = chain.draw(state, seed=3)
     plain, after = states(transform.chain, state, noise), states(chain, state, noise)
     last = "to_radar_points"
     for sample in (0, 2):
         if clutter and name in APPENDING:  # their rows stand before those of the transform's clutter
-            count = plain[last].points.shape[1] - TARGETS
-            assert torch.equal(plain[last].points[sample, TARGETS:], after[last].points[sample, -count:])
-            assert torch.equal(plain[last].points[sample, :TARGETS], after[last].points[sample, :TARGETS])
+            count = plain[last].returns.points.shape[1] - TARGETS
+            assert torch.equal(
+                plain[last].returns.points[sample, TARGETS:], after[last].returns.points[sample, -count:]
+            )
+            assert torch.equal(
+                plain[last].returns.points[sample, :TARGETS], after[last].returns.points[sample, :TARGETS]
+            )
             continue
         for stage, wanted in plain.items():
             if stage in after:
                 assert_same_state(wanted, after[stage], sample)
     ends = list(after.values())[-1]
-    assert ends.points is not None
-    assert plain[last].points is not None
-    assert ends.points.shape != plain[last].points.shape or not torch.equal(ends.points[1], plain[last].points[1])
+    assert ends.returns.points is not None
+    assert plain[last].returns.points is not None
+    assert ends.returns.points.shape != plain[last].returns.points.shape or not torch.equal(
+        ends.returns.points[1], plain[last].returns.points[1]
+    )
 
 
 def test_all_effects_at_identity_change_nothing(transform: RadarAttenuation) -> None:
@@ -299,7 +305,7 @@ def response(name: str, state: Any, noise: Any, **values: Any) -> Tensor:
     """A smooth number of what the effect alone changes."""
     changed = active(name, **values)(state, noise)
     weight = torch.linspace(0.5, 1.5, TARGETS, dtype=torch.float64)
-    total = (weight * changed.gain_db).sum() + (weight[:, None] * changed.points_in).sum()
+    total = (weight * changed.returns.gain_db).sum() + (weight[:, None] * changed.scene.points_in).sum()
     for field in (
         "noise_shift_db",
         "threshold_shift_db",
@@ -308,7 +314,7 @@ def response(name: str, state: Any, noise: Any, **values: Any) -> Tensor:
         "clutter",
         "points",
     ):
-        value = getattr(changed, field)
+        value = changed.field(field)
         if value is not None:
             total = total + value.double().sum()
     return total
@@ -360,7 +366,7 @@ def test_an_effect_comes_back_from_its_dictionary_and_its_chain_from_a_file(
         loaded = Chain.load(tmp_path / "chain.zip")
         assert loaded.to_dict() == chain.to_dict()
         noise = chain.draw(state, seed=3)
-        assert torch.equal(loaded(state, noise).points, chain(state, noise).points)
+        assert torch.equal(loaded(state, noise).returns.points, chain(state, noise).returns.points)
 
 
 def test_a_transform_takes_effects_and_its_recipe_holds_them(tmp_path: Path) -> None:
@@ -409,8 +415,8 @@ def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
     session = onnxruntime.InferenceSession(tmp_path / "rain.onnx", providers=["CPUExecutionProvider"])
     points = detections()
     feed = draw_feed(session, points=TARGETS, seed=[5, 6, 7])
-    knobs = {"rate_mm_per_h": np.full(3, RATE_MM_PER_H, np.float32)}
-    got = session.run(["detections", "kind", "snr_db"], {"points": points.numpy(), **knobs, **feed})
+    intensities = {"rate_mm_per_h": np.full(3, RATE_MM_PER_H, np.float32)}
+    got = session.run(["detections", "kind", "snr_db"], {"points": points.numpy(), **intensities, **feed})
     wanted = transform.run(points, {key: torch.from_numpy(value) for key, value in feed.items()})
     for value in (wanted.kind, wanted.points, wanted.snr_db):
         assert isinstance(value, Tensor)
@@ -430,8 +436,8 @@ def test_a_graph_lists_the_noise_of_a_lower_threshold(tmp_path: Path) -> None:
     session = onnxruntime.InferenceSession(tmp_path / "rain.onnx")
     points = detections()
     feed = draw_feed(session, points=TARGETS, seed=[5, 6, 7])
-    knobs = {"rate_mm_per_h": np.full(3, RATE_MM_PER_H, np.float32)}
-    got = session.run(["detections", "kind"], {"points": points.numpy(), **knobs, **feed})
+    intensities = {"rate_mm_per_h": np.full(3, RATE_MM_PER_H, np.float32)}
+    got = session.run(["detections", "kind"], {"points": points.numpy(), **intensities, **feed})
     wanted = transform.run(points, {key: torch.from_numpy(value) for key, value in feed.items()})
     assert isinstance(wanted.points, Tensor)
     assert isinstance(wanted.kind, Tensor)

@@ -43,7 +43,7 @@ SMALL = 1e-3  # below which a quotient is its series
 
 def ray_m(state: CameraState) -> Tensor:
     """Length of each pixel's ray inside the fog, finite, ``(1 or B, 1, H, W)``."""
-    return state.fog_path_m(state.depth_m.clamp_max(FARTHEST_M))
+    return state.fog_path_m(state.scene.depth_m.clamp_max(FARTHEST_M))
 
 
 class CameraAirlightScale(Effect):
@@ -73,7 +73,7 @@ class CameraAirlightScale(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Light of the sky over the modelled one."""
         scale = torch.stack([per_sample(self, colour, state) for colour in ("red", "green", "blue")], -1)
-        return {"airlight_scale": scale if state.airlight_scale is None else scale * state.airlight_scale}
+        return {"airlight_scale": scale if state.air.airlight_scale is None else scale * state.air.airlight_scale}
 
 
 class CameraExtinctionScale(Effect):
@@ -105,11 +105,11 @@ class CameraExtinctionScale(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Extinction over the modelled one, per colour."""
-        assert state.camera is not None
+        assert state.receiver.camera is not None
         factor, exponent = (per_sample(self, name, state)[:, None] for name in ("factor", "wavelength_exponent"))
-        relative = [wavelength_nm / VISIBLE_NM for wavelength_nm in state.camera.bands.values()]
-        scale = factor * torch.exp(-exponent * torch.log(state.signal.new_tensor(relative)))
-        return {"extinction_scale": scale if state.extinction_scale is None else scale * state.extinction_scale}
+        relative = [wavelength_nm / VISIBLE_NM for wavelength_nm in state.receiver.camera.bands.values()]
+        scale = factor * torch.exp(-exponent * torch.log(state.image.signal.new_tensor(relative)))
+        return {"extinction_scale": scale if state.air.extinction_scale is None else scale * state.air.extinction_scale}
 
 
 class CameraPatchyFog(Effect):
@@ -146,11 +146,11 @@ class CameraPatchyFog(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Mean density along each ray."""
-        drawn = noise["density"].to(state.signal)
-        height, width = state.signal.shape[-2:]
+        drawn = noise["density"].to(state.image.signal)
+        height, width = state.image.signal.shape[-2:]
         down, across = _between(height, BANK_ROWS, drawn), _between(width, BANK_COLUMNS, drawn)
         length_m = ray_m(state).expand_as(state.one_plane)
-        log_std = self.value("log_std", state.signal)
+        log_std = self.value("log_std", state.image.signal)
         more_m = torch.zeros_like(length_m)
         for layer, (near_m, far_m) in enumerate(itertools.pairwise(BANK_EDGES_M)):
             normal = (down @ drawn[:, layer] @ across.T)[:, None]
@@ -158,7 +158,7 @@ class CameraPatchyFog(Effect):
             excess = torch.expm1(log_std * normal - 0.5 * log_std.square())
             more_m = more_m + excess * (length_m - near_m).clamp(0.0, far_m - near_m)
         density = 1.0 + more_m / length_m.clamp_min(1e-6)
-        return {"fog_density": density if state.fog_density is None else density * state.fog_density}
+        return {"fog_density": density if state.air.fog_density is None else density * state.air.fog_density}
 
 
 def _between(pixels: int, nodes: int, like: Tensor) -> Tensor:
@@ -199,17 +199,17 @@ class CameraHeightFog(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Mean density along each ray."""
-        assert state.camera is not None
+        assert state.receiver.camera is not None
         x, y = rays(state)
-        down = state.camera.down_direction()
-        rise_m = -(x * down[0] + y * down[1] + down[2]) * state.depth_m.clamp_max(FARTHEST_M)
+        down = state.receiver.camera.down_direction()
+        rise_m = -(x * down[0] + y * down[1] + down[2]) * state.scene.depth_m.clamp_max(FARTHEST_M)
         # Sixty scale heights down nothing is seen whatever the density.
-        scaled = (rise_m / self.value("scale_height_m", state.signal)).clamp_min(-60.0)
+        scaled = (rise_m / self.value("scale_height_m", state.image.signal)).clamp_min(-60.0)
         small = scaled.abs() < SMALL
         apart = torch.where(small, 1.0, scaled)
         density = torch.where(small, 1.0 - 0.5 * scaled, -torch.expm1(-apart) / apart)
         density = density.expand_as(state.one_plane)
-        return {"fog_density": density if state.fog_density is None else density * state.fog_density}
+        return {"fog_density": density if state.air.fog_density is None else density * state.air.fog_density}
 
 
 class CameraAerosolGlow(Effect):
@@ -240,21 +240,21 @@ class CameraAerosolGlow(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The softened frame."""
-        if state.fog_extinction_per_m is None:
-            return {"signal": state.signal}
-        extinction = state.fog_extinction_per_m[:, FADING_COLOUR]
+        if state.air.fog_extinction_per_m is None:
+            return {"signal": state.image.signal}
+        extinction = state.air.fog_extinction_per_m[:, FADING_COLOUR]
         if not is_exporting() and not extinction.requires_grad and bool((extinction == extinction[:1]).all()):
             extinction = extinction[:1]  # frames in one fog are blurred alike
         depth = ray_m(state) * extinction.view(-1, 1, 1, 1)
-        if state.fog_density is not None:
-            depth = depth * state.fog_density
+        if state.air.fog_density is not None:
+            depth = depth * state.air.fog_density
         depth = depth.clamp_max(OPAQUE)
         apart = spacing_px(state)
         share = phases(-torch.expm1(-self.value("share_per_optical_depth", depth) * depth), apart)
         width = self.value("width_px_per_optical_depth", depth) * depth
         variance = phases(width.clamp_max(GLOW_WIDTHS_PX[-1]).square(), apart)
         # Between the two blurs next to its own a pixel's variance is met by their mixture.
-        level, glow = phases(state.signal, apart), torch.zeros_like(share)
+        level, glow = phases(state.image.signal, apart), torch.zeros_like(share)
         widest = GLOW_WIDTHS_PX[-1] if is_exporting() or not width.numel() else float(width.detach().max())
         for number, here in enumerate(GLOW_WIDTHS_PX):
             if number:
@@ -269,7 +269,7 @@ class CameraAerosolGlow(Effect):
             glow = glow + mixed.clamp_min(0.0) * level
             if here >= widest:
                 break
-        return {"signal": whole(torch.lerp(phases(state.signal, apart), glow, share), apart)}
+        return {"signal": whole(torch.lerp(phases(state.image.signal, apart), glow, share), apart)}
 
 
 class CameraWetSurface(Effect):
@@ -304,37 +304,37 @@ class CameraWetSurface(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The wet scene."""
-        assert state.camera is not None
-        assert state.normal is not None
+        assert state.receiver.camera is not None
+        assert state.scene.normal is not None
         x, y = rays(state)
-        upright = state.normal.to(state.signal)
-        turn = upright.new_tensor(state.camera.camera_from_vehicle())
+        upright = state.scene.normal.to(state.image.signal)
+        turn = upright.new_tensor(state.receiver.camera.camera_from_vehicle())
         normal = torch.einsum("ij,bjhw->bihw", turn, upright)  # in the camera's frame
         direction = torch.cat([x, y, torch.ones_like(x)], 1)
         direction = direction / torch.linalg.vector_norm(direction, dim=1, keepdim=True)
         cosine = -(direction * normal).sum(1, keepdim=True)
         wet = upright[:, 2:].clamp_min(0.0)
-        share = self.value("mirror", state.signal) * wet * (1.0 - transmittance_into_water(cosine))
-        own = state.signal * (1.0 - self.value("darkening", state.signal) * wet)
+        share = self.value("mirror", state.image.signal) * wet * (1.0 - transmittance_into_water(cosine))
+        own = state.image.signal * (1.0 - self.value("darkening", state.image.signal) * wet)
         return {"signal": torch.lerp(own, _seen_along(state, direction + 2.0 * cosine * normal), share)}
 
 
 def _seen_along(state: CameraState, direction: Tensor) -> Tensor:
     """The picture in other directions ``(B, 3, H, W)``; of a mosaic, each pixel from its own phase."""
-    assert state.camera is not None
-    height, width = state.signal.shape[-2:]
+    assert state.receiver.camera is not None
+    height, width = state.image.signal.shape[-2:]
     x, y, z = (direction[:, axis : axis + 1] for axis in range(3))
     # Behind the camera nothing is known: such rays end far outside of the picture, on their side of it.
     ahead = z.clamp_min(1e-2)
-    x, y = state.camera.distort(x / ahead, y / ahead)
-    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.intrinsics.to(direction).unbind(-1))
+    x, y = state.receiver.camera.distort(x / ahead, y / ahead)
+    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.scene.intrinsics.to(direction).unbind(-1))
     column = (x * fx + cx).clamp(0.0, width - 1.0)
     row = (y * fy + cy).clamp(0.0, height - 1.0).expand_as(state.one_plane)
     column = column.expand_as(row)
-    if state.cfa_index is None:
+    if state.receiver.cfa_index is None:
         grid = torch.stack([column[:, 0] / max(width - 1, 1), row[:, 0] / max(height - 1, 1)], -1) * 2.0 - 1.0
-        return torch.nn.functional.grid_sample(state.signal, grid, padding_mode="border", align_corners=True)
-    found, planes = [], phases(state.signal)
+        return torch.nn.functional.grid_sample(state.image.signal, grid, padding_mode="border", align_corners=True)
+    found, planes = [], phases(state.image.signal)
     for phase in range(4):
         down, aside = divmod(phase, 2)
         own = (..., slice(down, None, 2), slice(aside, None, 2))

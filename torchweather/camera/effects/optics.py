@@ -32,7 +32,7 @@ SOFT_AREA = 13.0 / 12.0
 
 def mean_colours(state: CameraState) -> Tensor:
     """Mean of each colour over the frame, for every pixel of that colour, ``(B, C, H, W)``."""
-    cells = state.by_cells(state.signal)
+    cells = state.by_cells(state.image.signal)
     return state.per_pixel(frame_mean(state)).expand(cells.shape).flatten(2, 3)
 
 
@@ -90,13 +90,13 @@ class CameraAdherentDrops(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The frame behind its drops."""
-        mask = self.mask(state, noise["drops"].to(state.signal))
-        return {"signal": torch.lerp(state.signal, mean_colours(state), mask)}
+        mask = self.mask(state, noise["drops"].to(state.image.signal))
+        return {"signal": torch.lerp(state.image.signal, mean_colours(state), mask)}
 
     def mask(self, state: CameraState, drops: Tensor) -> Tensor:
         """Share of each pixel's light that comes through drops, from uniforms ``(B, drops, 3)``; ``(B, 1, H, W)``, or
         one for all frames that have the same drops."""
-        height, width = state.signal.shape[-2:]
+        height, width = state.image.signal.shape[-2:]
         if not is_exporting() and bool((drops == drops[:1]).all()):
             drops = drops[:1]  # frames of one drive have the same drops
         rows = torch.arange(height, device=drops.device).to(drops.dtype)
@@ -149,7 +149,7 @@ class CameraEgoBlur(Effect):
         """The smeared frame."""
         length, angle = (per_sample(self, name, state) for name in ("length_px", "angle_rad"))
         reach_px = 0.5 * reach_of(self, "length_px")
-        return {"signal": blurred_along(state.signal, line_points_px(length, angle), reach_px, spacing_px(state))}
+        return {"signal": blurred_along(state.image.signal, line_points_px(length, angle), reach_px, spacing_px(state))}
 
 
 class CameraDefocus(Effect):
@@ -182,7 +182,7 @@ class CameraDefocus(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The soft frame."""
         points_px = disk_points_px(per_sample(self, "radius_px", state))
-        return {"signal": blurred_along(state.signal, points_px, reach_of(self, "radius_px"), spacing_px(state))}
+        return {"signal": blurred_along(state.image.signal, points_px, reach_of(self, "radius_px"), spacing_px(state))}
 
 
 class CameraVignetting(Effect):
@@ -209,8 +209,8 @@ class CameraVignetting(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal, darker off the axis."""
-        strength = self.value("strength", state.signal)
-        return {"signal": state.signal * torch.exp(-4.0 * strength * torch.log(state.ray_per_depth))}
+        strength = self.value("strength", state.image.signal)
+        return {"signal": state.image.signal * torch.exp(-4.0 * strength * torch.log(state.scene.ray_per_depth))}
 
 
 class CameraStrayLight(Effect):
@@ -242,5 +242,5 @@ class CameraStrayLight(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal under its veil."""
-        more = self.value("share", state.signal) * mean_colours(state) + self.value("offset", state.signal)
-        return {"signal": (state.signal + more).clamp_max(1.0)}
+        more = self.value("share", state.image.signal) * mean_colours(state) + self.value("offset", state.image.signal)
+        return {"signal": (state.image.signal + more).clamp_max(1.0)}

@@ -23,7 +23,7 @@ __all__ = ["CameraParticleCount", "CameraRollingShutter", "CameraStreakContrast"
 
 def per_sample(effect: Effect, name: str, state: CameraState) -> Tensor:
     """A parameter, one for each sample, ``(B,)``."""
-    value: Tensor = getattr(effect, name).to(state.signal)
+    value: Tensor = getattr(effect, name).to(state.image.signal)
     return value.expand(state.batch)
 
 
@@ -56,7 +56,7 @@ class CameraWindSlant(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Sideways over downward speed."""
         tangent = torch.tan(per_sample(self, "angle_rad", state))
-        return {"path_tangent": tangent if state.path_tangent is None else tangent + state.path_tangent}
+        return {"path_tangent": tangent if state.air.path_tangent is None else tangent + state.air.path_tangent}
 
 
 class CameraStreakContrast(Effect):
@@ -84,7 +84,9 @@ class CameraStreakContrast(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What particles change over the modelled."""
         factor = per_sample(self, "factor", state)
-        return {"particle_contrast": factor if state.particle_contrast is None else factor * state.particle_contrast}
+        return {
+            "particle_contrast": factor if state.air.particle_contrast is None else factor * state.air.particle_contrast
+        }
 
 
 class CameraParticleCount(Effect):
@@ -119,8 +121,10 @@ class CameraParticleCount(Effect):
         """Particles over those of the weather, and the depth at which they end."""
         count, reach_m = (per_sample(self, name, state) for name in ("factor", "depth_max_m"))
         return {
-            "particle_count": count if state.particle_count is None else count * state.particle_count,
-            "particle_reach_m": reach_m if state.particle_reach_m is None else reach_m.minimum(state.particle_reach_m),
+            "particle_count": count if state.air.particle_count is None else count * state.air.particle_count,
+            "particle_reach_m": reach_m
+            if state.air.particle_reach_m is None
+            else reach_m.minimum(state.air.particle_reach_m),
         }
 
 
@@ -156,4 +160,4 @@ class CameraRollingShutter(Effect):
         if is_exporting():
             raise InputValueError(f"{self.id}: a graph's footprints have no room for longer streaks; leave it out.")
         row_s = per_sample(self, "row_time_s", state)
-        return {"row_time_s": row_s if state.row_time_s is None else row_s + state.row_time_s}
+        return {"row_time_s": row_s if state.receiver.row_time_s is None else row_s + state.receiver.row_time_s}

@@ -45,7 +45,7 @@ class CameraExposureGain(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal, brighter."""
-        return {"signal": (self.value("factor", state.signal) * state.signal).clamp_max(1.0)}
+        return {"signal": (self.value("factor", state.image.signal) * state.image.signal).clamp_max(1.0)}
 
 
 class CameraSensorNoise(Effect):
@@ -86,10 +86,10 @@ class CameraSensorNoise(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal with its noise."""
-        per_electron = 1.0 / self.value("electrons_per_unit", state.signal)
-        read = self.value("read_electrons", state.signal) * per_electron
-        variance = state.signal * per_electron + read.square()
-        noisy = state.signal + noise["electrons"].to(state.signal) * variance.clamp_min(DARKEST**2).sqrt()
+        per_electron = 1.0 / self.value("electrons_per_unit", state.image.signal)
+        read = self.value("read_electrons", state.image.signal) * per_electron
+        variance = state.image.signal * per_electron + read.square()
+        noisy = state.image.signal + noise["electrons"].to(state.image.signal) * variance.clamp_min(DARKEST**2).sqrt()
         return {"signal": noisy.clamp(0.0, 1.0)}
 
 
@@ -115,7 +115,7 @@ class CameraSaturation(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal, cut."""
-        return {"signal": torch.minimum(state.signal, self.value("level", state.signal))}
+        return {"signal": torch.minimum(state.image.signal, self.value("level", state.image.signal))}
 
 
 class CameraToneCurve(Effect):
@@ -141,7 +141,7 @@ class CameraToneCurve(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal through the curve."""
-        gamma = self.value("gamma", state.signal)
+        gamma = self.value("gamma", state.image.signal)
         # The slope at black would be infinite or lost.
-        curved = state.signal.clamp_min(DARKEST) ** gamma
-        return {"signal": torch.where(state.signal > 0, curved, state.signal)}
+        curved = state.image.signal.clamp_min(DARKEST) ** gamma
+        return {"signal": torch.where(state.image.signal > 0, curved, state.image.signal)}

@@ -50,22 +50,22 @@ def haze_depth(
         Optical depth ``(B, 1, rows, W)`` and, with fog, the same weighted with the fog's transmission.
     """
     t = population.tables
-    b, _, _, width = state.signal.shape
+    b, _, _, width = state.image.signal.shape
     rows = (..., slice(first, last), slice(None))
-    intrinsics = state.intrinsics.float()
+    intrinsics = state.scene.intrinsics.float()
     focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
-    depth_m = state.depth_m[rows].float().clamp(1e-6, population.far_m)
+    depth_m = state.scene.depth_m[rows].float().clamp(1e-6, population.far_m)
     if is_exporting():
         focal, depth_m = focal.expand(b), depth_m.expand(b, 1, last - first, width)
     # What all samples have in common, such as one depth map and one rate, is looked up once.
     scale = focal.view(-1, 1, 1, 1)
-    if state.particle_reach_m is not None:
-        depth_m = torch.minimum(depth_m, state.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
+    if state.air.particle_reach_m is not None:
+        depth_m = torch.minimum(depth_m, state.air.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
     foot = depth_m / scale
     read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
     mean, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
 
-    fields = noise[f"{population.weather.kind}_haze"].to(state.signal.device)  # (B, J, H, W)
+    fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
     smooth = _streaky(fields, tables, first, last, steep=population.haze_steep, slope=population.haze_slope)
     deviation = _deviation(population, tables, variance, smooth, scale)
     uniform = mean
@@ -81,8 +81,8 @@ def haze_depth(
     optical = torch.where(there, optical, mean)
     if fog_per_m is None:
         return optical, None
-    ray = state.ray_per_depth[rows].float().expand(b, 1, last - first, width)
-    longest = state.ray_per_depth.flatten().amax(0).float()
+    ray = state.scene.ray_per_depth[rows].float().expand(b, 1, last - first, width)
+    longest = state.scene.ray_per_depth.flatten().amax(0).float()
     clear = _mean_clear(population, tables, read, ray, longest, focal, fog_per_m)
     return optical, optical * clear * scale / uniform.clamp_min(FLOOR)
 

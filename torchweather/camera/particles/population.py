@@ -230,12 +230,12 @@ class Population(nn.Module):
 
     def in_air(self, state: CameraState) -> AtRate:
         """The tables at each sample's rate, in the air of the state."""
-        tables = self.at_rate(state.batch, state.particle_count)
-        if state.patches is None or self.weather.patch_log_std == 0.0:
+        tables = self.at_rate(state.batch, state.air.particle_count)
+        if state.air.patches is None or self.weather.patch_log_std == 0.0:
             return tables
-        banks = state.patches.banks(self.weather)
+        banks = state.air.patches.banks(self.weather)
         azimuth_rad, level = ground_rays(state)
-        mean = banks.mean_to(azimuth_rad, level * state.depth_m.clamp_max(self.far_m))
+        mean = banks.mean_to(azimuth_rad, level * state.scene.depth_m.clamp_max(self.far_m))
         densest = banks.density.flatten(1).amax(1)
         count = densest if tables.count is None else densest * tables.count
         return replace(tables, count=count, banks=banks, path_density=mean.float())
@@ -306,7 +306,7 @@ class Population(nn.Module):
         A portion holds whole samples or a part of one, and has its number in its sample, so that a batch adds up in
         the order of its elements.
         """
-        points = noise[f"{self.weather.kind}_shell_{number}"].to(state.signal.device)
+        points = noise[f"{self.weather.kind}_shell_{number}"].to(state.image.signal.device)
         batch, slots, _ = points.shape
         sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots)
         together = batch if is_exporting() else max(1, SLOTS_AT_ONCE // max(1, slots))
@@ -328,8 +328,8 @@ class Population(nn.Module):
         A count above what the slots hold comes from displaced copies of the same points, whose levels go on.
         """
         parts = [_Points(points, sample)]
-        if state.path_tangent is not None and self.vertical:
-            slanted = state.path_tangent != 0
+        if state.air.path_tangent is not None and self.vertical:
+            slanted = state.air.path_tangent != 0
             if is_exporting() or bool(slanted.all()):
                 parts = [_Points(points, sample, slanted=True)]
             elif sample is not None and bool(slanted.any()):
@@ -341,7 +341,7 @@ class Population(nn.Module):
         if count is None or is_exporting():
             return
         most: Tensor = getattr(self, f"tail_most_{number}")
-        own = state.intrinsics.detach().float().expand(state.batch, 4)
+        own = state.scene.intrinsics.detach().float().expand(state.batch, 4)
         room = torch.sqrt(own[:, 0] * own[:, 1]) / self.focal_px * (tables.bounds[number].detach() - most).amax(1).exp()
         wanted = torch.where(count > 1, count.detach() * room, 0.0)
         for copy in range(1, math.ceil(float(wanted.max()))):
@@ -352,11 +352,11 @@ class Population(nn.Module):
         self, state: CameraState, part: _Points, tables: AtRate, number: int, blocks: DepthBlocks | None
     ) -> Marks:
         t, points, sample = self.tables, part.points, part.sample
-        height, width = state.signal.shape[-2:]
+        height, width = state.image.signal.shape[-2:]
         reach_u, reach_v = self.reach_px(number)
         # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
         # length and to an undistorted lens.
-        intrinsics = state.intrinsics.float()
+        intrinsics = state.scene.intrinsics.float()
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         thin = math.log(self.focal_px * self.headroom()) - torch.log(focal)
         if tables.count is not None:
@@ -388,7 +388,7 @@ class Population(nn.Module):
         u = drawn_u * (width + 2 * reach_u) - (reach_u + 0.5)
         v = drawn_v * (height + 2 * reach_v) - (reach_v + 0.5)
         depth_m = foot * _own(focal, sample)
-        stays = state.path_tangent is None and state.row_time_s is None
+        stays = state.air.path_tangent is None and state.receiver.row_time_s is None
         if blocks is not None and stays and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
             before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
             if len(before) < 0.9 * len(u):
@@ -411,8 +411,8 @@ class Population(nn.Module):
             log_level = log_level + torch.log(densest / self._density(tables.banks, u, v, depth_m, own, sample))
             shown = shown & (log_level < cut_level)
         shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
-        if state.particle_reach_m is not None:
-            shown = shown & (depth_m <= _own(state.particle_reach_m, sample))
+        if state.air.particle_reach_m is not None:
+            shown = shown & (depth_m <= _own(state.air.particle_reach_m, sample))
         if part.copy and tables.count is not None:
             shown = shown & _own(tables.count > 1, sample)
         shown = shown & _own(tables.falls, sample)
@@ -423,7 +423,7 @@ class Population(nn.Module):
         if x is None or y is None or scale is None:
             motion_u, motion_v = None, speed * (self.optics.exposure_s * own[..., 1] / focal_of) / foot
         else:
-            tangent = None if state.path_tangent is None else _own(state.path_tangent, sample)
+            tangent = None if state.air.path_tangent is None else _own(state.air.path_tangent, sample)
             motion_u, motion_v = self._path_px(x, y, speed, depth_m, own, tangent)
             diameter = diameter * torch.sqrt(scale) if self.camera.distorted else diameter
         width_px, opacity = self._blurred(diameter, foot, depth_m)
@@ -437,7 +437,7 @@ class Population(nn.Module):
             opacity=torch.where(shown, opacity, torch.zeros_like(opacity)),
             depth_m=depth_m,
         )
-        return marks if state.row_time_s is None else self._row_by_row(marks, state.row_time_s)
+        return marks if state.receiver.row_time_s is None else self._row_by_row(marks, state.receiver.row_time_s)
 
     def _density(
         self, banks: Banks, u: Tensor, v: Tensor, depth_m: Tensor, own: Tensor, sample: Tensor | None
@@ -509,8 +509,8 @@ class Population(nn.Module):
             fog_per_m: ``(B,)`` fog extinction; where given, the second result is the optical depth weighted with
                 the fog's transmission to each particle.
         """
-        b, _, height, width = state.signal.shape
-        depth = state.depth_m.float().expand(b, 1, height, width)
+        b, _, height, width = state.image.signal.shape
+        depth = state.scene.depth_m.float().expand(b, 1, height, width)
         blocks = None if is_exporting() else DepthBlocks.of(depth)
         depth = depth.reshape(-1)
         # Shells add to these sums in turn, and the sums to each other: the same order on any number of threads.
@@ -535,7 +535,7 @@ class Population(nn.Module):
                             totals[which], fadeds[which] = add_listed(totals[which], fadeds[which], *place, blocks)
 
         tasks = [partial(add, which) for which in range(sums)]
-        moved = (tables.outline_m, tables.count, state.path_tangent, state.row_time_s)
+        moved = (tables.outline_m, tables.count, state.air.path_tangent, state.receiver.row_time_s)
         learns = torch.is_grad_enabled() and any(value is not None and value.requires_grad for value in moved)
         if is_exporting() or learns:
             for task in tasks:
@@ -551,7 +551,7 @@ class Population(nn.Module):
 
     def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor) -> Tensor:
         """Share of each particle's light that the fog lets through, along its ray."""
-        fog, own = _own(fog_per_m, marks.sample), _own(state.intrinsics.float(), marks.sample)
+        fog, own = _own(fog_per_m, marks.sample), _own(state.scene.intrinsics.float(), marks.sample)
         x, y = self.undistorted(marks.u_px, marks.v_px, own)
         return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
 

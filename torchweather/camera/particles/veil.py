@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -182,8 +181,8 @@ class ParticleVeil(Stage):
 
     def ambient(self, state: CameraState) -> Tensor:
         """Signal of the sky per colour, ``(B, 3)``."""
-        if not isinstance(self.given_ambient, tuple) and state.airlight is not None:
-            return state.airlight  # the fog's stage has scaled it
+        if not isinstance(self.given_ambient, tuple) and state.air.airlight is not None:
+            return state.air.airlight  # the fog's stage has scaled it
         return scaled_airlight(given_or_estimated(self.given_ambient, state, self), state)
 
     def _colours(self, state: CameraState) -> list[Tensor]:
@@ -200,8 +199,8 @@ class ParticleVeil(Stage):
         if self.drop_view == "frame":
             return frame_mean(state)
         # Whole row pairs of the upper three fifths; sym_max, so that a graph of any height counts anew.
-        rows = torch.sym_max(2, state.signal.shape[-2] * 3 // 5 // 2 * 2)  # type: ignore[no-untyped-call]
-        return frame_mean(replace(state, signal=state.signal[..., :rows, :]))
+        rows = torch.sym_max(2, state.image.signal.shape[-2] * 3 // 5 // 2 * 2)  # type: ignore[no-untyped-call]
+        return frame_mean(state.changed(signal=state.image.signal[..., :rows, :]))
 
     def behind(self, state: CameraState, particle_mask: Tensor) -> CameraState:
         """The frame behind particles of one kind, without fog, whose share of the exposure is known.
@@ -210,17 +209,17 @@ class ParticleVeil(Stage):
             state: the frame.
             particle_mask: ``(B, 1, H, W)``, as ``forward`` gives it.
         """
-        if len(self.parts) != 1 or state.fog_extinction_per_m is not None:
+        if len(self.parts) != 1 or state.air.fog_extinction_per_m is not None:
             raise InputValueError(
                 "ParticleVeil.behind: one kind of particles, and no fog, has one colour; use forward."
             )
-        colour, contrast = state.per_pixel(self._colours(state)[0]), state.particle_contrast
+        colour, contrast = state.per_pixel(self._colours(state)[0]), state.air.particle_contrast
         mask = state.by_cells(particle_mask)
         weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
-        signal = torch.lerp(state.by_cells(state.signal), colour, weight).flatten(2, 3)
+        signal = torch.lerp(state.by_cells(state.image.signal), colour, weight).flatten(2, 3)
         if contrast is not None:
             signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
-        return replace(state, signal=signal, particle_mask=particle_mask if state.keep_truth else None)
+        return state.changed(signal=signal, particle_mask=particle_mask if state.receiver.keep_truth else None)
 
     def optical_depth(self, state: CameraState, noise: Mapping[str, Tensor]) -> Tensor:
         """Optical depth of all particles in front of the scene, ``(B, 1, H, W)``; ``forward`` covers 1 less its exp.
@@ -254,19 +253,19 @@ class ParticleVeil(Stage):
             return self._render(state, noise)
 
     def _render(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
-        if state.signal.numel() == 0:
-            return replace(state, particle_mask=state.one_plane if state.keep_truth else None)
+        if state.image.signal.numel() == 0:
+            return state.changed(particle_mask=state.one_plane if state.receiver.keep_truth else None)
         before = state
-        if state.sky is not None:
+        if state.scene.sky is not None:
             # Particles reach to the far limit in front of the sky. A pixel that is mostly sky shows those, not the few
             # in front of the leaf that it has in part: where the share comes near 1, nothing jumps.
-            state = replace(state, depth_m=torch.where(state.sky > 0.5, torch.inf, state.depth_m))
+            state = state.changed(depth_m=torch.where(state.scene.sky > 0.5, torch.inf, state.scene.depth_m))
         for part in self.parts:
             part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
         tables = [part.in_air(state) for part in self.parts]
-        contrast = state.particle_contrast
-        fog = state.fog_extinction_per_m
+        contrast = state.air.particle_contrast
+        fog = state.air.fog_extinction_per_m
         fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()
         listed = [
             part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
@@ -283,29 +282,29 @@ class ParticleVeil(Stage):
                     colour = self._through_fog(state, colour, faded, depths[-1])
                 lights.append(colour)
             total = sum(depths[1:], depths[0])
-            mask = -torch.expm1(-total).to(state.signal.dtype)
-            if state.near_mask is not None:  # nothing falls between the lens and the own vehicle
-                mask = mask * (1.0 - state.by_cells(state.near_mask[rows]).to(mask.dtype))
+            mask = -torch.expm1(-total).to(state.image.signal.dtype)
+            if state.scene.near_mask is not None:  # nothing falls between the lens and the own vehicle
+                mask = mask * (1.0 - state.by_cells(state.scene.near_mask[rows]).to(mask.dtype))
             if len(lights) == 1:
                 light = lights[0].to(mask.dtype)
             else:
                 light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
             weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
-            signal = torch.lerp(state.by_cells(state.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
+            signal = torch.lerp(state.by_cells(state.image.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
             if contrast is not None:  # more than the whole way to the particles' colour may leave what there is
                 signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
-            return (signal, mask.flatten(2, 3)) if state.keep_truth else (signal,)
+            return (signal, mask.flatten(2, 3)) if state.receiver.keep_truth else (signal,)
 
-        results = by_rows(band, state.signal.shape, state.signal, apart=True)
-        return replace(before, signal=results[0], particle_mask=results[1] if state.keep_truth else None)
+        results = by_rows(band, state.image.signal.shape, state.image.signal, apart=True)
+        return before.changed(signal=results[0], particle_mask=results[1] if state.receiver.keep_truth else None)
 
     def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:
         """Colour of particles seen through fog: their light fades, the airlight takes its place."""
         # Both are set by the fog's stage.
-        assert state.airlight is not None
-        assert state.fog_extinction_per_m is not None
+        assert state.air.airlight is not None
+        assert state.air.fog_extinction_per_m is not None
         clear = (faded / optical.clamp_min(FAINTEST)).clamp(FAINTEST, 1.0)
-        reference = state.fog_extinction_per_m[:, FADING_COLOUR, None]
-        ratio = torch.where(reference > 0, state.fog_extinction_per_m / reference.clamp_min(FAINTEST), 1.0)
-        airlight = state.per_pixel(state.airlight)
+        reference = state.air.fog_extinction_per_m[:, FADING_COLOUR, None]
+        ratio = torch.where(reference > 0, state.air.fog_extinction_per_m / reference.clamp_min(FAINTEST), 1.0)
+        airlight = state.per_pixel(state.air.airlight)
         return airlight + clear ** state.per_pixel(ratio) * (colour - airlight)

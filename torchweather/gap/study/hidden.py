@@ -278,10 +278,10 @@ def _weathered(
     range_m, intensity = _clear(view, lidar, frames, f"condition-{place}", seed)
     transform = LidarWeather(weather, lidar, effects=effects, beam_ends="max_range")
     points = torch.cat([view.directions * range_m[..., None], intensity[..., None]], -1)
-    state = replace(transform.state_of(points, view.directions), cos_incidence=view.cos_incidence[None])
+    state = transform.state_of(points, view.directions).changed(cos_incidence=view.cos_incidence[None])
     seeds = torch.from_numpy(_stream(seed, f"weather.{place}").integers(2**62, size=frames))
     with torch.no_grad():
-        out = transform.chain(state, transform.chain.draw(state, seed=seeds)).points
+        out = transform.chain(state, transform.chain.draw(state, seed=seeds)).returns.points
     found = torch.linalg.vector_norm(out[..., :3], dim=-1)
     return _frames(found, out[..., 3] * (found > 0), view.grid)
 

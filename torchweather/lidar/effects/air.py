@@ -68,9 +68,12 @@ def sector(state: LidarState, azimuth_rad: Tensor, width_rad: Tensor) -> Tensor:
 
 def along_beam(state: LidarState) -> tuple[Tensor, Tensor, Tensor]:
     """x, y, z ``(B, N)`` of a place on each beam: the object, or one at 1 m where there is none; zero if not known."""
-    place = list(state.points_in[..., :3].unbind(-1))
-    if state.empty_direction is not None:
-        seen, given = state.clear_range_m > 0, state.empty_direction.to(state.points_in.dtype).unbind(-1)
+    place = list(state.scene.points_in[..., :3].unbind(-1))
+    if state.scene.empty_direction is not None:
+        seen, given = (
+            state.scene.clear_range_m > 0,
+            state.scene.empty_direction.to(state.scene.points_in.dtype).unbind(-1),
+        )
         place = [torch.where(seen, own, other) for own, other in zip(place, given, strict=True)]
     x, y, z = place
     return x, y, z
@@ -104,7 +107,7 @@ class LidarBeamDivergence(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The divergence that particles see."""
-        extra = self.value("extra_mrad", state.threshold) * 1e-3
+        extra = self.value("extra_mrad", state.receiver.threshold) * 1e-3
         return {"extra_divergence_rad": extra.expand(state.batch)}
 
 
@@ -129,7 +132,7 @@ class LidarWindowLoss(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """All signals, weaker."""
-        return {"signal": state.signal * signal_gain(-self.value("loss_db", state.signal))}
+        return {"signal": state.returns.signal * signal_gain(-self.value("loss_db", state.returns.signal))}
 
 
 class LidarExtinctionScale(Effect):
@@ -156,11 +159,11 @@ class LidarExtinctionScale(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The extinction, and the objects' signals through it."""
-        assert state.extinction_per_m is not None
-        before = state.extinction_per_m
+        assert state.air.extinction_per_m is not None
+        before = state.air.extinction_per_m
         after = before * self.value("factor", before)
         gain = torch.exp(-2.0 * (after - before)[:, None] * state.uniform_m)
-        return {"extinction_per_m": after, "signal": state.signal * gain[..., None]}
+        return {"extinction_per_m": after, "signal": state.returns.signal * gain[..., None]}
 
 
 class LidarWetTarget(Effect):
@@ -189,15 +192,19 @@ class LidarWetTarget(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The objects' signals, weaker."""
-        wet = torch.ones_like(state.clear_range_m)
-        if state.up is not None:
-            wet = wet * 0.5 * (1.0 + state.up)
-        if state.cos_incidence is not None:
-            facing = torch.ones_like(state.cos_incidence)
-            through = transmittance_into_water(state.cos_incidence) / transmittance_into_water(facing)
+        wet = torch.ones_like(state.scene.clear_range_m)
+        if state.scene.up is not None:
+            wet = wet * 0.5 * (1.0 + state.scene.up)
+        if state.scene.cos_incidence is not None:
+            facing = torch.ones_like(state.scene.cos_incidence)
+            through = transmittance_into_water(state.scene.cos_incidence) / transmittance_into_water(facing)
             wet = wet * (1.0 - WET_SHARE_FACING * through.square())
         gain = 1.0 - self.value("share", wet) * wet
-        return {"signal": torch.where(state.kind == OBJECT, state.signal * gain[..., None], state.signal)}
+        return {
+            "signal": torch.where(
+                state.returns.kind == OBJECT, state.returns.signal * gain[..., None], state.returns.signal
+            )
+        }
 
 
 def transmittance_into_water(cos_incidence: Tensor) -> Tensor:
@@ -236,13 +243,13 @@ class LidarLimitedExtent(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The objects' signals, given back what they lost beyond, and the range to which particles are seen."""
-        assert state.extinction_per_m is not None
-        extent_m = self.value("extent_m", state.clear_range_m)
-        beyond_m = (state.clear_range_m - extent_m).clamp_min(0.0)
-        if state.path_density is not None:
-            beyond_m = beyond_m * state.path_density
-        gain = torch.exp(2.0 * state.extinction_per_m[:, None] * beyond_m)
-        return {"signal": state.signal * gain[..., None], "reach_m": torch.minimum(state.reach_m, extent_m)}
+        assert state.air.extinction_per_m is not None
+        extent_m = self.value("extent_m", state.scene.clear_range_m)
+        beyond_m = (state.scene.clear_range_m - extent_m).clamp_min(0.0)
+        if state.air.path_density is not None:
+            beyond_m = beyond_m * state.air.path_density
+        gain = torch.exp(2.0 * state.air.extinction_per_m[:, None] * beyond_m)
+        return {"signal": state.returns.signal * gain[..., None], "reach_m": torch.minimum(state.air.reach_m, extent_m)}
 
 
 class LidarStaticStructure(Effect):
@@ -277,8 +284,8 @@ class LidarStaticStructure(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The cloud as if the structure had been there."""
-        assert state.sensor is not None
-        sensor, clear_m = state.sensor, state.clear_range_m
+        assert state.receiver.sensor is not None
+        sensor, clear_m = state.receiver.sensor, state.scene.clear_range_m
         azimuth_rad, width_rad = self.value("azimuth_rad", clear_m), self.value("width_rad", clear_m)
         x, y, z = along_beam(state)
         horizontal = (x * x + y * y).sqrt()
@@ -289,22 +296,22 @@ class LidarStaticStructure(Effect):
         met = sector(state, azimuth_rad, width_rad) & free & reached
         seen_m = slant_m.clamp(1e-3, sensor.max_range_m)
         own_signal = STRUCTURE_REFLECTIVITY / math.pi * sensor.near_response(seen_m) / seen_m.square()
-        photons = own_signal * (sensor.photons_at_threshold / state.threshold)
+        photons = own_signal * (sensor.photons_at_threshold / state.receiver.threshold)
         reflectivity = torch.full_like(own_signal, STRUCTURE_REFLECTIVITY)
-        intensity = intensity_of_reflectivity(reflectivity, photons, sensor.intensity_unit, state.integral)
-        columns = list(state.points_in.unbind(-1))
+        intensity = intensity_of_reflectivity(reflectivity, photons, sensor.intensity_unit, state.scene.integral)
+        columns = list(state.scene.points_in.unbind(-1))
         place = (x * scale, y * scale, z * scale, intensity)
         columns[:4] = [torch.where(met, new, old) for new, old in zip(place, columns[:4], strict=True)]
         range_m = torch.where(met, slant_m, clear_m)
-        signal = torch.where(met, own_signal, state.clear_signal)
+        signal = torch.where(met, own_signal, state.scene.clear_signal)
         return {
             "points_in": torch.stack(columns, -1),
             "clear_range_m": range_m,
             "clear_signal": signal,
-            "range_m": _first(range_m, state.range_m),
-            "signal": _first(signal, state.signal),
-            "kind": _first(torch.where(met, OBJECT, state.kind[..., 0]).to(torch.int8), state.kind),
-            "reach_m": torch.where(met, slant_m, state.reach_m),
+            "range_m": _first(range_m, state.returns.range_m),
+            "signal": _first(signal, state.returns.signal),
+            "kind": _first(torch.where(met, OBJECT, state.returns.kind[..., 0]).to(torch.int8), state.returns.kind),
+            "reach_m": torch.where(met, slant_m, state.air.reach_m),
         }
 
 
@@ -341,8 +348,8 @@ class LidarParticleBackscatter(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The particles' signals."""
-        gained = state.signal * signal_gain(self.value("gain_db", state.signal))
-        return {"signal": torch.where(state.kind == PARTICLE, gained, state.signal)}
+        gained = state.returns.signal * signal_gain(self.value("gain_db", state.returns.signal))
+        return {"signal": torch.where(state.returns.kind == PARTICLE, gained, state.returns.signal)}
 
 
 class LidarSectorLoss(Effect):
@@ -374,10 +381,10 @@ class LidarSectorLoss(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signals in the sector, weaker."""
-        like = state.clear_range_m
+        like = state.scene.clear_range_m
         inside = sector(state, self.value("azimuth_rad", like), self.value("width_rad", like))
-        weaker = state.signal * signal_gain(-self.value("loss_db", state.signal))
-        return {"signal": torch.where(inside[..., None], weaker, state.signal)}
+        weaker = state.returns.signal * signal_gain(-self.value("loss_db", state.returns.signal))
+        return {"signal": torch.where(inside[..., None], weaker, state.returns.signal)}
 
 
 class LidarPatchyWeather(Effect):
@@ -411,10 +418,10 @@ class LidarPatchyWeather(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Density over that of the weather."""
-        drawn = noise["density"][:, 0].to(state.signal)
+        drawn = noise["density"][:, 0].to(state.returns.signal)
         log_std = self.value("log_std", drawn)
         density = torch.exp(log_std * drawn - 0.5 * log_std.square())
-        return {"density_scale": density if state.density_scale is None else density * state.density_scale}
+        return {"density_scale": density if state.air.density_scale is None else density * state.air.density_scale}
 
 
 class LidarSpray(Effect):
@@ -458,10 +465,10 @@ class LidarSpray(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """An echo more."""
-        assert state.sensor is not None
-        like = state.clear_range_m
-        start_m = max(state.sensor.near_start_m, state.sensor.min_range_m)
-        end_m = torch.where(like > 0, like, state.reach_m)
+        assert state.receiver.sensor is not None
+        like = state.scene.clear_range_m
+        start_m = max(state.receiver.sensor.near_start_m, state.receiver.sensor.min_range_m)
+        end_m = torch.where(like > 0, like, state.air.reach_m)
         seen = -torch.expm1((end_m - start_m).clamp_min(0.0) * (-1.0 / SPRAY_LENGTH_M))
         inside = sector(state, self.value("azimuth_rad", like), self.value("width_rad", like))
         mean = torch.where(inside, self.value("strength", like) * seen, 0.0)
@@ -474,6 +481,6 @@ class LidarSpray(Effect):
         echo = {
             "range_m": torch.where(there, range_m, 0.0),
             "signal": signal,
-            "kind": torch.full_like(state.kind[..., 0], PARTICLE),
+            "kind": torch.full_like(state.returns.kind[..., 0], PARTICLE),
         }
-        return {name: torch.cat([getattr(state, name), more[..., None]], -1) for name, more in echo.items()}
+        return {name: torch.cat([state.field(name), more[..., None]], -1) for name, more in echo.items()}

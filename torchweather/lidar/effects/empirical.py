@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -194,29 +193,31 @@ class Empirical(Stage):
         curve = self.curve(coordinate if self.axis == "particle_range_m" else coordinate[..., None])
         if self.kind == "returns":
             return self._with_returns(state, curve[..., 0], noise)
-        chosen = state.kind == (OBJECT if self.of == "object" else PARTICLE)
+        chosen = state.returns.kind == (OBJECT if self.of == "object" else PARTICLE)
         if self.kind == "loss":
             return self._with_losses(state, curve, chosen, noise["toss"].to(curve)[..., None])
         amount = curve * noise["error"].to(curve)[..., None] if self.kind.endswith("noise") else curve
         here = chosen & (amount != 0)
         if self.kind.startswith("intensity"):
-            return replace(state, signal=torch.where(here, state.signal * amount.exp(), state.signal))
-        return replace(state, range_m=torch.where(here, (state.range_m + amount).clamp_min(0.0), state.range_m))
+            return state.changed(signal=torch.where(here, state.returns.signal * amount.exp(), state.returns.signal))
+        return state.changed(
+            range_m=torch.where(here, (state.returns.range_m + amount).clamp_min(0.0), state.returns.range_m)
+        )
 
     def _coordinate(self, state: LidarState) -> Tensor:
         """Where each beam is on the axis, ``(1 or B, N)``, or each return, ``(B, N, E)``."""
         if self.axis == "particle_range_m":
-            return state.range_m
+            return state.returns.range_m
         if self.axis == "range_m":
-            return state.clear_range_m
+            return state.scene.clear_range_m
         if self.axis == "every_beam":
-            return torch.zeros_like(state.clear_range_m)
+            return torch.zeros_like(state.scene.clear_range_m)
         if self.axis == "log_intensity":
-            return state.points_in[..., 3].clamp_min(FAINTEST).log()
+            return state.scene.points_in[..., 3].clamp_min(FAINTEST).log()
         if self.axis == "margin_db":
-            return (state.clear_signal / state.threshold).clamp_min(FAINTEST).log() / DB
+            return (state.scene.clear_signal / state.receiver.threshold).clamp_min(FAINTEST).log() / DB
         if self.axis in ("cos_incidence", "up"):
-            found: Tensor | None = getattr(state, self.axis)
+            found: Tensor | None = state.field(self.axis)
             if found is None:
                 raise InputValueError(
                     f"Empirical: wanted a state with {self.axis}, over which the curve was measured; this one has none."
@@ -230,39 +231,41 @@ class Empirical(Stage):
     @staticmethod
     def _with_losses(state: LidarState, curve: Tensor, chosen: Tensor, tossed: Tensor) -> LidarState:
         dropped = chosen & (tossed < curve)
-        seen = (state.clear_range_m > 0)[..., None]
-        first = torch.arange(state.kind.shape[-1], device=state.kind.device) == 0
-        back = (state.kind == LOST) & seen & first & (tossed < -curve)
+        seen = (state.scene.clear_range_m > 0)[..., None]
+        first = torch.arange(state.returns.kind.shape[-1], device=state.returns.kind.device) == 0
+        back = (state.returns.kind == LOST) & seen & first & (tossed < -curve)
         threshold = state.detected_from
         threshold = threshold[..., None] if threshold.ndim else threshold
-        range_m = torch.where(back, state.clear_range_m[..., None], torch.where(dropped, 0.0, state.range_m))
-        signal = torch.where(back, threshold, torch.where(dropped, 0.0, state.signal))
-        kind = torch.where(back, OBJECT, torch.where(dropped, LOST, state.kind)).to(torch.int8)
-        return replace(state, range_m=range_m, signal=signal, kind=kind)
+        range_m = torch.where(
+            back, state.scene.clear_range_m[..., None], torch.where(dropped, 0.0, state.returns.range_m)
+        )
+        signal = torch.where(back, threshold, torch.where(dropped, 0.0, state.returns.signal))
+        kind = torch.where(back, OBJECT, torch.where(dropped, LOST, state.returns.kind)).to(torch.int8)
+        return state.changed(range_m=range_m, signal=signal, kind=kind)
 
     def _with_returns(self, state: LidarState, curve: Tensor, noise: Mapping[str, Tensor]) -> LidarState:
         """The first reported return, replaced where a beam has an added one."""
-        like = state.clear_range_m
+        like = state.scene.clear_range_m
         hit, place, margin = (noise[name].to(like) for name in ("hit", "place", "margin"))
         range_m = _piecewise(place, self.cumulated, self.places)
         if self.of == "object":
             there = (range_m > 0) & (range_m < like)
         else:
             there = (range_m > 0) & (like == 0)
-            direction = state.empty_direction
+            direction = state.scene.empty_direction
             there = there & (direction != 0).any(-1) if direction is not None else torch.zeros_like(there)
         added = there & (hit < curve)
         new = {
             "range_m": range_m,
             "signal": state.detected_from * torch.exp(DB * CROSSTALK_MARGIN_DB * exponential(margin)),
-            "kind": torch.full_like(state.kind[..., 0], PARTICLE),
+            "kind": torch.full_like(state.returns.kind[..., 0], PARTICLE),
         }
         changed: dict[str, Any] = {}
         for name, value in new.items():
-            echoes = getattr(state, name)
+            echoes = state.field(name)
             first = torch.where(added, value.to(echoes.dtype), echoes[..., 0])
             changed[name] = torch.cat([first[..., None], echoes[..., 1:]], -1)
-        return replace(state, **changed)
+        return state.changed(**changed)
 
 
 def _piecewise(x: Tensor, at: Tensor, value: Tensor) -> Tensor:

@@ -74,18 +74,20 @@ class LidarIsolatedReturnFilter(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The reported returns without the lone ones."""
-        assert state.grid is not None
-        rows, columns = state.grid
-        shape = state.range_m.shape
+        assert state.scene.grid is not None
+        rows, columns = state.scene.grid
+        shape = state.returns.range_m.shape
         # NaN is near nothing, itself included.
-        reported_m = torch.where(state.kind != LOST, state.range_m, torch.nan).reshape(-1, rows, columns, shape[-1])
+        reported_m = torch.where(state.returns.kind != LOST, state.returns.range_m, torch.nan).reshape(
+            -1, rows, columns, shape[-1]
+        )
         accompanied = self._accompanied(reported_m).reshape(shape)
-        tossed = noise["removal"].to(state.clear_range_m)
+        tossed = noise["removal"].to(state.scene.clear_range_m)
         removed = (tossed < self.value("probability", tossed))[..., None] & ~accompanied
         return {
-            "range_m": torch.where(removed, 0.0, state.range_m),
-            "signal": torch.where(removed, 0.0, state.signal),
-            "kind": torch.where(removed, LOST, state.kind),
+            "range_m": torch.where(removed, 0.0, state.returns.range_m),
+            "signal": torch.where(removed, 0.0, state.returns.signal),
+            "kind": torch.where(removed, LOST, state.returns.kind),
         }
 
     def _accompanied(self, range_m: Tensor) -> Tensor:
@@ -134,7 +136,7 @@ class LidarThresholdShift(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Threshold over the sensor's."""
-        return {"threshold_scale": signal_gain(self.value("shift_db", state.threshold)).expand(state.batch)}
+        return {"threshold_scale": signal_gain(self.value("shift_db", state.receiver.threshold)).expand(state.batch)}
 
 
 class LidarBlindZone(Effect):
@@ -160,8 +162,8 @@ class LidarBlindZone(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals, 0 in the zone."""
-        near = state.range_m < self.value("range_m", state.range_m)
-        return {"signal": torch.where(near, 0.0, state.signal)}
+        near = state.returns.range_m < self.value("range_m", state.returns.range_m)
+        return {"signal": torch.where(near, 0.0, state.returns.signal)}
 
 
 class LidarRangeNoise(Effect):
@@ -193,7 +195,7 @@ class LidarRangeNoise(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Ranges of the reported returns."""
-        error_m = self.value("std_m", state.range_m) * noise["jitter"].to(state.range_m)[..., None]
+        error_m = self.value("std_m", state.returns.range_m) * noise["jitter"].to(state.returns.range_m)[..., None]
         return {"range_m": _moved(state, error_m)}
 
 
@@ -222,15 +224,17 @@ class LidarRangeBias(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Ranges of the reported returns."""
-        like = state.range_m
-        decades = torch.log10((state.signal / _over_echoes(state.detected_from)).clamp_min(FAINTEST_RATIO))
+        like = state.returns.range_m
+        decades = torch.log10((state.returns.signal / _over_echoes(state.detected_from)).clamp_min(FAINTEST_RATIO))
         error_m = self.value("offset_m", like) + self.value("walk_m_per_decade", like) * decades
         return {"range_m": _moved(state, error_m)}
 
 
 def _moved(state: LidarState, error_m: Tensor) -> Tensor:
     """Ranges with an error on the reported returns, not below 0."""
-    return torch.where(state.kind != LOST, (state.range_m + error_m).clamp_min(0.0), state.range_m)
+    return torch.where(
+        state.returns.kind != LOST, (state.returns.range_m + error_m).clamp_min(0.0), state.returns.range_m
+    )
 
 
 def _over_echoes(value: Tensor) -> Tensor:
@@ -266,10 +270,10 @@ class LidarLastReturn(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals of the particles, 0 in front of a detected object."""
-        tossed = noise["mode"].to(state.clear_range_m)
-        object_seen = (state.kind[..., 0] == OBJECT) & (state.signal[..., 0] >= state.detected_from)
+        tossed = noise["mode"].to(state.scene.clear_range_m)
+        object_seen = (state.returns.kind[..., 0] == OBJECT) & (state.returns.signal[..., 0] >= state.detected_from)
         silent = object_seen & (tossed < self.value("probability", tossed))
-        return {"signal": torch.where((state.kind == PARTICLE) & silent[..., None], 0.0, state.signal)}
+        return {"signal": torch.where((state.returns.kind == PARTICLE) & silent[..., None], 0.0, state.returns.signal)}
 
 
 class LidarIntensityCompression(Effect):
@@ -304,40 +308,46 @@ class LidarIntensityCompression(Effect):
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals of the reported returns."""
         level = self._level(state).clamp_min(FAINTEST_RATIO)
-        signal = state.signal * level ** (self.value("exponent", level) - 1.0)
+        signal = state.returns.signal * level ** (self.value("exponent", level) - 1.0)
         capped = torch.minimum(signal, self._largest(state))
-        return {"signal": torch.where(state.kind == LOST, state.signal, capped)}
+        return {"signal": torch.where(state.returns.kind == LOST, state.returns.signal, capped)}
 
     def _level(self, state: LidarState) -> Tensor:
         """Reflectivity that each return is reported with, or its photons over those at the threshold, ``(B, N, E)``."""
-        assert state.sensor is not None
-        sensor, intensity, clear = state.sensor, state.points_in[..., 3:4], state.clear_signal[..., None]
+        assert state.receiver.sensor is not None
+        sensor, intensity, clear = (
+            state.receiver.sensor,
+            state.scene.points_in[..., 3:4],
+            state.scene.clear_signal[..., None],
+        )
         if sensor.intensity_unit == "photons":
-            own, particle = intensity / sensor.photons_at_threshold, state.signal / state.threshold
+            own, particle = intensity / sensor.photons_at_threshold, state.returns.signal / state.receiver.threshold
         else:
             own = reflectivity_from_intensity(intensity, sensor.intensity_unit, sensor.assumed_reflectivity)
-            particle = math.pi * state.signal * state.range_m.square()
+            particle = math.pi * state.returns.signal * state.returns.range_m.square()
         seen = clear > 0
-        return torch.where((state.kind == OBJECT) & seen, own * state.signal / torch.where(seen, clear, 1.0), particle)
+        return torch.where(
+            (state.returns.kind == OBJECT) & seen, own * state.returns.signal / torch.where(seen, clear, 1.0), particle
+        )
 
     def _largest(self, state: LidarState) -> Tensor:
         """Signal at which each return's intensity is the saturation, ``(B, N, E)``."""
-        assert state.sensor is not None
-        sensor, intensity = state.sensor, state.points_in[..., 3]
+        assert state.receiver.sensor is not None
+        sensor, intensity = state.receiver.sensor, state.scene.points_in[..., 3]
         saturation = self.value("saturation", intensity).expand_as(intensity)
         if sensor.intensity_unit == "none":
-            return torch.full_like(state.signal, torch.inf)
+            return torch.full_like(state.returns.signal, torch.inf)
         if sensor.intensity_unit == "photons":
             own, limit = intensity, saturation
-            particle = (limit * state.threshold / sensor.photons_at_threshold)[..., None]
+            particle = (limit * state.receiver.threshold / sensor.photons_at_threshold)[..., None]
         else:
             own = reflectivity_from_intensity(intensity, sensor.intensity_unit, sensor.assumed_reflectivity)
             limit = reflectivity_from_intensity(saturation, sensor.intensity_unit, sensor.assumed_reflectivity)
-            particle = limit[..., None] / (math.pi * state.range_m.square().clamp_min(FAINTEST_RATIO))
+            particle = limit[..., None] / (math.pi * state.returns.range_m.square().clamp_min(FAINTEST_RATIO))
         # An intensity of 0 has no limit; an infinite one times a signal of 0 is none either.
         gain = torch.where(own > 0, limit / torch.where(own > 0, own, 1.0), torch.inf)
-        signal = torch.where(state.clear_signal > 0, state.clear_signal, 1.0) * gain
-        return torch.where(state.kind == PARTICLE, particle, signal[..., None])
+        signal = torch.where(state.scene.clear_signal > 0, state.scene.clear_signal, 1.0) * gain
+        return torch.where(state.returns.kind == PARTICLE, particle, signal[..., None])
 
 
 class LidarRangeStretch(Effect):
@@ -366,12 +376,12 @@ class LidarRangeStretch(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Ranges of the reported returns."""
-        assert state.extinction_per_m is not None
+        assert state.air.extinction_per_m is not None
         # The weather may end in front of the return.
-        inside_m = torch.minimum(state.range_m, state.reach_m[..., None])
-        if state.path_density is not None:
-            inside_m = inside_m * state.path_density[..., None]
-        depth = state.extinction_per_m[:, None, None] * inside_m
+        inside_m = torch.minimum(state.returns.range_m, state.air.reach_m[..., None])
+        if state.air.path_density is not None:
+            inside_m = inside_m * state.air.path_density[..., None]
+        depth = state.air.extinction_per_m[:, None, None] * inside_m
         return {"range_m": _moved(state, self.value("m_per_optical_depth", depth) * depth)}
 
 
@@ -404,20 +414,20 @@ class LidarCrosstalk(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The first reported return, replaced where a beam is hit."""
-        assert state.sensor is not None
-        like = state.clear_range_m
+        assert state.receiver.sensor is not None
+        like = state.scene.clear_range_m
         hit, place, margin = (noise[name].to(like) for name in ("hit", "place", "margin"))
         known = like > 0
-        if state.empty_direction is not None:
-            known = known | (state.empty_direction != 0).any(-1)
+        if state.scene.empty_direction is not None:
+            known = known | (state.scene.empty_direction != 0).any(-1)
         spurious = (hit < self.value("probability", like)) & known
-        near_m, far_m = state.sensor.min_range_m, state.sensor.max_range_m
+        near_m, far_m = state.receiver.sensor.min_range_m, state.receiver.sensor.max_range_m
         own = {
             "range_m": far_m - (far_m - near_m) * place,
             "signal": state.detected_from * torch.exp(DB * CROSSTALK_MARGIN_DB * exponential(margin)),
-            "kind": torch.full_like(state.kind[..., 0], PARTICLE),
+            "kind": torch.full_like(state.returns.kind[..., 0], PARTICLE),
         }
-        return {name: self._with_first(getattr(state, name), new, spurious) for name, new in own.items()}
+        return {name: self._with_first(state.field(name), new, spurious) for name, new in own.items()}
 
     @staticmethod
     def _with_first(echoes: Tensor, new: Tensor, where: Tensor) -> Tensor:
@@ -450,8 +460,8 @@ class LidarRingGain(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals with the gain of their ring."""
-        assert state.grid is not None
-        rows, columns = state.grid
-        from_middle = torch.arange(rows, device=state.signal.device) - 0.5 * (rows - 1)
-        of_beam = from_middle.to(state.signal)[:, None].expand(rows, columns).reshape(1, -1, 1)
-        return {"signal": state.signal * signal_gain(self.value("db_per_ring", state.signal) * of_beam)}
+        assert state.scene.grid is not None
+        rows, columns = state.scene.grid
+        from_middle = torch.arange(rows, device=state.returns.signal.device) - 0.5 * (rows - 1)
+        of_beam = from_middle.to(state.returns.signal)[:, None].expand(rows, columns).reshape(1, -1, 1)
+        return {"signal": state.returns.signal * signal_gain(self.value("db_per_ring", state.returns.signal) * of_beam)}

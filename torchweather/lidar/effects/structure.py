@@ -71,7 +71,7 @@ def lobe(
 def _denser(state: LidarState, factor: Tensor, known: Tensor) -> dict[str, Tensor]:
     """The density of each beam times a factor; of a beam without a direction as before."""
     factor = torch.where(known, factor, 1.0)
-    return {"beam_density": factor if state.beam_density is None else state.beam_density * factor}
+    return {"beam_density": factor if state.air.beam_density is None else state.air.beam_density * factor}
 
 
 class LidarParticleDensityAzimuth(Effect):
@@ -205,7 +205,7 @@ class LidarParticleSizes(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The factors, ``(B, 4)``."""
-        found = [self.value(one.name, state.signal[:, 0, 0]).expand(state.batch) for one in self.arguments]
+        found = [self.value(one.name, state.returns.signal[:, 0, 0]).expand(state.batch) for one in self.arguments]
         return {"size_factors": torch.stack(found, -1)}
 
 
@@ -269,14 +269,16 @@ class LidarSharedParticles(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Echoes of particles, those of the row before where the two beams share them."""
-        like = state.clear_range_m
-        particle = state.kind == PARTICLE
-        range_m = torch.where(particle & (state.signal > 0), state.range_m, 0.0)
+        like = state.scene.clear_range_m
+        particle = state.returns.kind == PARTICLE
+        range_m = torch.where(particle & (state.returns.signal > 0), state.returns.range_m, 0.0)
         # The strongest is listed first; the farthest decides whether both beams reach it.
-        strongest = range_m.gather(-1, torch.where(particle, state.signal, -1.0).argmax(-1, keepdim=True))[..., 0]
+        strongest = range_m.gather(-1, torch.where(particle, state.returns.signal, -1.0).argmax(-1, keepdim=True))[
+            ..., 0
+        ]
         farthest = range_m.amax(-1)
         before, farthest_before = _before(strongest), _before(farthest)
-        reached = (farthest < _before(state.reach_m)) & (farthest_before < state.reach_m)
+        reached = (farthest < _before(state.air.reach_m)) & (farthest_before < state.air.reach_m)
         own = torch.where(strongest > 0, strongest, before)
         other = torch.where(before > 0, before, strongest)
         x, y, z = along_beam(state)
@@ -290,20 +292,20 @@ class LidarSharedParticles(Effect):
         source = torch.where(linked, row - 1, row)
         for _ in range(LINKS):  # each time twice as far
             source = source.gather(1, source)
-        source = torch.where(farthest.gather(1, source) < state.reach_m, source, row)
+        source = torch.where(farthest.gather(1, source) < state.air.reach_m, source, row)
         found = {}
         for name in FIELDS:
-            echoes = getattr(state, name)
+            echoes = state.field(name)
             found[name] = torch.where(particle, echoes.gather(1, source[..., None].expand_as(echoes)), echoes)
         return found
 
     def _overlap(self, state: LidarState, step_rad: Tensor, range_m: Tensor) -> Tensor:
         """Share of the cross-section at a range that two beams have together; 0 at range 0."""
-        assert state.sensor is not None
-        divergence_rad = 1e-3 * state.sensor.divergence_mrad + torch.zeros_like(range_m)
-        if state.extra_divergence_rad is not None:
-            divergence_rad = divergence_rad + state.extra_divergence_rad.to(range_m)[:, None]
-        width_m = 1e-3 * state.sensor.exit_diameter_mm + divergence_rad * range_m
+        assert state.receiver.sensor is not None
+        divergence_rad = 1e-3 * state.receiver.sensor.divergence_mrad + torch.zeros_like(range_m)
+        if state.receiver.extra_divergence_rad is not None:
+            divergence_rad = divergence_rad + state.receiver.extra_divergence_rad.to(range_m)[:, None]
+        width_m = 1e-3 * state.receiver.sensor.exit_diameter_mm + divergence_rad * range_m
         overlap = beam_overlap(step_rad * range_m, width_m * self.value("width_factor", range_m))
         return torch.where(range_m > 0, overlap, 0.0)
 

@@ -80,9 +80,9 @@ class Appending(Effect):
 
 def listed(state: RadarState, rows: Tensor, there: Tensor) -> RadarState:
     """The state with rows ``(B, K, 6)`` behind those that it has, and which of them are there."""
-    if state.clutter is not None and state.clutter_valid is not None:
-        rows, there = torch.cat([state.clutter, rows], 1), torch.cat([state.clutter_valid, there], 1)
-    return replace(state, clutter=rows, clutter_valid=there)
+    if state.returns.clutter is not None and state.returns.clutter_valid is not None:
+        rows, there = torch.cat([state.returns.clutter, rows], 1), torch.cat([state.returns.clutter_valid, there], 1)
+    return state.changed(clutter=rows, clutter_valid=there)
 
 
 class RadarMultipath(Appending):
@@ -127,35 +127,35 @@ class RadarMultipath(Appending):
 
     def _together(self, state: RadarState) -> Tensor:
         """w: share of the second echo's amplitude in the target's cell, ``()`` or ``(B, 1)``."""
-        assert state.sensor is not None
-        bins = self.value("delay_m", state.gain_db) / state.sensor.range_resolution_m
+        assert state.receiver.sensor is not None
+        bins = self.value("delay_m", state.returns.gain_db) / state.receiver.sensor.range_resolution_m
         return torch.sinc(bins) + 0.5 * (torch.sinc(bins - 1.0) + torch.sinc(bins + 1.0))
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains of the targets."""
-        phase = 2.0 * math.pi * noise["phase"].to(state.gain_db)
+        phase = 2.0 * math.pi * noise["phase"].to(state.returns.gain_db)
         second = self.value("amplitude", phase) * self._together(state)
         power = 1.0 + 2.0 * second * phase.cos() + second.square()
         more_db = power.clamp_min(FAINTEST).log() / DB
-        return {"gain_db": state.gain_db + torch.where(state.range_m > 0, more_db, 0.0)}
+        return {"gain_db": state.returns.gain_db + torch.where(state.scene.range_m > 0, more_db, 0.0)}
 
     def appended(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with a row for the ghost of each target."""
-        assert state.sensor is not None
-        range_m, power_in = state.range_m, state.points_in[..., POWER]
+        assert state.receiver.sensor is not None
+        range_m, power_in = state.scene.range_m, state.scene.points_in[..., POWER]
         amplitude, delay_m = (self.value(name, range_m) for name in ("amplitude", "delay_m"))
         fainter_db = 2.0 * amplitude.clamp_min(FAINTEST).log() / DB
-        fainter_db = fainter_db - 2e-3 * state.attenuation_db_per_km[:, None] * delay_m
-        power_db = power_in + state.gain_db + fainter_db
+        fainter_db = fainter_db - 2e-3 * state.air.attenuation_db_per_km[:, None] * delay_m
+        power_db = power_in + state.returns.gain_db + fainter_db
         ghost_m = range_m + delay_m
-        there = (range_m > 0) & (state.kind != LOST) & (power_db >= state.detected_from_db[:, None])
-        there = there & (delay_m >= MAIN_LOBE_BINS * state.sensor.range_resolution_m)
-        there = there & (ghost_m < state.sensor.max_range_m) & (amplitude > 0)
+        there = (range_m > 0) & (state.returns.kind != LOST) & (power_db >= state.detected_from_db[:, None])
+        there = there & (delay_m >= MAIN_LOBE_BINS * state.receiver.sensor.range_resolution_m)
+        there = there & (ghost_m < state.receiver.sensor.max_range_m) & (amplitude > 0)
         longer = ghost_m / torch.where(range_m > 0, range_m, 1.0)
         # The radar equation of what is seen there, the weather's loss in it as in all clutter.
-        rcs_dbsm = state.points_in[..., RCS] + power_db - power_in + 4.0 * longer.clamp_min(FAINTEST).log() / DB
-        place = state.points_in[..., :3] * longer[..., None]
-        rows = torch.cat([place, torch.stack([state.points_in[..., SPEED], power_db, rcs_dbsm], -1)], -1)
+        rcs_dbsm = state.scene.points_in[..., RCS] + power_db - power_in + 4.0 * longer.clamp_min(FAINTEST).log() / DB
+        place = state.scene.points_in[..., :3] * longer[..., None]
+        rows = torch.cat([place, torch.stack([state.scene.points_in[..., SPEED], power_db, rcs_dbsm], -1)], -1)
         rows = torch.where(there[..., None], rows, 0.0)
         return listed(state, rows, there)
 
@@ -203,20 +203,22 @@ class RadarVolumeClutter(Appending):
 
     def appended(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with the clutter of each weather."""
-        assert state.sensor is not None
-        assert state.weathers is not None
-        assert state.rates_mm_per_h is not None
+        assert state.receiver.sensor is not None
+        assert state.air.weathers is not None
+        assert state.air.rates_mm_per_h is not None
         if is_exporting():
             raise InputValueError(
                 "RadarVolumeClutter: no graph can hold it, as it learns from the state what falls. Export "
                 "RadarAttenuation(clutter=True), whose share is 1."
             )
-        for weather in state.weathers:
+        for weather in state.air.weathers:
             if not isinstance(weather, (Rain, Snow)):
                 continue
             kind = weather.kind
-            stage = _clutter(weather, state.sensor, state.ego_speed_m_per_s, state.gain_db.device)
-            values = {"share": self.share, "falling.rate_mm_per_h": state.rates_mm_per_h[kind]}
+            stage = _clutter(
+                weather, state.receiver.sensor, state.receiver.ego_speed_m_per_s, state.returns.gain_db.device
+            )
+            values = {"share": self.share, "falling.rate_mm_per_h": state.air.rates_mm_per_h[kind]}
             own = {k.removeprefix(f"{kind}_"): v for k, v in noise.items() if k.startswith(f"{kind}_")}
             state = torch.func.functional_call(stage, values, (state, own))
         return state

@@ -72,20 +72,20 @@ class RadarWetRadome(Effect):
 
     def two_way_db(self, state: RadarState) -> Tensor:
         """What the cover costs now, ``(B,)``."""
-        assert state.rates_mm_per_h is not None
-        like = state.cover_loss_db
-        rain = state.rates_mm_per_h.get("rain", torch.zeros_like(like)).to(like)[:, None]
+        assert state.air.rates_mm_per_h is not None
+        like = state.receiver.cover_loss_db
+        rain = state.air.rates_mm_per_h.get("rain", torch.zeros_like(like)).to(like)[:, None]
         age = torch.zeros_like(rain)
-        if state.past_rain_mm_per_h is not None and state.past_rain_min is not None:
-            rain = torch.cat([rain, state.past_rain_mm_per_h.to(like)], 1)
-            age = torch.cat([age, state.past_rain_min.to(like)], 1)
+        if state.air.past_rain_mm_per_h is not None and state.air.past_rain_min is not None:
+            rain = torch.cat([rain, state.air.past_rain_mm_per_h.to(like)], 1)
+            age = torch.cat([age, state.air.past_rain_min.to(like)], 1)
         return wet_cover_loss_db(rain, age, *(self.value(parameter.name, like) for parameter in self.arguments))
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains, and the cover's own loss, which clutter has too."""
         loss = self.two_way_db(state)
-        of_targets = torch.where(state.range_m > 0, loss[:, None], 0.0)
-        return {"gain_db": state.gain_db - of_targets, "cover_loss_db": state.cover_loss_db + loss}
+        of_targets = torch.where(state.scene.range_m > 0, loss[:, None], 0.0)
+        return {"gain_db": state.returns.gain_db - of_targets, "cover_loss_db": state.receiver.cover_loss_db + loss}
 
 
 class RadarPathLossScale(Effect):
@@ -110,9 +110,9 @@ class RadarPathLossScale(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains of the targets, and the attenuation of the air, which clutter has too."""
-        per_km, factor = state.attenuation_db_per_km, self.value("factor", state.attenuation_db_per_km)
-        more_db = 2e-3 * ((factor - 1.0) * per_km)[:, None] * state.range_m
-        return {"gain_db": state.gain_db - more_db, "attenuation_db_per_km": factor * per_km}
+        per_km, factor = state.air.attenuation_db_per_km, self.value("factor", state.air.attenuation_db_per_km)
+        more_db = 2e-3 * ((factor - 1.0) * per_km)[:, None] * state.scene.range_m
+        return {"gain_db": state.returns.gain_db - more_db, "attenuation_db_per_km": factor * per_km}
 
 
 class RadarPatternTilt(Effect):
@@ -142,16 +142,18 @@ class RadarPatternTilt(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains by direction, and the tilt, which clutter follows."""
-        assert state.sensor is not None
-        x, y, z = state.points_in[..., :3].unbind(-1)
-        azimuth = torch.atan2(y, torch.where(state.range_m > 0, x, 1.0))
-        elevation = torch.asin((z / torch.where(state.range_m > 0, state.range_m, 1.0)).clamp(-1.0, 1.0))
+        assert state.receiver.sensor is not None
+        x, y, z = state.scene.points_in[..., :3].unbind(-1)
+        azimuth = torch.atan2(y, torch.where(state.scene.range_m > 0, x, 1.0))
+        elevation = torch.asin((z / torch.where(state.scene.range_m > 0, state.scene.range_m, 1.0)).clamp(-1.0, 1.0))
         off = azimuth - self.value("angle_rad", azimuth)
         off = off - 2.0 * math.pi * (off / (2.0 * math.pi)).round()
-        more_db = 2.0 * (state.sensor.gain_dbi(off, elevation) - state.sensor.gain_dbi(azimuth, elevation))
-        tilt = self.value("angle_rad", state.cover_loss_db).expand(state.batch)
-        gain_db = state.gain_db + torch.where(state.range_m > 0, more_db, 0.0)
-        return {"gain_db": gain_db, "pattern_tilt_rad": plus(state.pattern_tilt_rad, tilt)}
+        more_db = 2.0 * (
+            state.receiver.sensor.gain_dbi(off, elevation) - state.receiver.sensor.gain_dbi(azimuth, elevation)
+        )
+        tilt = self.value("angle_rad", state.receiver.cover_loss_db).expand(state.batch)
+        gain_db = state.returns.gain_db + torch.where(state.scene.range_m > 0, more_db, 0.0)
+        return {"gain_db": gain_db, "pattern_tilt_rad": plus(state.receiver.pattern_tilt_rad, tilt)}
 
 
 @dataclass(frozen=True)
@@ -204,16 +206,16 @@ class RadarWetRcs(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains by class."""
-        assert state.target_class is not None
-        given = self.gain_db.to(state.gain_db)
-        classes = state.target_class.long().expand(state.batch, -1)
-        known = torch.where((classes >= 0) & (state.range_m > 0), 1.0, 0.0).to(given)
+        assert state.scene.target_class is not None
+        given = self.gain_db.to(state.returns.gain_db)
+        classes = state.scene.target_class.long().expand(state.batch, -1)
+        known = torch.where((classes >= 0) & (state.scene.range_m > 0), 1.0, 0.0).to(given)
         if not given.ndim:
-            return {"gain_db": state.gain_db + known * given}
+            return {"gain_db": state.returns.gain_db + known * given}
         of_class = given.expand(state.batch, -1)
         count = of_class.shape[-1]
         own = of_class.gather(1, classes.clamp(0, count - 1))
-        return {"gain_db": state.gain_db + known * torch.where(classes < count, own, 0.0)}
+        return {"gain_db": state.returns.gain_db + known * torch.where(classes < count, own, 0.0)}
 
 
 class RadarFluctuation(Effect):
@@ -246,10 +248,10 @@ class RadarFluctuation(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains of the targets."""
-        drawn = noise["power"].to(state.gain_db)
+        drawn = noise["power"].to(state.returns.gain_db)
         std = self.value("log_std_db", drawn)
         more_db = std * drawn - 0.5 * DB * std.square()
-        return {"gain_db": state.gain_db + torch.where(state.range_m > 0, more_db, 0.0)}
+        return {"gain_db": state.returns.gain_db + torch.where(state.scene.range_m > 0, more_db, 0.0)}
 
 
 def plus(before: Tensor | None, more: Tensor) -> Tensor:
@@ -259,4 +261,4 @@ def plus(before: Tensor | None, more: Tensor) -> Tensor:
 
 def of_state(effect: Effect, name: str, state: RadarState) -> Tensor:
     """A parameter as one number for each sample, ``(B,)``."""
-    return effect.value(name, state.cover_loss_db).expand(state.batch)
+    return effect.value(name, state.receiver.cover_loss_db).expand(state.batch)

@@ -61,7 +61,7 @@ class RadarNoiseFloor(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """By how much the floor is higher."""
-        return {"noise_shift_db": plus(state.noise_shift_db, of_state(self, "shift_db", state))}
+        return {"noise_shift_db": plus(state.receiver.noise_shift_db, of_state(self, "shift_db", state))}
 
 
 class RadarCfarShift(Appending):
@@ -114,7 +114,7 @@ class RadarCfarShift(Appending):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """By how much the threshold is higher."""
-        return {"threshold_shift_db": plus(state.threshold_shift_db, of_state(self, "shift_db", state))}
+        return {"threshold_shift_db": plus(state.receiver.threshold_shift_db, of_state(self, "shift_db", state))}
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state after the effect; one that requires a gradient needs no noise while it lists none."""
@@ -130,9 +130,9 @@ class RadarCfarShift(Appending):
 
     def appended(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
         """The state with what is detected of noise."""
-        sensor = state.sensor
+        sensor = state.receiver.sensor
         assert sensor is not None
-        drawn = {name: values.to(state.gain_db) for name, values in noise.items()}
+        drawn = {name: values.to(state.returns.gain_db) for name, values in noise.items()}
         now_db = (state.detected_from_db - state.floor_db)[:, None]
         now, before = (DB * now_db).exp(), (DB * (now_db - of_state(self, "shift_db", state)[:, None])).exp()
         between = 1.0 - (-(before - now).clamp_min(0.0)).exp()  # of what exceeds the lower threshold
@@ -185,9 +185,9 @@ class RadarInterference(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """By how much the floor is higher."""
-        tossed = noise["hit"][:, 0].to(state.cover_loss_db)
+        tossed = noise["hit"][:, 0].to(state.receiver.cover_loss_db)
         level = torch.where(tossed < of_state(self, "probability", state), of_state(self, "level_db", state), 0.0)
-        return {"noise_shift_db": plus(state.noise_shift_db, level)}
+        return {"noise_shift_db": plus(state.receiver.noise_shift_db, level)}
 
 
 class RadarDopplerSpread(Effect):
@@ -220,10 +220,12 @@ class RadarDopplerSpread(Effect):
         """Speeds of the targets, and what clutter's scatter by."""
         own = of_state(self, "std_m_per_s", state)
         error = own[:, None] * noise["error"].to(own)
-        column = torch.arange(state.points_in.shape[-1], device=own.device) == SPEED
-        moved = (state.range_m > 0)[..., None] & column
-        points = torch.where(moved, state.points_in + error[..., None].to(state.points_in), state.points_in)
-        before = state.speed_std_m_per_s
+        column = torch.arange(state.scene.points_in.shape[-1], device=own.device) == SPEED
+        moved = (state.scene.range_m > 0)[..., None] & column
+        points = torch.where(
+            moved, state.scene.points_in + error[..., None].to(state.scene.points_in), state.scene.points_in
+        )
+        before = state.receiver.speed_std_m_per_s
         return {
             "points_in": points,
             "speed_std_m_per_s": own if before is None else (own.square() + before.square()).sqrt(),
@@ -255,15 +257,15 @@ class RadarRangeMigration(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The list that goes out, its places moved along their directions."""
-        assert state.points is not None
-        assert state.frame_number is not None
-        place = state.points[..., :3]
+        assert state.returns.points is not None
+        assert state.scene.frame_number is not None
+        place = state.returns.points[..., :3]
         range_m = place.square().sum(-1).sqrt()
-        there = (state.kind != LOST) & (range_m > 0)
-        drift = of_state(self, "m_per_frame", state) * state.frame_number.to(range_m)
+        there = (state.returns.kind != LOST) & (range_m > 0)
+        drift = of_state(self, "m_per_frame", state) * state.scene.frame_number.to(range_m)
         longer = (1.0 + drift[:, None] / torch.where(there, range_m, 1.0)).clamp_min(0.0)
         moved = torch.where(there[..., None], place * longer[..., None], place)
-        return {"points": torch.cat([moved, state.points[..., 3:]], -1)}
+        return {"points": torch.cat([moved, state.returns.points[..., 3:]], -1)}
 
 
 class RadarDetectionLimit(Effect):
@@ -293,15 +295,15 @@ class RadarDetectionLimit(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Kinds, and the clutter that is left."""
-        assert state.snr_db is not None
-        strength = torch.where(state.kind == LOST, -torch.inf, state.snr_db.detach())
+        assert state.returns.snr_db is not None
+        strength = torch.where(state.returns.kind == LOST, -torch.inf, state.returns.snr_db.detach())
         # The rank of each is the place at which a second sort finds it.
         order = torch.sort(strength, dim=-1, descending=True).indices
         rank = torch.sort(order, dim=-1).indices
         dropped = rank >= self.value("max_count", strength)
-        found = {"kind": state.kind.masked_fill(dropped, LOST)}
-        if state.clutter is not None and state.clutter_valid is not None:
-            kept = ~dropped[:, state.points_in.shape[1] :]
-            found["clutter"] = torch.where(kept[..., None], state.clutter, 0.0)
-            found["clutter_valid"] = state.clutter_valid & kept
+        found = {"kind": state.returns.kind.masked_fill(dropped, LOST)}
+        if state.returns.clutter is not None and state.returns.clutter_valid is not None:
+            kept = ~dropped[:, state.scene.points_in.shape[1] :]
+            found["clutter"] = torch.where(kept[..., None], state.returns.clutter, 0.0)
+            found["clutter_valid"] = state.returns.clutter_valid & kept
         return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -17,22 +18,32 @@ __all__ = ["PowerMapState", "lines_of_sight", "map_state"]
 
 
 @dataclass(frozen=True)
-class PowerMapState(RadarState):
-    """A batch of maps. The detections of ``RadarState`` are the cells over range and azimuth, R x A of them.
+class RadarMaps:
+    """Maps that came in and go out; S are the sizes of their dimensions.
 
     Args:
-        map_in: ``(B, *S)`` the maps as they came, S the sizes of their dimensions.
+        map_in: ``(B, *S)`` the maps as they came.
         map_clutter: ``(B, *S)`` mean echo of the weather over the mean noise of clear air, a ratio of powers; ``None``
             is none.
         map_out: ``(B, *S)`` the maps that go out; ``None`` until the receiver.
     """
 
-    map_in: Tensor | None = None
+    map_in: Tensor
     map_clutter: Tensor | None = None
     map_out: Tensor | None = None
 
 
-torch.export.register_dataclass(PowerMapState, serialized_type_name="torchweather.PowerMapState")
+@dataclass(frozen=True)
+class PowerMapState(RadarState):
+    """A batch of maps. The detections of ``RadarState`` are the cells over range and azimuth, R x A of them."""
+
+    parts: ClassVar[dict[str, type[Any]]] = {**RadarState.parts, "maps": RadarMaps}
+
+    maps: RadarMaps
+
+
+for _part in (RadarMaps, PowerMapState):
+    torch.export.register_dataclass(_part, serialized_type_name=f"torchweather.{_part.__name__}")
 
 
 def map_state(values: Tensor, axes: MapAxes, sensor: Radar, ego_speed_m_per_s: float = 0.0) -> PowerMapState:
@@ -50,7 +61,7 @@ def map_state(values: Tensor, axes: MapAxes, sensor: Radar, ego_speed_m_per_s: f
     range_m = torch.linalg.vector_norm(place, dim=-1)
     nothing = torch.zeros_like(range_m)
     each = points.new_zeros(values.shape[0])
-    return PowerMapState(
+    return PowerMapState.of(
         points_in=points,
         range_m=range_m,
         gain_db=nothing,

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -118,7 +117,7 @@ class MapClutter(Stage):
         """The state with this weather's echo added."""
         if self.share == 0:
             return state
-        gain_db = state.gain_db
+        gain_db = state.returns.gain_db
         eta, fall, fall_std = (value.to(gain_db) for value in self.falling(state.batch))
         of_path = (
             self._over_range(gain_db)[None]
@@ -132,9 +131,9 @@ class MapClutter(Stage):
         if "doppler" in self.axes.dims:
             share = self.doppler_share(fall, fall_std)
             found = found * self.axes.laid_out(share, ("azimuth", "elevation", "doppler"))
-        if state.map_clutter is not None:
-            found = found + state.map_clutter
-        return replace(state, map_clutter=found)
+        if state.maps.map_clutter is not None:
+            found = found + state.maps.map_clutter
+        return state.changed(map_clutter=found)
 
     @property
     def _line_shape(self) -> tuple[int, int]:
@@ -154,11 +153,11 @@ class MapClutter(Stage):
 
     def _density(self, state: PowerMapState) -> Tensor:
         """``(B, R, A)`` of particles over that of uniform air; 1 without patches."""
-        if state.patches is None:
-            return state.gain_db.new_ones(1, 1, 1)
-        range_m = self.axes.axis("range", state.gain_db)[None, :, None]
-        azimuth = within_half_turn(self.axes.axis("azimuth", state.gain_db))[None, None]
-        density: Tensor = state.patches.banks(self.weather).at(azimuth, range_m)
+        if state.air.patches is None:
+            return state.returns.gain_db.new_ones(1, 1, 1)
+        range_m = self.axes.axis("range", state.returns.gain_db)[None, :, None]
+        azimuth = within_half_turn(self.axes.axis("azimuth", state.returns.gain_db))[None, None]
+        density: Tensor = state.air.patches.banks(self.weather).at(azimuth, range_m)
         return density
 
     def _pattern(self, like: Tensor) -> Tensor:

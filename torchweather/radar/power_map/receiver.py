@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -138,16 +137,20 @@ class MapReceiver(Stage):
 
     def forward(self, state: PowerMapState, noise: Mapping[str, Tensor]) -> PowerMapState:
         """The state with the maps that go out."""
-        values = state.map_in
+        values = state.maps.map_in
         assert values is not None
         batch = state.batch
-        gain_db = self.axes.laid_out(state.gain_db.reshape(batch, len(self.axes.range_m), -1), ("range", "azimuth"))
+        gain_db = self.axes.laid_out(
+            state.returns.gain_db.reshape(batch, len(self.axes.range_m), -1), ("range", "azimuth")
+        )
         kept = torch.exp(DB * gain_db)
-        shift = torch.zeros_like(state.floor_db) if state.noise_shift_db is None else state.noise_shift_db
+        shift = (
+            torch.zeros_like(state.floor_db) if state.receiver.noise_shift_db is None else state.receiver.noise_shift_db
+        )
         level = torch.exp(DB * shift).reshape(-1, *(1,) * (values.ndim - 1))
         added = (level - kept).clamp_min(0.0)
-        if state.map_clutter is not None:
-            added = added + state.map_clutter
+        if state.maps.map_clutter is not None:
+            added = added + state.maps.map_clutter
         changed = ((gain_db != 0) | (added != 0)).expand(values.shape)
         floor_db = self.floor_db(values)
         if self.scale.kind == "complex":
@@ -158,7 +161,7 @@ class MapReceiver(Stage):
             power = self._power(values, floor_db, noise)
             shown = self._mixed(power * kept, added, noise)
             out = self.scale.stored(shown.clamp_min(LEAST).log() / DB + floor_db, values)
-        return replace(state, map_out=torch.where(changed, out, values))
+        return state.changed(map_out=torch.where(changed, out, values))
 
     def _power(self, values: Tensor, floor_db: Tensor, noise: Mapping[str, Tensor]) -> Tensor:
         """``(B, *S)`` power over the noise."""

@@ -239,7 +239,7 @@ def _pool(
     points = torch.cat([clear.range_m[start, :, None] * beams, clear.intensity[start, :, None]], -1)
     seeds = torch.from_numpy(np.random.default_rng(list(key)).integers(0, 2**62, len(start)))
     with torch.no_grad():
-        state = replace(transform.state_of(points, beams), grid=tuple(direction.shape[:2]), **clear.geometry)
+        state = transform.state_of(points, beams).changed(grid=tuple(direction.shape[:2]), **clear.geometry)
         out = transform.chain(state, transform.chain.draw(state, seed=seeds)).points
     range_m = out[..., :3].norm(dim=-1)
     intensity = torch.where(range_m > 0, out[..., 3], 0.0)

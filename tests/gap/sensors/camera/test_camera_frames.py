@@ -386,10 +386,10 @@ def test_what_moves_particles_is_rendered_as_the_stage_does(name: str, value: fl
     stage = ParticleVeil([Rain(40.0)], camera, ambient=0.4)
     condition = Study.from_arrays(**values_of(kind="rain")).fit[1]
     state = BayerWeather(Rain(40.0), camera, depth=500.0).state_of(torch.full((2, 1, HEIGHT, WIDTH), 0.3))
-    moved = replace(state, keep_truth=True, **{name: torch.full((2,), value)})
+    moved = state.changed(keep_truth=True, **{name: torch.full((2,), value)})
     noise = stage.draw(moved, seed=torch.tensor([1, 2]), name=stage.default_name)
     exact, other = stage(moved, noise), Rendered(stage, condition)(moved, 0.0, [1, 2])
-    torch.testing.assert_close(other.particle_mask, exact.particle_mask, rtol=2e-3, atol=1e-6)  # float16
+    torch.testing.assert_close(other.image.particle_mask, exact.image.particle_mask, rtol=2e-3, atol=1e-6)  # float16
     assert not torch.allclose(stage(replace(moved, **{name: None}), noise).particle_mask, exact.particle_mask)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def state(clear: float = 10.0, here: float = 2.0, echoes: int = 1) -> LidarState
     """Beams whose object stood so many times over the threshold, and does now; particles of 3 thresholds at 5 m."""
     range_m, signal, kind = (torch.full((1, N, 1), value) for value in (20.0, here * THRESHOLD, float(OBJECT)))
     more = echoes - 1
-    return LidarState(
+    return LidarState.of(
         points_in=torch.tensor([20.0, 0.0, 0.0, 0.3]).expand(1, N, 4),
         empty_direction=None,
         clear_range_m=range_m[..., 0],
@@ -57,7 +57,7 @@ def reported() -> LidarState:
     """What was detected: an object, a particle and nothing in turn."""
     plain = state()
     kind = (torch.arange(N) % 3)[None, :, None].to(torch.int8)
-    return replace(plain, kind=kind, range_m=torch.where(kind == LOST, 0.0, plain.range_m))
+    return plain.changed(kind=kind, range_m=torch.where(kind == LOST, 0.0, plain.returns.range_m))
 
 
 def after(stage: Effect, before: LidarState) -> LidarState:
@@ -77,28 +77,30 @@ def test_a_weaker_signal_gains_the_variance_that_it_lacks(clear: float, here: fl
     v = 0.01
     before = state(clear, here, echoes=2)
     found = after(WeakSignalNoise(variance_at_threshold=v), before)
-    change = relative(found.signal[..., 0], before.signal[..., 0])
+    change = relative(found.returns.signal[..., 0], before.returns.signal[..., 0])
     assert float(change.std()) == pytest.approx(math.sqrt(v * (1.0 / here - 1.0 / clear)), rel=TOLERANCE)
     assert abs(float(change.mean())) < 5.0 * float(change.std()) / math.sqrt(N)
-    assert torch.equal(found.signal[..., 1], before.signal[..., 1])  # particles lack nothing
+    assert torch.equal(found.returns.signal[..., 1], before.returns.signal[..., 1])  # particles lack nothing
 
 
 def test_a_signal_that_did_not_grow_weaker_keeps_its_bits() -> None:
     for here in (10.0, 30.0):
         before = state(10.0, here)
-        assert torch.equal(after(WeakSignalNoise(variance_at_threshold=0.5), before).signal, before.signal)
+        assert torch.equal(
+            after(WeakSignalNoise(variance_at_threshold=0.5), before).returns.signal, before.returns.signal
+        )
 
 
 def test_particles_are_read_with_noise_and_objects_as_they_were() -> None:
     before = reported()
     found = after(ParticleReading(std=0.05), before)
-    particle = before.kind == PARTICLE
-    change = relative(found.signal, before.signal)[particle]
+    particle = before.returns.kind == PARTICLE
+    change = relative(found.signal, before.returns.signal)[particle]
     # A third of the beams.
     assert float(change.std()) == pytest.approx(0.05, rel=2.0 * TOLERANCE)
     assert abs(float(change.mean())) < 5.0 * 0.05 / math.sqrt(N / 3)
-    assert torch.equal(found.signal[~particle], before.signal[~particle])
-    assert torch.equal(found.range_m, before.range_m)
+    assert torch.equal(found.signal[~particle], before.returns.signal[~particle])
+    assert torch.equal(found.range_m, before.returns.range_m)
 
 
 @pytest.mark.parametrize("share", [0.3, -0.4])
@@ -106,29 +108,33 @@ def test_particles_are_brighter_by_a_share(share: float) -> None:
     before = state(echoes=3)
     found = after(EchoGain(share=share), before)
     # Single precision.
-    torch.testing.assert_close(found.signal[..., 1:], before.signal[..., 1:] * (1.0 + share), rtol=1e-6, atol=0.0)
-    assert torch.equal(found.signal[..., :1], before.signal[..., :1])
+    torch.testing.assert_close(
+        found.returns.signal[..., 1:], before.returns.signal[..., 1:] * (1.0 + share), rtol=1e-6, atol=0.0
+    )
+    assert torch.equal(found.returns.signal[..., :1], before.returns.signal[..., :1])
 
 
 @pytest.mark.parametrize("log_scale", [0.02, -0.3])
 def test_objects_are_brighter_by_a_scale(log_scale: float) -> None:
     before = state(echoes=3)
     found = after(ClearScale(log_scale=log_scale), before)
-    torch.testing.assert_close(found.signal[..., 0], before.signal[..., 0] * math.exp(log_scale), rtol=1e-6, atol=0.0)
-    assert torch.equal(found.signal[..., 1:], before.signal[..., 1:])
-    assert torch.equal(found.clear_signal, before.clear_signal)
+    torch.testing.assert_close(
+        found.returns.signal[..., 0], before.returns.signal[..., 0] * math.exp(log_scale), rtol=1e-6, atol=0.0
+    )
+    assert torch.equal(found.returns.signal[..., 1:], before.returns.signal[..., 1:])
+    assert torch.equal(found.scene.clear_signal, before.scene.clear_signal)
 
 
 def test_fog_is_reported_nearer_and_scattered() -> None:
-    before = replace(reported(), range_m=torch.where(reported().kind == PARTICLE, 5.0, 20.0))
+    before = reported().changed(range_m=torch.where(reported().returns.kind == PARTICLE, 5.0, 20.0))
     found = after(FogEchoRange(shift_m=-0.3, spread_m=0.2), before)
-    particle = before.kind == PARTICLE
-    change = (found.range_m - before.range_m)[particle].double()
+    particle = before.returns.kind == PARTICLE
+    change = (found.range_m - before.returns.range_m)[particle].double()
     assert float(change.mean()) == pytest.approx(-0.3, abs=5.0 * 0.2 / math.sqrt(N / 3))
     assert float(change.std()) == pytest.approx(0.2, rel=2.0 * TOLERANCE)
-    assert torch.equal(found.range_m[~particle], before.range_m[~particle])
-    assert torch.equal(found.signal, before.signal)
-    near = after(FogEchoRange(shift_m=-5.0), replace(before, range_m=before.range_m * 0.1))
+    assert torch.equal(found.range_m[~particle], before.returns.range_m[~particle])
+    assert torch.equal(found.signal, before.returns.signal)
+    near = after(FogEchoRange(shift_m=-5.0), before.changed(range_m=before.returns.range_m * 0.1))
     assert bool((near.range_m[particle] == 0.1).all())  # not behind the sensor
 
 
@@ -140,9 +146,9 @@ def test_at_its_identity_a_stage_changes_no_bit(stage: Effect) -> None:
     assert bool(stage.at_identity)
     for before in (state(echoes=2), reported()):
         found = after(stage, before)
-        for field in fields(LidarState):
-            one, other = getattr(before, field.name), getattr(found, field.name)
-            assert torch.equal(one, other) if isinstance(one, Tensor) else one == other, field.name
+        for field in LidarState.part_of:
+            one, other = before.field(field), found.field(field)
+            assert torch.equal(one, other) if isinstance(one, Tensor) else one == other, field
     assert stage.id not in EFFECTS  # never an answer
 
 
@@ -212,7 +218,7 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
     gain = scene.gain[:3, None]
     points = torch.cat([model.direction * scene.range_m[:3, :, None], (scene.intensity[:3] / gain)[..., None]], -1)
     begin = transform.state_of(points, model.direction)
-    begin = replace(begin, grid=model.grid, cos_incidence=scene.cos_incidence[None], up=scene.up[None])  # type: ignore[index]
+    begin = begin.changed(grid=model.grid, cos_incidence=scene.cos_incidence[None], up=scene.up[None])  # type: ignore[index]
     for loss_db in (0.5, 3.0, 0.5):  # the second and third start from what the first kept
         effects = [EFFECTS["lidar.wet_target"](share=0.2), EFFECTS["lidar.window_loss"](loss_db=loss_db), *opened]
         chain = with_effects(transform.chain, effects[:2])

@@ -543,8 +543,8 @@ def state(power_db: float, loss_db: float, number: int) -> RadarState:
     points = torch.zeros(1, number, 6, dtype=torch.float64)
     points[..., 0], points[..., 4] = 50.0, power_db
     found = RadarAttenuation(Fog(math.inf), SENSOR).state_of(points)
-    return replace(
-        found, gain_db=torch.full((1, number), -loss_db, dtype=torch.float64), noise_floor_db=torch.zeros(1).double()
+    return found.changed(
+        gain_db=torch.full((1, number), -loss_db, dtype=torch.float64), noise_floor_db=torch.zeros(1).double()
     )
 
 
@@ -555,9 +555,9 @@ def test_a_weakened_target_is_as_noisy_as_one_that_was_weak_from_the_start() -> 
     noise = rng.normal(size=(2, number)) * math.sqrt(0.5)
     clear = (math.sqrt(snr) + noise[0]) ** 2 + noise[1] ** 2
     before = state(0.0, 10.0 * math.log10(loss), number)
-    points = before.points_in.clone()
+    points = before.scene.points_in.clone()
     points[0, :, 4] = torch.from_numpy(10.0 * np.log10(clear))
-    before = replace(before, points_in=points)
+    before = before.changed(points_in=points)
     stage = ReceiverNoise(share=1.0)
     drawn = {k: v.double() for k, v in stage.draw(before, seed=torch.tensor([5])).items()}
     gain = stage(before, drawn).gain_db[0].numpy()

@@ -268,7 +268,7 @@ class CameraFrames:
             }
             with torch.no_grad():
                 state = transform.state_of(scene.reference, scene.depth_m[None])
-                modelled = Chain(fog)(state, {}).signal if fog else scene.reference
+                modelled = Chain(fog)(state, {}).image.signal if fog else scene.reference
             edges = self._clear_sums[condition.scene].edges
             found = CameraSums(scene, self.layout, self._pattern, self._colours, modelled, edges)
             with self._lock:
@@ -330,18 +330,18 @@ class CameraFrames:
         normal = None if scene.normal is None else scene.normal[None]
         # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
         state = self.transform(condition).state_of(scene.reference[row], scene.depth_m[None], normal)
-        state, noisy = replace(state, keep_truth=True), False
+        state, noisy = state.changed(keep_truth=True), False
         for name, stage in chain.stages.items():
             if not noisy and name in BEHIND_THE_NOISE:
-                light = scene.with_noise(state.signal, state.transmission, _covered(state), row)
-                state, noisy = replace(state, signal=light), True
+                light = scene.with_noise(state.image.signal, state.image.transmission, _covered(state), row)
+                state, noisy = state.changed(signal=light), True
             if isinstance(stage, ParticleVeil):
                 state = self._veiled(stage, condition, state, log_intensity, seeds)
             else:
                 with_intensity = isinstance(stage, ExtinctionAndAirlight) and log_intensity != 0
                 found = _at_visibility(stage, math.exp(log_intensity)) if with_intensity else stage
                 state = found(state, self._noise(stage, name, condition, state, seeds))
-        return state.signal
+        return state.image.signal
 
     def _noise(
         self, stage: Stage, name: str, condition: Condition, state: CameraState, seeds: list[int]
@@ -384,7 +384,7 @@ def _frames(condition: Condition) -> Tensor:
 
 def _covered(state: CameraState) -> Tensor | None:
     """Share of the exposure in which particles hide what is behind them, ``(F, 1, H, W)``."""
-    mask, contrast = state.particle_mask, state.particle_contrast
+    mask, contrast = state.image.particle_mask, state.air.particle_contrast
     return mask if mask is None or contrast is None else (mask * contrast.view(-1, 1, 1, 1)).clamp(0.0, 1.0)
 
 

@@ -13,7 +13,6 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -58,7 +57,7 @@ class Rendered:
             log_intensity: logarithm of the rate over its record.
             seeds: one for each frame.
         """
-        if not self.alone or state.fog_extinction_per_m is not None:
+        if not self.alone or state.air.fog_extinction_per_m is not None:
             noise = self.stage.draw(state, seed=torch.tensor(seeds), name=self.stage.default_name)
             return self._at(log_intensity)(state, noise)  # type: ignore[no-any-return]
         return self.stage.behind(state, self._optical(state, log_intensity, seeds).neg_().expm1_().neg_())
@@ -77,12 +76,12 @@ class Rendered:
 
     def _optical(self, state: CameraState, log_intensity: float, seeds: list[int]) -> Tensor:
         """Optical depth of the particles of each frame, ``(F, 1, H, W)``; all frames have the same effects."""
-        count = 1.0 if state.particle_count is None else float(state.particle_count[0])
-        total = torch.zeros_like(state.signal)
+        count = 1.0 if state.air.particle_count is None else float(state.air.particle_count[0])
+        total = torch.zeros_like(state.image.signal)
         if count == 0.0:
             return total
         more = max(count, LEAST_COUNT)
-        way = {name: float(given[0]) for name in WAYS if (given := getattr(state, name)) is not None}
+        way = {name: float(given[0]) for name in WAYS if (given := state.field(name)) is not None}
         if way:  # seldom twice the same
             rendered = self._render(state, log_intensity, math.log(more), way, seeds)
             return rendered.float().mul_(count / more)
@@ -120,9 +119,8 @@ class Rendered:
         # One value for all frames: what it is looked up for is then looked up once.
         moved = {name: torch.full((1,), value) for name, value in way.items()}
         count = None if log_count == 0.0 else torch.full((1,), math.exp(log_count))
-        bare = replace(
-            state,
-            signal=state.signal[:1].expand(number, -1, -1, -1),
+        bare = state.changed(
+            signal=state.image.signal[:1].expand(number, -1, -1, -1),
             normal=None,
             particle_count=count,
             particle_contrast=None,

@@ -31,8 +31,10 @@ class ParticleContrast(Effect):
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What particles change over the modelled."""
         share: Tensor = self.get_buffer("share")
-        factor = (1.0 + share.to(state.signal)).expand(state.batch)
-        return {"particle_contrast": factor if state.particle_contrast is None else factor * state.particle_contrast}
+        factor = (1.0 + share.to(state.image.signal)).expand(state.batch)
+        return {
+            "particle_contrast": factor if state.air.particle_contrast is None else factor * state.air.particle_contrast
+        }
 
 
 class AirlightError(Effect):
@@ -53,6 +55,6 @@ class AirlightError(Effect):
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Light of the sky over the modelled one."""
-        more = torch.stack([self.get_buffer(colour).to(state.signal) for colour in ("red", "green", "blue")])
+        more = torch.stack([self.get_buffer(colour).to(state.image.signal) for colour in ("red", "green", "blue")])
         scale = (1.0 + more).expand(state.batch, 3)
-        return {"airlight_scale": scale if state.airlight_scale is None else scale * state.airlight_scale}
+        return {"airlight_scale": scale if state.air.airlight_scale is None else scale * state.air.airlight_scale}

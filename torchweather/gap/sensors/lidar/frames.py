@@ -226,7 +226,7 @@ class LidarFrames:
             range_m, intensity = scene.range_m[row], scene.intensity[row] / scene.gain[row, None]
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
-            state = replace(state, grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
+            state = state.changed(grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
             kept = self._part(chain, condition, log_intensity, state, seeds, 0, first)
             if own:
                 self._keep(key, kept)

@@ -45,13 +45,13 @@ class WeakSignalNoise(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The object's signal, with the noise it lacks."""
-        threshold, signal = state.threshold, state.signal[..., 0]
-        lacking = (threshold / signal.clamp_min(1e-30) - threshold / state.clear_signal.clamp_min(1e-30)).clamp(
+        threshold, signal = state.receiver.threshold, state.returns.signal[..., 0]
+        lacking = (threshold / signal.clamp_min(1e-30) - threshold / state.scene.clear_signal.clamp_min(1e-30)).clamp(
             0.0, 10.0
         )
         spread = (self.value("variance_at_threshold", signal) * lacking).sqrt()
         noisy = signal * (1.0 + spread * noise["noise"].to(signal)).clamp_min(0.0)
-        return {"signal": torch.cat([noisy[..., None], state.signal[..., 1:]], -1)}
+        return {"signal": torch.cat([noisy[..., None], state.returns.signal[..., 1:]], -1)}
 
 
 class ClearScale(Effect):
@@ -73,8 +73,8 @@ class ClearScale(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal of the objects."""
-        objects = state.signal[..., :1] * self.value("log_scale", state.signal).exp()
-        return {"signal": torch.cat([objects, state.signal[..., 1:]], -1)}
+        objects = state.returns.signal[..., :1] * self.value("log_scale", state.returns.signal).exp()
+        return {"signal": torch.cat([objects, state.returns.signal[..., 1:]], -1)}
 
 
 class ParticleReading(Effect):
@@ -99,9 +99,9 @@ class ParticleReading(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal of what was detected."""
-        signal = state.signal
+        signal = state.returns.signal
         noisy = signal * (1.0 + self.value("std", signal) * noise["reading"].to(signal)[..., None]).clamp_min(0.0)
-        return {"signal": torch.where(state.kind == int(PointKind.PARTICLE), noisy, signal)}
+        return {"signal": torch.where(state.returns.kind == int(PointKind.PARTICLE), noisy, signal)}
 
 
 class EchoGain(Effect):
@@ -121,9 +121,9 @@ class EchoGain(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal of the particles."""
-        signal = state.signal
+        signal = state.returns.signal
         brighter = signal * (1.0 + self.value("share", signal))
-        return {"signal": torch.where(state.kind == int(PointKind.PARTICLE), brighter, signal)}
+        return {"signal": torch.where(state.returns.kind == int(PointKind.PARTICLE), brighter, signal)}
 
 
 class FogEchoRange(Effect):
@@ -150,7 +150,7 @@ class FogEchoRange(Effect):
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The range of the reported particles."""
-        range_m = state.range_m
+        range_m = state.returns.range_m
         each = self.value("spread_m", range_m) * noise["shift"].to(range_m)[..., None]
         moved = (range_m + self.value("shift_m", range_m) + each).clamp_min(0.1)
-        return {"range_m": torch.where(state.kind == int(PointKind.PARTICLE), moved, range_m)}
+        return {"range_m": torch.where(state.returns.kind == int(PointKind.PARTICLE), moved, range_m)}

@@ -256,7 +256,7 @@ class RadarFrames:
         state = self._state(transform, scene, row, place)
         state = _with_further(state, *self._further(condition.scene, seeds))
         noise = {
-            f"{name}.{variate}": drawn.to(state.gain_db)
+            f"{name}.{variate}": drawn.to(state.returns.gain_db)
             for name in chain.stages
             for variate, drawn in self._noise(chain, name, condition, state, seeds).items()
         }
@@ -328,7 +328,7 @@ class RadarFrames:
             target_class=torch.from_numpy(known["target_class"].astype(np.int64)),
             frame_number=torch.from_numpy(place),
         )
-        return replace(state, noise_floor_db=torch.from_numpy(clear.floor_db[row]))
+        return state.changed(noise_floor_db=torch.from_numpy(clear.floor_db[row]))
 
     def _noise(
         self, chain: Chain, name: str, condition: Condition, state: RadarState, seeds: list[int]
@@ -393,14 +393,14 @@ def _with_further(state: RadarState, further: Floats, frame: Whole) -> RadarStat
     rows[frame, place, SPEED], rows[frame, place, POWER] = further[:, 3], further[:, 4]
     there = np.zeros(rows.shape[:2], dtype=bool)
     there[frame, place] = True
-    return replace(state, clutter=torch.from_numpy(rows), clutter_valid=torch.from_numpy(there))
+    return state.changed(clutter=torch.from_numpy(rows), clutter_valid=torch.from_numpy(there))
 
 
 def _detections(out: RadarState) -> Detections:
     """The list that comes out of a chain."""
-    assert out.points is not None
-    count = out.points_in.shape[1]
-    points, there = out.points.numpy().astype(np.float64), (out.kind != LOST).numpy()
+    assert out.returns.points is not None
+    count = out.scene.points_in.shape[1]
+    points, there = out.returns.points.numpy().astype(np.float64), (out.returns.kind != LOST).numpy()
     range_m = np.sqrt((points[..., :3] ** 2).sum(-1))
 
     def of_targets(values: Floats) -> Floats:

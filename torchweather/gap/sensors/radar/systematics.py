@@ -65,23 +65,23 @@ class ReceiverNoise(Effect):
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains of the targets."""
-        gain = (state.gain_db * DB).exp()
-        snr = ((state.points_in[..., POWER] - state.noise_floor_db[:, None]) * DB).exp()
-        floor = 1.0 if state.noise_shift_db is None else (state.noise_shift_db * DB).exp()[:, None]
+        gain = (state.returns.gain_db * DB).exp()
+        snr = ((state.scene.points_in[..., POWER] - state.receiver.noise_floor_db[:, None]) * DB).exp()
+        floor = 1.0 if state.receiver.noise_shift_db is None else (state.receiver.noise_shift_db * DB).exp()[:, None]
         lacking = (floor - gain).clamp_min(0.0) * of_state(self, "share", state)[:, None]
         one = (0.5 * lacking).sqrt()
         amplitude = (gain * snr).sqrt()
         real = amplitude + one * noise["real"].to(gain)
         imaginary = one * noise["imaginary"].to(gain)
         noisy = (real.square() + imaginary.square()) / snr
-        there = state.range_m > 0
-        found = {"gain_db": torch.where(there, noisy.clamp_min(FAINTEST).log() / DB, state.gain_db)}
+        there = state.scene.range_m > 0
+        found = {"gain_db": torch.where(there, noisy.clamp_min(FAINTEST).log() / DB, state.returns.gain_db)}
         if self.range_std_m is not None and self.speed_std_m_per_s is not None:
             wider = (lacking / gain).clamp_max(WIDEST).sqrt()
-            speed = state.points_in[..., SPEED] + wider * self.speed_std_m_per_s * noise["speed"].to(gain)
+            speed = state.scene.points_in[..., SPEED] + wider * self.speed_std_m_per_s * noise["speed"].to(gain)
             moved_m = wider * self.range_std_m * noise["range"].to(gain)
-            longer = (1.0 + moved_m / torch.where(there, state.range_m, 1.0)).clamp_min(0.0)
-            place = state.points_in[..., :3] * longer[..., None]
-            points = torch.cat([place, speed[..., None], state.points_in[..., POWER:]], -1)
-            found["points_in"] = torch.where(there[..., None], points, state.points_in)
+            longer = (1.0 + moved_m / torch.where(there, state.scene.range_m, 1.0)).clamp_min(0.0)
+            place = state.scene.points_in[..., :3] * longer[..., None]
+            points = torch.cat([place, speed[..., None], state.scene.points_in[..., POWER:]], -1)
+            found["points_in"] = torch.where(there[..., None], points, state.scene.points_in)
         return found
