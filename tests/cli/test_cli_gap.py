@@ -32,9 +32,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """The search replaced by a made-up one; the arguments that it was called with."""
     given: dict[str, Any] = {"verdict": "named"}
 
-    def made_up(study: Study, *, say: Callable[[str], None], **arguments: Any) -> GapReport:
+    def made_up(study: Study, *, progress: Callable[[str], None], **arguments: Any) -> GapReport:
         given.update(arguments)
-        say("response curves")
+        progress("response curves")
         return report(given["verdict"], study)
 
     monkeypatch.setattr(find, "find_gap", made_up)

@@ -29,10 +29,10 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """A smaller study, and the search replaced by one whose answer is made up; what it was called with."""
     given: dict[str, Any] = {"verdict": "named", "first": lambda: None}
 
-    def made_up(study: Study, *, say: Callable[[str], None], **arguments: Any) -> GapReport:
+    def made_up(study: Study, *, progress: Callable[[str], None], **arguments: Any) -> GapReport:
         given["first"]()
         given.update(arguments, study=study.sha256)
-        say("response curves")
+        progress("response curves")
         return report(given["verdict"], study)
 
     monkeypatch.setattr(find, "find_gap", made_up)
