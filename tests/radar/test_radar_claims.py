@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest import mock
 
 import pytest
 import torch
@@ -34,7 +35,8 @@ def example() -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # its dataclasses look themselves up there
-    spec.loader.exec_module(module)
+    with mock.patch.object(sys, "path", [str(EXAMPLE.parent), *sys.path]):  # examples share parts
+        spec.loader.exec_module(module)
     return module
 
 
