@@ -19,7 +19,7 @@ from torchweather.stages import Effect
 # Of the camera's study: a small frame, and the electrons of a saturated pixel and of its readout (orders of magnitude).
 CAMERA_PX = (240, 180)
 FULL_WELL_ELECTRONS, READ_ELECTRONS = 10_000.0, 5.0
-# Of the radar's: targets, by how much they exceed the threshold in clear air, and the floor of its list.
+# Radar: number of targets, their margin above the threshold in clear air, and the noise floor of the list.
 TARGETS, MARGINS_DB, FLOOR_DB = 120, (1.0, 35.0), -125.0
 FLOOR_READ_DB = 0.03  # to which the mean of so many cells is known
 CLEAR_FRAMES, FRAMES, REL_SD = 8, 5, 0.1

@@ -82,6 +82,6 @@ def report_noise(held: Held, answers: Sequence[GapReport]) -> None:
     share = 100.0 * rest**2 / rmse[0] ** 2
     print(
         f"\nOf a 5-min RMSE of {rmse[0]:.2f} dB a conditional bias of {rmse[2]:.2f} dB is left of the model, and "
-        f"{dry:.2f} dB is what the links scatter in dry air. The rest, {rest:.2f} dB or {share:.0f} % in square, comes "
-        "and goes with the rain: above all what falls on the path and the reference does not see."
+        f"{dry:.2f} dB is what the links scatter in dry air. The rest, {rest:.2f} dB or {share:.0f} % of the variance, "
+        "comes and goes with the rain: above all what falls on the path and the reference does not see."
     )

@@ -96,7 +96,7 @@ def test_the_effects_have_the_density_of_the_fit(fit: Any) -> None:
     for effect in ("particle_density_azimuth", "particle_density_elevation"):
         state = lidar.chain.stages[effect](state, {})
     wanted = fit.Density(**TRUTH).of(snow) / 0.2
-    np.testing.assert_allclose(state.beam_density[0].double().numpy(), wanted, rtol=2e-4)
+    np.testing.assert_allclose(state.air.beam_density[0].double().numpy(), wanted, rtol=2e-4)
 
 
 def test_sizes_are_found_from_the_ranges_that_they_give(fit: Any) -> None:

@@ -111,7 +111,7 @@ def test_wrong_constructor_arguments_are_refused(build: Any, kind: type[Exceptio
         build()
 
 
-def test_a_intensity_of_another_shape_than_the_batch_is_refused() -> None:
+def test_an_intensity_of_another_shape_than_the_batch_is_refused() -> None:
     fog = BayerFog(Fog(torch.tensor([20.0, 50.0])), CAMERA, depth=20.0, airlight=0.7)
     assert fog(frame(2)).shape == (2, 1, H, W)
     for batch in ((), (3,), (2, 2)):

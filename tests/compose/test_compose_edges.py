@@ -82,7 +82,7 @@ def test_a_transform_moved_to_another_dtype_is_the_same_transform() -> None:
     assert torch.equal(found, wanted)
 
 
-def test_a_intensity_that_a_draw_cannot_hold_is_refused() -> None:
+def test_an_intensity_that_a_draw_cannot_hold_is_refused() -> None:
     fitted = tw.Rain(torch.tensor(20.0, requires_grad=True))
     refused("requires a gradient", lambda: tw.Compose({"points": tw.LidarRain(fitted, LIDAR)}))
     each = tw.Mixture(tw.Rain(torch.tensor([5.0, 50.0])), tw.Fog(mor_m=90.0))

@@ -355,8 +355,8 @@ def test_rates_of_a_mixture_are_named_by_their_kind() -> None:
     assert traceable.inputs[:4] == ["points", "mor_m", "rain_rate_mm_per_h", "snow_rate_mm_per_h"]
 
 
-def test_a_intensity_for_each_sample_is_no_part_of_the_graph() -> None:
-    """Two rates given in the constructor fit two samples; the graph's weather_intensity fits any number of them."""
+def test_an_intensity_for_each_sample_is_no_part_of_the_graph() -> None:
+    """Two rates given in the constructor fit two samples; the graph's input fits any number of them."""
     many = LidarRain(Rain(torch.tensor([1.0, 2.0, 3.0])), lidar())
     traceable = traceable_lidar(many, 10, 4, None)
     cloud, kind = traceable.module(*traceable.arguments)
@@ -399,7 +399,7 @@ def test_a_graph_is_told_where_beams_without_return_end(tmp_path: Path) -> None:
     inputs = to_onnx(transform, tmp_path / "snow.onnx", points=TRACED, columns=4, directions=True)
     assert inputs[:3] == ["points", "directions", "reach_m"]
     points, along = cloud_and_directions(1, 900)
-    reach_m = transform.state_of(points, along).reach_m
+    reach_m = transform.state_of(points, along).air.reach_m
     session = onnxruntime.InferenceSession(tmp_path / "snow.onnx", providers=["CPUExecutionProvider"])
     noise = draw_feed(session, points=900, seed=range(3, 4))
     given = {"points": points.numpy(), "directions": along.numpy(), "reach_m": reach_m.numpy()}

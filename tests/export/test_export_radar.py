@@ -277,7 +277,7 @@ def test_the_transform_is_left_as_it_was(graphs: Callable[[str], Graph], name: s
     assert not list(graph.path.parent.glob(".*"))  # nothing half written
 
 
-def test_a_intensity_for_each_sample_is_no_part_of_the_graph() -> None:
+def test_an_intensity_for_each_sample_is_no_part_of_the_graph() -> None:
     """Three rates given in the constructor fit three samples; the graph's intensity fits any number of them."""
     traceable = traceable_radar(RadarAttenuation(Rain(torch.tensor([1.0, 2.0, 3.0])), radar()), 10, 6)
     found, kind, snr_db, attenuation_db = traceable.module(*traceable.arguments)

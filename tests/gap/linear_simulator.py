@@ -33,7 +33,7 @@ DIRECTIONS: dict[str, tuple[str, slice]] = {
     "lidar.wet_target": ("share", slice(24, 44)),
     "lidar.range_bias": ("offset_m", slice(34, 44)),
 }
-OPEN = "lidar.particle_backscatter"  # stands for what is left open: no effect of the catalogue here
+OPEN = "lidar.particle_backscatter"  # a systematic of the simulator, not an effect that can be named
 RECORD = slice(12, 30)  # bins that follow the intensity of the weather
 UNKNOWN = slice(44, 48)  # bins that no effect moves
 SCATTER = 1.0 / np.sqrt(WEIGHT * FRAMES)

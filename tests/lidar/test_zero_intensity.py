@@ -72,7 +72,7 @@ def test_each_sample_of_a_batch_has_a_step_of_its_own() -> None:
     counted = torch.tensor([[9.0, 0.0, 0.0, 0.0], [9.0, 1.0, 0.0, 8.0]])
     free = torch.tensor([[9.0, 0.0, 0.0, 0.0], [9.0, 1.0, 0.0, 8.5]])
     transform = LidarWeather(Fog(mor_m=60), sensor)
-    both = transform.state_of(torch.stack([counted, free])).zero_intensity
+    both = transform.state_of(torch.stack([counted, free])).scene.zero_intensity
     assert both is not None
     assert both[:, 0].tolist() == [0.5, 0.0]
 

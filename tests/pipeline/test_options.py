@@ -1,4 +1,4 @@
-"""Options: the same names and defaults as the constructor's, and all that another build needs."""
+"""Options have the names and the defaults of the constructor's keyword arguments."""
 
 from __future__ import annotations
 

@@ -297,8 +297,8 @@ def _of_weather(study: Study) -> Iterator[Finding]:
 
 def _is_none(condition: Condition) -> bool:
     assert condition.weather is not None
-    weather_intensity = float(condition.weather.intensity)
-    return math.isinf(weather_intensity) or weather_intensity == 0
+    rate_or_visibility = float(condition.weather.intensity)
+    return math.isinf(rate_or_visibility) or rate_or_visibility == 0
 
 
 def _of_split(study: Study) -> Iterator[Finding]:

@@ -204,7 +204,7 @@ class _PartExtinction(nn.Module):
         self.register_buffer(weather.intensity_name, torch.as_tensor(weather.intensity, dtype=torch.float32))
 
     def forward(self) -> Tensor:
-        """1/m, of the knob's shape flattened."""
+        """1/m, of the intensity's shape flattened."""
         weather_intensity = getattr(self, self.weather.intensity_name).reshape(-1)
         full: Tensor
         if not isinstance(self.weather, Fog):

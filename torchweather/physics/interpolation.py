@@ -23,7 +23,7 @@ class InterpolationTable(nn.Module):
 
     Args:
         function: intensity ``(n,)``, float64, to values ``(n, *value_shape)``; above 0 where ``log_values``.
-        low: smallest node of the intensity, above 0, in the knob's unit.
+        low: smallest node of the intensity, above 0, in the intensity's unit.
         high: largest node.
         n: number of nodes, 2 or more.
         log_values: interpolate ln(value) (for coefficients that span decades).
@@ -35,7 +35,7 @@ class InterpolationTable(nn.Module):
         tables.
 
     References:
-        DESIGN.md 2 ("The intensity of a weather is a number or a tensor").
+        DESIGN.md 2.
 
     Example:
         >>> table = InterpolationTable(lambda rate: 1e-3 * rate**0.63, 0.1, 300.0, 16, zero_at_zero=True)
@@ -89,7 +89,7 @@ class InterpolationTable(nn.Module):
         return self.values.shape[1:]
 
     def forward(self, intensity: Tensor) -> Tensor:
-        """Value at each intensity, ``(..., *value_shape)``, in the knob's dtype (float32 or float64)."""
+        """Value at each intensity, ``(..., *value_shape)``, in the intensity's dtype (float32 or float64)."""
         intensity = torch.as_tensor(intensity)
         none = torch.zeros_like(intensity, dtype=torch.bool)
         if self.zero_at_zero:

@@ -15,7 +15,7 @@ __all__ = ["TransformOptions"]
 class TransformOptions:
     """Options that transforms of all sensors have; each sensor's class adds its own.
 
-    The options, the weather and the sensor are all that a transform is built from.
+    A transform is built from its weather, its sensor and its options.
 
     Args:
         effects: effects of the sensor, or their dictionaries; each goes to its place in the chain.

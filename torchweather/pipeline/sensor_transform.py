@@ -51,6 +51,7 @@ class WeatherTransform(nn.Module):
     options: TransformOptions
     """Keyword arguments of the constructor, with which it can be built for another weather."""
     as_built: AsBuilt
+    """Record of the chain at the end of the constructor; a subclass that changes the chain in its own records again."""
     p: float = 1.0
     """Probability that a sample gets the weather."""
 

@@ -128,7 +128,7 @@ class _PartAttenuation(nn.Module):
         return found
 
     def forward(self) -> Tensor:
-        """dB/km one way, of the knob's shape flattened."""
+        """dB/km one way, of the intensity's shape flattened."""
         found: Tensor = self.table(self.intensity)
         return found
 

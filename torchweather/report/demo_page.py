@@ -157,7 +157,7 @@ def _facts(kind: str, numbers: Mapping[str, Any]) -> list[str]:
 
 def _inputs(frame: Frame) -> list[parts.Part]:
     """The mosaic in grey, and the depth."""
-    # One grey value per pixel is all that the sensor delivers.
+    # The sensor delivers one grey value per pixel.
     grey = srgb_encode((frame.linear * frame.look.exposure).clamp(0, 1)).expand(3, -1, -1)
     name = "Mosaic sampled from the RGB image" if frame.is_rgb else "Raw mosaic"
     filters = f"one value per pixel, {frame.camera.bayer_pattern}, shown in grey"

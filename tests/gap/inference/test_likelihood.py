@@ -102,7 +102,7 @@ def test_one_thread_and_two_agree() -> None:
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=1e-12)
 
 
-def test_a_response_to_a_intensity_is_that_of_a_study_whose_record_is_off(null: SimulatorLikelihood) -> None:
+def test_a_response_to_an_intensity_is_that_of_a_study_whose_record_is_off(null: SimulatorLikelihood) -> None:
     """The column of an intensity is the change that one standard deviation of the record makes, by a small step."""
     one = null.nuisance(null.origin, null.start)
     name = null.measured[0].condition.id

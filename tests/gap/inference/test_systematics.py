@@ -90,7 +90,7 @@ def test_the_projection_takes_all_where_the_response_is_large_and_nothing_where_
     np.testing.assert_allclose(weak, np.eye(SIZE), atol=1e-6)
 
 
-def test_a_intensity_error_within_its_record_costs_its_prior_alone() -> None:
+def test_an_intensity_error_within_its_record_costs_its_prior_alone() -> None:
     response = 5.0 * RNG(6).normal(size=(SIZE, 1))
     one, norm = Systematics(response, np.zeros(1), 1), float((response**2).sum())
     for sds in (-1.0, 0.5, 2.0):

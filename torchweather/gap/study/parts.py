@@ -246,13 +246,12 @@ def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | No
             refuse_unknown(given, ("kind",), where, owner)
             return None, 0.0
         check_value(name, WEATHER_KIND, owner, f"{where}.kind")
-        weather_intensity, spread = WEATHERS[str(name)]
-        if weather_intensity not in given:
+        key, spread = WEATHERS[str(name)]
+        if key not in given:
             raise TorchweatherError(
-                f"{owner}: {where}.{weather_intensity} is missing: {name} needs it."
-                f"{nearest_name(weather_intensity, map(str, given))}"
+                f"{owner}: {where}.{key} is missing: {name} needs it.{nearest_name(key, map(str, given))}"
             )
-        _number(given[weather_intensity], f"{owner}: {where}.{weather_intensity}", 0.0, math.inf, "")
+        _number(given[key], f"{owner}: {where}.{key}", 0.0, math.inf, "")
         rel_sd = _number(given.pop(spread, rel_sd), f"{owner}: {where}.{spread}", 0.0, MOST_REL_SD, "")
     if given is None:
         raise TorchweatherError(

@@ -95,12 +95,12 @@ def test_particles_are_read_with_noise_and_objects_as_they_were() -> None:
     before = reported()
     found = after(ParticleReading(std=0.05), before)
     particle = before.returns.kind == PARTICLE
-    change = relative(found.signal, before.returns.signal)[particle]
+    change = relative(found.returns.signal, before.returns.signal)[particle]
     # A third of the beams.
     assert float(change.std()) == pytest.approx(0.05, rel=2.0 * TOLERANCE)
     assert abs(float(change.mean())) < 5.0 * 0.05 / math.sqrt(N / 3)
-    assert torch.equal(found.signal[~particle], before.returns.signal[~particle])
-    assert torch.equal(found.range_m, before.returns.range_m)
+    assert torch.equal(found.returns.signal[~particle], before.returns.signal[~particle])
+    assert torch.equal(found.returns.range_m, before.returns.range_m)
 
 
 @pytest.mark.parametrize("share", [0.3, -0.4])
@@ -129,13 +129,13 @@ def test_fog_is_reported_nearer_and_scattered() -> None:
     before = reported().changed(range_m=torch.where(reported().returns.kind == PARTICLE, 5.0, 20.0))
     found = after(FogEchoRange(shift_m=-0.3, spread_m=0.2), before)
     particle = before.returns.kind == PARTICLE
-    change = (found.range_m - before.returns.range_m)[particle].double()
+    change = (found.returns.range_m - before.returns.range_m)[particle].double()
     assert float(change.mean()) == pytest.approx(-0.3, abs=5.0 * 0.2 / math.sqrt(N / 3))
     assert float(change.std()) == pytest.approx(0.2, rel=2.0 * TOLERANCE)
-    assert torch.equal(found.range_m[~particle], before.returns.range_m[~particle])
-    assert torch.equal(found.signal, before.returns.signal)
+    assert torch.equal(found.returns.range_m[~particle], before.returns.range_m[~particle])
+    assert torch.equal(found.returns.signal, before.returns.signal)
     near = after(FogEchoRange(shift_m=-5.0), before.changed(range_m=before.returns.range_m * 0.1))
-    assert bool((near.range_m[particle] == 0.1).all())  # not behind the sensor
+    assert bool((near.returns.range_m[particle] == 0.1).all())  # not behind the sensor
 
 
 IDENTITIES = [WeakSignalNoise(), ClearScale(), ParticleReading(), EchoGain(), FogEchoRange()]

@@ -181,7 +181,7 @@ class LidarFrames:
         Args:
             condition: its scene and weather.
             effects: put into the chain, beside those that the model has.
-            log_intensity: logarithm of the weather's weather_intensity over its record.
+            log_intensity: logarithm of the rate or visibility over its record.
             seeds: of the frames; the same seeds give the same clear frames and random numbers for every effect.
             portions: as in ``reduce``.
         """
@@ -287,7 +287,7 @@ def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
 
 @contextmanager
 def _intensity(chain: Chain, condition: Condition, log_intensity: float) -> Iterator[None]:
-    """The weather's weather_intensity times ``exp(log_intensity)`` in all stages of a chain, while the block lasts."""
+    """Rate or visibility times ``exp(log_intensity)`` in all stages of a chain, while the block lasts."""
     weather = condition.weather
     assert weather is not None
     changed = []
