@@ -27,6 +27,13 @@ MOVED = [
     ("torchweather.stages.effects", "Effect", "torchweather.pipeline.effect"),
     ("torchweather.sensors.scan", "recover_ring", "torchweather.lidar.scan"),
     ("torchweather.robustness.decoders", "decode_boxes", "torchweather.evaluation.robustness.decoders"),
+    ("torchweather.gap.study", "Study", "torchweather.gap.study.study"),
+    ("torchweather.gap.embedded_study", "embedded_study", "torchweather.gap.study.embedded"),
+    ("torchweather.gap.hidden_study", "hidden_study", "torchweather.gap.study.hidden"),
+    ("torchweather.gap.scan_grid", "scan_frame", "torchweather.gap.study.scan_grid"),
+    ("torchweather.gap.simulation", "simulate", "torchweather.gap.study.simulation"),
+    ("torchweather.gap.adapters", "study_from_folders", "torchweather.gap.study.folders"),
+    ("torchweather.gap.validation", "validate", "torchweather.evaluation.validation.run"),
     ("torchweather.io", "Boxes", "torchweather.datasets"),
     ("torchweather.io", "read_kitti_points", "torchweather.datasets"),
     ("torchweather.io", "CarlaRig", "torchweather.datasets"),
@@ -53,7 +60,7 @@ def test_a_name_that_never_was_is_no_name() -> None:
 def test_old_names_of_the_intensity_work_with_a_warning() -> None:
     with pytest.warns(DeprecationWarning, match="Weather.knob is Weather.intensity now"):
         assert Rain(rate_mm_per_h=10).knob == 10
-    with pytest.warns(DeprecationWarning, match="KnobTable is InterpolationTable now"):
+    with pytest.warns(DeprecationWarning, match="KnobTable is torchweather.physics.InterpolationTable now"):
         assert physics.KnobTable is physics.InterpolationTable
     with pytest.raises(AttributeError, match="nothing"):
         physics.nothing  # noqa: B018

@@ -10,12 +10,13 @@ from typing import Any
 __all__ = ["moved", "renamed"]
 
 
-def moved(old: str, homes: str | Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
+def moved(old: str, homes: str | Sequence[str] | Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
     """``__getattr__`` of a module whose names, or some of them, live elsewhere now.
 
     Args:
         old: name of the module.
-        homes: the module that has all names now; or for each new module the names that went there.
+        homes: the module that has all names now, or several, searched in their order by ``__all__``; or for each new
+            module the names that went there.
 
     Example:
         >>> find = moved("torchweather.old", {"math": ("pi",)})
@@ -26,8 +27,8 @@ def moved(old: str, homes: str | Mapping[str, Sequence[str]]) -> Callable[[str],
     """
 
     def find(name: str) -> Any:
-        home = homes if isinstance(homes, str) else next((new for new, names in homes.items() if name in names), None)
-        if home is None or name.startswith("__"):
+        home = None if name.startswith("__") else _home(homes, name)
+        if home is None:
             raise AttributeError(f"module {old!r} has no attribute {name!r}")
         value = getattr(importlib.import_module(home), name)
         text = f"{old}.{name} has moved to {home}.{name}; the old path goes with the next release."
@@ -35,6 +36,15 @@ def moved(old: str, homes: str | Mapping[str, Sequence[str]]) -> Callable[[str],
         return value
 
     return find
+
+
+def _home(homes: str | Sequence[str] | Mapping[str, Sequence[str]], name: str) -> str | None:
+    """The module that has a name now; ``None`` where none has."""
+    if isinstance(homes, str):
+        return homes
+    if isinstance(homes, Mapping):
+        return next((new for new, names in homes.items() if name in names), None)
+    return next((new for new in homes if name in importlib.import_module(new).__all__), None)
 
 
 def renamed(old: str, names: str | Mapping[str, tuple[str, Any]]) -> Callable[[str], Any]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from typing import Any
-
+from torchweather.core.moved import renamed
 from torchweather.physics.binned_distribution import Binned
 from torchweather.physics.d34 import Table13Row, table13
 from torchweather.physics.extinction import (
@@ -189,10 +187,4 @@ __all__ = [
     "wet_snow_refractive_index_microwave",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name != "KnobTable":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    text = "torchweather.physics.KnobTable is InterpolationTable now; the old name goes with the next release."
-    warnings.warn(text, DeprecationWarning, stacklevel=2)
-    return InterpolationTable
+__getattr__ = renamed(__name__, {"KnobTable": ("torchweather.physics.InterpolationTable", InterpolationTable)})

@@ -1,0 +1,5 @@
+"""Moved to ``torchweather.gap.study.embedded``; this path goes with the next release."""
+
+from torchweather.core.moved import moved
+
+__getattr__ = moved(__name__, "torchweather.gap.study.embedded")

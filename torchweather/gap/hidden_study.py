@@ -1,0 +1,5 @@
+"""Moved to ``torchweather.gap.study.hidden``; this path goes with the next release."""
+
+from torchweather.core.moved import moved
+
+__getattr__ = moved(__name__, "torchweather.gap.study.hidden")
