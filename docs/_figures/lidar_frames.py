@@ -102,5 +102,5 @@ def frames_of(beams: Beams, weather: Weather, effects: Sequence[Mapping[str, Any
     state = transform.state_of(points, beams.directions).changed(cos_incidence=beams.cos_incidence[None])
     with torch.no_grad():
         found = transform.chain(state, transform.chain.draw(state, seed=torch.arange(count)))
-    range_m = torch.linalg.vector_norm(found.points[..., :3], dim=-1)
-    return Frames(range_m.numpy(), found.points[..., 3].numpy(), found.kind[..., 0].numpy())
+    range_m = torch.linalg.vector_norm(found.returns.points[..., :3], dim=-1)
+    return Frames(range_m.numpy(), found.returns.points[..., 3].numpy(), found.returns.kind[..., 0].numpy())

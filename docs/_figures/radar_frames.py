@@ -76,10 +76,10 @@ def frames_of(targets: Targets, weather: Weather, effect: Mapping[str, Any], cou
     with torch.no_grad():
         found = transform.chain(state, transform.chain.draw(state, seed=torch.arange(count)))
     rows = targets.points.shape[0]
-    lost = (found.kind == tw.PointKind.LOST)[..., None]
-    listed = torch.where(lost, torch.nan, found.points).numpy()
+    lost = (found.returns.kind == tw.PointKind.LOST)[..., None]
+    listed = torch.where(lost, torch.nan, found.returns.points).numpy()
     own, more = listed[:, :rows], listed[:, rows:]
-    snr_db = torch.where(lost[:, :rows, 0], torch.nan, found.snr_db[:, :rows]).numpy()
+    snr_db = torch.where(lost[:, :rows, 0], torch.nan, found.returns.snr_db[:, :rows]).numpy()
     range_m = np.linalg.norm(own[..., :3], axis=-1)
     setting = {name: value for name, value in effect.items() if name != "effect"}
     return Frames(own[..., 4], snr_db, own[..., 3], range_m, found.floor_db.numpy(), more, setting)

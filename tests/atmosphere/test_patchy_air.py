@@ -370,15 +370,15 @@ def test_clutter_follows_the_density() -> None:
     found = stage(attenuation(before.changed(patches=air.field(even(g))), {}), noise)
     denser = VolumeClutter(Rain(20), RADAR, share=density, capacity=400)
     wanted = denser(state.changed(attenuation_db_per_km=density * state.air.attenuation_db_per_km), noise)
-    assert int(wanted.clutter_valid.sum()) > 100
-    assert torch.equal(found.clutter_valid, wanted.clutter_valid)
-    torch.testing.assert_close(found.clutter, wanted.clutter, rtol=2e-3, atol=2e-2)
+    assert int(wanted.returns.clutter_valid.sum()) > 100
+    assert torch.equal(found.returns.clutter_valid, wanted.returns.clutter_valid)
+    torch.testing.assert_close(found.returns.clutter, wanted.returns.clutter, rtol=2e-3, atol=2e-2)
     # Dense to the left and thin to the right, g = sqrt(2) sin(2 pi y / l): more is seen on the left.
     left = []
     for of_seed in range(10):
         patches = PatchyAir(LENGTH_M).field(one_wave(0.0, 1.0, 0.75))
         uneven = stage(attenuation(before.changed(patches=patches), {}), stage.draw(state, seed=[of_seed]))
-        left.append(uneven.clutter[uneven.clutter_valid][:, 1] > 0)
+        left.append(uneven.returns.clutter[uneven.returns.clutter_valid][:, 1] > 0)
     share = torch.cat(left).double()
     assert float(share.mean()) > 0.5 + 8 * 0.5 / math.sqrt(len(share))
 

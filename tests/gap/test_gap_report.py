@@ -387,7 +387,7 @@ def test_applied_saved_and_loaded_it_simulates_the_same_bits(tmp_path: Path) -> 
     assert list(plain.chain.stages) == [name for name in by_hand.stages if name not in ("window_loss", "empirical")]
     noise = repaired.draw(points(), seed=4)
     state = plain.state_of(points())
-    assert torch.equal(repaired(points(), noise), by_hand(state, noise).points)
+    assert torch.equal(repaired(points(), noise), by_hand(state, noise).returns.points)
     without = loaded.apply(plain)
     assert "empirical" not in without.chain.stages
     assert not torch.equal(without(points(), noise), repaired(points(), noise))

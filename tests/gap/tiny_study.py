@@ -87,7 +87,7 @@ def through(
     }
     with torch.no_grad():
         state = transform.state_of(points, direction).changed(grid=shape, **geometry)
-        out: Any = chain(state, chain.draw(state, seed=torch.tensor([seed]))).points
+        out: Any = chain(state, chain.draw(state, seed=torch.tensor([seed]))).returns.points
     found = out[0, :, :3].norm(dim=-1)
     return {
         "range_m": found.reshape(shape).numpy(),

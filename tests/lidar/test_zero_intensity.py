@@ -47,7 +47,7 @@ def signal(sensor: Lidar, intensities: list[float], range_m: float) -> Tensor:
     state = transform.state_of(points)
     noise = transform.chain.draw(state, seed=torch.tensor([1]))
     own = {key.split(".")[1]: value for key, value in noise.items() if key.startswith("to_energy.")}
-    return transform.chain.stages["to_energy"](state, own).clear_signal[0]
+    return transform.chain.stages["to_energy"](state, own).scene.clear_signal[0]
 
 
 def test_a_counted_zero_has_the_signal_of_half_a_count() -> None:

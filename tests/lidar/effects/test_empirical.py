@@ -147,15 +147,15 @@ def test_so_many_returns_are_lost_or_come_back(before: int, value: float, after:
     state = many(before)
     one = Empirical("loss", "every_beam", [0.0], [value], 0.0, 0.0)
     out = one(state, drawn(one, state))
-    changed = out.kind == after
+    changed = out.returns.kind == after
     # 5 standard deviations of 20,000 tosses.
     assert float(changed.float().mean()) == pytest.approx(0.3, abs=5 * math.sqrt(0.3 * 0.7 / 20_000))
     if after == LOST:
-        assert (out.range_m[changed] == 0).all()
-        assert (out.signal[changed] == 0).all()
+        assert (out.returns.range_m[changed] == 0).all()
+        assert (out.returns.signal[changed] == 0).all()
     else:
-        assert (out.range_m[changed] == 20.0).all()
-        assert (out.signal[changed] == state.receiver.threshold).all()
+        assert (out.returns.range_m[changed] == 20.0).all()
+        assert (out.returns.signal[changed] == state.receiver.threshold).all()
     opposite = Empirical("loss", "every_beam", [0.0], [-value], 0.0, 0.0)
     assert_same_state(state, opposite(state, drawn(opposite, state)))
 
@@ -165,7 +165,11 @@ def test_noise_has_the_stated_spread_and_no_mean(kind: str, sd: float) -> None:
     state = many(OBJECT)
     one = Empirical(kind, "every_beam", [0.0], [sd], 0.0, 0.0)
     out = one(state, drawn(one, state))
-    apart = out.range_m - state.returns.range_m if kind == "range_noise" else (out.signal / state.returns.signal).log()
+    apart = (
+        out.returns.range_m - state.returns.range_m
+        if kind == "range_noise"
+        else (out.returns.signal / state.returns.signal).log()
+    )
     # 5 standard deviations of the mean and of the spread of 20,000 draws.
     assert float(apart.mean()) == pytest.approx(0.0, abs=5 * sd / math.sqrt(20_000))
     assert float(apart.std()) == pytest.approx(sd, rel=5 / math.sqrt(40_000))
@@ -174,23 +178,26 @@ def test_noise_has_the_stated_spread_and_no_mean(kind: str, sd: float) -> None:
 def test_ranges_are_moved_by_the_curve() -> None:
     state = many(OBJECT, 10)
     one = Empirical("range", "range_m", [10.0, 30.0], [0.0, 0.5], 10.0, 30.0)
-    torch.testing.assert_close(one(state, {}).range_m, torch.full_like(state.returns.range_m, 20.25))
+    torch.testing.assert_close(one(state, {}).returns.range_m, torch.full_like(state.returns.range_m, 20.25))
 
 
 def test_added_returns_fall_where_the_histogram_says() -> None:
     state = many(OBJECT)
     one = Empirical("returns", "every_beam", [0.0], [0.4], 0.0, 0.0, places_m=[1.0, 3.0, 9.0, 40.0], shares=[1, 2, 5])
     out = one(state, drawn(one, state))
-    added = out.kind == PARTICLE
-    share = [float((added & (out.range_m > a) & (out.range_m <= b)).float().mean()) for a, b in ((1, 3), (3, 9))]
+    added = out.returns.kind == PARTICLE
+    share = [
+        float((added & (out.returns.range_m > a) & (out.returns.range_m <= b)).float().mean())
+        for a, b in ((1, 3), (3, 9))
+    ]
     # 5 standard deviations; of the rest those behind the surface at 20 m are not added.
     assert share == pytest.approx([0.05, 0.1], abs=5 * math.sqrt(0.1 * 0.9 / 20_000))
-    assert float(out.range_m[added].max()) < 20.0
-    behind = float((added & (out.range_m > 9)).float().mean())
+    assert float(out.returns.range_m[added].max()) < 20.0
+    behind = float((added & (out.returns.range_m > 9)).float().mean())
     assert behind == pytest.approx(0.4 * 5 / 8 * 11 / 31, abs=5 * math.sqrt(0.09 * 0.91 / 20_000))
-    assert (out.signal[added] >= state.receiver.threshold).all()
+    assert (out.returns.signal[added] >= state.receiver.threshold).all()
     untouched = ~added
-    assert torch.equal(out.range_m[untouched], state.returns.range_m[untouched])
+    assert torch.equal(out.returns.range_m[untouched], state.returns.range_m[untouched])
 
 
 def test_returns_of_empty_beams_need_a_direction() -> None:

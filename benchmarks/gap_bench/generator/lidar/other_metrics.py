@@ -240,7 +240,7 @@ def _pool(
     seeds = torch.from_numpy(np.random.default_rng(list(key)).integers(0, 2**62, len(start)))
     with torch.no_grad():
         state = transform.state_of(points, beams).changed(grid=tuple(direction.shape[:2]), **clear.geometry)
-        out = transform.chain(state, transform.chain.draw(state, seed=seeds)).points
+        out = transform.chain(state, transform.chain.draw(state, seed=seeds)).returns.points
     range_m = out[..., :3].norm(dim=-1)
     intensity = torch.where(range_m > 0, out[..., 3], 0.0)
     facts = clear.facts(range_m.numpy(), intensity.numpy())

@@ -227,10 +227,10 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
         with torch.no_grad():
             out = chain(begin, chain.draw(begin, seed=torch.tensor(SEEDS)))
         found_range_m, found_intensity = through(model, condition, effects)
-        range_m = out.points[..., :3].norm(dim=-1)
+        range_m = out.returns.points[..., :3].norm(dim=-1)
         torch.testing.assert_close(found_range_m, range_m, rtol=3e-6, atol=1e-6)
-        ours = (out.kind[..., 0] == PARTICLE) & (range_m > 0)
-        assert torch.equal(found_intensity, torch.where(range_m > 0, out.points[..., 3] * gain, 0.0))
+        ours = (out.returns.kind[..., 0] == PARTICLE) & (range_m > 0)
+        assert torch.equal(found_intensity, torch.where(range_m > 0, out.returns.points[..., 3] * gain, 0.0))
         assert bool(ours.any())
 
 

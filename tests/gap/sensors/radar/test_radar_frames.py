@@ -560,7 +560,7 @@ def test_a_weakened_target_is_as_noisy_as_one_that_was_weak_from_the_start() -> 
     before = before.changed(points_in=points)
     stage = ReceiverNoise(share=1.0)
     drawn = {k: v.double() for k, v in stage.draw(before, seed=torch.tensor([5])).items()}
-    gain = stage(before, drawn).gain_db[0].numpy()
+    gain = stage(before, drawn).returns.gain_db[0].numpy()
     weak = clear * 10.0 ** (0.1 * gain)
     signal = snr / loss
     assert weak.mean() == pytest.approx(signal + 1.0, rel=0.01)
@@ -572,7 +572,7 @@ def test_ranges_and_speeds_grow_noisier_with_the_loss() -> None:
     before = state(60.0, 10.0, 5000)
     stage = ReceiverNoise(share=0.5).with_errors(torch.tensor(0.01), torch.tensor(0.03))
     drawn = {k: v.double() for k, v in stage.draw(before, seed=torch.tensor([5])).items()}
-    points = stage(before, drawn).points_in[0]
+    points = stage(before, drawn).scene.points_in[0]
     for values, one in ((points[:, 0] - 50.0, 0.01), (points[:, 3], 0.03)):
         assert float(values.std()) == pytest.approx(one * math.sqrt(0.5 * 9.0), rel=0.05)
 
