@@ -195,6 +195,8 @@ class PatchyAir(Stage):
 
     default_name: ClassVar[str] = "air"
     of_the_air: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ()
+    writes: ClassVar[tuple[str, ...]] = ("air.patches",)
 
     def __init__(self, length_m: float, drift_m_per_s: Sequence[float] = (0.0, 0.0)) -> None:
         super().__init__()

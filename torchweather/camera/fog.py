@@ -108,6 +108,22 @@ class ExtinctionAndAirlight(Stage):
     """
 
     default_name: ClassVar[str] = "extinction_and_airlight"
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.depth_m",
+        "scene.intrinsics",
+        "scene.near_mask",
+        "scene.ray_in_layer_m",
+        "scene.ray_per_depth",
+        "scene.sine_elevation",
+        "scene.sky",
+        *("air.airlight_scale", "air.extinction_scale", "air.fog_density", "air.patches"),
+        "image.signal",
+        *("receiver.camera", "receiver.cfa_index", "receiver.keep_truth"),
+    )
+    writes: ClassVar[tuple[str, ...]] = (
+        *("air.airlight", "air.fog_density", "air.fog_extinction_per_m"),
+        *("image.signal", "image.transmission"),
+    )
 
     def __init__(
         self,
@@ -251,6 +267,8 @@ class Quantise(Stage):
     """
 
     default_name: ClassVar[str] = "quantise"
+    reads: ClassVar[tuple[str, ...]] = ("image.signal",)
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def __init__(self, levels: int = 0) -> None:
         super().__init__()

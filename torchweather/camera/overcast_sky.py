@@ -40,6 +40,12 @@ class OvercastSky(Stage):
     """
 
     default_name: ClassVar[str] = "overcast_sky"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.depth_m", "scene.sine_elevation", "scene.sky"),
+        "image.signal",
+        "receiver.cfa_index",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def __init__(
         self,

@@ -102,6 +102,12 @@ class ToEnergy(_SensorStage):
     """
 
     default_name: ClassVar[str] = "to_energy"
+    reads: ClassVar[tuple[str, ...]] = ("scene.clear_range_m", "scene.points_in", "scene.zero_intensity")
+    writes: ClassVar[tuple[str, ...]] = (
+        "scene.clear_signal",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.sensor", "receiver.threshold"),
+    )
     margin_db: Tensor
     photons_at_threshold: Tensor
 
@@ -232,6 +238,12 @@ class Extinction(Stage):
     """
 
     default_name: ClassVar[str] = "extinction"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        *("air.beam_density", "air.density_scale", "air.patches", "air.path_density", "air.reach_m"),
+        "returns.signal",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.extinction_per_m", "air.extra_m", "air.path_density", "returns.signal")
     each_beam_alone = True
 
     def __init__(
@@ -317,6 +329,19 @@ class ParticleReturns(Stage):
     """
 
     default_name: ClassVar[str] = "particle_returns"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        "air.beam_density",
+        "air.density_scale",
+        "air.extinction_per_m",
+        "air.extra_m",
+        "air.patches",
+        "air.reach_m",
+        "air.size_factors",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        "receiver.extra_divergence_rad",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
     each_beam_alone = True
 
     def __init__(
@@ -540,6 +565,12 @@ class Detection(_SensorStage):
     """
 
     default_name: ClassVar[str] = "detection"
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.clear_range_m",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.threshold", "receiver.threshold_scale"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     @property
     def return_mode(self) -> str:
@@ -642,6 +673,12 @@ class ToPoints(_SensorStage):
     """
 
     default_name: ClassVar[str] = "to_points"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.clear_signal", "scene.empty_direction", "scene.integral", "scene.points_in"),
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        "receiver.threshold",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.points", "returns.second")
     photons_at_threshold: Tensor
     range_noise_m: Tensor
 

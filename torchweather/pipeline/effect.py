@@ -89,6 +89,8 @@ class Effect(Stage):
         axes: along which it shows.
         confusable_with: id of another effect to what data would tell the two apart.
         percollect: title of the node of the PerCollECT cause tree that it belongs to, where there is one.
+        reads, writes: fields of the state that it uses and changes, ``part.field``; a change of another field is an
+            error where ``writes`` is given.
         needs: fields of the state without which it cannot work.
         cuts: whether it acts on all that lies within its parameter: half of what it does is no work of half of it.
         scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
@@ -103,6 +105,7 @@ class Effect(Stage):
         ...     title, term = "the laser grows weaker", "laser power drift"
         ...     arguments = (Parameter("loss_db", "dB", 0.0, 10.0, scale=1.0, identity=0.0),)
         ...     after, axes = "particle_returns", ("intensity",)
+        ...     reads = writes = ("returns.signal",)
         ...
         ...     def changes(self, state, noise):
         ...         return {"signal": state.returns.signal * 10 ** (-0.1 * self.value("loss_db", state.returns.signal))}
@@ -178,12 +181,22 @@ class Effect(Stage):
                 f"{type(self).__name__}: wanted a state with {', '.join(missing)}; this one has none. "
                 f"{self.id} cannot be simulated without."
             )
+        changes = self.changes(state, noise)
+        self._check_declared(f"{state.part_of[name]}.{name}" for name in changes)
         identity = self.at_identity
         changed = {}
-        for name, after in self.changes(state, noise).items():
+        for name, after in changes.items():
             before = state.field(name)
             changed[name] = after if before is None else _unless(_over(identity, after), before, after)
         return state.changed(**changed)
+
+    def _check_declared(self, fields: Iterable[str]) -> None:
+        other = sorted(set(fields) - set(self.writes))
+        if other and self.writes:
+            raise InputTypeError(
+                f"{type(self).__name__}: it declares writes = {self.writes!r}; got a change of {', '.join(other)}. "
+                "Add the field to writes."
+            )
 
     def changes(self, state: Any, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """New values of the fields of the state that the effect changes.

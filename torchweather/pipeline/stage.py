@@ -39,6 +39,11 @@ class Stage(nn.Module):
     """
 
     default_name: ClassVar[str] = "stage"
+    reads: ClassVar[tuple[str, ...]] = ()
+    """Fields of the state, ``part.field``, that it uses, be it only for their shape; every stage of the catalogue
+    declares them."""
+    writes: ClassVar[tuple[str, ...]] = ()
+    """Fields of the state that it changes, likewise."""
     each_beam_alone: ClassVar[bool] = False
     """Whether a beam of a LiDAR comes out the same whatever the others are, and noise has the beams last."""
     of_the_air: ClassVar[bool] = False

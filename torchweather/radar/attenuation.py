@@ -146,6 +146,16 @@ class PathAttenuation(Stage):
     """
 
     default_name: ClassVar[str] = "path_attenuation"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.points_in", "scene.range_m"),
+        *("air.attenuation_db_per_km", "air.patches"),
+        "returns.gain_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = (
+        *("air.attenuation_db_per_km", "air.extra_m", "air.rates_mm_per_h", "air.weathers"),
+        "returns.gain_db",
+        "receiver.sensor",
+    )
 
     def __init__(
         self,
@@ -229,6 +239,8 @@ class WetRadome(Stage):
     """
 
     default_name: ClassVar[str] = "wet_radome"
+    reads: ClassVar[tuple[str, ...]] = ("receiver.cover_loss_db", "returns.gain_db", "scene.points_in", "scene.range_m")
+    writes: ClassVar[tuple[str, ...]] = ("receiver.cover_loss_db", "returns.gain_db")
     rate_mm_per_h: Tensor
     loss_db: Tensor
     film_db: Tensor

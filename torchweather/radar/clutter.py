@@ -163,6 +163,19 @@ class VolumeClutter(Stage):
     """
 
     default_name: ClassVar[str] = "volume_clutter"
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.points_in",
+        *("air.attenuation_db_per_km", "air.extra_m", "air.patches"),
+        *("returns.clutter", "returns.clutter_valid", "returns.gain_db"),
+        "receiver.cover_loss_db",
+        "receiver.detection_snr_db",
+        "receiver.noise_floor_db",
+        "receiver.noise_shift_db",
+        "receiver.pattern_tilt_rad",
+        "receiver.speed_std_m_per_s",
+        "receiver.threshold_shift_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.clutter", "returns.clutter_valid")
     share: Tensor
 
     def __init__(

@@ -35,6 +35,15 @@ class RadarDetection(Stage):
     """
 
     default_name: ClassVar[str] = "radar_detection"
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.points_in",
+        *("returns.clutter", "returns.clutter_valid", "returns.gain_db", "returns.kind"),
+        "receiver.detection_snr_db",
+        "receiver.noise_floor_db",
+        "receiver.noise_shift_db",
+        "receiver.threshold_shift_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.snr_db")
     margin_db: Tensor
 
     def __init__(self, sensor: Radar | Mapping[str, Any]) -> None:
@@ -83,6 +92,11 @@ class ToRadarPoints(Stage):
     """
 
     default_name: ClassVar[str] = "to_radar_points"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.points_in", "scene.range_m"),
+        *("returns.clutter", "returns.gain_db", "returns.kind"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.points",)
 
     def config(self) -> dict[str, Any]:
         """Constructor arguments: none."""

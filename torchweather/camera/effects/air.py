@@ -69,6 +69,8 @@ class CameraAirlightScale(Effect):
         "camera.exposure_gain": "surfaces at several depths: a gain acts on near ones as well, airlight on far ones",
         "camera.stray_light": "near surfaces: airlight needs depth, stray light none",
     }
+    reads: ClassVar[tuple[str, ...]] = ("air.airlight_scale", "image.signal")
+    writes: ClassVar[tuple[str, ...]] = ("air.airlight_scale",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Light of the sky over the modelled one."""
@@ -102,6 +104,8 @@ class CameraExtinctionScale(Effect):
         "camera.patchy_fog": "frames and directions at one depth: patches differ, a factor does not",
     }
     needs: ClassVar[tuple[str, ...]] = ("camera",)
+    reads: ClassVar[tuple[str, ...]] = ("air.extinction_scale", "image.signal", "receiver.camera")
+    writes: ClassVar[tuple[str, ...]] = ("air.extinction_scale",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Extinction over the modelled one, per colour."""
@@ -139,6 +143,12 @@ class CameraPatchyFog(Effect):
         "camera.height_fog": "frames: height layers stay, banks move",
         "camera.extinction_scale": "frames and directions at one depth: patches differ, a factor does not",
     }
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.depth_m", "scene.ray_in_layer_m", "scene.ray_per_depth"),
+        "air.fog_density",
+        "image.signal",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.fog_density",)
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a bank."""
@@ -196,6 +206,13 @@ class CameraHeightFog(Effect):
         "camera.extinction_scale": "rays that rise and rays that fall at one depth",
     }
     needs: ClassVar[tuple[str, ...]] = ("camera",)
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.depth_m", "scene.intrinsics"),
+        "air.fog_density",
+        "image.signal",
+        "receiver.camera",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.fog_density",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Mean density along each ray."""
@@ -237,6 +254,13 @@ class CameraAerosolGlow(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "camera.defocus": "edges at several depths: a glow leaves near ones sharp"
     }
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.depth_m", "scene.ray_in_layer_m", "scene.ray_per_depth"),
+        *("air.fog_density", "air.fog_extinction_per_m"),
+        "image.signal",
+        "receiver.cfa_index",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The softened frame."""
@@ -301,6 +325,12 @@ class CameraWetSurface(Effect):
         "camera.vignetting": "walls and the sky in the corners: they are no darker where the road is wet",
     }
     needs: ClassVar[tuple[str, ...]] = ("camera", "normal")
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.intrinsics", "scene.normal"),
+        "image.signal",
+        *("receiver.camera", "receiver.cfa_index"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The wet scene."""

@@ -83,6 +83,8 @@ class CameraAdherentDrops(Effect):
         *(f"edge_contrast_{lag}_px" for lag in ("0_2", "2_0", "2_2", "2_-2", "0_4", "4_0")),
         *(f"{side}_share_{where}" for side in ("bright", "dark") for where in ("near", "far")),
     )
+    reads: ClassVar[tuple[str, ...]] = ("image.signal", "receiver.cfa_index")
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def variates(self) -> tuple[Variate, ...]:
         """Column, row and size of each drop."""
@@ -144,6 +146,8 @@ class CameraEgoBlur(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "camera.defocus": "edges of several directions: motion softens those across it alone"
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal", "receiver.cfa_index")
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The smeared frame."""
@@ -178,6 +182,8 @@ class CameraDefocus(Effect):
         "camera.ego_blur": "edges of several directions: motion softens those across it alone",
         "camera.adherent_drops": "sharpness against the place in the image",
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal", "receiver.cfa_index")
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The soft frame."""
@@ -206,6 +212,8 @@ class CameraVignetting(Effect):
         "camera.exposure_gain": "the ratio against image radius",
         "camera.wet_surface": "walls and the sky in the corners: they are no darker where the road is wet",
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal", "scene.ray_per_depth")
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal, darker off the axis."""
@@ -239,6 +247,8 @@ class CameraStrayLight(Effect):
         "camera.tone_curve": "black pixels: a curve leaves them black",
         "camera.adherent_drops": "the place in the image: stray light is everywhere",
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal", "receiver.cfa_index")
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal under its veil."""

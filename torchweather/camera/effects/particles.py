@@ -52,6 +52,8 @@ class CameraWindSlant(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "camera.rolling_shutter": "the direction of streaks: a shutter makes them longer and leaves them upright"
     }
+    reads: ClassVar[tuple[str, ...]] = ("air.path_tangent", "image.signal")
+    writes: ClassVar[tuple[str, ...]] = ("air.path_tangent",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Sideways over downward speed."""
@@ -80,6 +82,8 @@ class CameraStreakContrast(Effect):
         "camera.particle_count": "the number of streaks, and the contrast of each",
         "camera.sensor_noise": "the correlation of neighbours: streaks reach over several pixels",
     }
+    reads: ClassVar[tuple[str, ...]] = ("air.particle_contrast", "image.signal")
+    writes: ClassVar[tuple[str, ...]] = ("air.particle_contrast",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What particles change over the modelled."""
@@ -116,6 +120,8 @@ class CameraParticleCount(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "camera.streak_contrast": "the number of streaks, and the contrast of each"
     }
+    reads: ClassVar[tuple[str, ...]] = ("air.particle_count", "air.particle_reach_m", "image.signal")
+    writes: ClassVar[tuple[str, ...]] = ("air.particle_count", "air.particle_reach_m")
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Particles over those of the weather, and the depth at which they end."""
@@ -154,6 +160,8 @@ class CameraRollingShutter(Effect):
         "camera.streak_contrast": "the length of near streaks",
         "camera.wind_slant": "the direction of streaks: a shutter makes them longer and leaves them upright",
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal", "receiver.row_time_s")
+    writes: ClassVar[tuple[str, ...]] = ("receiver.row_time_s",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Time from row to row."""

@@ -42,6 +42,8 @@ class CameraExposureGain(Effect):
         "camera.vignetting": "the ratio against image radius",
         "camera.tone_curve": "the ratio against intensity: a gain's is the same at all",
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal",)
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal, brighter."""
@@ -79,6 +81,8 @@ class CameraSensorNoise(Effect):
         "camera.particle_count": "variance of pixels whose scene is near: few particles are in front of it",
     }
     each_frame_anew: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("image.signal",)
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a pixel."""
@@ -112,6 +116,8 @@ class CameraSaturation(Effect):
         "camera.tone_curve": "the slope in the middle of the range, which saturation leaves alone"
     }
     cuts: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("image.signal",)
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal, cut."""
@@ -138,6 +144,8 @@ class CameraToneCurve(Effect):
         "camera.saturation": "the slope in the middle of the range, which saturation leaves alone",
         "camera.stray_light": "black pixels: a curve leaves them black",
     }
+    reads: ClassVar[tuple[str, ...]] = ("image.signal",)
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal through the curve."""

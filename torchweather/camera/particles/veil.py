@@ -69,6 +69,20 @@ class ParticleVeil(Stage):
     """
 
     default_name: ClassVar[str] = "particle_veil"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.depth_m", "scene.intrinsics", "scene.near_mask", "scene.ray_per_depth", "scene.sky"),
+        "air.airlight",
+        "air.airlight_scale",
+        "air.fog_extinction_per_m",
+        "air.particle_contrast",
+        "air.particle_count",
+        "air.particle_reach_m",
+        "air.patches",
+        "air.path_tangent",
+        "image.signal",
+        *("receiver.camera", "receiver.cfa_index", "receiver.keep_truth", "receiver.row_time_s"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("image.particle_mask", "image.signal")
 
     def __init__(
         self,

@@ -104,6 +104,8 @@ class LidarBeamDivergence(Effect):
         "lidar.particle_backscatter": "particle intensity against range: a wider beam takes more from far particles"
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("receiver.extra_divergence_rad", "receiver.threshold", "scene.points_in")
+    writes: ClassVar[tuple[str, ...]] = ("receiver.extra_divergence_rad",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The divergence that particles see."""
@@ -129,6 +131,8 @@ class LidarWindowLoss(Effect):
         "lidar.wet_target": "intensities of particles, and of surfaces at different incidence",
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("returns.signal",)
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """All signals, weaker."""
@@ -156,6 +160,12 @@ class LidarExtinctionScale(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("extinction_per_m",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.clear_range_m",
+        *("air.extinction_per_m", "air.path_density"),
+        "returns.signal",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.extinction_per_m", "returns.signal")
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The extinction, and the objects' signals through it."""
@@ -189,6 +199,11 @@ class LidarWetTarget(Effect):
         "lidar.window_loss": "intensities of particles, and of surfaces at different incidence"
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.cos_incidence", "scene.up"),
+        *("returns.kind", "returns.signal"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The objects' signals, weaker."""
@@ -240,6 +255,12 @@ class LidarLimitedExtent(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("extinction_per_m",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.clear_range_m",
+        *("air.extinction_per_m", "air.path_density", "air.reach_m"),
+        "returns.signal",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.reach_m", "returns.signal")
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The objects' signals, given back what they lost beyond, and the range to which particles are seen."""
@@ -281,6 +302,17 @@ class LidarStaticStructure(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.clear_signal", "scene.empty_direction", "scene.integral", "scene.points_in"),
+        "air.reach_m",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.sensor", "receiver.threshold"),
+    )
+    writes: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.clear_signal", "scene.points_in"),
+        "air.reach_m",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+    )
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The cloud as if the structure had been there."""
@@ -345,6 +377,8 @@ class LidarParticleBackscatter(Effect):
         "lidar.beam_divergence": "particle intensity against range: a wider beam takes more from far particles"
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.signal")
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The particles' signals."""
@@ -378,6 +412,11 @@ class LidarSectorLoss(Effect):
         "lidar.ring_gain": "intensities against azimuth",
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        "returns.signal",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signals in the sector, weaker."""
@@ -411,6 +450,8 @@ class LidarPatchyWeather(Effect):
     # Not ``scatters``: the search takes what that does to each entry for scatter of its own, though one density moves
     # them all together, and names it for what differs along the scan in all frames alike, as a ripple over the azimuth.
     of_the_air: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("air.density_scale", "returns.signal")
+    writes: ClassVar[tuple[str, ...]] = ("air.density_scale",)
 
     def variates(self) -> tuple[Variate, ...]:
         """One number a sample."""
@@ -458,6 +499,13 @@ class LidarSpray(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        "air.reach_m",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.sensor", "receiver.threshold", "receiver.threshold_scale"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     def variates(self) -> tuple[Variate, ...]:
         """Arrival (the E above, as ``1 - exp(-E)``) and place of the strongest return of each beam."""

@@ -98,6 +98,17 @@ class Empirical(Stage):
 
     default_name: ClassVar[str] = "empirical"
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.clear_range_m",
+        "scene.clear_signal",
+        "scene.cos_incidence",
+        "scene.empty_direction",
+        "scene.points_in",
+        "scene.up",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.threshold", "receiver.threshold_scale"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
     at: Tensor
     value: Tensor
     cumulated: Tensor

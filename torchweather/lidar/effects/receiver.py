@@ -67,6 +67,11 @@ class LidarIsolatedReturnFilter(Effect):
         "lidar.blind_zone": "ranges of the particles that are missing",
     }
     needs: ClassVar[tuple[str, ...]] = ("grid",)
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.grid"),
+        *("returns.kind", "returns.range_m", "returns.signal"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a beam."""
@@ -133,6 +138,8 @@ class LidarThresholdShift(Effect):
         "lidar.window_loss": "intensities; without them the two are one",
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("receiver.threshold", "receiver.threshold_scale", "scene.points_in")
+    writes: ClassVar[tuple[str, ...]] = ("receiver.threshold_scale",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Threshold over the sensor's."""
@@ -159,6 +166,8 @@ class LidarBlindZone(Effect):
     }
     cuts: ClassVar[bool] = True
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("returns.range_m", "returns.signal")
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals, 0 in the zone."""
@@ -188,6 +197,8 @@ class LidarRangeNoise(Effect):
         "lidar.range_stretch": "the sign of the residual, and whether it grows with the optical depth"
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m")
+    writes: ClassVar[tuple[str, ...]] = ("returns.range_m",)
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a beam."""
@@ -221,6 +232,11 @@ class LidarRangeBias(Effect):
         "lidar.range_stretch": "the residual against optical depth at a fixed signal"
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.threshold", "receiver.threshold_scale"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.range_m",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Ranges of the reported returns."""
@@ -263,6 +279,12 @@ class LidarLastReturn(Effect):
         "lidar.crosstalk": "clear frames, and ranges behind the particles",
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.clear_range_m",
+        *("returns.kind", "returns.signal"),
+        *("receiver.threshold", "receiver.threshold_scale"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a beam."""
@@ -304,6 +326,12 @@ class LidarIntensityCompression(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_signal", "scene.points_in"),
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        "receiver.sensor",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals of the reported returns."""
@@ -373,6 +401,11 @@ class LidarRangeStretch(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("extinction_per_m",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("air.extinction_per_m", "air.path_density", "air.reach_m"),
+        *("returns.kind", "returns.range_m"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.range_m",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Ranges of the reported returns."""
@@ -407,6 +440,12 @@ class LidarCrosstalk(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {"lidar.last_return": "clear frames, and ranges behind the objects"}
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction"),
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.sensor", "receiver.threshold", "receiver.threshold_scale"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     def variates(self) -> tuple[Variate, ...]:
         """Whether, where and how strong."""
@@ -457,6 +496,8 @@ class LidarRingGain(Effect):
         "lidar.wet_target": "intensities of particles, and of surfaces of one ring at different incidence",
     }
     needs: ClassVar[tuple[str, ...]] = ("grid",)
+    reads: ClassVar[tuple[str, ...]] = ("returns.signal", "scene.grid")
+    writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals with the gain of their ring."""

@@ -112,6 +112,11 @@ class LidarParticleDensityAzimuth(Effect):
         "lidar.spray": "ranges: spray returns near the sensor, a wake wherever the weather does",
         "lidar.sector_loss": "objects in the sector, which a dirty window dims and a lee does not",
     }
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        "air.beam_density",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.beam_density",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The density of each beam."""
@@ -159,6 +164,11 @@ class LidarParticleDensityElevation(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "lidar.ring_gain": "objects, which a ring's gain dims as well, and intensities of particles"
     }
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        "air.beam_density",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.beam_density",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The density of each beam."""
@@ -202,6 +212,8 @@ class LidarParticleSizes(Effect):
         "lidar.beam_divergence": "particle intensity against range: a wider beam takes more from far particles",
     }
     each_beam_alone: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("air.size_factors", "returns.signal", "scene.points_in")
+    writes: ClassVar[tuple[str, ...]] = ("air.size_factors",)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The factors, ``(B, 4)``."""
@@ -262,6 +274,13 @@ class LidarSharedParticles(Effect):
         "lidar.isolated_return_filter": "numbers of returns, which a filter lowers"
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.empty_direction", "scene.points_in"),
+        "air.reach_m",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("receiver.extra_divergence_rad", "receiver.sensor"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a beam."""

@@ -120,6 +120,17 @@ class RadarMultipath(Appending):
         "radar.fluctuation": "ghosts behind the targets; without them, the law of the powers over many frames",
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.points_in", "scene.range_m"),
+        "air.attenuation_db_per_km",
+        *("returns.clutter", "returns.gain_db", "returns.kind"),
+        "receiver.detection_snr_db",
+        "receiver.noise_floor_db",
+        "receiver.noise_shift_db",
+        "receiver.sensor",
+        "receiver.threshold_shift_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.clutter", "returns.clutter_valid", "returns.gain_db")
 
     def own_variates(self) -> tuple[Variate, ...]:
         """The phase of each target's second path."""
@@ -192,6 +203,21 @@ class RadarVolumeClutter(Appending):
         "radar.cfar_shift": "powers of the detections that are new, against range",
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor", "weathers", "rates_mm_per_h")
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.points_in",
+        *("air.attenuation_db_per_km", "air.extra_m", "air.patches", "air.rates_mm_per_h", "air.weathers"),
+        *("returns.clutter", "returns.clutter_valid", "returns.gain_db"),
+        "receiver.cover_loss_db",
+        "receiver.detection_snr_db",
+        "receiver.ego_speed_m_per_s",
+        "receiver.noise_floor_db",
+        "receiver.noise_shift_db",
+        "receiver.pattern_tilt_rad",
+        "receiver.sensor",
+        "receiver.speed_std_m_per_s",
+        "receiver.threshold_shift_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.clutter", "returns.clutter_valid")
     share: Tensor
 
     def own_variates(self) -> tuple[Variate, ...]:

@@ -69,6 +69,13 @@ class RadarWetRadome(Effect):
         "radar.noise_floor": "powers, which a noise floor leaves alone",
     }
     needs: ClassVar[tuple[str, ...]] = ("rates_mm_per_h",)
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.range_m",
+        *("air.past_rain_min", "air.past_rain_mm_per_h", "air.rates_mm_per_h"),
+        "returns.gain_db",
+        "receiver.cover_loss_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("receiver.cover_loss_db", "returns.gain_db")
 
     def two_way_db(self, state: RadarState) -> Tensor:
         """What the cover costs now, ``(B,)``."""
@@ -107,6 +114,8 @@ class RadarPathLossScale(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "radar.wet_radome": "power over clear air's against range: a line through 0 dB at the radar, or a constant"
     }
+    reads: ClassVar[tuple[str, ...]] = ("air.attenuation_db_per_km", "returns.gain_db", "scene.range_m")
+    writes: ClassVar[tuple[str, ...]] = ("air.attenuation_db_per_km", "returns.gain_db")
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains of the targets, and the attenuation of the air, which clutter has too."""
@@ -139,6 +148,12 @@ class RadarPatternTilt(Effect):
         "radar.wet_radome": "power over clear air's against azimuth",
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.points_in", "scene.range_m"),
+        "returns.gain_db",
+        *("receiver.cover_loss_db", "receiver.pattern_tilt_rad", "receiver.sensor"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("receiver.pattern_tilt_rad", "returns.gain_db")
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gains by direction, and the tilt, which clutter follows."""
@@ -196,6 +211,8 @@ class RadarWetRcs(Effect):
         "radar.pattern_tilt": "targets of one class at different azimuths",
     }
     needs: ClassVar[tuple[str, ...]] = ("target_class",)
+    reads: ClassVar[tuple[str, ...]] = ("returns.gain_db", "scene.points_in", "scene.range_m", "scene.target_class")
+    writes: ClassVar[tuple[str, ...]] = ("returns.gain_db",)
     gain_db: Tensor
 
     @property
@@ -241,6 +258,8 @@ class RadarFluctuation(Effect):
         "radar.interference": "powers: an interferer raises the floor of a frame and leaves them alone",
         "radar.multipath": "ghosts behind the targets, and the law of the powers: two waves have a largest sum",
     }
+    reads: ClassVar[tuple[str, ...]] = ("returns.gain_db", "scene.range_m")
+    writes: ClassVar[tuple[str, ...]] = ("returns.gain_db",)
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a target."""

@@ -58,6 +58,8 @@ class RadarNoiseFloor(Effect):
         "radar.interference": "floors of single frames: an interferer raises some of them",
         "radar.wet_radome": "powers, which a noise floor leaves alone",
     }
+    reads: ClassVar[tuple[str, ...]] = ("receiver.cover_loss_db", "receiver.noise_shift_db", "scene.points_in")
+    writes: ClassVar[tuple[str, ...]] = ("receiver.noise_shift_db",)
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """By how much the floor is higher."""
@@ -101,6 +103,11 @@ class RadarCfarShift(Appending):
     }
     needs: ClassVar[tuple[str, ...]] = ("sensor",)
     silent: ClassVar[str] = "with a threshold that is no lower"
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.points_in",
+        *("receiver.cover_loss_db", "receiver.sensor", "receiver.threshold_shift_db"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("receiver.threshold_shift_db",)
     shift_db: Tensor
 
     def lists(self) -> bool:
@@ -178,6 +185,8 @@ class RadarInterference(Effect):
         "radar.noise_floor": "floors of single frames: a receiver raises all of them",
         "radar.fluctuation": "powers, which an interferer leaves alone, and targets that are lost together",
     }
+    reads: ClassVar[tuple[str, ...]] = ("receiver.cover_loss_db", "receiver.noise_shift_db", "scene.points_in")
+    writes: ClassVar[tuple[str, ...]] = ("receiver.noise_shift_db",)
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a frame."""
@@ -211,6 +220,11 @@ class RadarDopplerSpread(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "radar.volume_clutter": "speeds of targets, which clutter leaves alone",
     }
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.points_in", "scene.range_m"),
+        *("receiver.cover_loss_db", "receiver.speed_std_m_per_s"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("receiver.speed_std_m_per_s", "scene.points_in")
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a target; clutter has its own."""
@@ -254,6 +268,12 @@ class RadarRangeMigration(Effect):
         "radar.doppler_spread": "ranges, and whether the residual of the speed has a mean"
     }
     needs: ClassVar[tuple[str, ...]] = ("frame_number", "points")
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.frame_number", "scene.points_in"),
+        *("returns.kind", "returns.points"),
+        "receiver.cover_loss_db",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.points",)
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The list that goes out, its places moved along their directions."""
@@ -292,6 +312,11 @@ class RadarDetectionLimit(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("snr_db",)
     cuts: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.points_in",
+        *("returns.clutter", "returns.clutter_valid", "returns.kind", "returns.snr_db"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("returns.clutter", "returns.clutter_valid", "returns.kind")
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Kinds, and the clutter that is left."""

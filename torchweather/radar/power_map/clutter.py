@@ -76,6 +76,8 @@ class MapClutter(Stage):
     """
 
     default_name: ClassVar[str] = "map_clutter"
+    reads: ClassVar[tuple[str, ...]] = ("air.patches", "maps.map_clutter", "returns.gain_db", "scene.points_in")
+    writes: ClassVar[tuple[str, ...]] = ("maps.map_clutter",)
 
     def __init__(
         self,

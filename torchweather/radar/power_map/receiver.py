@@ -83,6 +83,13 @@ class MapReceiver(Stage):
     """
 
     default_name: ClassVar[str] = "map_receiver"
+    reads: ClassVar[tuple[str, ...]] = (
+        "scene.points_in",
+        "returns.gain_db",
+        *("maps.map_clutter", "maps.map_in"),
+        *("receiver.noise_floor_db", "receiver.noise_shift_db"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("maps.map_out",)
 
     def __init__(
         self,
