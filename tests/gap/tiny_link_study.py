@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from torchweather.gap import Study
-from torchweather.gap.study.simulation import rain_attenuation_db
+from torchweather.gap.sensors.link.study_kind import rain_attenuation_db
 
 LINKS, STEPS = 80, 600
 STEP_MIN = 5.0

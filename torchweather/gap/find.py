@@ -21,6 +21,14 @@ from torchweather.pipeline.effect import Effect
 
 __all__ = ["find_gap"]
 
+# Simulate and reduce the frames of a study, by its kind.
+MODELS: dict[str, Callable[[Study, Mapping[str, Any] | None, Sequence[Effect]], FrameModel]] = {
+    "lidar": LidarFrames,
+    "camera": CameraFrames,
+    "radar": RadarFrames,
+    "link": LinkFrames,
+}
+
 
 def find_gap(
     study: Study,
@@ -70,18 +78,6 @@ def find_gap(
         raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
-        result = find_gap_with(_model(study, options, model_effects), effects, seed, progress or (lambda text: None))
+        model = MODELS[study.kind](study, options, model_effects)
+        result = find_gap_with(model, effects, seed, progress or (lambda text: None))
     return gap_report(result, study.sha256, seed)
-
-
-def _model(study: Study, options: Mapping[str, Any] | None, effects: Sequence[Effect]) -> FrameModel:
-    """What simulates and reduces the frames of a study."""
-    if study.kind == "lidar":
-        return LidarFrames(study, options, effects)
-    if study.kind == "camera":
-        return CameraFrames(study, options, effects)
-    if study.kind == "radar":
-        return RadarFrames(study, options, effects)
-    if options:
-        raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
-    return LinkFrames(study, effects)

@@ -12,13 +12,13 @@ from torchweather.core.schema import MAPPING, TEXT, Key, check_format, check_key
 from torchweather.core.yaml_file import dump_yaml, read_yaml
 from torchweather.io import atomic_write
 from torchweather.lidar.effects.empirical import Empirical
-from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.effect import Effect, effect_from_dict
 from torchweather.recipes.options import RecipeTransform, with_more_effects
 
 __all__ = ["Additions", "read_model", "write_model"]
 
 MODEL_FORMAT = "torchweather-model/1"
+BEFORE = "to_points"  # stage of a LiDAR that an empirical stage stands in front of
 KEYS = {
     "format": TEXT.needed,
     "effects": Key("a list of effects", lambda value: isinstance(value, list), required=True),
@@ -70,9 +70,9 @@ class Additions(Sequence[Effect]):
             )
         repaired = with_more_effects(model, self.effects)
         if empirical:
-            if self.empirical is None or not isinstance(model, LidarWeather):
+            if self.empirical is None or BEFORE not in repaired.chain.stages:
                 raise InputValueError("Additions.apply: there is no empirical stage for it; leave empirical=False.")
-            repaired.chain = repaired.chain.insert(self.empirical, before="to_points")
+            repaired.chain = repaired.chain.insert(self.empirical, before=BEFORE)
         return repaired
 
 

@@ -1,5 +1,6 @@
-"""Moved to ``torchweather.gap.study.simulation``; this path goes with the next release."""
+"""Moved to ``gap.study.simulation`` and ``gap.sensors``; this path goes with the next release."""
 
 from torchweather.core.moved import moved
 
-__getattr__ = moved(__name__, "torchweather.gap.study.simulation")
+PLACES = ("study.simulation", *(f"sensors.{kind}.study_kind" for kind in ("lidar", "camera", "radar", "link")))
+__getattr__ = moved(__name__, [f"torchweather.gap.{place}" for place in PLACES])

@@ -21,9 +21,10 @@ from torchweather.evaluation.validation.frame_scores import KNOWN, ScoreMeaning,
 from torchweather.evaluation.validation.quantities import quantity
 from torchweather.evaluation.validation.run import Validation, reference_frame, validate
 from torchweather.evaluation.validation.severity import compared_trends, weather_label
+from torchweather.gap.sensors.link.study_kind import rain_attenuation_db
 from torchweather.gap.study import embedded
 from torchweather.gap.study.embedded import embedded_study
-from torchweather.gap.study.simulation import rain_attenuation_db, start_frame
+from torchweather.gap.study.simulation import start_frame
 from torchweather.gap.study.study import Frame, Study
 
 LOWER, HIGHER = ScoreMeaning(False, "m"), ScoreMeaning(True)

@@ -12,16 +12,11 @@ import torch
 
 from tests.gap import studies
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
-from torchweather.gap.study.simulation import (
-    dry_samples,
-    rain_attenuation_db,
-    simulate,
-    simulated_camera,
-    simulated_lidar,
-    simulated_link,
-    simulated_radar,
-    start_frame,
-)
+from torchweather.gap.sensors.camera.study_kind import simulated_camera
+from torchweather.gap.sensors.lidar.study_kind import simulated_lidar
+from torchweather.gap.sensors.link.study_kind import dry_samples, rain_attenuation_db, simulated_link
+from torchweather.gap.sensors.radar.study_kind import simulated_radar
+from torchweather.gap.study.simulation import simulate, start_frame
 from torchweather.gap.study.study import Study
 from torchweather.physics import rain_attenuation_p838_db_per_km
 from torchweather.sensors import Camera, Lidar, Radar, scan_directions

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torchweather.evaluation.validation.comparison import Comparison, Sample
 from torchweather.evaluation.validation.frame_scores import ScoreMeaning
 from torchweather.evaluation.validation.quantities import Quantity, quantity
-from torchweather.gap.study.simulation import dry_samples
+from torchweather.gap.sensors.link.study_kind import dry_samples
 from torchweather.gap.study.study import Frame
 
 __all__ = ["RAIN_CLASSES_MM_PER_H", "LinkClass", "compared_links"]

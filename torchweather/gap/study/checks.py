@@ -1,10 +1,10 @@
-"""Arrays of a study: names, shapes, units and ranges of each kind, and the check that holds data against them."""
+"""Rules for the arrays of a study: names, shapes, units and ranges, and the check of data by them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,12 @@ from torch import Tensor
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.study.frames import Frame
 
-__all__ = ["ARRAYS", "ArrayRule", "FrameRule"]
+__all__ = ["UNIT_TOLERANCE", "ArrayRule", "FrameRule", "numbers", "refuse", "unit_vectors"]
 
 Array = NDArray[Any]
-Holds = Callable[[Array], NDArray[np.bool_]]
 
 # A unit vector whose components were rounded to half precision (2^-11 each) is off by less.
 UNIT_TOLERANCE = 1e-3
-# P.838-3 gives its coefficients for these frequencies (PHYSICS.md 6.5).
-LINK_FREQUENCIES_GHZ = (1.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -32,137 +29,38 @@ class ArrayRule:
     Args:
         shape: a number or a letter for each axis; a letter is the same number wherever it stands.
         wanted: the values in words, with their unit.
-        holds: where the values are as wanted, of the array's shape (vectors: without the last axis).
+        low, high: of finite values.
+        nan: whether NaN is wanted as well.
+        whole: whether values must be whole numbers.
+        holds: where the values are as wanted, of the array's shape (vectors: without the last axis), in place of the
+            four above.
         required: whether a frame must have it.
         advice: what to do where values are not as wanted.
     """
 
     shape: tuple[str | int, ...]
     wanted: str
-    holds: Holds
+    low: float = -math.inf
+    high: float = math.inf
+    nan: bool = False
+    whole: bool = False
+    holds: Callable[[Array], NDArray[np.bool_]] | None = None
     required: bool = True
     advice: str = ""
 
-
-def _between(low: float, high: float) -> Holds:
-    return lambda values: (values >= low) & (values <= high)
-
-
-def _finite_from(low: float) -> Holds:
-    return lambda values: (values >= low) & (values < math.inf)
-
-
-def _or_nan(holds: Holds) -> Holds:
-    return lambda values: holds(values) | np.isnan(values)
+    def __call__(self, values: Array) -> NDArray[np.bool_]:
+        """True where the values are as wanted."""
+        if self.holds is not None:
+            return self.holds(values)
+        inside = np.isfinite(values) & (values >= self.low) & (values <= self.high)
+        if self.whole:
+            inside &= values == np.rint(values)
+        return np.asarray(inside | np.isnan(values) if self.nan else inside)
 
 
-def _unit_vectors(values: Array) -> NDArray[np.bool_]:
+def unit_vectors(values: Array) -> NDArray[np.bool_]:
+    """True for vectors of length 1, along the last axis."""
     return np.asarray(np.abs(np.linalg.norm(values.astype(np.float64), axis=-1) - 1.0) <= UNIT_TOLERANCE)
-
-
-def _normals(values: Array) -> NDArray[np.bool_]:
-    """Unit vectors, and NaN or zeros where there is no surface."""
-    return np.asarray(_unit_vectors(values) | np.isnan(values).all(-1) | (values == 0).all(-1))
-
-
-def _whole(values: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(values) & (values == np.rint(values)))
-
-
-def _one_of(*numbers: float) -> Holds:
-    return lambda values: np.isin(values, numbers)
-
-
-def _not_infinite(values: Array) -> NDArray[np.bool_]:
-    return np.asarray(~np.isinf(values))
-
-
-GRID, TARGETS, LINKS = ("H", "W"), ("N",), ("L",)
-
-ARRAYS: Mapping[tuple[str, str], Mapping[str, ArrayRule]] = {
-    ("lidar", "beams"): {
-        "direction": ArrayRule(
-            (*GRID, 3), "unit vectors x forward, y left, z up", _unit_vectors, advice="Divide by their length."
-        ),
-    },
-    ("lidar", "geometry"): {
-        "cos_incidence": ArrayRule(
-            GRID, "0..1, or NaN where a beam meets no surface", _or_nan(_between(0.0, 1.0 + UNIT_TOLERANCE)), False
-        ),
-        "up": ArrayRule(
-            GRID,
-            "-1..1 (z of the surface's normal), or NaN where a beam meets no surface",
-            _or_nan(_between(-1.0 - UNIT_TOLERANCE, 1.0 + UNIT_TOLERANCE)),
-            False,
-        ),
-    },
-    ("lidar", "frame"): {
-        "range_m": ArrayRule(
-            GRID, "0 m (no return) or more, finite", _finite_from(0.0), advice="Set beams without a return to 0."
-        ),
-        "intensity": ArrayRule(
-            GRID,
-            "0 or more in the sensor's intensity_unit, finite",
-            _finite_from(0.0),
-            advice="Set beams without a return to 0.",
-        ),
-    },
-    ("camera", "geometry"): {
-        "depth_m": ArrayRule(
-            GRID,
-            "above 0 m along the optical axis, inf for sky",
-            lambda values: values > 0,
-            advice="Sky is inf, not 0.",
-        ),
-        "normal": ArrayRule((*GRID, 3), "unit vectors, or NaN or 0 where there is no surface", _normals, False),
-        "label": ArrayRule(GRID, "whole numbers", _whole, False),
-    },
-    ("camera", "frame"): {
-        "bayer": ArrayRule(
-            GRID,
-            "0 (black) to 1 (saturation), linear in light",
-            _between(0.0, 1.0),
-            advice="Subtract the black level, divide by white level less black level, and clip.",
-        ),
-    },
-    ("radar", "geometry"): {
-        "range_m": ArrayRule(TARGETS, "0 m or more, finite", _finite_from(0.0)),
-        "azimuth_rad": ArrayRule(TARGETS, "-pi..pi rad", _between(-math.pi, math.pi), advice="Degrees are not taken."),
-        "elevation_rad": ArrayRule(
-            TARGETS, "-pi/2..pi/2 rad", _between(-math.pi / 2, math.pi / 2), advice="Degrees are not taken."
-        ),
-        "speed_m_per_s": ArrayRule(TARGETS, "finite, m/s", np.isfinite),
-        "target_class": ArrayRule(TARGETS, "whole numbers", _whole),
-    },
-    ("radar", "frame"): {
-        "power_db": ArrayRule(TARGETS, "finite in dB, or NaN where the target was not detected", _not_infinite),
-        "range_m": ArrayRule(
-            TARGETS, "0 m or more and finite, or NaN where the target was not detected", _or_nan(_finite_from(0.0))
-        ),
-        "speed_m_per_s": ArrayRule(TARGETS, "finite in m/s, or NaN where the target was not detected", _not_infinite),
-        "noise_floor_db": ArrayRule((), "finite in dB", np.isfinite),
-        "clutter": ArrayRule(
-            ("M", 6),
-            "finite: range m, azimuth rad, elevation rad, speed m/s, power dB, Doppler width m/s",
-            np.isfinite,
-            False,
-        ),
-    },
-    ("link", "links"): {
-        "length_km": ArrayRule(LINKS, "above 0 km, finite", lambda v: (v > 0) & (v < math.inf)),
-        "frequency_ghz": ArrayRule(LINKS, "1..1000 GHz", _between(*LINK_FREQUENCIES_GHZ), advice="Divide MHz by 1000."),
-        "polarisation": ArrayRule(LINKS, "0 (horizontal) or 1 (vertical)", _one_of(0, 1)),
-        "split": ArrayRule(LINKS, "0 (fit) or 1 (holdout)", _one_of(0, 1)),
-    },
-    ("link", "frame"): {
-        "time_s": ArrayRule(("T",), "finite, s", np.isfinite),
-        "attenuation_db": ArrayRule(("T", "L"), "finite in dB, or NaN where a sample is missing", _not_infinite),
-        "rain_mm_per_h": ArrayRule(
-            ("T", "L", "P"), "0 mm/h or more and finite, or NaN where a sample is missing", _or_nan(_finite_from(0.0))
-        ),
-    },
-}
-"""By kind and part: the arrays of ``GAP.md`` section 1."""
 
 
 @dataclass(frozen=True)
@@ -170,14 +68,14 @@ class FrameRule:
     """The check of all frames of one part of a study.
 
     Args:
-        kind: ``lidar``, ``camera``, ``radar`` or ``link``.
-        part: ``beams``, ``geometry``, ``frame`` or ``links``.
+        arrays: rule of each array.
         sizes: what is known of the letters in the shapes.
         sizes_from: where that comes from, in words.
-        full_scale: largest intensity of the sensor's unit; ``None`` without an end.
+        together: raises where the arrays contradict each other, or the sensor; gets the frame and its name.
 
     Example:
-        >>> rule = FrameRule("camera", "frame", {"H": 2, "W": 4}, "the camera")
+        >>> arrays = {"bayer": ArrayRule(("H", "W"), "0 (black) to 1 (saturation)", 0.0, 1.0)}
+        >>> rule = FrameRule(arrays, {"H": 2, "W": 4}, "the camera")
         >>> rule({"bayer": np.full((2, 4), 0.5)}, "c00-000.npz")["bayer"].shape
         (2, 4)
         >>> rule({"bayer": np.full((2, 4), 512.0)}, "c00-000.npz")
@@ -185,15 +83,14 @@ class FrameRule:
         torchweather.core.errors.TorchweatherError: c00-000.npz: bayer must be 0 (black) to 1 (saturation) ...
     """
 
-    kind: str
-    part: str
+    arrays: Mapping[str, ArrayRule]
     sizes: Mapping[str, int] = field(default_factory=dict)
     sizes_from: str = ""
-    full_scale: float | None = None
+    together: Callable[[Frame, str], None] | None = None
 
     def __call__(self, frame: Frame, name: str) -> Frame:
         """The frame, each array as it was stored (a scalar without axes)."""
-        rules = ARRAYS[self.kind, self.part]
+        rules = self.arrays
         if not isinstance(frame, Mapping):
             raise TorchweatherError(f"{name}: wanted arrays by name ({', '.join(rules)}); got {type(frame).__name__}.")
         self._check_names(frame, rules, name)
@@ -204,8 +101,15 @@ class FrameRule:
                 checked[key] = self._array(key, value, rules[key], sizes, name)
             else:
                 checked[key] = numbers(value, f"{name}: {key}")
-        self._check_together(checked, name)
+        if self.together is not None:
+            self.together(checked, name)
         return checked
+
+    def sized_by(self, others: Mapping[str, ArrayRule], frame: Frame, name: str) -> FrameRule:
+        """The rule with the sizes that a frame of other arrays has, where none are known yet."""
+        known = [(others[key].shape, array.shape) for key, array in frame.items() if key in others]
+        sizes = {axis: size for pair in known for axis, size in zip(*pair, strict=True) if isinstance(axis, str)}
+        return self if self.sizes else replace(self, sizes=sizes, sizes_from=name)
 
     def _check_names(self, frame: Frame, rules: Mapping[str, ArrayRule], name: str) -> None:
         absent = [key for key in rules if key not in frame]
@@ -237,39 +141,9 @@ class FrameRule:
         if array.size == 0 and "M" not in rule.shape:
             raise TorchweatherError(f"{name}: {key} must hold numbers, {self._shape(rule.shape)}; it is empty.")
         with np.errstate(invalid="ignore"):
-            wrong = ~np.asarray(rule.holds(array))
-        _refuse(wrong, array, f"{name}: {key} must be {rule.wanted}", rule.advice)
-        if key == "intensity" and self.full_scale is not None:
-            _refuse(
-                array > self.full_scale,
-                array,
-                f"{name}: intensity must be at most {self.full_scale:g} in the sensor's intensity_unit",
-                "Name the unit of the data in the sensor's overrides.",
-            )
+            wrong = ~rule(array)
+        refuse(wrong, array, f"{name}: {key} must be {rule.wanted}", rule.advice)
         return array
-
-    def _check_together(self, frame: Mapping[str, Array], name: str) -> None:
-        """What one array says of another."""
-        if (self.kind, self.part) == ("radar", "frame"):
-            seen = ~np.isnan(frame["power_db"])
-            for key in ("range_m", "speed_m_per_s"):
-                _refuse(
-                    seen & np.isnan(frame[key]),
-                    frame[key],
-                    f"{name}: {key} must be a number wherever power_db is one",
-                    "Set power_db to NaN where the target was not detected.",
-                )
-        if (self.kind, self.part) == ("link", "frame"):
-            time_s = frame["time_s"].astype(np.float64)
-            _refuse(
-                np.concatenate([[False], np.diff(time_s) <= 0]),
-                time_s,
-                f"{name}: time_s must rise from sample to sample, s",
-                "Sort the samples and drop double ones.",
-            )
-            for key in ("attenuation_db", "rain_mm_per_h"):
-                if np.isnan(frame[key]).all():
-                    raise TorchweatherError(f"{name}: {key} must hold some numbers; got NaN everywhere.")
 
     @staticmethod
     def _shape(shape: Sequence[str | int]) -> str:
@@ -284,7 +158,7 @@ def numbers(value: Any, name: str) -> Array:
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
-def _refuse(wrong: Any, array: Array, must: str, advice: str) -> None:
+def refuse(wrong: Any, array: Array, must: str, advice: str) -> None:
     """Raise where anything is wrong: how much, and the first of it."""
     count = int(np.count_nonzero(wrong))
     if count:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputTypeError
 from torchweather.gap.study.frames import Frame, Frames
 from torchweather.lidar.sensor import Lidar
 from torchweather.radar.sensor import Radar
 
-__all__ = ["Condition", "StudyContent", "StudyScene"]
+__all__ = ["Condition", "StudyContent", "StudyScene", "StudySensor"]
+
+StudySensor = Lidar | Camera | Radar
+S = TypeVar("S", Lidar, Camera, Radar)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,20 +68,20 @@ class Condition:
 
 @dataclass(frozen=True, eq=False)
 class StudyContent:
-    """The content of a study. `Study` adds reading, checks and writing.
-
-    Args:
-        kind: ``lidar``, ``camera``, ``radar`` or ``link``.
-        sensor: that took the frames; ``None`` for links.
-        beams: LiDAR: ``direction (H, W, 3)``; else empty.
-        scenes: by name; empty for links.
-        conditions: each with a split, ``fit`` or ``holdout``.
-        links: links: ``length_km, frequency_ghz, polarisation, split``, ``(L,)`` each; else empty.
-    """
+    """The content of a study. `Study` documents the fields, and adds reading, checks and writing."""
 
     kind: str
-    sensor: Lidar | Camera | Radar | None
+    sensor: StudySensor | None
     beams: Frame
     scenes: Mapping[str, StudyScene]
     conditions: tuple[Condition, ...]
     links: Frame
+
+    def sensor_as(self, sensor_class: type[S]) -> S:
+        """The sensor, of the class that the caller works with."""
+        if not isinstance(self.sensor, sensor_class):
+            raise InputTypeError(
+                f"Study: expected a study of a {sensor_class.__name__}; got one of kind {self.kind}. Take the class of "
+                "study.sensor."
+            )
+        return self.sensor

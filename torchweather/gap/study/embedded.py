@@ -15,7 +15,9 @@ from torchweather.camera.sensor import Camera
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
-from torchweather.gap.study.simulation import simulated_camera, simulated_lidar, simulated_radar
+from torchweather.gap.sensors.camera.study_kind import simulated_camera
+from torchweather.gap.sensors.lidar.study_kind import simulated_lidar
+from torchweather.gap.sensors.radar.study_kind import simulated_radar
 from torchweather.gap.study.study import Frame, Study
 from torchweather.lidar.sensor import Lidar
 from torchweather.radar.sensor import Radar

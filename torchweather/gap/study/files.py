@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.core.schema import (
     ANY,
@@ -22,26 +21,25 @@ from torchweather.core.schema import (
     one_of,
 )
 from torchweather.core.yaml_file import dump_yaml, read_yaml
-from torchweather.gap.study.conditions import Condition, StudyContent
+from torchweather.gap.sensors.all import KINDS
+from torchweather.gap.study.conditions import Condition, StudyContent, StudySensor
 from torchweather.gap.study.content_hash import plain
 from torchweather.gap.study.frames import Frame, Frames, NpzFile
-from torchweather.gap.study.parts import CLEAR, KINDS, SENSORS, WEATHERS
+from torchweather.gap.study.kinds import StudyKind
+from torchweather.gap.study.parts import CLEAR, WEATHERS
 from torchweather.io import atomic_folder
 from torchweather.io.arrays import write_archive
-from torchweather.lidar.sensor import Lidar
-from torchweather.radar.sensor import Radar
 
 __all__ = ["FORMAT", "STUDY_FILE", "StudyValues", "read_values", "write_folder"]
 
 FORMAT = "torchweather-study/1"
 STUDY_FILE = "study.yaml"
 KEYS = {"format": TEXT, "sensor": MAPPING.needed, "scenes": ROWS, "conditions": ROWS, "links": ANY, "series": ANY}
-OF_LINKS = {"kind": one_of(KINDS).needed, "links": ANY}
-OF_SENSOR = {**OF_LINKS, "preset": ANY, "overrides": MAPPING.or_null, "beams": ANY}
+OF_ANY = {"kind": one_of(KINDS).needed, "links": ANY}
+OF_SENSOR = {**OF_ANY, "preset": ANY, "overrides": MAPPING.or_null, "beams": ANY}
 # A file of a hundred thousand frames has a tenth of it.
 MOST_BYTES = 64 * 2**20
 SERIES = "series"
-LINK_REL_SD = "rain_rel_sd"  # of a condition of links: relative standard deviation of the rain in its frames
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class StudyValues:
 
     owner: str
     kind: str
-    sensor: Lidar | Camera | Radar | None
+    sensor: StudySensor | None
     beams: NpzFile | None
     links: NpzFile | None
     scenes: list[dict[str, Any]]
@@ -75,8 +73,9 @@ def read_values(folder: Path) -> StudyValues:
     check_format(values, FORMAT, owner, "a study")
     check_keys(values, KEYS, owner)
     sensor = values["sensor"]
-    check_keys(sensor, OF_LINKS if sensor.get("kind") == "link" else OF_SENSOR, owner, "sensor")
-    kind = sensor["kind"]
+    without = sensor.get("kind") in [name for name, kind in KINDS.items() if kind.sensor_class is None]
+    check_keys(sensor, OF_ANY if without else OF_SENSOR, owner, "sensor")
+    kind = KINDS[sensor["kind"]]
     files = _Files(folder, owner)
     links = {"sensor.links": sensor.get("links"), "links": values.get("links")}
     given = {key: value for key, value in links.items() if value is not None}
@@ -84,7 +83,7 @@ def read_values(folder: Path) -> StudyValues:
         raise TorchweatherError(f"{owner}: links stands twice, in sensor and by itself; name it once.")
     return StudyValues(
         owner=owner,
-        kind=kind,
+        kind=kind.name,
         sensor=_sensor(sensor, kind, owner),
         beams=None if sensor.get("beams") is None else files.one(sensor["beams"], "sensor.beams"),
         links=next((files.one(value, key) for key, value in given.items()), None),
@@ -102,34 +101,27 @@ def read_values(folder: Path) -> StudyValues:
     )
 
 
-def _conditions(values: Mapping[str, Any], kind: str, files: _Files, owner: str) -> list[dict[str, Any]]:
-    rows = values.get("conditions", [])
+def _conditions(values: Mapping[str, Any], kind: StudyKind, files: _Files, owner: str) -> list[dict[str, Any]]:
+    rows, rel_sd_key = values.get("conditions", []), kind.rel_sd_key
     for place, row in enumerate(rows):
-        if kind == "link":
-            check_value(row.get(LINK_REL_SD), NUMBER.or_null, owner, f"conditions[{place}].{LINK_REL_SD}")
+        if rel_sd_key:
+            check_value(row.get(rel_sd_key), NUMBER.or_null, owner, f"conditions[{place}].{rel_sd_key}")
         if "rel_sd" in row:
-            known = [LINK_REL_SD] if kind == "link" else sorted({spread for _, spread in WEATHERS.values()})
-            raise TorchweatherError(
-                f"{owner}: unknown key 'conditions[{place}].rel_sd'; in a file it is {' or '.join(known)}"
-                f"{'' if kind == 'link' else ' of weather'}."
-            )
+            known = rel_sd_key or f"{' or '.join(sorted({spread for _, spread in WEATHERS.values()}))} of weather"
+            raise TorchweatherError(f"{owner}: unknown key 'conditions[{place}].rel_sd'; in a file it is {known}.")
     built = [
         # A key without a value counts as absent.
         {
-            **{
-                "rel_sd" if (kind, key) == ("link", LINK_REL_SD) else key: value
-                for key, value in row.items()
-                if value is not None
-            },
+            **{"rel_sd" if key == rel_sd_key else key: value for key, value in row.items() if value is not None},
             "frames": files.several(row.get("frames"), f"conditions[{place}].frames"),
         }
         for place, row in enumerate(rows)
     ]
     if values.get(SERIES) is None:
         return built
-    if kind != "link" or built:
+    if kind.has_scenes or built:
         raise TorchweatherError(
-            f"{owner}: series is the one condition of a study of links; this one is {kind} with {len(built)} "
+            f"{owner}: series is the one condition of a study of links; this one is {kind.name} with {len(built)} "
             "conditions. Name the file in conditions."
         )
     return [{"id": SERIES, "frames": [files.one(values[SERIES], SERIES)]}]
@@ -172,11 +164,11 @@ class _Files:
         return [self.one(text, f"{key}[{place}]") for place, text in enumerate(texts)]
 
 
-def _sensor(values: Mapping[str, Any], kind: str, owner: str) -> Lidar | Camera | Radar | None:
+def _sensor(values: Mapping[str, Any], kind: StudyKind, owner: str) -> StudySensor | None:
     preset, overrides = values.get("preset"), values.get("overrides") or {}
-    if kind == "link":
+    sensor = kind.sensor_class
+    if sensor is None:
         return None
-    sensor = SENSORS[kind]
     known = {name: key for name, key in field_keys(sensor).items() if name != "directions"}
     check_keys(overrides, known, owner, "sensor.overrides")
     try:
@@ -220,7 +212,7 @@ def write_folder(study: StudyContent, folder: Path) -> None:
                 for place, scene in enumerate(study.scenes.values())
             ]
         values["conditions"] = [
-            _condition_values(one, write.several(one.frames, f"condition-{place:02d}"))
+            _condition_values(one, KINDS[study.kind], write.several(one.frames, f"condition-{place:02d}"))
             for place, one in enumerate(study.conditions)
         ]
         (unfinished / STUDY_FILE).write_text(dump_yaml(values), encoding="utf-8")
@@ -240,7 +232,7 @@ class _Writer:
         return [self.one(frame, f"frames/{stem}-{place:03d}.npz") for place, frame in enumerate(frames)]
 
 
-def _condition_values(one: Condition, frames: Sequence[str]) -> dict[str, Any]:
+def _condition_values(one: Condition, kind: StudyKind, frames: Sequence[str]) -> dict[str, Any]:
     values: dict[str, Any] = {"id": one.id}
     if one.scene:
         values["scene"] = one.scene
@@ -251,7 +243,7 @@ def _condition_values(one: Condition, frames: Sequence[str]) -> dict[str, Any]:
     elif one.scene:
         values["weather"] = {"kind": CLEAR}
     elif one.rel_sd:
-        values[LINK_REL_SD] = one.rel_sd
+        values[kind.rel_sd_key] = one.rel_sd
     values["frames"] = list(frames)
     if one.time_s is not None:
         values["time_s"] = one.time_s.tolist()
@@ -264,7 +256,7 @@ def _condition_values(one: Condition, frames: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def _preset_and_overrides(sensor: Lidar | Camera | Radar) -> dict[str, Any]:
+def _preset_and_overrides(sensor: StudySensor) -> dict[str, Any]:
     """The preset with the fewest other fields, and those fields."""
     mine = plain({key: value for key, value in sensor.to_dict().items() if key != "directions"})
     choices = []

@@ -13,12 +13,12 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
-from torchweather.gap.study.frames import Frame
-from torchweather.gap.study.parts import WEATHERS
-from torchweather.gap.study.recorded_frames import CloudFile, ImageFile, beam_directions, even_camera, shared_depth
+from torchweather.gap.sensors.all import KINDS
+from torchweather.gap.study.conditions import StudySensor
+from torchweather.gap.study.frames import FrameSource
+from torchweather.gap.study.kinds import Given, Paths, StudyKind
+from torchweather.gap.study.parts import CLEAR, WEATHERS
 from torchweather.gap.study.study import Study
-from torchweather.io import IMAGE_SUFFIXES
-from torchweather.io.points import POINT_SUFFIXES
 from torchweather.io.tables import read_table
 from torchweather.lidar.sensor import Lidar
 from torchweather.sensors import sensor_preset
@@ -29,9 +29,6 @@ PathLike = str | os.PathLike[str]
 Depth = PathLike | float | NDArray[Any] | Tensor
 
 SCENE = "s0"
-CLEAR = "clear"
-# KITTI's folders: Velodyne scans, and images of the left colour camera.
-KITTI_FOLDERS = {"lidar": "velodyne", "camera": "image_2"}
 TABLE_COLUMNS = ("frame", "weather", "value", "scene", "rel_sd", "time_s", "split")
 REQUIRED_COLUMNS = TABLE_COLUMNS[:3]
 
@@ -85,12 +82,13 @@ def study_from_folders(
         ('fog_30m', (6, 8))
     """
     owner = "study_from_folders"
-    built = _sensor(sensor, owner)
+    built, kind = _sensor(sensor, owner)
     conditions = [
-        {"id": Path(folder).name, "scene": SCENE, "weather": weather, "rel_sd": rel_sd, "frames": _files(folder, built)}
+        {"id": Path(folder).name, "scene": SCENE, "weather": weather, "rel_sd": rel_sd, "frames": _files(folder, kind)}
         for folder, weather in measured.items()
     ]
-    return _study(built, {SCENE: _files(clear, built)}, conditions, depth, depth_encoding, directions, owner)
+    given = {"depth": depth, "depth_encoding": depth_encoding, "directions": directions}
+    return _study(built, kind, {SCENE: _files(clear, kind)}, conditions, given, owner)
 
 
 def study_from_kitti(
@@ -140,9 +138,9 @@ def study_from_kitti(
         ('s0-rain-25', 10.0)
     """
     owner, root = "study_from_kitti", Path(folder)
-    built = _sensor(sensor, owner)
+    built, kind = _sensor(sensor, owner)
     path = root / "weather.csv" if table is None else Path(table)
-    files = {file.name.split(".")[0]: file for file in _files(root / KITTI_FOLDERS[built.kind], built)}
+    files = {file.name.split(".")[0]: file for file in _files(root / kind.kitti_folder, kind)}
     scenes: dict[str, list[Path]] = {}
     conditions: dict[str, dict[str, Any]] = {}
     for place, row in enumerate(_rows(path), start=2):  # the first line of a CSV holds the names
@@ -170,26 +168,28 @@ def study_from_kitti(
             raise TorchweatherError(
                 f"{path}: the scene {one['scene']} has no clear frame; add rows with weather clear."
             )
-    return _study(built, scenes, list(conditions.values()), depth, depth_encoding, directions, owner)
+    given = {"depth": depth, "depth_encoding": depth_encoding, "directions": directions}
+    return _study(built, kind, scenes, list(conditions.values()), given, owner)
 
 
 # ---- folders and tables ----------------------------------------------------------------------------------------------
 
 
-def _sensor(sensor: Lidar | Camera | str, owner: str) -> Lidar | Camera:
+def _sensor(sensor: StudySensor | str, owner: str) -> tuple[StudySensor, StudyKind]:
+    """The sensor, and its kind of study."""
     built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
-    if not isinstance(built, (Lidar, Camera)):
-        raise TorchweatherError(
-            f"{owner}: sensor must be a Lidar or a Camera; got {type(built).__name__}. Detection lists of a radar do "
-            "not say which target is which: use Study.from_arrays."
-        )
-    return built
+    for kind in KINDS.values():
+        if kind.sensor_class is not None and isinstance(built, kind.sensor_class) and kind.frame_file is not None:
+            return built, kind
+    raise TorchweatherError(
+        f"{owner}: sensor must be a Lidar or a Camera; got {type(built).__name__}. Detection lists of a radar do "
+        "not say which target is which: use Study.from_arrays."
+    )
 
 
-def _files(folder: PathLike, sensor: Lidar | Camera) -> list[Path]:
+def _files(folder: PathLike, kind: StudyKind) -> list[Path]:
     """Frames of a folder by name."""
-    root = Path(folder)
-    suffixes = tuple(POINT_SUFFIXES) if isinstance(sensor, Lidar) else IMAGE_SUFFIXES
+    root, suffixes = Path(folder), kind.suffixes
     if not root.is_dir():
         raise TorchweatherError(f"{root}: no such folder. Wanted frames ending in {', '.join(suffixes)}.")
     found = sorted(file for file in root.iterdir() if file.name.lower().endswith(suffixes))
@@ -240,39 +240,18 @@ def _weather(row: Mapping[str, Any], where: str) -> Weather:
         raise TorchweatherError(f"{where}: {error}") from error
 
 
-def _study(
-    sensor: Lidar | Camera,
-    scenes: Mapping[str, Sequence[Path]],
-    conditions: Sequence[Mapping[str, Any]],
-    depth: Any,
-    depth_encoding: str | None,
-    directions: NDArray[Any] | Tensor | None,
-    owner: str,
-) -> Study:
+def _study(sensor: Any, kind: StudyKind, scenes: Paths, conditions: Sequence[Given], given: Given, owner: str) -> Study:
     """The study of these files."""
-    beams: Frame | None = None
-    geometry: dict[str, Frame | None] = dict.fromkeys(scenes)
+    measured = [path for one in conditions for path in one["frames"]]
+    kept, beams, geometry = kind.recorded(sensor, scenes, measured, given, owner)
 
-    def frame(path: Path) -> CloudFile | ImageFile:
-        return CloudFile(path, sensor) if isinstance(sensor, Lidar) else ImageFile(path, sensor)
+    def frames(paths: Sequence[Path]) -> list[FrameSource]:
+        assert kind.frame_file is not None  # as `_sensor` chose it
+        return [kind.frame_file(path, sensor) for path in paths]
 
-    if isinstance(sensor, Lidar):
-        if depth is not None:
-            raise TorchweatherError(f"{owner}: depth belongs to a camera; the sensor is a LiDAR. Leave it out.")
-        measured = [*scenes.values(), *(one["frames"] for one in conditions)]
-        beams = {"direction": beam_directions([path for some in measured for path in some], sensor, directions, owner)}
-    else:
-        if directions is not None:
-            raise TorchweatherError(f"{owner}: directions belong to a LiDAR; the sensor is a camera. Leave them out.")
-        for name in scenes:
-            given = depth.get(name) if isinstance(depth, Mapping) else depth
-            geometry[name] = shared_depth(given, depth_encoding, sensor, f"{owner}: depth of scene {name}")
     return Study.from_arrays(
-        sensor=sensor if isinstance(sensor, Lidar) else even_camera(sensor),
+        sensor=kept,
         beams=beams,
-        scenes=[
-            {"id": name, "clear": [frame(path) for path in paths], "geometry": geometry[name]}
-            for name, paths in scenes.items()
-        ],
-        conditions=[{**one, "frames": [frame(path) for path in one["frames"]]} for one in conditions],
+        scenes=[{"id": key, "clear": frames(scenes[key]), "geometry": geometry.get(key)} for key in scenes],
+        conditions=[{**one, "frames": frames(one["frames"])} for one in conditions],
     )

@@ -7,6 +7,7 @@ import math
 import numbers
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,21 +15,17 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weather, weather_from_dict
 from torchweather.camera.airlight import airlight_argument
-from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.core.schema import ANY, Key, check_keys, check_value, one_of, refuse_unknown
-from torchweather.gap.study.checks import ARRAYS, FrameRule
-from torchweather.gap.study.conditions import Condition, StudyScene
+from torchweather.gap.sensors.all import KINDS
+from torchweather.gap.study.checks import FrameRule
+from torchweather.gap.study.conditions import Condition, StudyScene, StudySensor
 from torchweather.gap.study.frames import Frame, Frames, FrameSource, load
+from torchweather.gap.study.kinds import StudyKind
 from torchweather.gap.study.splits import SPLITS, resolve_splits
-from torchweather.lidar.intensity import FULL_SCALE
-from torchweather.lidar.sensor import Lidar
-from torchweather.radar.sensor import Radar
 
-__all__ = ["KINDS", "Parts", "SENSORS", "build_parts"]
+__all__ = ["CLEAR", "WEATHERS", "Parts", "build_parts"]
 
-KINDS = ("lidar", "camera", "radar", "link")
-SENSORS: dict[str, type[Camera] | type[Lidar] | type[Radar]] = {"lidar": Lidar, "camera": Camera, "radar": Radar}
 # The name of a weather's intensity, and the relative standard deviation of its record.
 WEATHERS: dict[str, tuple[str, str]] = {
     Rain.kind: (Rain.intensity_name, "rate_rel_sd"),
@@ -61,83 +58,73 @@ class Parts(NamedTuple):
 
 
 def build_parts(
-    kind: str,
-    sensor: Camera | Lidar | Radar | None,
-    *,
-    beams: FrameSource | None,
+    name: str,
+    sensor: StudySensor | None,
+    given: Mapping[str, FrameSource | None],
     scenes: Any,
     conditions: Any,
-    links: FrameSource | None,
     owner: str,
 ) -> Parts:
-    """Build scenes and conditions and check them; ``owner`` (a file or a function) stands in front of each message."""
-    frame_rule, held_beams, held_links = FrameRule(kind, "frame"), {}, {}
-    if kind == "lidar":
-        assert isinstance(sensor, Lidar)
-        if beams is None:
-            raise TorchweatherError(
-                f"{owner}: beams is missing: a LiDAR study needs direction (H, W, 3), unit vectors."
-            )
-        held_beams = dict(load(beams, f"{owner}: beams", FrameRule(kind, "beams")))
-        height, width, _ = held_beams["direction"].shape
-        full_scale = FULL_SCALE[sensor.intensity_unit]
-        frame_rule = FrameRule(kind, "frame", {"H": height, "W": width}, "the beams", full_scale)
-    elif kind == "camera":
-        assert isinstance(sensor, Camera)
-        if sensor.height % 2 or sensor.width % 2:
-            raise TorchweatherError(
-                f"{owner}: sensor: height and width of a Bayer mosaic must be even, px; got {sensor.height} x "
-                f"{sensor.width}. Crop the frames, and the camera with camera.cropped(top, left, height, width)."
-            )
-        frame_rule = FrameRule(kind, "frame", {"H": sensor.height, "W": sensor.width}, "the sensor (height, width)")
-    elif kind == "link":
-        if links is None:
-            raise TorchweatherError(
-                f"{owner}: links is missing: a study of links needs length_km, frequency_ghz, polarisation, split (L,)."
-            )
-        held_links = dict(load(links, f"{owner}: links", FrameRule(kind, "links")))
-        frame_rule = FrameRule(kind, "frame", {"L": len(held_links["length_km"])}, "the links")
-    for name, given, belongs in (("beams", beams, "lidar"), ("links", links, "link")):
-        if given is not None and kind != belongs:
-            raise TorchweatherError(f"{owner}: {name} belongs to a study of kind {belongs}; this one is {kind}.")
+    """Build scenes and conditions and check them.
+
+    Args:
+        name: of the kind.
+        sensor: of that kind.
+        given: ``beams`` and ``links``, ``None`` where there are none.
+        scenes, conditions: rows.
+        owner: a file or a function, in front of each message.
+    """
+    kind = KINDS[name]
+    held: dict[str, Frame] = {part: {} for part in given}
+    frame_rule = FrameRule(kind.arrays["frame"], *kind.sizes(sensor, owner), partial(kind.check_frame, sensor))
+    if kind.shared:
+        source, arrays = given[kind.shared], kind.arrays[kind.shared]
+        if source is None:
+            raise TorchweatherError(f"{owner}: {kind.shared} is missing: {kind.shared_wanted}.")
+        held[kind.shared] = dict(load(source, f"{owner}: {kind.shared}", FrameRule(arrays)))
+        frame_rule = frame_rule.sized_by(arrays, held[kind.shared], f"the {kind.shared}")
+    for part in given:
+        if given[part] is not None and part != kind.shared:
+            belongs = next(one.name for one in KINDS.values() if one.shared == part)
+            raise TorchweatherError(f"{owner}: {part} belongs to a study of kind {belongs}; this one is {name}.")
     built = _scenes(scenes, kind, frame_rule, owner)
-    return Parts(held_beams, built, _conditions(conditions, kind, built, frame_rule, owner), held_links)
+    return Parts(held["beams"], built, _conditions(conditions, kind, built, frame_rule, owner), held["links"])
 
 
 # ---- scenes and conditions -------------------------------------------------------------------------------------------
 
 
-def _scenes(values: Any, kind: str, frame_rule: FrameRule, owner: str) -> dict[str, StudyScene]:
+def _scenes(values: Any, kind: StudyKind, frame_rule: FrameRule, owner: str) -> dict[str, StudyScene]:
     rows = _rows(values, "scenes", SCENE_KEYS, owner)
-    if kind == "link":
+    if not kind.has_scenes:
         if rows:
             raise TorchweatherError(f"{owner}: scenes: links have no clear frames (dry samples are the clear set).")
         return {}
     if not rows:
         raise TorchweatherError(f"{owner}: scenes must hold at least one scene with clear frames; got none.")
-    built: dict[str, StudyScene] = {}
+    arrays, built = kind.arrays["geometry"], dict[str, StudyScene]()
+    needed = [name for name, rule in arrays.items() if rule.required]
     for key, row in rows.items():
         name = _name(row, key, built, owner)
-        needed = kind in ("camera", "radar")
         given = row.get("geometry")
         if given is None and needed:
             raise TorchweatherError(
-                f"{owner}: {key}.geometry is missing: a {kind} study needs {', '.join(_needed(kind))} of each scene."
+                f"{owner}: {key}.geometry is missing: a {kind.name} study needs {', '.join(needed)} of each scene."
             )
         geometry: Frame = {}
         if given is not None:
-            rule = FrameRule(kind, "geometry", frame_rule.sizes, frame_rule.sizes_from)
+            rule = FrameRule(arrays, frame_rule.sizes, frame_rule.sizes_from)
             geometry = load(given, f"{owner}: {key}.geometry", rule)
         built[name] = StudyScene(
             id=name,
-            clear=_frames(row, "clear", key, _frame_rule(kind, frame_rule, name, geometry), owner),
+            clear=_frames(row, "clear", key, _scene_rule(kind, frame_rule, name, geometry), owner),
             geometry=geometry,
         )
     return built
 
 
 def _conditions(
-    values: Any, kind: str, scenes: Mapping[str, StudyScene], frame_rule: FrameRule, owner: str
+    values: Any, kind: StudyKind, scenes: Mapping[str, StudyScene], frame_rule: FrameRule, owner: str
 ) -> tuple[Condition, ...]:
     rows = _rows(values, "conditions", CONDITION_KEYS, owner)
     if not rows:
@@ -146,9 +133,9 @@ def _conditions(
     for key, row in rows.items():
         name = _name(row, key, built, owner)
         rule = frame_rule
-        if kind != "link":
+        if kind.has_scenes:
             check_value(row.get("scene"), one_of(scenes), owner, f"{key}.scene")
-            rule = _frame_rule(kind, frame_rule, row["scene"], scenes[row["scene"]].geometry)
+            rule = _scene_rule(kind, frame_rule, row["scene"], scenes[row["scene"]].geometry)
         weather, rel_sd = _weather(row, kind, key, owner)
         frames = _frames(row, "frames", key, rule, owner)
         split = row.get("split")
@@ -159,7 +146,7 @@ def _conditions(
             )
         built[name] = Condition(
             id=name,
-            scene="" if kind == "link" else row["scene"],
+            scene=row["scene"] if kind.has_scenes else "",
             weather=weather,
             frames=frames,
             rel_sd=rel_sd,
@@ -172,13 +159,15 @@ def _conditions(
     return resolve_splits(tuple(built.values()))
 
 
-def _airlight(row: Values, kind: str, key: str, owner: str) -> tuple[float, float, float] | None:
+def _airlight(row: Values, kind: StudyKind, key: str, owner: str) -> tuple[float, float, float] | None:
     """The measured airlight of a camera's condition, red, green, blue."""
     given = row.get("airlight")
     if given is None:
         return None
-    if kind != "camera":
-        raise TorchweatherError(f"{owner}: {key}.airlight belongs to a camera; the study is of a {kind}. Leave it out.")
+    if not kind.has_airlight:
+        raise TorchweatherError(
+            f"{owner}: {key}.airlight belongs to a camera; the study is of a {kind.name}. Leave it out."
+        )
     try:
         found = airlight_argument(given, f"{key}")
     except (TypeError, ValueError) as error:
@@ -191,15 +180,9 @@ def _airlight(row: Values, kind: str, key: str, owner: str) -> tuple[float, floa
     return found
 
 
-def _needed(kind: str) -> list[str]:
-    return [name for name, rule in ARRAYS[kind, "geometry"].items() if rule.required]
-
-
-def _frame_rule(kind: str, rule: FrameRule, scene: str, geometry: Frame) -> FrameRule:
+def _scene_rule(kind: StudyKind, rule: FrameRule, scene: str, geometry: Frame) -> FrameRule:
     """The rule of a scene's frames: a radar has as many targets as the scene's geometry says."""
-    if kind != "radar":
-        return rule
-    return FrameRule(kind, "frame", {"N": len(geometry["range_m"])}, f"the geometry of scene {scene}")
+    return rule.sized_by(kind.arrays["geometry"], geometry, f"the geometry of scene {scene}")
 
 
 def _frames(row: Values, what: str, key: str, rule: FrameRule, owner: str) -> Frames:
@@ -233,12 +216,12 @@ def _name(row: Values, key: str, known: Mapping[str, Any], owner: str) -> str:
 # ---- values ----------------------------------------------------------------------------------------------------------
 
 
-def _weather(row: Values, kind: str, key: str, owner: str) -> tuple[Weather | None, float]:
+def _weather(row: Values, kind: StudyKind, key: str, owner: str) -> tuple[Weather | None, float]:
     """The weather of a condition and the relative standard deviation of its record."""
     given, where = row.get("weather"), f"{key}.weather"
     rel_sd = _number(row.get("rel_sd", 0.0), f"{owner}: {key}.rel_sd", 0.0, MOST_REL_SD, "")
-    if given == CLEAR or (given is None and (kind == "link" or "weather" in row)):
-        return None, rel_sd if kind == "link" else 0.0
+    if given == CLEAR or (given is None and (kind.rel_sd_key or "weather" in row)):
+        return None, rel_sd if kind.rel_sd_key else 0.0
     if isinstance(given, Mapping):
         given = dict(given)
         name = given.get("kind")

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
-from torchweather.gap.study.conditions import Condition, StudyContent, StudyScene
+from torchweather.gap.sensors.all import KINDS
+from torchweather.gap.study.conditions import Condition, StudyContent, StudyScene, StudySensor
 from torchweather.gap.study.content_hash import content_sha256
 from torchweather.gap.study.files import read_values, write_folder
-from torchweather.gap.study.frames import Frame, Frames, FrameSource
-from torchweather.gap.study.parts import KINDS, SENSORS, build_parts
+from torchweather.gap.study.frames import Frame, Frames
+from torchweather.gap.study.kinds import StudyKind
+from torchweather.gap.study.parts import build_parts
 from torchweather.gap.study.splits import FIT, HOLDOUT
-from torchweather.lidar.scan import scan_directions
-from torchweather.lidar.sensor import Lidar
-from torchweather.radar.sensor import Radar
 from torchweather.sensors import sensor_preset
 
 __all__ = ["Condition", "Frame", "Frames", "Study", "StudyScene"]
@@ -52,7 +50,7 @@ class Study(StudyContent):
         *,
         conditions: Sequence[Mapping[str, Any]],
         kind: str | None = None,
-        sensor: Lidar | Camera | Radar | str | None = None,
+        sensor: StudySensor | str | None = None,
         beams: Frame | None = None,
         scenes: Sequence[Mapping[str, Any]] = (),
         links: Frame | None = None,
@@ -77,6 +75,7 @@ class Study(StudyContent):
 
         Example:
             >>> import numpy as np
+            >>> from torchweather.lidar.sensor import Lidar
             >>> lidar = Lidar(905.0, elevations_deg=(-2.0, 2.0), columns=4)
             >>> noise = np.random.default_rng(0)
             >>> def frame(intensity):
@@ -97,12 +96,9 @@ class Study(StudyContent):
         built = sensor_preset(sensor)[1] if isinstance(sensor, str) else sensor
         named = kind if kind is not None else ("link" if built is None else built.kind)
         _check_sensor(named, built, owner)
-        if isinstance(built, Lidar):
-            if beams is None and built.elevations_deg and built.columns:
-                grid = (len(built.elevations_deg), built.columns, 3)
-                beams = {"direction": scan_directions(built).reshape(grid).numpy()}
-            built = replace(built, directions=None)
-        return cls._of(named, built, owner, beams=beams, scenes=list(scenes), conditions=list(conditions), links=links)
+        built, beams = KINDS[named].completed(built, beams)
+        given = {"beams": beams, "links": links}
+        return cls(named, built, *build_parts(named, built, given, list(scenes), list(conditions), owner))
 
     @classmethod
     def read(cls, folder: str | os.PathLike[str]) -> Self:
@@ -122,30 +118,9 @@ class Study(StudyContent):
         """
         values = read_values(Path(folder))
         _check_sensor(values.kind, values.sensor, values.owner)
-        return cls._of(
-            values.kind,
-            values.sensor,
-            values.owner,
-            beams=values.beams,
-            scenes=values.scenes,
-            conditions=values.conditions,
-            links=values.links,
-        )
-
-    @classmethod
-    def _of(
-        cls,
-        kind: str,
-        sensor: Lidar | Camera | Radar | None,
-        owner: str,
-        *,
-        beams: FrameSource | None,
-        scenes: Any,
-        conditions: Any,
-        links: FrameSource | None,
-    ) -> Self:
-        parts = build_parts(kind, sensor, beams=beams, scenes=scenes, conditions=conditions, links=links, owner=owner)
-        return cls(kind, sensor, parts.beams, parts.scenes, parts.conditions, parts.links)
+        given = {"beams": values.beams, "links": values.links}
+        parts = build_parts(values.kind, values.sensor, given, values.scenes, values.conditions, values.owner)
+        return cls(values.kind, values.sensor, *parts)
 
     def write(self, folder: str | os.PathLike[str]) -> None:
         """Write the study as a folder, whole or not at all.
@@ -160,6 +135,11 @@ class Study(StudyContent):
             `Study.read` gives the same study back, with the same `sha256`. The splits are written as they stand.
         """
         write_folder(self, Path(folder))
+
+    @property
+    def study_kind(self) -> StudyKind:
+        """Facts and steps of studies of this kind."""
+        return KINDS[self.kind]
 
     @cached_property
     def sha256(self) -> str:
@@ -177,7 +157,7 @@ class Study(StudyContent):
         return self._with(HOLDOUT)
 
     def _with(self, split: str) -> tuple[Condition, ...]:
-        return tuple(one for one in self.conditions if self.kind == "link" or one.split == split)
+        return tuple(one for one in self.conditions if "split" in self.links or one.split == split)
 
     def scene_of(self, condition: Condition) -> StudyScene:
         """The scene of a condition; links have none."""
@@ -190,11 +170,11 @@ class Study(StudyContent):
 
 
 def _check_sensor(kind: str, sensor: object, owner: str) -> None:
-    if kind not in KINDS:
+    if kind not in tuple(KINDS):
         raise TorchweatherError(
             f"{owner}: kind must be one of {', '.join(KINDS)}; got {kind!r}.{nearest_name(kind, KINDS)}"
         )
-    wanted = SENSORS.get(kind)
+    wanted = KINDS[kind].sensor_class
     if wanted is None and sensor is not None:
         raise TorchweatherError(f"{owner}: a study of links has no sensor; got {type(sensor).__name__}.")
     if wanted is not None and not isinstance(sensor, wanted):

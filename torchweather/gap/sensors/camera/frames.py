@@ -74,13 +74,13 @@ class CameraFrames:
     """
 
     def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
-        assert isinstance(study.sensor, Camera)
+        sensor = study.sensor_as(Camera)
         self.options, self.effects = dict(options or {}), list(effects)
         self.fit, self.holdout = (
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
-        self.sensor = replace(study.sensor, response_knots=None)  # the frames of a study are linear already
+        self.sensor = replace(sensor, response_knots=None)  # the frames of a study are linear already
         pattern = self.sensor.bayer_pattern
         colours = colours_of(cfa_colour_index(pattern))
         self.scenes: dict[str, CameraScene] = {

@@ -63,7 +63,7 @@ class LidarFrames:
     """
 
     def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
-        assert isinstance(study.sensor, Lidar)
+        sensor = study.sensor_as(Lidar)
         self.options, self.effects = dict(options or {}), list(effects)
         self.fit, self.holdout = (
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
@@ -75,7 +75,7 @@ class LidarFrames:
         direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))
         self.grid = (direction.shape[0], direction.shape[1])
         self.direction = direction.reshape(-1, 3)
-        self.sensor = replace(study.sensor, directions=None, margin_db=LEAST_MARGIN_DB)
+        self.sensor = replace(sensor, directions=None, margin_db=LEAST_MARGIN_DB)
         self.energy = ToEnergy(self.sensor)
         with_intensity = self.sensor.intensity_unit != "none"
         self.scenes: dict[str, LidarScene] = {

@@ -16,6 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +48,16 @@ class LinkFrames:
 
     Args:
         study: of kind ``link``.
+        options: none; the model of links has no options.
         effects: that the model has already.
 
     Raises:
-        TorchweatherError: the record does not hold what an answer needs.
+        TorchweatherError: options are given, or the record does not hold what an answer needs.
     """
 
-    def __init__(self, study: Study, effects: Sequence[Effect] = ()) -> None:
+    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+        if options:
+            raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
         self.effects = list(effects)
         self.catalogue = list(LINK_EFFECTS)
         self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}

@@ -22,8 +22,8 @@ import torch
 from numpy.typing import NDArray
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.gap.sensors.link.study_kind import DRIZZLE_MM_PER_H, dry_samples, rain_attenuation_db
 from torchweather.gap.study.frames import Frame
-from torchweather.gap.study.simulation import DRIZZLE_MM_PER_H, dry_samples, rain_attenuation_db
 from torchweather.physics import rain_attenuation_p838_db_per_km
 
 __all__ = ["AFTER_RAIN_MIN", "RAIN_EDGES_MM_PER_H", "Scatter", "LinkSamples", "link_samples"]

@@ -75,7 +75,7 @@ class RadarFrames:
     """
 
     def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
-        assert isinstance(study.sensor, Radar)
+        sensor = study.sensor_as(Radar)
         self.options, self.effects = dict(options or {}), list(effects)
         self.fit, self.holdout = (
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
@@ -83,11 +83,9 @@ class RadarFrames:
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
         self.catalogue = [name for name in EFFECTS if name.startswith("radar.")]
         self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}
-        self.scenes: dict[str, RadarScene] = {
-            name: radar_scene(scene, study.sensor) for name, scene in study.scenes.items()
-        }
+        self.scenes: dict[str, RadarScene] = {name: radar_scene(scene, sensor) for name, scene in study.scenes.items()}
         floor_db = float(np.mean([scene.clear.floor_db.mean() for scene in self.scenes.values()]))
-        self.sensor = replace(study.sensor, noise_floor_db=floor_db)
+        self.sensor = replace(sensor, noise_floor_db=floor_db)
         self._check()
         self.open_shifts: AbstractSet[str] = frozenset()
         self.layout = radar_layout(radar_edges(list(self.scenes.values())))

@@ -1,0 +1,179 @@
+"""A study of a camera: its arrays, frames as the ready-made chain simulates them, and what such a study may lack."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.sensor import Camera
+from torchweather.camera.transform import BayerWeather
+from torchweather.core.errors import TorchweatherError
+from torchweather.gap.study.checks import ArrayRule, unit_vectors
+from torchweather.gap.study.conditions import Condition, StudyContent
+from torchweather.gap.study.frames import Frame
+from torchweather.gap.study.kinds import Finding, Given, Looks, Paths, StudyKind, place
+from torchweather.gap.study.recorded_frames import ImageFile, even_camera, shared_depth
+from torchweather.io import IMAGE_SUFFIXES
+
+__all__ = ["CameraStudy", "simulated_camera"]
+
+# Depths within a fifth of each other are one depth: light lost on the way differs by less than a tenth where half of it
+# is lost (0.5^0.2 = 0.87 of 0.5).
+ONE_DEPTH = 1.2
+GRID = ("H", "W")
+
+Array = NDArray[Any]
+
+
+def _above_0(values: Array) -> NDArray[np.bool_]:
+    return np.asarray(values > 0)
+
+
+def _normals(values: Array) -> NDArray[np.bool_]:
+    """Unit vectors, and NaN or zeros where there is no surface."""
+    return np.asarray(unit_vectors(values) | np.isnan(values).all(-1) | (values == 0).all(-1))
+
+
+class CameraStudy(StudyKind):
+    """A study of a camera."""
+
+    name = "camera"
+    sensor_class = Camera
+    arrays: ClassVar[Mapping[str, Mapping[str, ArrayRule]]] = {
+        "geometry": {
+            "depth_m": ArrayRule(
+                GRID, "above 0 m along the optical axis, inf for sky", holds=_above_0, advice="Sky is inf, not 0."
+            ),
+            "normal": ArrayRule(
+                (*GRID, 3), "unit vectors, or NaN or 0 where there is no surface", holds=_normals, required=False
+            ),
+            "label": ArrayRule(GRID, "whole numbers", whole=True, required=False),
+        },
+        "frame": {
+            "bayer": ArrayRule(
+                GRID,
+                "0 (black) to 1 (saturation), linear in light",
+                0.0,
+                1.0,
+                advice="Subtract the black level, divide by white level less black level, and clip.",
+            ),
+        },
+    }
+    has_airlight = True
+    frame_file, suffixes, kitti_folder = ImageFile, IMAGE_SUFFIXES, "image_2"
+    signal, signal_name = "bayer", "pixel"
+    spread_effect = "camera.patchy_fog"
+    drift = "a drift of the exposure passes for camera.exposure_gain"
+    loss_effect = "camera.extinction_scale"
+
+    def recorded(
+        self, sensor: Camera, scenes: Paths, measured: Sequence[Path], given: Given, owner: str
+    ) -> tuple[Camera, Frame | None, Mapping[str, Frame]]:
+        """The camera of whole cells of the colour filter array, and the depth of each scene."""
+        if given["directions"] is not None:
+            raise TorchweatherError(f"{owner}: directions belong to a LiDAR; the sensor is a camera. Leave them out.")
+        depth, encoding = given["depth"], given["depth_encoding"]
+        each = depth if isinstance(depth, Mapping) else dict.fromkeys(scenes, depth)
+        geometry = {
+            name: shared_depth(each.get(name), encoding, sensor, f"{owner}: depth of scene {name}") for name in scenes
+        }
+        return even_camera(sensor), None, geometry
+
+    def sizes(self, sensor: Camera, owner: str) -> tuple[Mapping[str, int], str]:
+        """The sensor's size, of whole cells of the colour filter array."""
+        if sensor.height % 2 or sensor.width % 2:
+            raise TorchweatherError(
+                f"{owner}: sensor: height and width of a Bayer mosaic must be even, px; got {sensor.height} x "
+                f"{sensor.width}. Crop the frames, and the camera with camera.cropped(top, left, height, width)."
+            )
+        return {"H": sensor.height, "W": sensor.width}, "the sensor (height, width)"
+
+    def simulated(self, study: StudyContent, condition: Condition, start: Frame, seed: int) -> Frame:
+        """A raw frame in the condition's weather, by its exposure, speed and airlight."""
+        assert condition.weather is not None
+        camera = study.sensor_as(Camera)
+        if condition.exposure_s is not None:
+            camera = replace(camera, exposure_s=condition.exposure_s)
+        depth_m, speed = study.scenes[condition.scene].geometry["depth_m"], condition.ego_speed_m_per_s or 0.0
+        return simulated_camera(
+            start, depth_m, condition.weather, camera, seed, ego_speed_m_per_s=speed, airlight=condition.airlight
+        )
+
+    def geometry_findings(self, scene: str, geometry: Frame) -> Iterator[Finding]:
+        """Depths and normals, which distinguish effects."""
+        depth_m = np.asarray(geometry["depth_m"], dtype=np.float64)
+        depth_m = depth_m[np.isfinite(depth_m)]
+        if depth_m.size == 0 or np.quantile(depth_m, 0.95) < ONE_DEPTH * np.quantile(depth_m, 0.05):
+            yield Finding(
+                "warning",
+                f"The scene {scene} has one depth, if any.",
+                "camera.exposure_gain cannot be told from camera.airlight_scale, nor camera.stray_light.",
+                "Record a scene with near and far surfaces.",
+            )
+        if "normal" not in geometry and "label" not in geometry:
+            yield Finding(
+                "note",
+                f"The scene {scene} has no normal and no label.",
+                "camera.wet_surface cannot be told from camera.exposure_gain: it is known by the road and by "
+                "surfaces that face up.",
+                "Give normal (H, W, 3) or label (H, W) in the geometry.",
+            )
+
+    def findings(self, study: StudyContent, clear: Looks, measured: Looks) -> Iterator[Finding]:
+        """Frames of a single value."""
+        looks = [look for some in (*clear.values(), *measured.values()) for look in some if look.signals]
+        if looks and all(look.low == look.high for look in looks):
+            yield Finding(
+                "error",
+                f"All pixels of a frame are equal, in every frame ({place(study.conditions[0].frames)}).",
+                "There is nothing that weather could change.",
+                "Check how bayer was made.",
+            )
+
+
+@lru_cache(maxsize=64)
+def _camera_transform(
+    weather: Weather, camera: Camera, ego_speed_m_per_s: float, airlight: tuple[float, float, float] | None
+) -> BayerWeather:
+    # The frames of a study are linear already.
+    linear = replace(camera, response_knots=None)
+    return BayerWeather(weather, linear, ego_speed_m_per_s=ego_speed_m_per_s, airlight=airlight)
+
+
+def simulated_camera(
+    clear: Frame,
+    depth_m: Array,
+    weather: Weather,
+    camera: Camera,
+    seed: int,
+    *,
+    ego_speed_m_per_s: float = 0.0,
+    airlight: tuple[float, float, float] | None = None,
+) -> dict[str, Array]:
+    """A raw frame in a weather.
+
+    Args:
+        clear: ``bayer (H, W)``, linear, black 0, saturation 1.
+        depth_m: ``(H, W)`` along the optical axis, infinity is sky.
+        weather, camera: as in ``BayerWeather``; the camera's exposure is that of the frame.
+        seed: of the weather.
+        ego_speed_m_per_s: of the vehicle, forward.
+        airlight: as measured, linear; ``None`` takes that of the clear frame's sky, as ``BayerWeather`` finds it.
+
+    Returns:
+        ``bayer (H, W)``.
+    """
+    transform = _camera_transform(weather, camera, ego_speed_m_per_s, airlight)
+    bayer = torch.from_numpy(np.array(clear["bayer"], dtype=np.float32))[None]
+    depth = torch.from_numpy(np.array(depth_m, dtype=np.float32))[None]
+    with torch.no_grad():
+        found = transform(bayer, depth, transform.draw(bayer, seed=seed))
+    return {"bayer": found[0].numpy()}
