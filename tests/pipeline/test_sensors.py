@@ -25,6 +25,15 @@ def test_every_preset_builds_names_its_source_and_survives_yaml(kind: type[Senso
         assert type(sensor).from_dict(yaml.safe_load(yaml.safe_dump(sensor.to_dict()))) == sensor
 
 
+@pytest.mark.parametrize(("kind", "preset"), [(Camera, "kitti"), (Lidar, "velodyne-hdl-32e"), (Radar, "awr1843-like")])
+def test_a_sensor_is_itself_its_plain_values_or_a_preset(kind: type[Sensor], preset: str) -> None:
+    sensor = kind.preset(preset)
+    assert kind.of(sensor) is sensor
+    assert kind.of(sensor.to_dict()) == kind.of(preset) == sensor
+    with pytest.raises(ValueError, match="preset must be one of"):
+        kind.of(None)
+
+
 def test_lucid_triton_has_the_field_of_view_of_rehearse() -> None:
     camera = Camera.preset("lucid-triton")
     assert math.degrees(2 * math.atan(camera.width / 2 / camera.fx)) == pytest.approx(80.8, abs=1e-4)

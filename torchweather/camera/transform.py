@@ -97,7 +97,7 @@ class BayerWeather(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "BayerWeather"
-    sensor_argument: ClassVar[str] = "camera"
+    sensor_class: ClassVar[type[Camera]] = Camera
     extra_inputs: ClassVar[Mapping[str, int]] = {"depth": 3, "normal": 3}
     data_shape = ("1", "H", "W")
 
@@ -142,7 +142,7 @@ class BayerWeather(WeatherTransform):
         )
         self._check_weather(weather)
         self._check_p(p)
-        self._check_sensor(camera, Camera, "lucid-triton")
+        Camera.check(camera, "camera", "lucid-triton", owner=self)
         if variant is not None:
             check_one_of("variant", variant, VARIANTS, owner=self)
         if sky is not None:

@@ -78,8 +78,7 @@ class RandomWeather(nn.Module):
         if weather is None:
             weather = [Rain(rate_mm_per_h=RAIN_MM_PER_H), Fog(mor_m=FOG_MOR_M), Snow(rate_mm_per_h=SNOW_MM_PER_H)]
         self.weather, self.p, self.depth, self.seed, self.options = weather, float(p), depth, seed, options
-        named = DEFAULT_CAMERA if camera is None else camera
-        self.camera = named if isinstance(named, Camera) else Camera.preset(str(named))
+        self.camera = Camera.of(DEFAULT_CAMERA if camera is None else camera)
         self._composed: OrderedDict[tuple[int, int], Compose] = OrderedDict()
         self._warned = False
         self._compose(self.camera.height, self.camera.width)  # wrong weathers and options are refused here

@@ -85,6 +85,7 @@ class Lidar(Sensor):
     """
 
     kind: ClassVar[str] = "lidar"
+    data_fields: ClassVar[tuple[str, ...]] = ("directions",)
 
     wavelength_nm: float
     exit_diameter_mm: float = 10.0

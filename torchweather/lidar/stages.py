@@ -49,13 +49,9 @@ NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
 
-def _sensor(sensor: Lidar | Mapping[str, Any]) -> Lidar:
-    return sensor if isinstance(sensor, Lidar) else Lidar.from_dict(sensor)
-
-
 def _config(sensor: Lidar) -> dict[str, Any]:
     """Plain values of a sensor; the directions belong to the data, not to the stage."""
-    return sensor.to_dict(without=("directions",))
+    return sensor.to_dict(without=Lidar.data_fields)
 
 
 def _azimuth_and_level(state: LidarState) -> tuple[Tensor, Tensor]:
@@ -76,7 +72,7 @@ class _SensorStage(Stage):
 
     def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
         super().__init__()
-        self.sensor = _sensor(sensor)
+        self.sensor = Lidar.of(sensor)
 
     def config(self) -> dict[str, Any]:
         """Constructor arguments."""
@@ -255,7 +251,7 @@ class Extinction(Stage):
         variant: str | None = None,
     ) -> None:
         super().__init__()
-        self.sensor = _sensor(sensor)
+        self.sensor = Lidar.of(sensor)
         if q_eff is not None:
             check_at_least("q_eff", q_eff, 0.0, owner=self)
         check_one_of("fog_extinction", fog_extinction, ("mie", "koschmieder"), owner=self)
@@ -353,7 +349,7 @@ class ParticleReturns(Stage):
         variant: str | None = None,
     ) -> None:
         super().__init__()
-        self.sensor = _sensor(sensor)
+        self.sensor = Lidar.of(sensor)
         self.beam = Beam(self.sensor)
         self.options = {"q_back": q_back, "fog_backscatter": fog_backscatter, "variant": variant}
         built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]

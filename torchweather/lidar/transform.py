@@ -138,6 +138,7 @@ class LidarWeather(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "LidarWeather"
+    sensor_class: ClassVar[type[Lidar]] = Lidar
     extra_inputs: ClassVar[Mapping[str, int]] = {"directions": 2}
     data_shape = ("N", "4 or more")
 
@@ -174,7 +175,7 @@ class LidarWeather(WeatherTransform):
         )
         self._check_weather(weather)
         self._check_p(p)
-        self._check_sensor(sensor, Lidar, "ouster-os1-128")
+        Lidar.check(sensor, "sensor", "ouster-os1-128", owner=self)
         self._check_variant(weather, variant)
         check_one_of("lost", lost, LOST_AS, owner=self)
         if complete_scan not in COMPLETE_SCAN:

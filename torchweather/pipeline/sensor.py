@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 from torch import Tensor
 
-from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.schema import ANY, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import parse_yaml, read_yaml
 
@@ -36,6 +36,24 @@ class Sensor:
     kind: ClassVar[str] = ""
     data_key: ClassVar[str] = "points"
     """Key of its data in a sample where no other is given."""
+    data_fields: ClassVar[tuple[str, ...]] = ()
+    """Fields that belong to the data and not to a recipe."""
+
+    @classmethod
+    def of(cls, value: object) -> Self:
+        """The sensor from itself, from its plain values, or from the name of a preset or file."""
+        if isinstance(value, cls):
+            return value
+        return cls.from_dict(value) if isinstance(value, Mapping) else cls.preset(str(value))
+
+    @classmethod
+    def check(cls, value: object, argument: str, example: str, *, owner: object) -> None:
+        """Raise `InputTypeError` unless the value is a sensor of this class; the error names a preset as example."""
+        if not isinstance(value, cls):
+            raise InputTypeError(
+                f"{type(owner).__name__}: {argument} must be a {cls.__name__}, such as "
+                f"{cls.__name__}.preset({example!r}); got {value!r}."
+            )
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Self:

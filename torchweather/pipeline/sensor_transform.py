@@ -40,8 +40,8 @@ class WeatherTransform(nn.Module):
 
     takes: ClassVar[tuple[str, ...]] = ("rain", "fog", "snow")
     takes_all: ClassVar[str] = ""
-    sensor_argument: ClassVar[str] = "sensor"
-    """Name of the constructor's argument for the sensor."""
+    sensor_class: ClassVar[type[Sensor]]
+    """Class of the sensor that it is built for."""
     extra_inputs: ClassVar[Mapping[str, int]] = {}
     """Arguments of a call beside the data and the noise, and their dimensions in one sample."""
     data_shape: tuple[str, ...]
@@ -150,13 +150,6 @@ class WeatherTransform(nn.Module):
         if wrong:
             raise InputTypeError(
                 f"{name}: takes {' or '.join(self.takes)}; got {', '.join(wrong)}. {self.takes_all} takes all."
-            )
-
-    def _check_sensor(self, sensor: object, wanted: type[Sensor], example: str) -> None:
-        if not isinstance(sensor, wanted):
-            raise InputTypeError(
-                f"{type(self).__name__}: {self.sensor_argument} must be a {wanted.__name__}, such as "
-                f"{wanted.__name__}.preset({example!r}); got {sensor!r}."
             )
 
     def drawn(

@@ -41,11 +41,6 @@ DEFAULT_MODELS = {"rain": "p838", "fog": "p840", "snow": "dsd_mie"}
 TILT_RAD = {"h": 0.0, "v": math.pi / 2}
 
 
-def radar_of(sensor: Radar | Mapping[str, Any]) -> Radar:
-    """The radar, from itself or its dictionary."""
-    return sensor if isinstance(sensor, Radar) else Radar.from_dict(sensor)
-
-
 def weather_attenuation_db_per_km(
     weather: Weather, radar: Radar, model: str | None = None, intensity: float | Tensor | None = None
 ) -> Tensor:
@@ -166,7 +161,7 @@ class PathAttenuation(Stage):
         snow_model: str = "dsd_mie",
     ) -> None:
         super().__init__()
-        self.sensor = radar_of(sensor)
+        self.sensor = Radar.of(sensor)
         self.models = {"rain": rain_model, "fog": fog_model, "snow": snow_model}
         for kind, model in self.models.items():
             check_one_of(f"{kind}_model", model, MODELS[kind], owner=self)

@@ -35,7 +35,6 @@ from torchweather.physics import InterpolationTable, reflectivity_weighted_fall_
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
-from torchweather.radar.attenuation import radar_of
 from torchweather.radar.sensor import Radar
 from torchweather.radar.state import RadarState
 
@@ -189,7 +188,7 @@ class VolumeClutter(Stage):
         turbulence_m_per_s: float = 0.5,
     ) -> None:
         super().__init__()
-        self.sensor = radar_of(sensor)
+        self.sensor = Radar.of(sensor)
         built = weather if isinstance(weather, Weather) else weather_from_dict(weather)
         if not isinstance(built, (Rain, Snow)):
             raise InputTypeError(f"VolumeClutter: weather must be Rain or Snow; got {type(built).__name__}.")

@@ -95,6 +95,7 @@ class RadarMapWeather(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "RadarMapWeather"
+    sensor_class: ClassVar[type[Radar]] = Radar
 
     def __init__(
         self,
@@ -139,7 +140,7 @@ class RadarMapWeather(WeatherTransform):
         )
         self._check_weather(weather)
         self._check_p(p)
-        self._check_sensor(sensor, Radar, "imaging-77ghz")
+        Radar.check(sensor, "sensor", "imaging-77ghz", owner=self)
         for name, value, wanted in (("axes", axes, MapAxes), ("scale", scale, PowerScale)):
             if not isinstance(value, wanted):
                 raise InputTypeError(f"RadarMapWeather: {name} must be {wanted.__name__}; got {type(value).__name__}.")

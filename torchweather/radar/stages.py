@@ -13,7 +13,6 @@ from torchweather.core.random import Variate
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
-from torchweather.radar.attenuation import radar_of
 from torchweather.radar.sensor import Radar
 from torchweather.radar.state import RadarState
 
@@ -48,7 +47,7 @@ class RadarDetection(Stage):
 
     def __init__(self, sensor: Radar | Mapping[str, Any]) -> None:
         super().__init__()
-        self.sensor = radar_of(sensor)
+        self.sensor = Radar.of(sensor)
         self.register_buffer("margin_db", torch.tensor(float(self.sensor.margin_db)))
 
     def config(self) -> dict[str, Any]:

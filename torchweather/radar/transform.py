@@ -111,6 +111,7 @@ class RadarAttenuation(WeatherTransform):
     """
 
     takes_all: ClassVar[str] = "RadarAttenuation"
+    sensor_class: ClassVar[type[Radar]] = Radar
     extra_inputs: ClassVar[Mapping[str, int]] = {name: len(sizes) for name, sizes in KNOWN.items()}
     data_shape = ("N", "6 or more")
 
@@ -151,7 +152,7 @@ class RadarAttenuation(WeatherTransform):
         )
         self._check_weather(weather)
         self._check_p(p)
-        self._check_sensor(sensor, Radar, "imaging-77ghz")
+        Radar.check(sensor, "sensor", "imaging-77ghz", owner=self)
         check_one_of("lost", lost, LOST_AS, owner=self)
         if variant is not None:
             check_one_of("variant", variant, ("d3_4",), owner=self)

@@ -99,7 +99,7 @@ class ParticleVeil(Stage):
         variant: str | None = None,
     ) -> None:
         super().__init__()
-        self.camera = camera if isinstance(camera, Camera) else Camera.from_dict(camera)
+        self.camera = Camera.of(camera)
         check_positive("near_m", near_m, unit="m", owner=self)
         check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
         check_finite("far_m", far_m, unit="m", owner=self)

@@ -121,10 +121,7 @@ class FmcwRadar(nn.Module):
         snow_model: str = "dsd_mie",
     ) -> None:
         super().__init__()
-        if not isinstance(radar, Radar):
-            raise InputTypeError(
-                f"FmcwRadar: radar must be a Radar, such as Radar.preset('awr1843-like'); got {radar!r}."
-            )
+        Radar.check(radar, "radar", "awr1843-like", owner=self)
         if weather is not None and not isinstance(weather, Weather):
             raise InputTypeError(f"FmcwRadar: weather must be Rain, Fog, Snow, a Mixture or None; got {weather!r}.")
         check_one_of("window_name", window_name, WINDOWS, owner=self)

@@ -47,10 +47,7 @@ class RangeDopplerMap(nn.Module):
 
     def __init__(self, radar: Radar, window_name: str = "hann") -> None:
         super().__init__()
-        if not isinstance(radar, Radar):
-            raise InputTypeError(
-                f"RangeDopplerMap: radar must be a Radar, such as Radar.preset('awr1843-like'); got {radar!r}."
-            )
+        Radar.check(radar, "radar", "awr1843-like", owner=self)
         check_one_of("window_name", window_name, WINDOWS, owner=self)
         self.radar, self.window_name = radar, window_name
         for axis, length, shift in (("range", radar.samples, 0), ("doppler", radar.chirps, radar.chirps // 2)):

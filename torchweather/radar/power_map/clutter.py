@@ -25,7 +25,6 @@ from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_di
 from torchweather.core.errors import InputTypeError, check_at_least, check_between
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
-from torchweather.radar.attenuation import radar_of
 from torchweather.radar.clutter import (
     DB,
     FWHM_PER_STD,
@@ -90,7 +89,7 @@ class MapClutter(Stage):
         turbulence_m_per_s: float = 0.5,
     ) -> None:
         super().__init__()
-        self.sensor = radar_of(sensor)
+        self.sensor = Radar.of(sensor)
         self.axes = axes if isinstance(axes, MapAxes) else MapAxes.from_dict(axes)
         built = weather if isinstance(weather, Weather) else weather_from_dict(weather)
         if not isinstance(built, (Rain, Snow)):
