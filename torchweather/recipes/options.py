@@ -15,7 +15,6 @@ from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import plan_of, sensor_of
 from torchweather.core.errors import InputValueError
 from torchweather.lidar.options import LidarOptions
-from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.effect import Effect
@@ -23,14 +22,7 @@ from torchweather.pipeline.sensor import Sensor
 from torchweather.radar.options import RadarOptions
 from torchweather.radar.transform import RadarAttenuation
 
-__all__ = [
-    "GROUND",
-    "OPTIONS",
-    "RecipeTransform",
-    "options_of",
-    "sensor_values",
-    "with_more_effects",
-]
+__all__ = ["FLAGS", "GROUND", "OPTIONS", "RecipeTransform", "options_of", "sensor_values", "with_more_effects"]
 
 RecipeTransform = BayerWeather | LidarWeather | RadarAttenuation
 T = TypeVar("T", bound=RecipeTransform)
@@ -41,16 +33,19 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "lidar": LidarOptions.defaults(),
     "radar": RadarOptions.defaults(),
 }
+# By the kind of the sensor: flags of a recipe beside the options.
+FLAGS = {"camera": ("rgb", "through_mosaic"), "lidar": (), "radar": ()}
 
 
 def sensor_values(sensor: Sensor) -> dict[str, Any]:
     """A sensor as a recipe holds it: all its fields that are set."""
-    if isinstance(sensor, Lidar) and sensor.directions is not None:
-        raise InputValueError(
-            "save_recipe: directions belong to the data and not to a recipe. Save without them "
-            "(dataclasses.replace(lidar, directions=None)) and give them at the call."
-        )
     fields = {key: value for key, value in sensor.to_dict().items() if value is not None}
+    for name in sensor.data_fields:
+        if name in fields:
+            raise InputValueError(
+                f"save_recipe: {name} belong to the data and not to a recipe. Save without them "
+                f"(dataclasses.replace({sensor.kind}, {name}=None)) and give them at the call."
+            )
     return {"kind": sensor.kind, **fields}
 
 

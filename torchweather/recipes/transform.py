@@ -13,21 +13,17 @@ from torchweather.atmosphere.weather import Weather, parse_weather, weather_from
 from torchweather.camera.depth import AUTO, FlatGround
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
-from torchweather.camera.transform import BayerWeather
-from torchweather.compose.plans import TRANSFORMS, TransformClass
+from torchweather.compose.plans import TRANSFORMS
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
 from torchweather.core.schema import TEXT, Key, check_keys, check_value, field_keys, one_of, refuse_unknown
 from torchweather.lidar.sensor import Lidar
-from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
 from torchweather.radar.sensor import Radar
-from torchweather.radar.transform import RadarAttenuation
 from torchweather.recipes.files import name_of
-from torchweather.recipes.options import GROUND, OPTIONS
+from torchweather.recipes.options import FLAGS, GROUND, OPTIONS
 from torchweather.sensors import SENSOR_CLASSES, sensor_preset
 
 __all__ = ["TransformRecipe", "checked_transform", "refuse_overrides", "transform_class"]
-
 
 DEPTH = Key(f"metres, {GROUND!r} or {AUTO!r}", lambda value: not isinstance(value, str) or value in (GROUND, AUTO))
 camera_of, lidar_of, radar_of = Camera.from_values, Lidar.from_values, Radar.from_values
@@ -64,7 +60,7 @@ class TransformRecipe:
     @property
     def sensor_kind(self) -> str:
         """``camera``, ``lidar`` or ``radar``, as the transform takes it."""
-        return kind_of(TRANSFORMS[self.transform])
+        return TRANSFORMS[self.transform].sensor_class.kind
 
     @property
     def sensor_name(self) -> str:
@@ -75,8 +71,7 @@ class TransformRecipe:
     @property
     def overrides(self) -> list[str]:
         """Names of what ``for_weather`` can replace."""
-        kind = self.sensor_kind
-        return ["sensor", *(["rgb", "through_mosaic"] if kind == "camera" else []), *OPTIONS[kind]]
+        return ["sensor", *FLAGS[self.sensor_kind], *OPTIONS[self.sensor_kind]]
 
     def build_weather(self) -> Weather:
         """The weather object."""
@@ -105,10 +100,8 @@ class TransformRecipe:
         sensor, rgb = options.pop("sensor", None), bool(options.pop("rgb", self.rgb))
         mosaic = bool(options.pop("through_mosaic", self.through_mosaic))
         built = self.build_sensor() if sensor is None else self._as_sensor(sensor)
-        transform = transform_class(self, weather)(weather, built, **options)
-        if not rgb or not isinstance(transform, BayerWeather):
-            return transform
-        return AsBayer(transform, through_mosaic=mosaic)
+        transform: Any = transform_class(self, weather)(weather, built, **options)
+        return AsBayer(transform, through_mosaic=mosaic) if rgb else transform
 
     def _as_sensor(self, sensor: Any) -> Camera | Lidar | Radar:
         kind = self.sensor_kind
@@ -133,12 +126,12 @@ def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> Tr
         TorchweatherError: with the file and the key.
     """
     transform, options = values["transform"], values.get("options") or {}
-    kind = kind_of(TRANSFORMS[transform])
+    kind = TRANSFORMS[transform].sensor_class.kind
     check_keys(values["sensor"], sensor_keys(kind), str(path), f"{at}sensor")
     refuse_unknown(options, OPTIONS[kind], f"{at}options", str(path))
     check_value(options.get("depth"), DEPTH, str(path), f"{at}options.depth")
     for key in ("rgb", "through_mosaic"):
-        if values.get(key, False) and kind != "camera":
+        if values.get(key, False) and key not in FLAGS[kind]:
             raise TorchweatherError(f"{path}: {at}{key} is for a camera; the transform is {transform}. Leave it out.")
     if values.get("through_mosaic", False) and not values.get("rgb", False):
         raise TorchweatherError(f"{path}: {at}through_mosaic is for RGB images; add rgb: true, or leave it out.")
@@ -159,13 +152,6 @@ def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> Tr
         except (TypeError, ValueError, KeyError) as error:
             raise TorchweatherError(f"{path}: {at}{key}: {error}") from error
     return recipe
-
-
-def kind_of(transform: TransformClass) -> str:
-    """Kind of the sensor that a transform takes."""
-    if issubclass(transform, RadarAttenuation):
-        return "radar"
-    return "lidar" if issubclass(transform, LidarWeather) else "camera"
 
 
 def transform_class(recipe: TransformRecipe, weather: Weather) -> type[WeatherTransform]:
