@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +41,7 @@ class ScoreMeaning:
     called: str = ""
 
 
+Meanings = dict[str, ScoreMeaning]
 CLOUD = {name: ScoreMeaning(higher_is_better=False, unit="" if name == "sdm" else "m") for name in CLOUD_SCORES}
 POWER = {
     "power_change_db": ScoreMeaning(True, "dB", "median change of power of the targets that both frames detect"),
@@ -50,7 +51,7 @@ POWER = {
 IMAGE = {
     name: ScoreMeaning(facts.higher_is_better, "dB" if name == "psnr" else "") for name, facts in IMAGE_SCORES.items()
 }
-KNOWN: dict[str, dict[str, ScoreMeaning]] = {"lidar": CLOUD, "camera": IMAGE, "radar": {**POWER, **CLOUD}}
+KNOWN: dict[str, Meanings] = {"lidar": CLOUD, "camera": IMAGE, "radar": {**POWER, **CLOUD}}
 """Scores by the kind of a study."""
 
 
@@ -64,7 +65,7 @@ class FrameScores:
         score: of a frame and a clear frame, with the geometry of their scene, ``{name: score}``.
     """
 
-    meanings: dict[str, ScoreMeaning]
+    meanings: Meanings
     left_out: dict[str, str]
     score: Callable[[Frame, Frame, Frame], dict[str, float]]
 
@@ -82,26 +83,11 @@ def frame_scores(study: Study, names: Sequence[str] | None = None) -> FrameScore
     for name in names or ():
         check_one_of("score", name, known, owner="frame_scores")
     chosen = {name: known[name] for name in (known if names is None else dict.fromkeys(names))}
-    if isinstance(study.sensor, Camera):
-        return _of_images(study.sensor, chosen)
-    if study.kind == "lidar":
-        direction = study.beams["direction"]
-
-        def of_scans(frame: Frame, clear: Frame, geometry: Frame) -> dict[str, float]:
-            return _cloud(lidar_points(frame, direction), lidar_points(clear, direction), chosen)
-
-        return FrameScores(chosen, {}, of_scans)
-
-    def of_detections(frame: Frame, clear: Frame, geometry: Frame) -> dict[str, float]:
-        found = _powers(np.asarray(frame["power_db"]), np.asarray(clear["power_db"]))
-        if in_space := [name for name in chosen if name in CLOUD]:
-            found |= _cloud(radar_points(frame, geometry), radar_points(clear, geometry), in_space)
-        return {name: found[name] for name in chosen}
-
-    return FrameScores(chosen, {}, of_detections)
+    return SCORES[study.kind](study, chosen)
 
 
-def _of_images(camera: Camera, chosen: Mapping[str, ScoreMeaning]) -> FrameScores:
+def _of_images(study: Study, chosen: Meanings) -> FrameScores:
+    camera = Camera.of(study.sensor)
     side = min(camera.width, camera.height)
     left_out = {
         name: f"it takes {IMAGE_SCORES[name].minimum} pixels a side; these frames have {side}"
@@ -117,6 +103,28 @@ def _of_images(camera: Camera, chosen: Mapping[str, ScoreMeaning]) -> FrameScore
         return {name: float(value) for name, value in found.items()}
 
     return FrameScores(scored, left_out, score)
+
+
+def _of_scans(study: Study, chosen: Meanings) -> FrameScores:
+    direction = study.beams["direction"]
+
+    def score(frame: Frame, clear: Frame, geometry: Frame) -> dict[str, float]:
+        return _cloud(lidar_points(frame, direction), lidar_points(clear, direction), chosen)
+
+    return FrameScores(chosen, {}, score)
+
+
+def _of_detections(study: Study, chosen: Meanings) -> FrameScores:
+    def score(frame: Frame, clear: Frame, geometry: Frame) -> dict[str, float]:
+        found = _powers(np.asarray(frame["power_db"]), np.asarray(clear["power_db"]))
+        if in_space := [name for name in chosen if name in CLOUD]:
+            found |= _cloud(radar_points(frame, geometry), radar_points(clear, geometry), in_space)
+        return {name: found[name] for name in chosen}
+
+    return FrameScores(chosen, {}, score)
+
+
+SCORES = {"camera": _of_images, "lidar": _of_scans, "radar": _of_detections}
 
 
 def _cloud(points: Tensor, clear: Tensor, names: Iterable[str]) -> dict[str, float]:

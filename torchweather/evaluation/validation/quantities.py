@@ -62,24 +62,35 @@ def values_of(study: Study, frame: Frame) -> Values:
     """The quantities of a frame: range, intensity and number of returns; signal per colour; power and number of
     detections.
     """
-    if isinstance(study.sensor, Camera):
-        bayer = np.asarray(frame["bayer"], dtype=np.float64)
-        index = cfa_index(bayer.shape[0], bayer.shape[1], study.sensor.bayer_pattern).numpy()
-        colours = enumerate(study.sensor.bands)
-        return {(f"signal, {name}", "of saturation"): _thinned(bayer[index == number]) for number, name in colours}
-    if study.kind == "lidar":
-        seen = np.asarray(frame["range_m"]) > 0
-        return {
-            ("range of the returns", "m"): _thinned(np.asarray(frame["range_m"], dtype=np.float64)[seen]),
-            ("intensity of the returns", ""): _thinned(np.asarray(frame["intensity"], dtype=np.float64)[seen]),
-            ("returns in a frame", ""): np.array([float(seen.sum())]),
-        }
+    return VALUES[study.kind](study, frame)
+
+
+def _of_image(study: Study, frame: Frame) -> Values:
+    camera, bayer = Camera.of(study.sensor), np.asarray(frame["bayer"], dtype=np.float64)
+    index = cfa_index(bayer.shape[0], bayer.shape[1], camera.bayer_pattern).numpy()
+    colours = enumerate(camera.bands)
+    return {(f"signal, {name}", "of saturation"): _thinned(bayer[index == number]) for number, name in colours}
+
+
+def _of_scan(study: Study, frame: Frame) -> Values:
+    seen = np.asarray(frame["range_m"]) > 0
+    return {
+        ("range of the returns", "m"): _thinned(np.asarray(frame["range_m"], dtype=np.float64)[seen]),
+        ("intensity of the returns", ""): _thinned(np.asarray(frame["intensity"], dtype=np.float64)[seen]),
+        ("returns in a frame", ""): np.array([float(seen.sum())]),
+    }
+
+
+def _of_detections(study: Study, frame: Frame) -> Values:
     power = np.asarray(frame["power_db"], dtype=np.float64)
     seen = np.isfinite(power)
     return {
         ("power of the detections", "dB"): _thinned(power[seen]),
         ("detections in a frame", ""): np.array([float(seen.sum())]),
     }
+
+
+VALUES = {"camera": _of_image, "lidar": _of_scan, "radar": _of_detections}
 
 
 def _thinned(values: Array) -> Array:

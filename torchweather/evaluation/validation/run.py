@@ -16,7 +16,7 @@ from torchweather.core.errors import InputValueError
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.evaluation.validation.comparison import FAMILY_LEVEL, Comparison, Sample, judged
 from torchweather.evaluation.validation.frame_scores import FrameScores, frame_scores
-from torchweather.evaluation.validation.link_scores import LinkClass, compared_links
+from torchweather.evaluation.validation.link_scores import compared_links
 from torchweather.evaluation.validation.quantities import Quantity, Values, compared_quantities, values_of
 from torchweather.evaluation.validation.severity import TrendComparison, class_trends, compared_trends, weather_label
 from torchweather.gap.diagnosis import Finding, diagnose
@@ -193,29 +193,7 @@ def validate(
         >>> found.counts()["differ"]
         0
     """
-    found: list[ConditionResult] = []
-    trends: list[TrendComparison] = []
-    left_out: Mapping[str, str] = {}
-    if study.kind == "link":
-        if names is not None:
-            raise InputValueError(
-                "validate: names is for frames; links are scored by their attenuation alone. Leave it out."
-            )
-        for condition in study.conditions:
-            result, classes = _link_condition(study, condition, seed)
-            found.append(result)
-            trends += class_trends(condition.id, classes, seed)
-            _tell(step)
-    else:
-        scores = frame_scores(study, names)
-        left_out = scores.left_out
-        with _threads_for(study):
-            clear = {name: _clear(study, scene, scores) for name, scene in study.scenes.items()}
-            for condition in study.conditions:
-                found.append(_condition(study, condition, scores, clear[condition.scene], seed))
-                _tell(step)
-        levels = [(one.scene, one.weather, each.scores) for one, each in zip(study.conditions, found, strict=True)]
-        trends += compared_trends(levels, seed)
+    found, trends, left_out = COMPARED.get(study.kind, _frames)(study, seed, names, step or (lambda _: None))
     return Validation(
         kind=study.kind,
         seed=seed,
@@ -234,9 +212,47 @@ def _threads_for(study: Study) -> AbstractContextManager[None]:
     return one_thread_an_operation() if small else nullcontext()
 
 
-def _tell(step: Step | None) -> None:
-    if step is not None:
+def _frames(study: Study, seed: int, names: Sequence[str] | None, step: Step) -> Compared:
+    """Every frame against a clear one."""
+    scores, found = frame_scores(study, names), []
+    with _threads_for(study):
+        clear = {name: _clear(study, scene, scores) for name, scene in study.scenes.items()}
+        for condition in study.conditions:
+            found.append(_condition(study, condition, scores, clear[condition.scene], seed))
+            step(1)
+    levels = [(one.scene, one.weather, each.scores) for one, each in zip(study.conditions, found, strict=True)]
+    return found, compared_trends(levels, seed), scores.left_out
+
+
+def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step) -> Compared:
+    """Links by classes of rain."""
+    if names is not None:
+        raise InputValueError(
+            "validate: names is for frames; links are scored by their attenuation alone. Leave it out."
+        )
+    found, trends = [], []
+    for condition in study.conditions:
+        simulated, seconds = [], []
+        for number in range(len(condition.frames)):
+            started = time.perf_counter()
+            simulated.append(simulate(study, condition, seed=seed, number=number))
+            seconds.append(time.perf_counter() - started)
+        classes = compared_links(list(condition.frames), simulated)
+        result = ConditionResult(
+            **{**_about(condition), "label": condition.id},  # the record of the rain is in the frames
+            frames=len(simulated),
+            scores=tuple(each.score for each in classes),
+            quantities=tuple(each.quantity for each in classes),
+            simulation_s=tuple(seconds),
+        )
+        found.append(result)
+        trends += class_trends(condition.id, classes, seed)
         step(1)
+    return found, trends, {}
+
+
+Compared = tuple[list[ConditionResult], list[TrendComparison], Mapping[str, str]]
+COMPARED = {"link": _links}  # studies of other kinds hold frames
 
 
 def reference_frame(number: int, start: int, count: int) -> int:
@@ -322,23 +338,6 @@ def _about(condition: Condition) -> dict[str, Any]:
         "split": condition.split,
         "weather": None if condition.weather is None else condition.weather.to_dict(),
     }
-
-
-def _link_condition(study: Study, condition: Condition, seed: int) -> tuple[ConditionResult, tuple[LinkClass, ...]]:
-    simulated, seconds = [], []
-    for number in range(len(condition.frames)):
-        started = time.perf_counter()
-        simulated.append(simulate(study, condition, seed=seed, number=number))
-        seconds.append(time.perf_counter() - started)
-    classes = compared_links(list(condition.frames), simulated)
-    result = ConditionResult(
-        **{**_about(condition), "label": condition.id},  # the record of the rain is in the frames
-        frames=len(simulated),
-        scores=tuple(each.score for each in classes),
-        quantities=tuple(each.quantity for each in classes),
-        simulation_s=tuple(seconds),
-    )
-    return result, classes
 
 
 def _judged(conditions: list[ConditionResult]) -> list[ConditionResult]:
