@@ -70,7 +70,7 @@ def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str
 
 def look_uri(look: Look, least_score: float = 0.0) -> str:
     """The detector's input, with the truth and its answer; boxes from a score on."""
-    return _cloud_uri(look) if look.frame.subject.sensor == "lidar" else _frame_uri(look, least_score)
+    return DRAWN[look.frame.subject.sensor](look, least_score)
 
 
 def _frame_uri(look: Look, least_score: float) -> str:
@@ -112,7 +112,7 @@ def _rectangle(picture: Tensor, box: Sequence[float], colour: str, *, width: int
         picture[:, rows, cols] = ink
 
 
-def _cloud_uri(look: Look) -> str:
+def _cloud_uri(look: Look, least_score: float) -> str:
     points, truth = look.shown, np.asarray(look.frame.truth.classes)
     particle = np.zeros(len(points), bool) if look.weather is None else look.weather
     wrong = torch.as_tensor((look.found != truth) | particle)
@@ -124,3 +124,6 @@ def _cloud_uri(look: Look) -> str:
                 -points[chosen, 1].numpy(), points[chosen, 0].numpy(), ".", color=colour, markersize=size, **marks
             )
         return png_figure_uri(figure, dpi=130)
+
+
+DRAWN = {"camera": _frame_uri, "lidar": _cloud_uri}

@@ -21,7 +21,7 @@ from torchweather.report.page import write_json, write_report
 from torchweather.report.report import Report, Section
 from torchweather.report.robustness_figures import LEGENDS, look_uri, performance_uri
 from torchweather.report.robustness_summary import correlation_of, plain, summary_of, table_of
-from torchweather.report.sweep_figures import NAMES
+from torchweather.report.sweep_figures import ACROSS, NAMES
 from torchweather.report.tables import NO_VALUE, fixed_text
 
 __all__ = ["robustness_page", "write_robustness"]
@@ -247,7 +247,7 @@ def _weather(
     shown: list[parts.Part] = [
         parts.Legend(keys),
         parts.Heading(f"{first}", "as the detector gets it, clear to heaviest, one storm"),
-        parts.Pictures(figures, across=6 if declaration.sensor == "lidar" else 3, look="keep"),
+        parts.Pictures(figures, across=ACROSS[declaration.sensor], look="keep"),
     ]
     rows = list(_scores(summary, name))
     if rows:

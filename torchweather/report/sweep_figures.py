@@ -15,7 +15,7 @@ from torchweather.evaluation.sweep import Series
 from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
 from torchweather.report.lidar_figures import AHEAD_M, COLOURS, axes_from_above
 
-__all__ = ["AXES", "MISS", "NAMES", "points_above_uri", "score_uri"]
+__all__ = ["ACROSS", "AXES", "MISS", "NAMES", "points_above_uri", "score_uri"]
 
 NAMES = {
     "psnr": "PSNR, dB",
@@ -41,6 +41,7 @@ NAMES = {
 }
 """Of the scores, as the page writes them, with their unit."""
 
+ACROSS = {"camera": 3, "lidar": 6, "radar": 6}  # pictures in a row: frames are wide
 AXES = {"rate_mm_per_h": "rate, mm/h", "mor_m": "visibility, m"}
 BETTER = {"up": "↑ better", "down": "↓ better"}
 MISS = "#c2570c"  # orange beside the blues and greens of the weathers: told apart by every eye

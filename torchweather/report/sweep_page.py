@@ -14,16 +14,7 @@ from tqdm import tqdm
 from torchweather import __version__
 from torchweather.camera.depth import EXACT, least_sure
 from torchweather.core.errors import InputValueError, check_one_of
-from torchweather.evaluation.sweep import (
-    CameraSubject,
-    Level,
-    Series,
-    Subject,
-    columns_of,
-    judged,
-    samples,
-    series_of,
-)
+from torchweather.evaluation.sweep import Level, Series, Subject, columns_of, judged, samples, series_of
 from torchweather.evaluation.sweep.misses import explain_miss
 from torchweather.evaluation.sweep.run import plan
 from torchweather.evaluation.sweep.trends import BY_RANKS, Judgement, SeriesTrends
@@ -32,8 +23,8 @@ from torchweather.report import parts
 from torchweather.report.machine import machine, machine_text
 from torchweather.report.page import storable, write_json, write_report
 from torchweather.report.report import Report, Section
-from torchweather.report.sweep_figures import AXES, NAMES, score_uri
-from torchweather.report.sweep_pictures import flat_pictures, legend, level_pictures
+from torchweather.report.sweep_figures import ACROSS, AXES, NAMES, score_uri
+from torchweather.report.sweep_pictures import DEVELOPED, flat_pictures, legend, level_pictures
 from torchweather.report.tables import NO_VALUE
 
 __all__ = ["TABLES", "sweep_page", "write_sweep"]
@@ -230,10 +221,9 @@ def _section(number: int, record: Mapping[str, Any], series: Series, trends: Ser
         if not one.follows
     ]
     drawn_from = "frames and seeds" if len(series.subjects) > 1 else "the seeds"
-    upright = not isinstance(subject, CameraSubject)
     count = parts.markup("<strong>{} of {}</strong> scores follow the weather.", record["expected"], record["out_of"])
     keys = legend(subject)
-    small = f"clear to heaviest, seed {series.seeds[0]}" + ("" if upright else ", one development for all")
+    small = f"clear to heaviest, seed {series.seeds[0]}" + DEVELOPED.get(subject.sensor, "")
     axis = f"line: mean; band: lowest to highest of {drawn_from}; heavier to the right"
     if misses:
         axis = parts.markup('{}; <span class="no">orange: does not follow</span>', axis)
@@ -250,7 +240,7 @@ def _section(number: int, record: Mapping[str, Any], series: Series, trends: Ser
         parts.Note(_chance(record, series, trends, drawn_from)),
         parts.Heading(series.subjects[0], small),
         *([parts.Legend(keys)] if keys else []),
-        parts.Pictures(level_pictures(series, subject), across=6 if upright else 3, look="keep"),
+        parts.Pictures(level_pictures(series, subject), across=ACROSS[subject.sensor], look="keep"),
         *flat_pictures(series, subject),
         parts.Heading("Scores", axis),
         parts.Pictures(charts, across=3 if len(charts) <= 6 else 4, look="keep"),

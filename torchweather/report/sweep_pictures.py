@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.evaluation.sweep import CameraSubject, Level, LidarSubject, Series, Subject
+from torchweather.evaluation.sweep import Level, LidarSubject, Series, Subject
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.report import parts
@@ -20,9 +20,19 @@ from torchweather.report.lidar_views import WeatherCloud
 from torchweather.report.pictures import jpeg_uri, shrunk
 from torchweather.report.sweep_figures import points_above_uri
 
-__all__ = ["flat_pictures", "legend", "level_pictures", "weather_clouds"]
+__all__ = ["DEVELOPED", "flat_pictures", "legend", "level_pictures", "weather_clouds"]
 
 PICTURE_PX = 480  # columns of a picture
+DEVELOPED = {"camera": ", one development for all"}
+LEGENDS = {
+    "camera": {},
+    "lidar": {
+        "object": "objects",
+        "particle": "returns of the weather",
+        "lost": "points that are lost, where they were",
+    },
+    "radar": {"object": "detections", "lost": "detections of clear air"},
+}
 
 
 def weather_clouds(subject: LidarSubject, levels: Sequence[Level], seed: int) -> list[WeatherCloud]:
@@ -44,11 +54,10 @@ def weather_clouds(subject: LidarSubject, levels: Sequence[Level], seed: int) ->
 
 def level_pictures(series: Series, subject: Subject) -> list[parts.Figure]:
     """The first subject of a series, clear and in every level, with the first seed."""
-    draw = _camera_pictures if isinstance(subject, CameraSubject) else _cloud_pictures
     labels = ["Clear", *(level.text for level in series.levels)]
     return [
         parts.Figure(picture, f"{series.subjects[0]}, {label}", caption=label)
-        for label, picture in zip(labels, draw(subject, series.levels, series.seeds[0]), strict=True)
+        for label, picture in zip(labels, DRAWN[subject.sensor](subject, series.levels, series.seeds[0]), strict=True)
     ]
 
 
@@ -58,13 +67,15 @@ def _camera_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[s
     return [jpeg_uri(shrunk(frame.picture(one), PICTURE_PX)) for one in data]
 
 
-def _cloud_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[str]:
-    if not isinstance(subject, LidarSubject):
-        clear = _there(subject.clear)
-        clouds = [clear, *(_there(subject.render(level.weather, seed)) for level in levels)]
-        return [points_above_uri(cloud, clear) for cloud in clouds]
+def _lidar_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[str]:
     found = weather_clouds(subject, levels, seed)
     return [birds_eye_uri(cloud, found[0]) for cloud in found]
+
+
+def _radar_pictures(subject: Any, levels: Sequence[Level], seed: int) -> list[str]:
+    clear = _there(subject.clear)
+    clouds = [clear, *(_there(subject.render(level.weather, seed)) for level in levels)]
+    return [points_above_uri(cloud, clear) for cloud in clouds]
 
 
 def _there(points: Tensor) -> Tensor:
@@ -72,9 +83,12 @@ def _there(points: Tensor) -> Tensor:
 
 
 def flat_pictures(series: Series, subject: Subject) -> list[parts.Figure]:
-    """A LiDAR's first cloud from the side and by angle, clear and in the heaviest weather; nothing of others."""
-    if not isinstance(subject, LidarSubject):
-        return []
+    """The first subject's pictures beside those from above, clear and in the heaviest weather; of a LiDAR alone."""
+    return FLAT[subject.sensor](series, subject) if subject.sensor in FLAT else []
+
+
+def _flat_lidar_pictures(series: Series, subject: Any) -> list[parts.Figure]:
+    """A cloud from the side and by angle."""
     heaviest = series.levels[-1]
     clear, cloud = weather_clouds(subject, [heaviest], series.seeds[0])
     named = [("Clear", clear), (heaviest.text, cloud)]
@@ -88,16 +102,10 @@ def flat_pictures(series: Series, subject: Subject) -> list[parts.Figure]:
     ]
 
 
+DRAWN = {"camera": _camera_pictures, "lidar": _lidar_pictures, "radar": _radar_pictures}
+FLAT = {"lidar": _flat_lidar_pictures}
+
+
 def legend(subject: Subject) -> list[parts.Key]:
     """Colours of a cloud's points; nothing of a camera."""
-    if isinstance(subject, CameraSubject):
-        return []
-    if isinstance(subject, LidarSubject):
-        names = {
-            "object": "objects",
-            "particle": "returns of the weather",
-            "lost": "points that are lost, where they were",
-        }
-    else:
-        names = {"object": "detections", "lost": "detections of clear air"}
-    return [parts.Key(name, COLOURS[kind]) for kind, name in names.items()]
+    return [parts.Key(name, COLOURS[kind]) for kind, name in LEGENDS[subject.sensor].items()]

@@ -23,7 +23,7 @@ from torchweather.report.page import write_json, write_report
 from torchweather.report.report import Report, Section
 from torchweather.report.tables import NO_VALUE, signed_text
 from torchweather.report.validation_figures import DIFFERS, FLOOR, SIMULATED, Group, score_uri
-from torchweather.report.validation_pictures import side_by_side
+from torchweather.report.validation_pictures import link_pictures, side_by_side
 
 __all__ = ["validation_page", "write_validation"]
 
@@ -77,7 +77,7 @@ def validation_page(study: Study, validation: Validation, summary: Mapping[str, 
         summary: what ``validation.json`` holds.
     """
     kind, is_link = KINDS[study.kind], study.kind == "link"
-    groups = _groups(study, validation)
+    groups = _link_groups(validation) if is_link else _groups(study, validation)
     names = list(groups[0].cells[0]) if groups and groups[0].cells else []
     counts = sorted({result.frames for result in validation.conditions})
     facts = [
@@ -102,7 +102,7 @@ def validation_page(study: Study, validation: Validation, summary: Mapping[str, 
             parts.Facts(facts),
         ],
         sections=[
-            Section("Side by side", side_by_side(study, validation)),
+            Section("Side by side", link_pictures(study, validation) if is_link else side_by_side(study, validation)),
             _scores(groups, names, validation, is_link=is_link),
             *_trends(validation, named=len(study.scenes) > 1 or is_link),
             _distributions(validation, is_link=is_link),
@@ -112,21 +112,22 @@ def validation_page(study: Study, validation: Validation, summary: Mapping[str, 
     )
 
 
+def _link_groups(validation: Validation) -> list[Group]:
+    """Classes of rain of each series."""
+    return [
+        Group(
+            each.label,
+            f"{each.label}: rain from, mm/h",
+            tuple(score.name.removeprefix("attenuation_db_from_").removesuffix("_mm_per_h") for score in each.scores),
+            tuple({"attenuation_db": score} for score in each.scores),
+        )
+        for each in validation.conditions
+        if each.scores
+    ]
+
+
 def _groups(study: Study, validation: Validation) -> list[Group]:
-    """Conditions by scene and weather, in order of severity; of links the classes of rain of each series."""
-    if study.kind == "link":
-        return [
-            Group(
-                each.label,
-                f"{each.label}: rain from, mm/h",
-                tuple(
-                    score.name.removeprefix("attenuation_db_from_").removesuffix("_mm_per_h") for score in each.scores
-                ),
-                tuple({"attenuation_db": score} for score in each.scores),
-            )
-            for each in validation.conditions
-            if each.scores
-        ]
+    """Conditions by scene and weather, in order of severity."""
     rows: dict[tuple[str, str], list[tuple[Weather | None, ConditionResult]]] = {}
     for condition, result in zip(study.conditions, validation.conditions, strict=True):
         kind = "clear" if condition.weather is None else condition.weather.kind
