@@ -278,4 +278,20 @@ MUTANTS = (
         "",
         ("tests/pipeline/test_catalogue_in_a_fresh_process.py::test_an_effect_is_built_from_its_dictionary",),
     ),
+    Mutant(
+        "rgb_flag_for_a_lidar",
+        "a recipe of a LiDAR is refused the flag rgb",
+        "torchweather.recipes.options",
+        '"lidar": (), "radar": ()}',
+        '"lidar": ("rgb",), "radar": ()}',
+        ("tests/recipes/test_recipe_files.py::test_what_is_wrong_is_refused_with_file_and_key",),
+    ),
+    Mutant(
+        "directions_saved_in_a_recipe",
+        "what belongs to the data is refused in a recipe",
+        "torchweather.lidar.sensor",
+        'data_fields: ClassVar[tuple[str, ...]] = ("directions",)',
+        "data_fields: ClassVar[tuple[str, ...]] = ()",
+        ("tests/recipes/test_recipes.py::test_what_a_recipe_cannot_hold_is_refused_and_leaves_no_file",),
+    ),
 )
