@@ -21,13 +21,9 @@ from torchweather.pipeline.effect import Effect
 
 __all__ = ["find_gap"]
 
-# Simulate and reduce the frames of a study, by its kind.
-MODELS: dict[str, Callable[[Study, Mapping[str, Any] | None, Sequence[Effect]], FrameModel]] = {
-    "lidar": LidarFrames,
-    "camera": CameraFrames,
-    "radar": RadarFrames,
-    "link": LinkFrames,
-}
+Model = Callable[[Study, Mapping[str, Any] | None, Sequence[Effect]], FrameModel]
+# By the kind of a study: simulates and reduces its frames.
+MODELS: dict[str, Model] = {"lidar": LidarFrames, "camera": CameraFrames, "radar": RadarFrames, "link": LinkFrames}
 
 
 def find_gap(

@@ -138,4 +138,28 @@ MUTANTS = (
             ),
         ),
     ),
+    Mutant(
+        "frames_of_any_size_accepted",
+        "the frames of a scene have the sizes of its geometry, the beams or the links",
+        "torchweather.gap.study.checks",
+        "return self if self.sizes else replace(self, sizes=sizes, sizes_from=name)",
+        "return self",
+        ("tests/gap/study/test_study.py::test_wrong_arrays_are_refused_with_name_unit_and_advice",),
+    ),
+    Mutant(
+        "bounds_of_arrays_not_checked_above",
+        "values of an array lie between the bounds of its rule",
+        "torchweather.gap.study.checks",
+        " & (values <= self.high)",
+        "",
+        ("tests/gap/study/test_study.py::test_wrong_arrays_are_refused_with_name_unit_and_advice",),
+    ),
+    Mutant(
+        "links_split_by_condition",
+        "every condition of links is fitted and held out, link by link",
+        "torchweather.gap.study.study",
+        'if "split" in self.links or one.split == split)',
+        "if one.split == split)",
+        ("tests/gap/study/test_study.py::test_fit_and_holdout_are_the_conditions_by_split",),
+    ),
 )

@@ -81,7 +81,6 @@ class StudyContent:
         """The sensor, of the class that the caller works with."""
         if not isinstance(self.sensor, sensor_class):
             raise InputTypeError(
-                f"Study: expected a study of a {sensor_class.__name__}; got one of kind {self.kind}. Take the class of "
-                "study.sensor."
+                f"Study: expected a {sensor_class.__name__}; got kind {self.kind}. Take a study of that sensor."
             )
         return self.sensor

@@ -137,11 +137,8 @@ class LidarStudy(StudyKind):
         lidar = study.sensor_as(Lidar)
         unit = lidar.intensity_unit
         looks = [look for some in (*clear.values(), *measured.values()) for look in some if look.signals]
-        black = [
-            name
-            for name, some in clear.items()
-            if any(look.signals for look in some) and not any(look.high > 0 for look in some)
-        ]
+        high = {name: max((one.high for one in some if one.signals), default=math.inf) for name, some in clear.items()}
+        black = [name for name, value in high.items() if value <= 0]
         if unit != "none" and black:
             yield Finding(
                 "error",
