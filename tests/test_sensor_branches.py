@@ -25,7 +25,7 @@ BORDERS = {
     "camera/rgb.py": 1,
     "datasets/depth_sources.py": 1,
 }
-LIMITS = {"gap": 51, "report": 1}
+LIMITS = {"report": 1}
 
 
 def is_branch(node: ast.AST) -> bool:
