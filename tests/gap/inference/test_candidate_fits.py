@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.candidate_fits import REWEIGHTED, SETTLED_ROUNDS, _least, _refined, _settled_along
-from torchweather.gap.inference.likelihood import SETTLED, ParameterPoint
+from torchweather.gap.inference.candidate_fits import SETTLED_ROUNDS, _least, _refined, _settled_along
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.likelihood import ParameterPoint
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.lidar.effects.all import EFFECTS
@@ -74,9 +75,9 @@ def test_an_effect_whose_identity_is_infinitely_far_is_settled_at_its_settings()
 @pytest.mark.parametrize(
     ("misfits", "best", "rounds"),
     [
-        ([90.0, 80.0, 70.0, 60.0], 70.0, REWEIGHTED),  # no more than so often
+        ([90.0, 80.0, 70.0, 60.0], 70.0, METHOD.reweightings),  # no more than so often
         ([90.0, 89.0, 10.0], 89.0, 2),  # a round that gains little is the last
-        ([100.0 + SETTLED, 10.0], 100.0, 1),  # none that is worse is taken
+        ([100.0 + METHOD.settled_chi2, 10.0], 100.0, 1),  # none that is worse is taken
     ],
 )
 def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float], best: float, rounds: int) -> None:

@@ -20,8 +20,6 @@ from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
 from torchweather.gap.find import find_gap
 from torchweather.gap.inference.candidate_fits import (
-    LEAST_AMPLITUDE,
-    MUCH_SCALED,
     Candidate,
     _start,
     best_pairs,
@@ -29,15 +27,12 @@ from torchweather.gap.inference.candidate_fits import (
     hidden_templates,
     unscaled_templates,
 )
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.forward_selection import (
-    ALARM_P,
     HELD_GAIN,
     HELD_LOSS,
-    MOST_EFFECTS,
-    REST_P,
     REST_SHARE,
     SURE_GAIN,
-    SURE_P,
     UNKNOWN_SHARE,
     GapResult,
     _confusable,
@@ -46,14 +41,7 @@ from torchweather.gap.inference.forward_selection import (
     _without_idle,
     find_gap_with,
 )
-from torchweather.gap.inference.global_test import (
-    OVERDISPERSION,
-    REFINED,
-    _tail,
-    global_test,
-    located_templates,
-    overdispersion,
-)
+from torchweather.gap.inference.global_test import _tail, global_test, located_templates, overdispersion
 from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
@@ -109,7 +97,7 @@ def test_nothing_is_named_where_nothing_is_hidden(seed: int) -> None:
         result = searched(seed=seed, **more)
         assert result.verdict == "none"
         assert found_in(result) == {}
-        assert result.screening.p_value > ALARM_P
+        assert result.screening.p_value > METHOD.alarm_p
         assert result.after.gap < 1.3 * result.after.floor
 
 
@@ -129,7 +117,7 @@ def test_the_weaker_an_effect_the_less_it_alarms_and_below_noise_it_is_not_named
     assert [result.verdict for result in results] == ["none", "none", "named", "named"]
     chances = [result.screening.p_value for result in results]
     assert chances == sorted(chances, reverse=True)
-    assert chances[1] > ALARM_P > chances[2]
+    assert chances[1] > METHOD.alarm_p > chances[2]
 
 
 @pytest.mark.parametrize(
@@ -149,7 +137,7 @@ def test_several_hidden_effects_are_named_with_their_strengths(hidden: list[tupl
 
 def test_no_more_than_so_many_effects_are_named() -> None:
     result = searched((NOISE, 0.3), (BIAS, -0.5), (WINDOW, 0.5), (EXTINCTION, 0.5))
-    assert len(found_in(result)) == MOST_EFFECTS
+    assert len(found_in(result)) == METHOD.max_effects
     assert result.verdict in ("named_and_rest", "unknown")
 
 
@@ -203,14 +191,14 @@ def test_what_an_effect_leaves_decides_between_a_name_a_rest_and_no_name(scatter
 def test_what_no_effect_explains_is_unknown_once_it_is_sure(scatters: float, verdict: str) -> None:
     result = searched(unknown=unknown(scatters))
     assert result.verdict == verdict
-    assert (result.screening.p_value < SURE_P) == (verdict == "unknown")
+    assert (result.screening.p_value < METHOD.sure_alarm_p) == (verdict == "unknown")
 
 
 def test_a_pattern_that_all_conditions_have_need_not_be_sure_in_each() -> None:
     """Of two scatters in every condition: noise in any two, an alarm in eight."""
     few, many = (searched(unknown=unknown(2.0), conditions=number) for number in (2, 8))
     assert (few.verdict, many.verdict) == ("none", "unknown")
-    assert few.screening.common_p_value > ALARM_P > many.screening.common_p_value
+    assert few.screening.common_p_value > METHOD.alarm_p > many.screening.common_p_value
 
 
 def test_an_effect_that_is_not_allowed_is_not_explained_by_another() -> None:
@@ -284,15 +272,19 @@ def left_by(misfit: float) -> Any:
 def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, verdict: str) -> None:
     """Of 1,000 that the effect explains and what it leaves, where that is no noise."""
     excess = 1000.0 * share / (1.0 - share)
-    for sure in ({"rest_p": 0.5 * REST_P}, {"rest_common_p": 0.5 * REST_P}):
+    for sure in ({"rest_p": 0.5 * METHOD.residual_p}, {"rest_common_p": 0.5 * METHOD.residual_p}):
         assert _verdict(screening(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
-    noise = screening(excess=excess, rest_p=2.0 * REST_P, rest_common_p=2.0 * REST_P)
+    noise = screening(excess=excess, rest_p=2.0 * METHOD.residual_p, rest_common_p=2.0 * METHOD.residual_p)
     assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
 
 
 @pytest.mark.parametrize(
     ("gain", "p_value", "verdict"),
-    [(29.0, 0.5 * SURE_P, "unknown"), (29.0, 2.0 * SURE_P, "none"), (31.0, 2.0 * SURE_P, "named")],
+    [
+        (29.0, 0.5 * METHOD.sure_alarm_p, "unknown"),
+        (29.0, 2.0 * METHOD.sure_alarm_p, "none"),
+        (31.0, 2.0 * METHOD.sure_alarm_p, "named"),
+    ],
 )
 def test_what_noise_gains_is_no_name(gain: float, p_value: float, verdict: str) -> None:
     """Although something is missing, if that is sure."""
@@ -300,16 +292,18 @@ def test_what_noise_gains_is_no_name(gain: float, p_value: float, verdict: str) 
     assert _verdict(found, left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
 
 
-@pytest.mark.parametrize(("common_p", "verdict"), [(0.9 * ALARM_P, "unknown"), (1.1 * ALARM_P, "none")])
+@pytest.mark.parametrize(("common_p", "verdict"), [(0.9 * METHOD.alarm_p, "unknown"), (1.1 * METHOD.alarm_p, "none")])
 def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: float, verdict: str) -> None:
     """An alarm is enough where an effect explains no more than noise, or held-out conditions speak against it."""
-    found = screening(p_value=2.0 * SURE_P, common_p=common_p)
+    found = screening(p_value=2.0 * METHOD.sure_alarm_p, common_p=common_p)
     assert _verdict(found, left_by(1200.0 - 29.0), BEFORE, EXPLAINED) == verdict
     worse = HeldOut(gap=2.1, floor=1.0, spread=0.05, misfit=1000.0)
     assert _verdict(found, left_by(1200.0 - 60.0), BEFORE, worse) == verdict
 
 
-@pytest.mark.parametrize(("p_value", "verdict"), [(0.5 * SURE_P, "unknown"), (2.0 * SURE_P, "none")])
+@pytest.mark.parametrize(
+    ("p_value", "verdict"), [(0.5 * METHOD.sure_alarm_p, "unknown"), (2.0 * METHOD.sure_alarm_p, "none")]
+)
 @pytest.mark.parametrize(
     ("explained", "least"),
     [(0.9 * SURE_GAIN, 0.0), (10.0 * SURE_GAIN, -9.0 * SURE_GAIN * HELD_LOSS)],
@@ -384,14 +378,14 @@ def test_only_grids_near_the_best_are_simulated_whole() -> None:
     assert all(asked[name] == first[name] for name in (NOISE, BIAS))
     gain = {name: max(g for one, g in zip(found.nodes, found.gains, strict=True) if one.id == name) for name in asked}
     assert max(gain, key=lambda name: gain[name]) == WINDOW
-    assert gain[NOISE] < REFINED * gain[WINDOW]
+    assert gain[NOISE] < METHOD.refined_share * gain[WINDOW]
 
 
 def test_noise_is_the_less_known_the_fewer_clear_frames_tell_it() -> None:
     """And so is what it gains at most."""
     many, few = (likelihood_of(LinearSimulator(clear_frames={"street": number})) for number in (8, 3))
-    assert overdispersion(many) == pytest.approx(OVERDISPERSION * (1.0 + 2.0 / 7.0))  # a scene counts once
-    assert overdispersion(few) == pytest.approx(OVERDISPERSION * 2.0)
+    assert overdispersion(many) == pytest.approx(METHOD.overdispersion * (1.0 + 2.0 / 7.0))  # a scene counts once
+    assert overdispersion(few) == pytest.approx(METHOD.overdispersion * 2.0)
 
 
 def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> None:
@@ -443,8 +437,10 @@ def test_what_begins_at_a_threshold_is_also_fitted_from_a_setting_as_it_stands()
     ]
     nuisance, left = Systematics(np.zeros((3, 1)), np.zeros(1), 1), np.array([1.0, 0.5, 0.0])
     assert unscaled_templates(nodes, [(nodes[4], 0.1)], left, nuisance) == [(nodes[1], 1.0)]
-    assert unscaled_templates(nodes, [(nodes[4], 0.9 * MUCH_SCALED)], left, nuisance) == [(nodes[1], 1.0)]
-    assert unscaled_templates(nodes, [(nodes[2], 1.1 * MUCH_SCALED)], left, nuisance) == []
+    assert unscaled_templates(nodes, [(nodes[4], 0.9 * METHOD.threshold_amplitude)], left, nuisance) == [
+        (nodes[1], 1.0)
+    ]
+    assert unscaled_templates(nodes, [(nodes[2], 1.1 * METHOD.threshold_amplitude)], left, nuisance) == []
     few = [replace(one, line=ParameterGrid(effect, line.settings[:3])) for one in nodes[:3]]
     assert unscaled_templates(few, [(few[2], 0.1)], left, nuisance) == []
 
@@ -472,7 +468,7 @@ def test_pairs_are_of_different_effects_each_once_best_first() -> None:
     ("name", "values", "amplitude", "expected"),
     [
         ("lidar.window_loss", {"loss_db": 3.0}, 0.5, {"loss_db": 1.5}),
-        ("lidar.window_loss", {"loss_db": 3.0}, 0.0, {"loss_db": 3.0 * LEAST_AMPLITUDE}),
+        ("lidar.window_loss", {"loss_db": 3.0}, 0.0, {"loss_db": 3.0 * METHOD.least_amplitude}),
         ("lidar.extinction_scale", {"factor": 2.0}, 0.25, {"factor": 1.25}),
         ("lidar.extinction_scale", {"factor": 0.0}, 1.35, {"factor": 0.0}),  # no less than nothing
         ("lidar.limited_extent", {"extent_m": 20.0}, 0.5, {"extent_m": 20.0}),  # its identity is infinitely far
@@ -514,7 +510,7 @@ def test_a_single_allowed_effect_is_found_with_its_parameter(study: Study) -> No
     assert low < 1.0 < high
     gap = answer["gap"]
     assert gap["after"] < 1.3 * gap["floor"] < gap["before"]
-    assert answer["p_value"] < ALARM_P
+    assert answer["p_value"] < METHOD.alarm_p
     assert "fitting lidar.window_loss" in said
     assert [one["name"] for one in answer["candidates"]] == ["lidar.window_loss"]
 

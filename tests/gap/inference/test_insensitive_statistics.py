@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.insensitive_statistics import TOUCHED, fresh_delta_chi2, insensitive_statistics
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.insensitive_statistics import fresh_delta_chi2, insensitive_statistics
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics
@@ -44,7 +45,7 @@ def fit(change: list[float]) -> Any:
 
 def test_a_statistic_is_touched_as_a_whole_in_all_conditions() -> None:
     """Root mean square over three entries of two conditions: one that moves by 0.5 d / sqrt(6)."""
-    least = TOUCHED * 0.5 * np.sqrt(6.0)
+    least = METHOD.sensitive_rms * 0.5 * np.sqrt(6.0)
     for size, still in ((0.98, True), (1.02, False)):
         found = insensitive_statistics(search([True] * 5), fit([0.0, 0.0, 0.0, 0.0, size * least]))
         np.testing.assert_array_equal(found, [still, still, True, True, still] * 2)

@@ -13,17 +13,10 @@ import torch
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap.inference.forward_selection import ALARM_P, find_gap_with
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.forward_selection import find_gap_with
 from torchweather.gap.inference.global_test import global_test
-from torchweather.gap.inference.likelihood import (
-    FARTHEST,
-    KNOB_STEP,
-    OPEN_STEP,
-    SCREEN_FRAMES,
-    Fit,
-    ParameterPoint,
-    SimulatorLikelihood,
-)
+from torchweather.gap.inference.likelihood import KNOB_STEP, Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
 from torchweather.gap.inference.simulated_distribution import observations, simulated_distribution
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -108,7 +101,7 @@ def test_a_response_to_an_intensity_is_that_of_a_study_whose_record_is_off(null:
     name = null.measured[0].condition.id
     sd = null.measured[0].intensity_sd
     share = KNOB_STEP
-    ends = (null.mean(ParameterPoint({}, {name: sign * share * sd}), SCREEN_FRAMES)[0] for sign in (1.0, -1.0))
+    ends = (null.mean(ParameterPoint({}, {name: sign * share * sd}), METHOD.screen_frames)[0] for sign in (1.0, -1.0))
     high, low = ends
     expected = null.whitened(null.start, [(high - low) / (2.0 * share)])
     np.testing.assert_allclose(one.response[:, 0], expected, atol=1e-9)
@@ -125,9 +118,11 @@ def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_intensiti
     even = [departure.even for departure in null.frame_departures if departure.even]
     simulated = even.count("log_intensity_ratio")  # of the clear mean
     assert one.response.shape[1] == one.moving + 2 * len(null.frame_departures) - simulated + 2
-    stronger = null.mean(ParameterPoint({}, {}, {"particle gain": OPEN_STEP}), SCREEN_FRAMES)
-    here = null.mean(ParameterPoint(), SCREEN_FRAMES)
-    expected = null.whitened(null.start, [(new - old) / OPEN_STEP for new, old in zip(stronger, here, strict=True)])
+    stronger = null.mean(ParameterPoint({}, {}, {"particle gain": METHOD.systematic_step_sd}), METHOD.screen_frames)
+    here = null.mean(ParameterPoint(), METHOD.screen_frames)
+    expected = null.whitened(
+        null.start, [(new - old) / METHOD.systematic_step_sd for new, old in zip(stronger, here, strict=True)]
+    )
     np.testing.assert_allclose(one.response[:, 3], expected, atol=1e-9)
     assert np.abs(expected).max() > 0.1
 
@@ -159,16 +154,16 @@ def test_moved_nuisances_stay_within_their_bounds(null: SimulatorLikelihood) -> 
         -2.5,
     )  # the weather intensity, noise that cannot be negative, a scale, the gain of particles
     found = null.shifted(ParameterPoint(), step)
-    assert found.log_intensity == pytest.approx({"c0": FARTHEST * 0.05})
+    assert found.log_intensity == pytest.approx({"c0": METHOD.nuisance_bound_sd * 0.05})
     assert found.open == pytest.approx({"noise": 0.0, "clear scale s0": 1.5, "particle gain": -2.5})
-    np.testing.assert_allclose(null.offset(found)[:4], (FARTHEST, 0.0, 1.5, -2.5), rtol=1e-12)
+    np.testing.assert_allclose(null.offset(found)[:4], (METHOD.nuisance_bound_sd, 0.0, 1.5, -2.5), rtol=1e-12)
 
 
 def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     """Frames of weather that is two standard deviations weaker, whose record is not told of it."""
     search = search_of(tiny_study(rows=16, columns=32, clear=4, weathers=WEATHERS, rel_sd=0.3))
     (aim,) = search.measured
-    weaker = search.mean(ParameterPoint({}, {"c0": -0.6}), SCREEN_FRAMES)[0]
+    weaker = search.mean(ParameterPoint({}, {"c0": -0.6}), METHOD.screen_frames)[0]
     search.measured = [replace(aim, vector=weaker)]
     assert search._scanned(ParameterPoint()).log_intensity == pytest.approx({"c0": -0.6})
     # Where it stands is kept if no place of the grid is nearer.
@@ -234,10 +229,10 @@ def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
 def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> None:
     """The vector of ten frames is not that of eight: scatters from frame to frame and slopes differ."""
     search = search_of(tiny_study(rows=8, columns=32, clear=4, frames=10, weathers=WEATHERS))
-    assert search.least_frames == 10 > SCREEN_FRAMES
+    assert search.least_frames == 10 > METHOD.screen_frames
     assert search.pool_frames == 32
     before = search.simulated_frames
-    (found,) = search.mean(ParameterPoint(), SCREEN_FRAMES)
+    (found,) = search.mean(ParameterPoint(), METHOD.screen_frames)
     assert search.simulated_frames - before == 10
     pool = search.pools(ParameterPoint(), 10)["c0"]
     order = np.argsort(RNG([0, 104729, 0]).random((1, 10)), 1)
@@ -275,10 +270,10 @@ def test_an_effect_without_a_place_is_not_moved(null: SimulatorLikelihood) -> No
 def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: SimulatorLikelihood) -> None:
     name = ("lidar.window_loss", "loss_db")
     settings = [ParameterPoint({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
-    here, low, high = (null.mean(setting, SCREEN_FRAMES) for setting in settings)
+    here, low, high = (null.mean(setting, METHOD.screen_frames) for setting in settings)
     before = null.simulated_frames
     found = null._derivative(settings[0], name, here, null.start)
-    assert null.simulated_frames - before == SCREEN_FRAMES
+    assert null.simulated_frames - before == METHOD.screen_frames
     expected = null.whitened(null.start, [(b - a) / 0.8 for a, b in zip(low, high, strict=True)])
     # A logarithm of intensities is linear in decibels; a few beams at the threshold are not.
     assert float(found @ expected) == pytest.approx(float(expected @ expected), rel=0.05)
@@ -291,10 +286,10 @@ def test_responses_are_those_of_the_settings_that_are_asked_for(null: SimulatorL
     setting = ParameterPoint({"lidar.range_bias": {"offset_m": 0.02}})
     found = null.nodes([(loss, 2), (noise, 1), (loss, 0)], setting, null.start)
     assert [(one.line, one.number) for one in found] == [(loss, 2), (noise, 1), (loss, 0)]
-    here = null.mean(setting, SCREEN_FRAMES)
+    here = null.mean(setting, METHOD.screen_frames)
     for one in found:
         assert one.values == one.line.settings[one.number]
-        there = null.mean(ParameterPoint({**setting.values, one.id: one.values}), SCREEN_FRAMES)
+        there = null.mean(ParameterPoint({**setting.values, one.id: one.values}), METHOD.screen_frames)
         change = [new - old for new, old in zip(there, here, strict=True)]
         np.testing.assert_allclose(one.response, null.whitened(null.start, change), atol=1e-12)
         assert np.abs(one.response).max() > 0.01
@@ -365,7 +360,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
 def test_a_study_that_lacks_nothing_raises_no_alarm(seed: int) -> None:
     search = search_of(small(seed=seed + 10))
     found = global_test(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
-    assert found.p_value > ALARM_P
+    assert found.p_value > METHOD.alarm_p
 
 
 @pytest.mark.slow

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from torchweather.gap.inference.residual_tests import LEVEL, ResidualTest, residual_test
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
 from torchweather.gap.inference.simulated_distribution import Whitening
 from torchweather.gap.inference.systematics import Systematics
 from torchweather.gap.statistics.frame_statistics import Group, Layout
@@ -125,5 +126,12 @@ def test_shares_and_counts_scatter_as_simulated_frames_do_with_a_margin() -> Non
     np.testing.assert_array_equal(found.places, ENTRIES)
     np.testing.assert_array_equal(found.counted, [5, 6, 6, 6])
     # 24,000 numbers: a variance is known to 5 x sqrt(2 / 24,000) = 4.6 %.
-    expected = 1.6 * np.array([1.0, LEVEL[0] + LEVEL[1] / 9.0, 1.0, LEVEL[0]])
+    expected = 1.6 * np.array(
+        [
+            1.0,
+            METHOD.count_variance_ratio[0] + METHOD.count_variance_ratio[1] / 9.0,
+            1.0,
+            METHOD.count_variance_ratio[0],
+        ]
+    )
     np.testing.assert_allclose(found.noise, expected, rtol=0.04)

@@ -10,10 +10,8 @@ import pytest
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.simulated_distribution import (
-    PORTIONED_FRAMES,
-    PORTIONS,
-    SHRINKAGE,
     ElementNoise,
     Observation,
     SimulatedDistribution,
@@ -199,7 +197,7 @@ def test_what_the_clear_frames_share_goes_together_as_the_elements_noise_does(st
     name = aim.condition.id
     noise = ElementNoise({name: np.full(BINS, 5.0)}, correlation(0.6))
     found = simulated_distribution({name: pool(40, 0, common=0.3)}, [aim], noise, None, 0).whitening.factor
-    expected = (1.0 - SHRINKAGE) * correlation(0.6) + SHRINKAGE * np.eye(BINS)
+    expected = (1.0 - METHOD.shrinkage) * correlation(0.6) + METHOD.shrinkage * np.eye(BINS)
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-12)
 
 
@@ -222,7 +220,7 @@ def correlation(rho: float) -> Any:
 
 
 def test_whitened_departures_are_independent() -> None:
-    shrunk = (1.0 - SHRINKAGE) * correlation(0.8) + SHRINKAGE * np.eye(BINS)
+    shrunk = (1.0 - METHOD.shrinkage) * correlation(0.8) + METHOD.shrinkage * np.eye(BINS)
     whitening = Whitening.of(ElementNoise({"c": np.ones(BINS)}, correlation(0.8)), {"c": np.ones(BINS)})
     draws = RNG(1).normal(size=(20_000, BINS)) @ np.linalg.cholesky(shrunk).T
     found = whitening(draws)
@@ -237,14 +235,14 @@ def test_scatter_that_is_an_entrys_own_counts_as_independent() -> None:
     factor = Whitening.of(noise, {"c": np.full(BINS, 1e6)}).factor
     np.testing.assert_allclose(factor, np.eye(BINS), atol=1e-9)
     half = Whitening.of(noise, {"c": np.full(BINS, 2.0)}).factor
-    assert (half @ half.T)[0, 1] == pytest.approx((1.0 - SHRINKAGE) * 0.8 * 0.25, rel=1e-12)
+    assert (half @ half.T)[0, 1] == pytest.approx((1.0 - METHOD.shrinkage) * 0.8 * 0.25, rel=1e-12)
 
 
 def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study: Study) -> None:
     """Element noise with known sd and correlation: x in three bins, 0.6 x + 0.8 y in the other three."""
     elements, number = 64, 5
     rng = RNG(2)
-    x, y = rng.normal(size=(2, PORTIONED_FRAMES, PORTIONS))
+    x, y = rng.normal(size=(2, METHOD.portioned_frames, METHOD.portions))
     values = np.stack([x, x, x, *([0.6 * x + 0.8 * y] * 3)], -1).reshape(-1, BINS) / np.sqrt(elements)
     weight = np.full(values.shape, float(elements))
     frames = len(values)
@@ -255,11 +253,11 @@ def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study
     few = target(study, np.zeros(BINS), number, clear=3)
     wide = portioned.value * 1.5
     own = element_noise({few.condition.id: Pool(LAYOUT, replace(portioned, value=wide))}, [few])
-    alike = np.sqrt((3 / 2) / (PORTIONED_FRAMES / (PORTIONED_FRAMES - 1)))  # of so few independent ones
+    alike = np.sqrt((3 / 2) / (METHOD.portioned_frames / (METHOD.portioned_frames - 1)))  # of so few independent ones
     np.testing.assert_allclose(own.scatter[aim.condition.id], alike * found.scatter[aim.condition.id], rtol=1e-9)
     # 128 portions of 8 frames, 7 of them free: sqrt(0.5 / 896) = 2.4 % of a standard deviation, 3 % of a correlation;
     # three to five times that.
-    expected = 1.0 / np.sqrt(number * PORTIONS * elements)
+    expected = 1.0 / np.sqrt(number * METHOD.portions * elements)
     np.testing.assert_allclose(found.scatter[aim.condition.id], expected, rtol=0.12)
     assert found.correlation[0, 5] == pytest.approx(0.6, abs=0.15)
     assert found.correlation[0, 1] == pytest.approx(1.0, rel=1e-9)
@@ -278,7 +276,7 @@ def of_study(
             aim.condition.id: Pool(model.layout, model.simulated(aim.condition, (), 0.0, seeds[:number], portions))
             for aim in aims
         }
-        for number, portions in ((frames, 1), (PORTIONED_FRAMES, PORTIONS))
+        for number, portions in ((frames, 1), (METHOD.portioned_frames, METHOD.portions))
     )
     return aims, simulated_distribution(pools, aims, element_noise(portioned, aims), None, seed)
 

@@ -14,18 +14,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from torchweather.gap.inference.likelihood import (
-    PROBE_FRAMES,
-    SCREEN_FRAMES,
-    UNSAID,
-    ParameterPoint,
-    SimulatorLikelihood,
-)
-from torchweather.gap.inference.simulated_distribution import PORTIONS, Observation, SimulatedDistribution, Whitening
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution, Whitening
 from torchweather.gap.sensors.lidar.sums import lidar_layout
 from torchweather.gap.statistics.frame_random_effects import (
-    KNOWN_TO,
-    SELDOM,
     clear_errors,
     clear_means,
     frame_departures,
@@ -204,7 +197,7 @@ def test_a_single_clear_frame_of_each_scene_tells_nothing_of_whole_frames() -> N
 @pytest.mark.parametrize("clock", [0.0, 1.0])
 def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> None:
     """Elements with noise of 1 in two bins of 512; a clock that moves all of them together by a tenth of that or so."""
-    portions, number, scenes = PORTIONS, 24, 12
+    portions, number, scenes = METHOD.portions, 24, 12
     layout = Layout(
         (Group("apart", "x", "mean", (0.0, 1.0, 2.0)), Group("level", "x", "spread", (0.0, 1.0))), (), (), ()
     )
@@ -241,7 +234,7 @@ def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
     for degrees, quantile in ((1, 636.62), (5, 6.869), (10, 4.587), (30, 3.646), (120, 3.373)):
         assert widened(degrees) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
         # The normal law of that variance reaches as far as often.
-        reach = stats.t.ppf(1.0 - 0.5 * SELDOM, degrees)
+        reach = stats.t.ppf(1.0 - 0.5 * METHOD.frame_noise_p, degrees)
         assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees))) == pytest.approx(1e-3, rel=1e-6)
     each = [widened(degrees) for degrees in range(1, 60)]
     assert each == sorted(each, reverse=True)
@@ -257,10 +250,10 @@ def test_what_weather_does_to_means_is_known_to_half_a_percent_in_all_conditions
     columns = model_errors(LAYOUT, bare().measured, at, in_clear_air, partial(bare()._column, at))
     found = covariance(columns)
     known = {
-        name: np.where(AVERAGES, KNOWN_TO * (at.mean[name] - in_clear_air[scene]), 0.0)
+        name: np.where(AVERAGES, METHOD.weather_mean_rel_error * (at.mean[name] - in_clear_air[scene]), 0.0)
         for name, scene in SCENES.items()
     }
-    assert KNOWN_TO == 0.005
+    assert METHOD.weather_mean_rel_error == 0.005
     for one, name in enumerate(SCENES):
         for other, elsewhere in enumerate(SCENES):
             expected = (1.0 + (one == other)) * np.outer(known[name], known[elsewhere])
@@ -309,8 +302,8 @@ def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_
     search.model.systematics = lambda condition, strengths: []  # type: ignore[method-assign]
     for setting in (ParameterPoint(), ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
         search.mean(setting)
-        search.mean(setting, SCREEN_FRAMES)
-    assert (PROBE_FRAMES, SCREEN_FRAMES) == (16, 6)
+        search.mean(setting, METHOD.screen_frames)
+    assert (METHOD.probe_frames, METHOD.screen_frames) == (16, 6)
     wanted = {(name, tuple(search.seeds(k, number))) for k, name in enumerate(SCENES) for number in (16, 6)}
     assert set(given) == wanted
     assert len(given) == 12
@@ -324,7 +317,7 @@ def test_what_an_effect_leaves_unsaid_is_known_to_half_of_what_it_does() -> None
     search, there = bare(), base(-0.7)
     search.start = base(0.2)
     found = search._loosened(there, {"log_particle_intensity", "no_such_statistic"})
-    assert UNSAID == 0.5
+    assert METHOD.unmodelled_share == 0.5
     for name in SCENES:
         open_entries = np.isin(np.arange(SIZE), (9, 10))
         moved = 0.5 * 0.9 * np.arange(1.0, SIZE + 1.0) * FRAMES[name]

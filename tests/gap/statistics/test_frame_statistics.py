@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.statistics.frame_statistics import FEWEST, READ_SPREAD_KNOWN_TO, Group, Layout, Pool, Reduced
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.statistics.frame_statistics import FEWEST, Group, Layout, Pool, Reduced
 
 RNG = np.random.default_rng
 STEADY = 0.1
@@ -377,8 +378,8 @@ def test_the_spread_of_misplaced_particles_is_known_to_a_fifth() -> None:
     """As their readings are the largest of several; where none is misplaced it is known as others are."""
     pool = particles("spread", [0.0] * 3, [100.0] * 3)
     added = np.sqrt(pool.least_scatter(1, 0.03) ** 2 - pool.least_scatter(1) ** 2)
-    np.testing.assert_allclose(added, np.hypot([0.06, 0.09, 0.06], READ_SPREAD_KNOWN_TO), rtol=1e-6)
-    assert READ_SPREAD_KNOWN_TO == 0.2
+    np.testing.assert_allclose(added, np.hypot([0.06, 0.09, 0.06], METHOD.log_read_spread_error), rtol=1e-6)
+    assert METHOD.log_read_spread_error == 0.2
     # Half as independent as they look, and no spread better than to 3 %.
     np.testing.assert_allclose(pool.least_scatter(1), math.hypot(0.5 * math.sqrt(0.5 / 100.0), 0.03), rtol=1e-9)
 

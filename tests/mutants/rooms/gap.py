@@ -29,8 +29,8 @@ MUTANTS = (
         "t_interval_taken_as_normal",
         "few degrees of freedom widen the noise of whole frames",
         WHOLE_FRAMES,
-        "return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)",
-        "return 1.0",
+        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2)",
+        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 0)",
         (
             (
                 "tests/gap/statistics/test_frame_random_effects.py::"
@@ -92,8 +92,8 @@ MUTANTS = (
         "formula_at_bin_centres",
         "a formula is averaged over each bin",
         FORMULA,
-        "share = (np.arange(POINTS) + 0.5) / POINTS",
-        "share = 0.0 * (np.arange(POINTS) + 0.5) / POINTS",
+        "share = (np.arange(METHOD.formula_points) + 0.5) / METHOD.formula_points",
+        "share = 0.0 * (np.arange(METHOD.formula_points) + 0.5) / METHOD.formula_points",
         ("tests/gap/statistics/test_formula.py::test_bins_that_are_not_known_count_for_nothing",),
     ),
     Mutant(
@@ -129,8 +129,8 @@ MUTANTS = (
         "insensitive_statistics_by_mean_change",
         "a statistic is insensitive where its root mean square change is small",
         "torchweather.gap.inference.insensitive_statistics",
-        "float(np.sqrt((values**2).mean())) < TOUCHED",
-        "float(np.abs(values.mean())) < TOUCHED",
+        "float(np.sqrt((values**2).mean())) < METHOD.sensitive_rms",
+        "float(np.abs(values.mean())) < METHOD.sensitive_rms",
         (
             (
                 "tests/gap/inference/test_insensitive_statistics.py::"

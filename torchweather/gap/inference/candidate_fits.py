@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import is_another
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import SCREEN_FRAMES, SETTLED, Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
-from torchweather.gap.inference.response_templates import AMPLITUDES, ResponseTemplate, amplitudes, delta_chi2
+from torchweather.gap.inference.response_templates import ResponseTemplate, amplitudes, delta_chi2
 from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.gap.inference.systematics import Systematics
 
 __all__ = [
     "SETTLED_BESIDE",
-    "WORTH",
     "Candidate",
     "Proposal",
     "best_templates",
@@ -40,18 +40,12 @@ Floats = NDArray[np.float64]
 Proposal = tuple[ParameterPoint, ResponseTemplate, float]
 """A setting, what to put on top of it, and how much of its response is expected."""
 
-PAIRS_REFITTED = 2  # pairs that are fitted
 # Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
 # left open stands so many standard deviations off.
 SHADOWED, FAR = (0.1, 0.5), 2.0
 SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
 OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronger effects, and what each multiplies by
-REWEIGHTED = 3  # times that a fit is taken up with the scatter where it stands
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
-WORTH = 0.5  # of the best gain, from which a candidate is refitted
-# Amplitude of a node below which an effect that begins at a threshold is not on its way to it (development studies).
-MUCH_SCALED = 0.3
-LEAST_AMPLITUDE = 0.02  # of a node's response, at which a fit starts
 
 
 @dataclass(frozen=True)
@@ -80,7 +74,7 @@ def best_templates(
     best: dict[str, int] = {}
     for place in np.argsort(-gain):
         best.setdefault(nodes[place].id, int(place))
-    worth = [place for place in best.values() if gain[place] >= WORTH * gain.max()]
+    worth = [place for place in best.values() if gain[place] >= METHOD.refit_share * gain.max()]
     return [(nodes[place], float(amplitude[place])) for place in worth]
 
 
@@ -100,7 +94,7 @@ def unscaled_templates(
     best: dict[str, int] = {}
     for place in np.argsort(-gain):
         best.setdefault(nodes[place].id, int(place))
-    scaled = [node for node, amplitude in chosen if node.line.curved and amplitude < MUCH_SCALED]
+    scaled = [node for node, amplitude in chosen if node.line.curved and amplitude < METHOD.threshold_amplitude]
     return [(nodes[best[node.id]], 1.0) for node in scaled]
 
 
@@ -123,7 +117,9 @@ def hidden_templates(
     best: dict[str, int] = {}
     for place in np.argsort(-(along**2 / norm)):
         best.setdefault(nodes[place].id, int(place))
-    return [(nodes[place], float(min(along[place] / norm[place], AMPLITUDES[1]))) for place in best.values()]
+    return [
+        (nodes[place], float(min(along[place] / norm[place], METHOD.template_amplitudes[1]))) for place in best.values()
+    ]
 
 
 def best_pairs(nodes: Sequence[ResponseTemplate], gain: Floats, origin: ParameterPoint, least: float) -> list[Proposal]:
@@ -131,7 +127,7 @@ def best_pairs(nodes: Sequence[ResponseTemplate], gain: Floats, origin: Paramete
     first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
     found: dict[frozenset[str], Proposal] = {}
     for one, other in zip(first, second, strict=True):
-        if gain[one, other] < least or len(found) == PAIRS_REFITTED:
+        if gain[one, other] < least or len(found) == METHOD.pairs_refitted:
             break
         names = frozenset((nodes[one].id, nodes[other].id))
         if len(names) == 2 and names not in found:
@@ -171,7 +167,8 @@ def scattering(
 def _gain_beside_means(search: SimulatorLikelihood, node: ResponseTemplate) -> float:
     """By how much a response, scaled, lowers the squares of what departs in entries that are no means of elements."""
     there, here = (
-        search.mean(replace(search.origin, values=values), SCREEN_FRAMES) for values in ({node.id: node.values}, {})
+        search.mean(replace(search.origin, values=values), METHOD.screen_frames)
+        for values in ({node.id: node.values}, {})
     )
     along = norm = 0.0
     for target, moved, still in zip(search.measured, there, here, strict=True):
@@ -223,11 +220,11 @@ def fitted(
 
 def _refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
     """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
-    for _ in range(REWEIGHTED):
+    for _ in range(METHOD.reweightings):
         found = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)
         gained = fit.misfit - found.misfit
         fit = found if gained > 0 else fit
-        if gained < SETTLED:
+        if gained < METHOD.settled_chi2:
             break
     return fit
 
@@ -295,6 +292,6 @@ def _start(node: ResponseTemplate, amplitude: float) -> dict[str, float]:
     for one in effect.arguments:
         value = node.values.get(one.name, one.value)
         if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
-            value = one.identity + max(amplitude, LEAST_AMPLITUDE) * (value - one.identity)
+            value = one.identity + max(amplitude, METHOD.least_amplitude) * (value - one.identity)
         found[one.name] = min(max(value, one.low), one.high) if math.isfinite(value) else value
     return found

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.pipeline.effect import Effect, effect_from_dict
 from torchweather.stages.catalogue import EFFECTS
 
 __all__ = [
-    "A_PARAMETER",
     "SearchForm",
     "catalogue_effect",
     "counted_form",
@@ -23,8 +23,6 @@ __all__ = [
     "is_another",
     "tried_values",
 ]
-
-A_PARAMETER = 5.0  # misfit that a further one must be worth: 97 % of the squares of one that explains nothing
 
 
 class SearchForm(Effect):
@@ -48,7 +46,9 @@ def counted_form(effect: type[Effect]) -> type[Effect]:
         >>> counted_form(EFFECTS["camera.ego_blur"]).handicap
         5.0
     """
-    return type(effect.__name__, (SearchForm, effect), {"handicap": A_PARAMETER * (len(effect.arguments) - 1)})
+    return type(
+        effect.__name__, (SearchForm, effect), {"handicap": METHOD.parameter_penalty * (len(effect.arguments) - 1)}
+    )
 
 
 def effect_class(model: object, name: str) -> type[Effect]:

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.gap.inference.candidate_fits import (
     SETTLED_BESIDE,
-    WORTH,
     Candidate,
     Proposal,
     best_pairs,
@@ -34,6 +33,7 @@ from torchweather.gap.inference.candidate_fits import (
     unscaled_templates,
 )
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.global_test import GlobalTest, global_test, located_templates, screening_entries
 from torchweather.gap.inference.held_out import HeldOut, held_out
@@ -48,12 +48,8 @@ __all__ = ["GapResult", "find_gap_with"]
 
 Floats = NDArray[np.float64]
 
-# The numbers below were set on development studies of the bench.
-ALARM_P = 2e-4
 # Candidates that are fitted: alone, further ones, and such as what is left open may stand for.
 REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 1
-MOST_EFFECTS = 3
-FEWEST_ENTRIES = 30  # statistics that count, over all conditions
 # Of what is explained where a further effect acts, that it must add (``further.py``); and of the misfit that is left,
 # unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
 FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
@@ -61,15 +57,9 @@ FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
 # explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
 # than SURE_GAIN they may, by so much of the rest: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
-# Of an alarm that is believed although nothing explains it on held-out conditions; of one by a pattern that the
-# conditions have in common ALARM_P is enough: what a few counts do by chance is none.
-SURE_P = 1e-6
-REST_P = 1e-4  # of one statistic, from which a rest is no noise
 REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such statistics
-REST_GAP = 1.5  # held-out gap over its floor, from which something else is missing
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
 UNKNOWN_GAP, UNKNOWN_HELD = 2.5, 0.05
-FAR_GAP = 10.0  # held-out gap over its floor, from which nothing was found whatever it explains
 
 
 @dataclass(frozen=True)
@@ -128,26 +118,26 @@ def find_gap_with(
     progress("simulating the conditions as they are")
     search = SimulatorLikelihood(model, observations(model, model.fit), seed)
     base = search.begin()
-    if screening_entries(search) < FEWEST_ENTRIES:
+    if screening_entries(search) < METHOD.min_entries:
         raise TorchweatherError(
             f"find_gap: not enough data to decide: {screening_entries(search)} statistics hold enough beams to count; "
-            f"wanted {FEWEST_ENTRIES} or more. More frames a condition, or more beams that see a surface, would tell."
+            f"wanted {METHOD.min_entries} or more. Record more frames a condition, or more beams that see a surface."
         )
     progress("response curves")
     screening = global_test(search, chosen, base, seed)
     held = SimulatorLikelihood(model, observations(model, model.holdout), seed + 1)
     before = held_out(held, held.begin(), seed)
     singles: list[Candidate] = []
-    if screening.p_value <= ALARM_P or stands_far(base.setting):
+    if screening.p_value <= METHOD.alarm_p or stands_far(base.setting):
         # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
-        number = REFITTED if screening.p_value <= ALARM_P else SETTLED_BESIDE
+        number = REFITTED if screening.p_value <= METHOD.alarm_p else SETTLED_BESIDE
         singles = _singles(search, base, screening, number, progress)
-        if screening.p_value > ALARM_P:
+        if screening.p_value > METHOD.alarm_p:
             # The effect may only have led the nuisances to where they belong: they are settled from there without it.
             without = search.settle(replace(singles[0].fit.setting, values={}))
             least = min(screening.misfit, without.nuisance.misfit(without.residual))
             screening = screening.raised(least - singles[0].fit.misfit)
-    if screening.p_value > ALARM_P:
+    if screening.p_value > METHOD.alarm_p:
         left = base.nuisance.left(base.residual)
         return GapResult(
             "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
@@ -210,12 +200,12 @@ def _rounds(
         explained = screening.misfit - best.fit.misfit
         left = best.fit.nuisance.left(best.fit.residual)
         excess = OF_THE_REST * screening.rest.excess(left)
-        significant = screening.rest.p_value(left) < REST_P
+        significant = screening.rest.p_value(left) < METHOD.residual_p
         least = max(threshold, min(FURTHER_SURE * explained, excess if significant else 0.0))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
         if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
-        if len(values) == MOST_EFFECTS:
+        if len(values) == METHOD.max_effects:
             return rounds
         rest = _further(search, screening, best)
         sure = max(threshold, excess) if significant else math.inf
@@ -267,7 +257,7 @@ def _fitted_on_top(
         if (
             not others
             or gained >= promised
-            or delta_chi2(others, left[None], nuisance).max() < max(WORTH * gained, threshold)
+            or delta_chi2(others, left[None], nuisance).max() < max(METHOD.refit_share * gained, threshold)
         ):
             break
         node, amplitude = best_templates(others, left, nuisance)[0]
@@ -354,7 +344,7 @@ def _further(search: SimulatorLikelihood, screening: GlobalTest, best: Candidate
     if not rest:
         return []
     found = search.nodes_at(rest, best.fit.base)
-    if screening.rest.p_value(best.fit.nuisance.left(best.fit.residual)) < REST_P:
+    if screening.rest.p_value(best.fit.nuisance.left(best.fit.residual)) < METHOD.residual_p:
         found += located_templates(search, list(dict.fromkeys(node.line.effect for node in rest)), best.fit)
     return found
 
@@ -377,7 +367,9 @@ def _verdict(screening: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -
     share of what departs.
     """
     explained = screening.misfit - fit.misfit
-    unexplained = "unknown" if screening.p_value < SURE_P or screening.common_p_value <= ALARM_P else "none"
+    unexplained = (
+        "unknown" if screening.p_value < METHOD.sure_alarm_p or screening.common_p_value <= METHOD.alarm_p else "none"
+    )
     if explained < _threshold(screening):
         return unexplained
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
@@ -386,12 +378,12 @@ def _verdict(screening: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -
     excess = screening.rest.excess(left)
     # As an alarm is: in any one condition, or in what all have in common.
     chance = min(screening.rest.p_value(left), screening.rest.common_p_value(left))
-    share = excess / max(excess + explained, 1e-9) if chance < REST_P else 0.0
+    share = excess / max(excess + explained, 1e-9) if chance < METHOD.residual_p else 0.0
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
-    far = after.gap > FAR_GAP * after.floor
+    far = after.gap > METHOD.unexplained_gap * after.floor
     if share > UNKNOWN_SHARE or far or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):
         return "unknown"
-    return "named_and_rest" if share > REST_SHARE or after.gap > REST_GAP * after.floor else "named"
+    return "named_and_rest" if share > REST_SHARE or after.gap > METHOD.residual_gap * after.floor else "named"
 
 
 def _confusable(name: str, other: str) -> bool:
@@ -401,4 +393,4 @@ def _confusable(name: str, other: str) -> bool:
 
 def _threshold(screening: GlobalTest) -> float:
     """Gain that noise seldom reaches."""
-    return float(np.quantile(screening.best_null, 1.0 - ALARM_P))
+    return float(np.quantile(screening.best_null, 1.0 - METHOD.alarm_p))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.location_search import standing_grids
 from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
@@ -21,16 +22,9 @@ from torchweather.gap.inference.simulated_distribution import SimulatedDistribut
 from torchweather.gap.inference.starting_points import PLACES, parameter_grids
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["OVERDISPERSION", "GlobalTest", "overdispersion", "located_templates", "global_test", "screening_entries"]
+__all__ = ["GlobalTest", "overdispersion", "located_templates", "global_test", "screening_entries"]
 
 Floats = NDArray[np.float64]
-
-NULLS = 1000
-# Departures of the measurement are not quite Gaussian, and the simulator is not quite the sensor: the thresholds of the
-# screening are those of noise so many times larger in square. Set on development studies.
-OVERDISPERSION = 1.5
-DEPARTURES = 4  # that are looked at; the chance of an alarm is that of any
-REFINED = 0.25  # of the best gain, from which all of a response curve is simulated
 
 
 @dataclass(frozen=True)
@@ -64,7 +58,7 @@ class GlobalTest:
 
     def raised(self, gain: float) -> GlobalTest:
         """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
-        return replace(self, p_value=min(self.p_value, DEPARTURES * _tail(self.best_null, gain)))
+        return replace(self, p_value=min(self.p_value, METHOD.departures * _tail(self.best_null, gain)))
 
 
 def global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], base: Fit, seed: int) -> GlobalTest:
@@ -76,7 +70,7 @@ def global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], ba
     left = nuisance.left(residual)
     nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
     gain = delta_chi2(nodes, left[None], nuisance)[0]
-    near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= REFINED * gain.max()}
+    near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= METHOD.refined_share * gain.max()}
     rest = [
         (line, place)
         for line in found
@@ -85,7 +79,7 @@ def global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], ba
         if place not in line.first
     ]
     nodes += search.nodes(rest, search.origin, search.start)
-    nulls = search.null_residuals(nuisance, NULLS, seed)
+    nulls = search.null_residuals(nuisance, METHOD.null_draws, seed)
     best_null = delta_chi2(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
     gain = delta_chi2(nodes, left[None], nuisance)[0]
@@ -94,8 +88,8 @@ def global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], ba
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
     each = residual_test(search, base, overdispersion(search))
-    p_common = min(1.0, DEPARTURES * each.common_p_value(left))
-    p_value = min(p_common, DEPARTURES * min(p_gain, p_misfit, each.p_value(left)))
+    p_common = min(1.0, METHOD.departures * each.common_p_value(left))
+    p_value = min(p_common, METHOD.departures * min(p_gain, p_misfit, each.p_value(left)))
     return GlobalTest(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value, p_common)
 
 
@@ -139,7 +133,7 @@ def overdispersion(search: SimulatorLikelihood) -> float:
     """How much larger in square the noise is taken than stated: the fewer clear frames tell it, the more."""
     clear = {target.condition.scene: target.clear_frames for target in search.measured}
     degrees = max(sum(clear.values()) - len(clear), 1)
-    return OVERDISPERSION * (1.0 + 2.0 / degrees)
+    return METHOD.overdispersion * (1.0 + 2.0 / degrees)
 
 
 def screening_entries(search: SimulatorLikelihood) -> int:

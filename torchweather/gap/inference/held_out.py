@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.global_test import screening_entries
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["HeldOut", "held_out"]
-
-DRAWS = 200  # of the floor
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class HeldOut:
 def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
     """The held-out departure at a setting of effects."""
     counted = max(screening_entries(held), 1)
-    nulls = held.null_residuals(fitted.nuisance, DRAWS, seed)
+    nulls = held.null_residuals(fitted.nuisance, METHOD.floor_draws, seed)
     left = np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls))
     floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters
     gap = math.sqrt(max(fitted.misfit, 0.0) / counted)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.systematics import Systematics
@@ -21,8 +22,6 @@ from torchweather.gap.inference.systematics import Systematics
 __all__ = ["fresh_delta_chi2", "insensitive_statistics"]
 
 Floats = NDArray[np.float64]
-
-TOUCHED = 1.0  # root mean square change of a statistic in units of its scatter
 
 
 def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.bool_]:
@@ -37,7 +36,7 @@ def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.
     still = {}
     for statistic, parts in changed.items():
         values = np.concatenate(parts)
-        still[statistic] = len(values) > 0 and float(np.sqrt((values**2).mean())) < TOUCHED
+        still[statistic] = len(values) > 0 and float(np.sqrt((values**2).mean())) < METHOD.sensitive_rms
     entries = layout.each(lambda group: still[group.statistic])
     return np.tile(entries, len(search.measured))
 

@@ -20,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.threads import side_by_side
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import catalogue_effect, complexity_penalty, effect_class
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.simulated_distribution import (
-    PORTIONED_FRAMES,
-    PORTIONS,
     FrameModel,
     Observation,
     SimulatedDistribution,
@@ -34,30 +33,17 @@ from torchweather.gap.inference.simulated_distribution import (
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics, together
 from torchweather.gap.statistics.frame_random_effects import clear_errors, clear_means, frame_departures, model_errors
-from torchweather.gap.statistics.frame_statistics import COUNTED, COUNTING, FEW_COUNTS, TINY, Pool
+from torchweather.gap.statistics.frame_statistics import COUNTED, COUNTING, TINY, Pool
 from torchweather.pipeline.effect import Effect
 
 __all__ = ["Fit", "SimulatorLikelihood", "ParameterPoint"]
 
 Floats = NDArray[np.float64]
 
-POOL_FRAMES = 48  # of each condition, for the scatter
-SCREEN_FRAMES = 6  # of each condition, for a response or a derivative; the first of the pool
-PROBE_FRAMES = 16  # of each condition, for a cost
-PROBE_DRAWS = 32
 KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's intensity: standard deviations, logarithm
-KNOB_GRID = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations of the record at which intensities are first looked for
-OPEN_STEP = 2.0  # of a derivative by what the model leaves open, standard deviations: few particles change by less
-LEAST_ANGLE_RAD = 0.025  # of a derivative: a column or so
-STEP = 0.05  # of a derivative, over the parameter's typical size
 WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
-ITERATIONS = 10
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
-ROUNDS = 10  # of fitting the nuisances alone
 STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
-SETTLED = 3.0  # of the misfit, below which another round of that is not worth its frames
-UNSAID = 0.5  # of what an effect does to a statistic of which its parameters say nothing
-FARTHEST = 4.0  # standard deviations that a nuisance may move
 
 
 @dataclass(frozen=True)
@@ -114,14 +100,16 @@ class SimulatorLikelihood:
     """
 
     def __init__(
-        self, model: FrameModel, measured: Sequence[Observation], seed: int, pool_frames: int = POOL_FRAMES
+        self, model: FrameModel, measured: Sequence[Observation], seed: int, pool_frames: int = METHOD.pool_frames
     ) -> None:
         self.model, self.measured, self.seed = model, list(measured), seed
         self.least_frames = max((target.frames for target in measured), default=1)
         self.pool_frames = max(pool_frames, 2 * self.least_frames)
         self.simulated_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
-        self.noise = element_noise(self.pools(ParameterPoint(), PORTIONED_FRAMES, PORTIONS), self.measured)
+        self.noise = element_noise(
+            self.pools(ParameterPoint(), METHOD.portioned_frames, METHOD.portions), self.measured
+        )
         self.frame_departures = frame_departures(model, self.measured)
         self.clear_means = clear_means(model, self.measured)
         self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
@@ -189,7 +177,9 @@ class SimulatorLikelihood:
 
         def wider(scatter: Mapping[str, Floats]) -> dict[str, Floats]:
             return {
-                name: np.hypot(own, UNSAID * np.where(open_entries, base.mean[name] - self.start.mean[name], 0.0))
+                name: np.hypot(
+                    own, METHOD.unmodelled_share * np.where(open_entries, base.mean[name] - self.start.mean[name], 0.0)
+                )
                 for name, own in scatter.items()
             }
 
@@ -197,7 +187,7 @@ class SimulatorLikelihood:
         shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
         return replace(base, sd=sd, total=wider(base.total), shared=shared)
 
-    def mean(self, setting: ParameterPoint, frames: int = PROBE_FRAMES) -> list[Floats]:
+    def mean(self, setting: ParameterPoint, frames: int = METHOD.probe_frames) -> list[Floats]:
         """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""
         frames = max(frames, self.least_frames)
         pools = self.pools(setting, frames)
@@ -205,7 +195,7 @@ class SimulatorLikelihood:
         for number, target in enumerate(self.measured):
             generator = np.random.default_rng([self.seed, 104729, number])
             n = min(target.frames, frames)
-            draws = PROBE_DRAWS if n < frames else 1
+            draws = METHOD.probe_draws if n < frames else 1
             index = np.argsort(generator.random((draws, frames)), 1)[:, :n]
             vectors = pools[target.condition.id].vectors(index, target.condition.time_s)
             found.append(vectors.mean(0))
@@ -303,7 +293,7 @@ class SimulatorLikelihood:
     def shifted(self, setting: ParameterPoint, step: Floats) -> ParameterPoint:
         """A setting with its nuisances moved by a step ``(K,)``."""
         sd, number = self.intensity_sd(), len(self.measured)
-        place = np.clip(self.offset(setting) + step, -FARTHEST, FARTHEST)
+        place = np.clip(self.offset(setting) + step, -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd)
         place[number : number + len(self.open)] = np.maximum(
             place[number : number + len(self.open)], list(self.open.values())
         )
@@ -321,7 +311,7 @@ class SimulatorLikelihood:
                 target.condition.id: setting.log_intensity.get(target.condition.id, 0.0) + sign * step
                 for target, step in zip(self.measured, steps, strict=True)
             }
-            ends.append(self.mean(replace(setting, log_intensity=log_intensity), SCREEN_FRAMES))
+            ends.append(self.mean(replace(setting, log_intensity=log_intensity), METHOD.screen_frames))
         columns = [
             self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
             for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
@@ -339,7 +329,7 @@ class SimulatorLikelihood:
         """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
         if not self.open:
             return []
-        before = self.mean(setting, SCREEN_FRAMES)
+        before = self.mean(setting, METHOD.screen_frames)
         places = {
             name: [k for k, target in enumerate(self.measured) if name in self.model.open(target.condition)]
             for name in self.open
@@ -354,9 +344,13 @@ class SimulatorLikelihood:
                 taken |= set(places[name])
                 strength = setting.open.get(name, 0.0)
                 # A short one would be noise alone.
-                steps[name] = OPEN_STEP if strength + OPEN_STEP <= FARTHEST else -OPEN_STEP
+                steps[name] = (
+                    METHOD.systematic_step_sd
+                    if strength + METHOD.systematic_step_sd <= METHOD.nuisance_bound_sd
+                    else -METHOD.systematic_step_sd
+                )
             moved = {name: setting.open.get(name, 0.0) + step for name, step in steps.items()}
-            after = self.mean(replace(setting, open={**setting.open, **moved}), SCREEN_FRAMES)
+            after = self.mean(replace(setting, open={**setting.open, **moved}), METHOD.screen_frames)
             for name, step in steps.items():
                 columns[name] = self._column(base, {k: (after[k] - before[k]) / step for k in places[name]})
         return [columns[name] for name in self.open]
@@ -370,7 +364,7 @@ class SimulatorLikelihood:
         """The nuisances alone, fitted at a setting of effects; the intensities first looked for on a grid."""
         setting = self._scanned(setting)
         base = self.at(setting)
-        setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), ROUNDS)
+        setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), METHOD.nuisance_rounds)
         if not setting.values:
             for target in self.measured:
                 self.model.render_near(target.condition, setting.log_intensity.get(target.condition.id, 0.0))
@@ -409,7 +403,7 @@ class SimulatorLikelihood:
             gained = cost - found[0]
             cost, setting, mean = found
             residual = self.departure(base, mean)
-            if gained < SETTLED + STALLED_SHARE * cost:
+            if gained < METHOD.settled_chi2 + STALLED_SHARE * cost:
                 break
             nuisance = self.nuisance(setting, base)
             cost = nuisance.cost(residual)
@@ -421,11 +415,11 @@ class SimulatorLikelihood:
         Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other.
         """
         sd = self.intensity_sd()
-        places = [self.offset(setting)[: len(sd)], *(np.full(len(sd), place) for place in KNOB_GRID)]
+        places = [self.offset(setting)[: len(sd)], *(np.full(len(sd), place) for place in METHOD.intensity_grid_sd)]
         costs = []
         for place in places:
             intensities = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
-            mean = self.mean(replace(setting, log_intensity=intensities), SCREEN_FRAMES)
+            mean = self.mean(replace(setting, log_intensity=intensities), METHOD.screen_frames)
             rest = [
                 self.start.whitened(target.condition.id, target.vector - one)
                 for target, one in zip(self.measured, mean, strict=True)
@@ -441,18 +435,22 @@ class SimulatorLikelihood:
         self, points: Sequence[tuple[ParameterGrid, int]], setting: ParameterPoint, base: SimulatedDistribution
     ) -> list[ResponseTemplate]:
         """Responses to settings, each given by its line and its place there, on top of a setting."""
-        before = self.mean(setting, SCREEN_FRAMES)
+        before = self.mean(setting, METHOD.screen_frames)
         found = []
         for line, number in points:
             values = line.settings[number]
             tried = replace(setting, values={**setting.values, line.effect.id: values})
-            after = self.mean(tried, SCREEN_FRAMES)
+            after = self.mean(tried, METHOD.screen_frames)
             change = [new - old for new, old in zip(after, before, strict=True)]
             found.append(ResponseTemplate(line, number, values, self.whitened(base, change)))
         return found
 
     def fit(
-        self, start: ParameterPoint, nuisance: Systematics, base: SimulatedDistribution, iterations: int = ITERATIONS
+        self,
+        start: ParameterPoint,
+        nuisance: Systematics,
+        base: SimulatedDistribution,
+        iterations: int = METHOD.max_iterations,
     ) -> Fit:
         """Parameters and nuisances that explain the measured conditions best, by Gauss-Newton in the simulator.
 
@@ -476,7 +474,7 @@ class SimulatorLikelihood:
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
-            near = self.mean(setting, SCREEN_FRAMES)
+            near = self.mean(setting, METHOD.screen_frames)
             jacobian = np.stack([self._derivative(setting, name, near, base) for name in names], 1)
             projected = here(jacobian.T).T
             normal = jacobian.T @ projected
@@ -551,7 +549,7 @@ class SimulatorLikelihood:
         for target in self.measured:
             name = target.condition.id
             used = self.start.used[name] & base.used[name]
-            free = np.where(counts, COUNTING / FEW_COUNTS * self.start.least[name], 0.0)
+            free = np.where(counts, COUNTING / METHOD.few_counts_scatter * self.start.least[name], 0.0)
             wider = np.maximum(base.sd[name], free) / np.maximum(self.start.sd[name], free)
             total += 2.0 * float(np.log(wider[used]).sum())
         return total
@@ -563,17 +561,19 @@ class SimulatorLikelihood:
         effect, parameter = name
         declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
         value = setting.values[effect][parameter]
-        step = STEP * (max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale)
+        step = METHOD.derivative_step * (
+            max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale
+        )
         if declared.identity is not None and math.isfinite(declared.identity):
             # Counts go as the root of a probability: a step far beyond a weak one has another slope.
             step = min(step, max(WEAK_STEP * abs(value - declared.identity), LEAST_STEP * declared.scale))
         if parameter in ("azimuth_rad", "width_rad"):  # finer than the sector itself
-            step = max(0.25 * setting.values[effect].get("width_rad", 0.0), LEAST_ANGLE_RAD)
+            step = max(0.25 * setting.values[effect].get("width_rad", 0.0), METHOD.angle_step_rad)
         step = min(step, 0.25 * (declared.high - declared.low))
         if value + step > declared.high:
             step = -step
         values = {**setting.values, effect: {**setting.values[effect], parameter: value + step}}
-        after = self.mean(replace(setting, values=values), SCREEN_FRAMES)
+        after = self.mean(replace(setting, values=values), METHOD.screen_frames)
         return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
 
     def _moved(self, setting: ParameterPoint, names: Sequence[tuple[str, str]], step: Floats) -> ParameterPoint:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.starting_points import ParameterGrid
@@ -19,8 +20,6 @@ from torchweather.pipeline.effect import Effect
 
 __all__ = ["located", "standing_grids"]
 
-FRAMES = 6  # of each condition, for one trial
-WIDTHS_RAD = (0.03, 0.1, 0.3)
 HALVINGS, PASSES = 5, 2
 ANSCOMBE = 3.0 / 8.0
 
@@ -35,7 +34,7 @@ def standing_grids(
         return []
     cells = search.model.map_cells
     total = np.zeros(len(cells))
-    pools = search.pools(setting, FRAMES)
+    pools = search.pools(setting, METHOD.location_frames)
     for target in search.measured:
         # The least of all frames: what stands is in each of them.
         measured = search.model.measured(target.condition).maps[:, 0].min(0)
@@ -45,7 +44,7 @@ def standing_grids(
     return [
         ParameterGrid(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m, "width_rad": width},))
         for one in fitting
-        for width in WIDTHS_RAD
+        for width in METHOD.location_widths_rad
     ]
 
 
@@ -61,12 +60,12 @@ def located(search: SimulatorLikelihood, setting: ParameterPoint, name: str, bas
     if "azimuth_rad" not in setting.values[name]:
         return setting
     bounds = {one.name: (one.low, one.high) for one in effect_class(search.model, name).arguments}
-    width = setting.values[name].get("width_rad", WIDTHS_RAD[-1])
+    width = setting.values[name].get("width_rad", METHOD.location_widths_rad[-1])
     steps = {one: width if one == "azimuth_rad" else 0.5 * abs(setting.values[name][one]) for one in bounds}
 
     def cost(tried: ParameterPoint) -> float:
         here = base.nuisance.moved(search.offset(tried))
-        return here.misfit(search.departure(base.base, search.mean(tried, FRAMES)))
+        return here.misfit(search.departure(base.base, search.mean(tried, METHOD.location_frames)))
 
     best = cost(setting)
     for _ in range(HALVINGS):

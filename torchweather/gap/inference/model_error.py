@@ -13,7 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.likelihood import SCREEN_FRAMES, Fit, SimulatorLikelihood
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["explained_beside", "response_of"]
 
@@ -42,5 +43,5 @@ def explained_beside(search: SimulatorLikelihood, fit: Fit, responses: Floats) -
 
 def response_of(search: SimulatorLikelihood, fit: Fit, name: str) -> Floats:
     """What one effect of a fit changes where it stands, ``(C P,)``."""
-    there, here = (search.mean(setting, SCREEN_FRAMES) for setting in (fit.setting, fit.setting.without(name)))
+    there, here = (search.mean(setting, METHOD.screen_frames) for setting in (fit.setting, fit.setting.without(name)))
     return search.whitened(fit.base, [new - old for new, old in zip(there, here, strict=True)])

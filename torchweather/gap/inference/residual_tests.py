@@ -18,16 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.statistics.frame_statistics import COUNTED
 
 __all__ = ["ResidualTest", "residual_test"]
 
 Floats = NDArray[np.float64]
-
-# Square of the scatter that shares and counts are taken to have, over the stated one: never less than the first, and so
-# many times that of simulated frames, which know only the clear frames that they start from.
-LEVEL = (0.3, 2.5)
 
 
 @dataclass(frozen=True)
@@ -98,5 +95,9 @@ def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float)
     mixed = zip(*(one[shuffled] for one, shuffled in zip(draws, order, strict=True)), strict=True)
     whitened = base.nuisance(np.stack([search.whitened(base.base, list(one)) for one in mixed]))
     drawn = found.squares(np.sqrt((whitened**2).mean(0))) / np.maximum(found.counted, 1.0)
-    level = np.where([group.kind in COUNTED for group in groups], np.minimum(LEVEL[0] + LEVEL[1] * drawn, 1.0), 1.0)
+    level = np.where(
+        [group.kind in COUNTED for group in groups],
+        np.minimum(METHOD.count_variance_ratio[0] + METHOD.count_variance_ratio[1] * drawn, 1.0),
+        1.0,
+    )
     return replace(found, noise=overdispersion * level)

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics
 
 __all__ = ["ResponseTemplate", "amplitudes", "delta_chi2", "pair_delta_chi2"]
 
 Floats = NDArray[np.float64]
-
-AMPLITUDES = (0.0, 1.35)  # by which a response is scaled between settings
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def amplitudes(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: System
     """By what each node is best scaled to explain what nuisances have left ``(R, C P)``, and its squared length."""
     responses = np.stack([node.response for node in nodes])
     norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
-    found: Floats = np.clip((left @ responses.T) / norm, *AMPLITUDES)
+    found: Floats = np.clip((left @ responses.T) / norm, *METHOD.template_amplitudes)
     return found, norm
 
 
@@ -69,7 +68,7 @@ def pair_delta_chi2(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: S
     gram = responses @ nuisance(responses).T
     along = responses @ left
     norm = np.maximum(np.diag(gram), 1e-12)
-    low, high = AMPLITUDES
+    low, high = METHOD.template_amplitudes
     first = np.broadcast_to(along[:, None], gram.shape)
     second = first.T
     determinant = np.maximum(norm[:, None] * norm[None] - gram**2, 1e-9 * norm[:, None] * norm[None])

@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from torchweather.gap.statistics.frame_statistics import INDEPENDENT, TINY, Layout, Pool, Reduced
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.statistics.frame_statistics import TINY, Layout, Pool, Reduced
 from torchweather.gap.study.conditions import Condition
 from torchweather.pipeline.effect import Effect
 
 __all__ = [
-    "PORTIONED_FRAMES",
-    "PORTIONS",
     "SimulatedDistribution",
     "ElementNoise",
     "FrameModel",
@@ -40,13 +39,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-DRAWS = 256  # of the vector from the pool
-PORTIONS = 128  # of the elements of a frame
-PORTIONED_FRAMES = 8  # of each condition
-# Two clear frames are as far apart from each other either way: how spreads scatter does not show.
-FEWEST_FOR_SPREAD = 3
-SHRINKAGE = 0.1  # of the correlations towards none
 
 
 class FrameModel(Protocol):
@@ -185,7 +177,7 @@ class Whitening:
         names = list(noise.scatter)
         share = np.mean([noise.scatter[name] / np.maximum(sd[name], 1e-300) for name in names], 0)
         share = np.clip(share, 0.0, 1.0)
-        correlation = (1.0 - SHRINKAGE) * noise.correlation * np.outer(share, share)
+        correlation = (1.0 - METHOD.shrinkage) * noise.correlation * np.outer(share, share)
         np.fill_diagonal(correlation, 1.0)
         return cls(np.linalg.cholesky(correlation))
 
@@ -268,15 +260,15 @@ def simulated_distribution(
         name, pool, n = target.condition.id, pools[target.condition.id], target.frames
         generator = np.random.default_rng([seed, number])
         count = len(pool)
-        index = np.argsort(generator.random((DRAWS, count)), 1)[:, : min(n, count)]
+        index = np.argsort(generator.random((METHOD.distribution_draws, count)), 1)[:, : min(n, count)]
         vectors = pool.vectors(index, target.condition.time_s)
         mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
         # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
         pooled = min(n / count, 0.5)
         least = pool.least_scatter(n, target.misplaced)
-        few = of_spread & (target.clear_frames < FEWEST_FOR_SPREAD)
+        few = of_spread & (target.clear_frames < METHOD.frames_for_spread)
         tell = np.where(few, 1, target.clear_frames)  # frames that tell what is in clear air
-        spreads[name] = least = np.where(few, least / INDEPENDENT, least)
+        spreads[name] = least = np.where(few, least / METHOD.independent_share, least)
         grown = 1.0 if start is None else np.maximum(least / np.maximum(start.least[name], TINY), 1.0)
         elements = np.where(few, least, noise.scatter[name] * np.where(averages, grown, 1.0))
         least = np.maximum(least, np.where(shares, 0.0, elements))
@@ -316,7 +308,7 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
     averages = layout.averages & ~about_own
     for target in measured:
         name, clear = target.condition.id, target.clear_frames
-        apart = portioned[name].element_noise(PORTIONS, target.frames, clear)
+        apart = portioned[name].element_noise(METHOD.portions, target.frames, clear)
         # Departures from the mean of the other clear frames are larger than those from the mean of all.
         apart *= np.where(averages, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
         apart *= np.where(about_own, math.sqrt(squares_go_together(min(target.frames, clear), clear)), 1.0)

@@ -12,15 +12,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import tried_values
 from torchweather.pipeline.effect import Effect, Parameter
 
 __all__ = ["ParameterGrid", "parameter_grids"]
 
-# Strengths over the parameter's typical size.
-STEPS = (0.03, 0.25, 1.0, 3.0)
-CUT_STEPS = tuple(0.15 * 1.2**step for step in range(16))  # of what cuts: between two of them it would be stepped over
-FAR_STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinitely far
 PLACES = ("azimuth_rad",)  # parameters that say where
 
 
@@ -40,7 +37,7 @@ class ParameterGrid:
     def curved(self) -> bool:
         """Whether no setting says what the next one does, so that many are tried: of what cuts, or begins at a
         threshold, or has its identity infinitely far."""
-        return len(self.settings) > len(STEPS)
+        return len(self.settings) > len(METHOD.start_steps)
 
     @property
     def first(self) -> tuple[int, ...]:
@@ -52,14 +49,14 @@ class ParameterGrid:
         return (0, number // 2) if number > 2 else (number // 2,)
 
 
-def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = STEPS) -> list[list[float]]:
+def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = METHOD.start_steps) -> list[list[float]]:
     """Values on either side of the identity, from weak to strong in terms of a typical size, inside the bounds."""
     identity = parameter.identity
     assert identity is not None
     found = []
     for sign in (1.0, -1.0):
         if math.isinf(identity):
-            values = [size * step for step in FAR_STEPS] if sign > 0 else []
+            values = [size * step for step in METHOD.start_steps_far] if sign > 0 else []
         elif identity > 0 and parameter.low >= 0:  # a factor
             values = [identity * math.exp(sign * size * step) for step in steps]
         else:
@@ -104,7 +101,7 @@ def parameter_grids(
             if isinstance(size, Sequence):
                 along = [list(size)]
             else:
-                along = _strengths(parameter, size, CUT_STEPS if effect.cuts else STEPS)
+                along = _strengths(parameter, size, METHOD.start_steps_of_cuts if effect.cuts else METHOD.start_steps)
             found += [
                 ParameterGrid(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
                 for values in along

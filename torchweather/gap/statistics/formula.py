@@ -24,19 +24,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc
 
+from torchweather.gap.inference.config import METHOD
+
 __all__ = ["Formula", "bounded", "simplest_formula"]
 
 Floats = NDArray[np.float64]
 
-POINTS = 16  # at which a formula is looked at within a bin
-TOLD_APART = 1e-6  # singular values of the terms, over the largest, from which bins tell the terms apart
 # A formula describes a curve where a chi2 as large has this probability at least, or where it leaves no more than this
 # of the square of the curve: beams do not fill bins evenly, and no law of nature is asked for.
 FITS, LEAVES = 1e-3, 0.1
-NEARLY = 2.0  # difference of the criterion that says next to nothing
-FREQUENCIES = 8  # of a sine, most
 NOTHING = 1e-12  # a coefficient that is 0 but for rounding
-OPEN = 3.0  # an end bin so many times as wide as its neighbour has no end
 # Lengths over the width of the axis, and exponents that one would write down.
 LENGTHS = np.geomspace(0.02, 2.0, 40)
 EXPONENTS = tuple(b / 4.0 for b in range(-12, 13) if b not in (0, 4))
@@ -101,9 +98,9 @@ def bounded(edges: ArrayLike) -> Floats:
     found = np.array(edges, dtype=np.float64)
     width = np.diff(found)
     if len(width) > 2:
-        if width[-1] > OPEN * width[-2]:
+        if width[-1] > METHOD.formula_open_bin_ratio * width[-2]:
             found[-1] = found[-2] + width[-2]
-        if width[0] > OPEN * width[1]:
+        if width[0] > METHOD.formula_open_bin_ratio * width[1]:
             found[0] = found[1] - width[1]
     return found
 
@@ -124,7 +121,7 @@ def simplest_formula(edges: ArrayLike, value: ArrayLike, sd: ArrayLike, axis: st
     """
     ends, y, error = bounded(edges), np.asarray(value, dtype=np.float64), np.asarray(sd, dtype=np.float64)
     known = np.isfinite(y)
-    share = (np.arange(POINTS) + 0.5) / POINTS
+    share = (np.arange(METHOD.formula_points) + 0.5) / METHOD.formula_points
     points = ends[:-1, None] + np.diff(ends)[:, None] * share
     found = []
     for form in _forms(axis, points, ends, known):
@@ -133,7 +130,7 @@ def simplest_formula(edges: ArrayLike, value: ArrayLike, sd: ArrayLike, axis: st
             found.append(fitted)
     good = [one for one, probability, left in found if probability >= FITS or left <= LEAVES]
     least = min((one.criterion for one in good), default=0.0)
-    near = [one for one in good if one.criterion <= least + NEARLY]
+    near = [one for one in good if one.criterion <= least + METHOD.formula_criterion_gap]
     return min(near, key=lambda one: (SIMPLICITY.index(one.name), one.criterion), default=None)
 
 
@@ -151,7 +148,7 @@ def _fitted(
     if not np.all(norm > 0):
         return None
     left, size, right = np.linalg.svd(scaled / norm, full_matrices=False)
-    if size[-1] < TOLD_APART * size[0]:
+    if size[-1] < METHOD.formula_singular_share * size[0]:
         return None
     coefficients = right.T @ (left.T @ (y[known] / error[known]) / size) / norm
     chi2 = float((((fitted @ coefficients - y[known]) / error[known]) ** 2).sum())
@@ -209,7 +206,7 @@ def _forms(axis: str, points: Floats, ends: Floats, known: NDArray[np.bool_]) ->
         yield _step(axis, float(ends[place]), kinds * max(len(inner) - 1, 1))
     if periodic:
         # More than half as many waves as bins cannot be told from fewer.
-        most = min(FREQUENCIES, (int(known.sum()) - 1) // 2)
+        most = min(METHOD.formula_max_frequencies, (int(known.sum()) - 1) // 2)
         for times in range(1, most + 1):
             yield _sine(axis, times, kinds * most, offset=False)
             yield _sine(axis, times, kinds * most, offset=True)

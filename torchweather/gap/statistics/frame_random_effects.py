@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from torchweather.gap.inference.simulated_distribution import PORTIONS, FrameModel, Observation, SimulatedDistribution
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.simulated_distribution import FrameModel, Observation, SimulatedDistribution
 from torchweather.gap.statistics.frame_statistics import PARTICLE_AXIS, TINY, Layout, Pool
 
 __all__ = ["FrameDeparture", "clear_errors", "clear_means", "frame_departures", "model_errors", "widened"]
@@ -27,9 +28,6 @@ Floats = NDArray[np.float64]
 
 Column = Callable[[Mapping[int, Floats]], Floats]
 """Departures ``(P,)`` of some conditions, by their place, to one whitened column ``(C P,)``."""
-
-KNOWN_TO = 0.005  # of what weather does to a mean: two implementations of one physics differ by as much
-SELDOM = 1e-3  # how often noise of whole frames may reach farther than stated
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,8 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
         each = pool.vectors(np.arange(number)[:, None])
         # Departures from the mean of the others are larger than those from the mean of all.
         less = (number - 1) / number
-        portioned = Pool(layout, model.clear(scene, PORTIONS))
-        noise = less**2 * (portioned.element_noise(PORTIONS, 1, number) ** 2).sum(1).mean(0)
+        portioned = Pool(layout, model.clear(scene, METHOD.portions))
+        noise = less**2 * (portioned.element_noise(METHOD.portions, 1, number) ** 2).sum(1).mean(0)
         apart = np.where(moved, each - each.mean(0), 0.0) * less
         for name, (values, variance) in pool.averages(noise).items():
             even = (values - values.mean()) * less
@@ -143,7 +141,11 @@ def model_errors(
     """
     averages = layout.averages
     each = {
-        place: np.where(averages, KNOWN_TO * (base.mean[target.condition.id] - clear[target.condition.scene]), 0.0)
+        place: np.where(
+            averages,
+            METHOD.weather_mean_rel_error * (base.mean[target.condition.id] - clear[target.condition.scene]),
+            0.0,
+        )
         for place, target in enumerate(measured)
     }
     return [column(each), *(column({place: own}) for place, own in each.items())]
@@ -157,4 +159,4 @@ def widened(degrees: int) -> float:
         >>> round(widened(14), 2), round(widened(2), 1)
         (1.58, 92.2)
     """
-    return float((stats.t.isf(0.5 * SELDOM, degrees) / stats.norm.isf(0.5 * SELDOM)) ** 2)
+    return float((stats.t.isf(0.5 * METHOD.frame_noise_p, degrees) / stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2)

@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
+from torchweather.gap.inference.config import METHOD
+
 __all__ = [
     "COUNTED",
     "COUNTING",
     "FEWEST",
-    "FEW_COUNTS",
-    "INDEPENDENT",
     "PARTICLE_AXIS",
     "TINY",
     "Group",
@@ -49,17 +49,9 @@ FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
 ANSCOMBE = 3.0 / 8.0
 COUNTED = ("share", "count")  # kinds whose stated scatter is that of counting
 COUNTING = 0.5  # scatter of a stabilised count
-FEW_COUNTS = 0.5 * COUNTING  # that it has at least: of few counts, of which there seldom is one, it is less
-SPREAD_KNOWN_TO = 0.03  # of the logarithm of a standard deviation: no noise is modelled better than to 3 %
-# Of the logarithm of the spread of particles that the model may misplace: the largest of several readings scatters less
-# than one, by as much as a receiver makes them independent (18 % were found).
-READ_SPREAD_KNOWN_TO = 0.2
-INDEPENDENT = 0.5  # of the scatter that independent elements would give
 LEAST = {"between": 0.2, "persistence": 0.1}
-PERSISTENCE_SHARE = 0.01  # of itself: in dense weather the mean pattern persists, and no simulator knows it better
 PARTICLE_AXIS = "particle_range_m"
 TINY = 1e-12
-LINEAR = 1e-4  # of a departure, over which entries are straight
 
 
 @dataclass(frozen=True)
@@ -264,8 +256,10 @@ class Pool:
             part = slice(start, start + group.bins)
             start += group.bins
             here = [total[part] for total in totals]
-            moved = [total[part] + LINEAR * noise[..., part] for total, noise in zip(totals, noises, strict=True)]
-            found[..., part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / LINEAR
+            moved = [
+                total[part] + METHOD.linear_step * noise[..., part] for total, noise in zip(totals, noises, strict=True)
+            ]
+            found[..., part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / METHOD.linear_step
         return found
 
     def least_scatter(self, number: int, misplaced: float = 0.0) -> Floats:
@@ -281,7 +275,7 @@ class Pool:
         for group in self.layout.groups:
             if group.kind == "persistence":
                 pattern = self.frames.maps[:, self.layout.maps.index(group.statistic)].mean(0)
-                known = PERSISTENCE_SHARE * float(np.sqrt((pattern**2).sum()))
+                known = METHOD.persistence_rel_error * float(np.sqrt((pattern**2).sum()))
                 found.append(np.full(group.bins, LEAST[group.kind] + known))
             elif group.kind == "slope":
                 # Of n even steps from first to last the squares about their mean sum up to n / 12.
@@ -330,7 +324,7 @@ def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Flo
         inside = (value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)
         found = np.abs(np.arcsin(np.sqrt(np.clip(inside - share, 0.0, 1.0))) - np.arcsin(np.sqrt(inside)))
     elif kind == "spread":
-        found = np.hypot(share, READ_SPREAD_KNOWN_TO)
+        found = np.hypot(share, METHOD.log_read_spread_error)
     else:
         found = share
     return found
@@ -346,13 +340,17 @@ def _least_scatter(kind: str, number: int, weight: Floats, value: Floats, square
     if kind == "share":
         inside = (value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)
         one = 0.5 / (np.maximum(weight, 1.0) * np.sqrt(inside * (1.0 - inside)))
-        found: Floats = np.minimum(FEW_COUNTS / np.sqrt(np.maximum(weight, 1.0)), 0.5 * number * one)
+        found: Floats = np.minimum(METHOD.few_counts_scatter / np.sqrt(np.maximum(weight, 1.0)), 0.5 * number * one)
     elif kind == "count":
-        found = np.full(weight.shape, FEW_COUNTS)
+        found = np.full(weight.shape, METHOD.few_counts_scatter)
     else:
         variance = np.maximum(square / some - (value / some) ** 2, TINY)
-        relative = INDEPENDENT / np.sqrt(np.maximum(weight, 1.0))
-        found = relative * np.sqrt(variance) if kind == "mean" else np.hypot(math.sqrt(0.5) * relative, SPREAD_KNOWN_TO)
+        relative = METHOD.independent_share / np.sqrt(np.maximum(weight, 1.0))
+        found = (
+            relative * np.sqrt(variance)
+            if kind == "mean"
+            else np.hypot(math.sqrt(0.5) * relative, METHOD.log_spread_error)
+        )
     return found
 
 

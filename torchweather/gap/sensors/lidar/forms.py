@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.gap.inference.effect_forms import A_PARAMETER, SearchForm, counted_form
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.effect_forms import SearchForm, counted_form
 from torchweather.lidar.effects.structure import (
     LidarParticleDensityAzimuth,
     LidarParticleDensityElevation,
@@ -38,7 +39,7 @@ class WakeForm(SearchForm, LidarParticleDensityAzimuth):
     """
 
     arguments: ClassVar[tuple[Parameter, ...]] = WAKE
-    handicap: ClassVar[float] = A_PARAMETER * (len(WAKE) - 1)
+    handicap: ClassVar[float] = METHOD.parameter_penalty * (len(WAKE) - 1)
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"width_rad": (0.5, 2.5)}
     wind_amplitude: Tensor
     wind_azimuth_rad: Tensor
@@ -57,7 +58,7 @@ class WakeForm(SearchForm, LidarParticleDensityAzimuth):
 class ElevationForm(SearchForm, LidarParticleDensityElevation):
     """As the catalogue's, begun at three elevations and two widths."""
 
-    handicap: ClassVar[float] = A_PARAMETER * (len(LidarParticleDensityElevation.arguments) - 1)
+    handicap: ClassVar[float] = METHOD.parameter_penalty * (len(LidarParticleDensityElevation.arguments) - 1)
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {
         "elevation_rad": (-0.15, 0.0, 0.15),
         "width_rad": (0.1, 0.4),
@@ -68,7 +69,7 @@ class ElevationForm(SearchForm, LidarParticleDensityElevation):
 class SharedForm(SearchForm, LidarSharedParticles):
     """As the catalogue's, begun at the sensor's own width."""
 
-    handicap: ClassVar[float] = A_PARAMETER
+    handicap: ClassVar[float] = METHOD.parameter_penalty
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"width_factor": (1.0,)}
 
 

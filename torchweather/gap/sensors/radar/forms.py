@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.gap.inference.effect_forms import A_PARAMETER, SearchForm
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.effect_forms import SearchForm
 from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.radar.effects.all import RadarInterference, RadarMultipath, RadarVolumeClutter, RadarWetRcs
 from torchweather.radar.state import RadarState
@@ -49,7 +50,7 @@ def wet_rcs_form(classes: Sequence[int]) -> type[Effect]:
         after: ClassVar[str] = RadarWetRcs.after
         axes: ClassVar[tuple[str, ...]] = RadarWetRcs.axes
         confusable_with: ClassVar[Mapping[str, str]] = RadarWetRcs.confusable_with
-        handicap: ClassVar[float] = A_PARAMETER * (len(classes) - 1)
+        handicap: ClassVar[float] = METHOD.parameter_penalty * (len(classes) - 1)
 
         def to_dict(self) -> dict[str, Any]:
             """As the catalogue's effect."""
@@ -106,5 +107,5 @@ class InterferenceForm(RadarInterference, SearchForm):
     """``radar.interference``, tried at levels of all sizes. One that strikes every frame is ``radar.noise_floor``."""
 
     another_from: ClassVar[Mapping[str, float]] = {"probability": MOST_STRUCK}
-    handicap: ClassVar[float] = A_PARAMETER
+    handicap: ClassVar[float] = METHOD.parameter_penalty
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"level_db": (0.2, 0.6, 2.0, 6.0, 18.0)}

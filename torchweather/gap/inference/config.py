@@ -1,0 +1,106 @@
+"""Numbers of the method that finds missing effects: thresholds, sizes of simulated samples, steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["METHOD", "InferenceConfig"]
+
+
+@dataclass(frozen=True)
+class InferenceConfig:
+    """Numbers of the method, each with its unit and what it bounds.
+
+    Where no other source is named, a number was set on development studies of the bench (``benchmarks/gap_bench``);
+    no sealed study took part. Bins and units of a sensor's statistics stand beside them, in ``gap/sensors``.
+    """
+
+    # ---- Global test ----
+    null_draws: int = 1000  # draws of the null distribution of the largest delta chi-square
+    # Departures of a measurement are not quite Gaussian, and the simulator is not quite the sensor: ratio of their
+    # variance to that of the noise model.
+    overdispersion: float = 1.5
+    departures: int = 4  # patterns that are looked at; the chance of an alarm is that of any of them
+    refined_share: float = 0.25  # of the largest delta chi-square, from which a whole response curve is simulated
+
+    # ---- Forward selection ----
+    alarm_p: float = 2e-4  # p value of the global test below which something is missing
+    # The same where nothing explains the alarm on held-out conditions. A pattern that all conditions share needs only
+    # alarm_p: a few counts do not make one by chance.
+    sure_alarm_p: float = 1e-6
+    max_effects: int = 3  # named at most
+    min_entries: int = 30  # statistics that count, over all conditions
+    residual_p: float = 1e-4  # p value of one statistic below which its residual is no noise
+    residual_gap: float = 1.5  # held-out gap over its floor above which something else is missing
+    unexplained_gap: float = 10.0  # held-out gap over its floor above which the selection counts as nothing found
+
+    # ---- Fits of candidates ----
+    pairs_refitted: int = 2  # pairs of effects that are fitted
+    reweightings: int = 3  # fits that are repeated with the scatter at their own result
+    refit_share: float = 0.5  # of the largest delta chi-square, from which a candidate is fitted
+    threshold_amplitude: float = 0.3  # of a response below which an effect with a threshold stays below it
+    least_amplitude: float = 0.02  # of a response, at which a fit starts
+    parameter_penalty: float = 5.0  # chi-square that one more parameter must gain: 97 % of one degree of freedom
+
+    # ---- Likelihood: simulated frames, derivatives, fit of the nuisances ----
+    pool_frames: int = 48  # of each condition, for the scatter
+    screen_frames: int = 6  # of each condition, for a response or a derivative; the first of the pool
+    probe_frames: int = 16  # of each condition, for a cost
+    probe_draws: int = 32  # of the vector of statistics, for a cost
+    intensity_grid_sd: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # starts of intensities, in their recorded sd
+    systematic_step_sd: float = 2.0  # of a derivative by a systematic: a smaller step changes too few particles
+    angle_step_rad: float = 0.025  # least step of a derivative by an angle: about one column
+    derivative_step: float = 0.05  # over the typical size of a parameter
+    max_iterations: int = 10  # Gauss-Newton steps of a fit
+    nuisance_rounds: int = 10  # Gauss-Newton steps of the nuisances alone
+    settled_chi2: float = 3.0  # gain below which one more of those steps is not worth its frames
+    unmodelled_share: float = 0.5  # scatter of a statistic that no parameter gives, over its change by the effect
+    nuisance_bound_sd: float = 4.0  # standard deviations by which a nuisance may move
+
+    # ---- Distribution of the statistics of simulated frames ----
+    distribution_draws: int = 256  # of the vector of statistics from the pool
+    portions: int = 128  # into which the elements of a frame are divided
+    portioned_frames: int = 8  # of each condition
+    frames_for_spread: int = 3  # least number; two frames differ alike in either order, which has no scatter
+    shrinkage: float = 0.1  # of correlations towards zero
+
+    # ---- Response templates and starts of fits ----
+    template_amplitudes: tuple[float, float] = (0.0, 1.35)  # between which a response is scaled
+    start_steps: tuple[float, ...] = (0.03, 0.25, 1.0, 3.0)  # strengths over the typical size of a parameter
+    # The same for effects that act within their parameter: a wide step would pass over them.
+    start_steps_of_cuts: tuple[float, ...] = tuple(0.15 * 1.2**step for step in range(16))
+    start_steps_far: tuple[float, ...] = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinite
+    location_frames: int = 6  # of each condition, for one trial of the location search
+    location_widths_rad: tuple[float, ...] = (0.03, 0.1, 0.3)
+
+    # ---- Residual tests, held-out conditions, clear air ----
+    sensitive_rms: float = 1.0  # change of a statistic, in its scatter, from which it counts as sensitive
+    # Least variance of shares and counts over the stated one; and the same over that of simulated frames, which all
+    # start from the same clear frames.
+    count_variance_ratio: tuple[float, float] = (0.3, 2.5)
+    floor_draws: int = 200  # of the gap that noise alone makes
+    clear_frames_min: int = 4  # for a test of clear air
+    clear_splits: int = 400  # of the clear frames into halves
+
+    # ---- Scatter of statistics ----
+    few_counts_scatter: float = 0.25  # least scatter of a stabilised count, half of that of many counts
+    log_spread_error: float = 0.03  # relative error of a modelled standard deviation
+    # The same for particles whose range the model may misplace: the largest of several readings scatters less than
+    # one, by as much as a receiver makes them independent (18 % were found).
+    log_read_spread_error: float = 0.2
+    independent_share: float = 0.5  # of the scatter of independent elements
+    persistence_rel_error: float = 0.01  # of a persistent pattern of dense weather
+    linear_step: float = 1e-4  # of a departure, within which entries are linear
+    weather_mean_rel_error: float = 0.005  # of the change of a mean by weather: two codes of one physics differ so
+    frame_noise_p: float = 1e-3  # probability that the noise of whole frames exceeds its stated bound
+
+    # ---- Formulas of a departure over an axis ----
+    formula_points: int = 16  # at which a formula is averaged within a bin
+    formula_singular_share: float = 1e-6  # least singular value of the terms over the largest
+    formula_criterion_gap: float = 2.0  # difference of the information criterion that decides nothing
+    formula_max_frequencies: int = 8  # of a sine
+    formula_open_bin_ratio: float = 3.0  # width of an end bin over its neighbour's, from which it has no end
+
+
+METHOD = InferenceConfig()
+"""The numbers in use."""
