@@ -26,6 +26,7 @@ from torchweather.stages import EFFECTS, Quantise
 from torchweather.transforms import BayerWeather, LidarWeather, RadarAttenuation
 
 load_catalogue()
+OURS = {name: stage for name, stage in STAGES.items() if stage.__module__.startswith("torchweather.")}
 
 PATCHY = Mixture(Rain(30.0, patch_log_std=0.5, patch_length_m=30.0), Fog(40.0, patch_log_std=0.5, patch_length_m=30.0))
 
@@ -92,9 +93,9 @@ def trace() -> Trace:
     return trace
 
 
-@pytest.mark.parametrize("name", sorted(STAGES))
+@pytest.mark.parametrize("name", sorted(OURS))
 def test_a_stage_reads_and_writes_what_it_declares(name: str, trace: Trace) -> None:
-    stage = STAGES[name]
+    stage = OURS[name]
     assert trace.runs[stage], f"{name}: no case runs it"
     assert sorted(stage.reads) == sorted(trace.reads[stage])
     assert sorted(stage.writes) == sorted(trace.writes[stage])

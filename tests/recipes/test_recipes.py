@@ -271,7 +271,7 @@ def test_overrides_that_do_not_fit_are_named(name: str, overrides: dict[str, Any
         ),
         tw.BayerFog(tw.Fog(mor_m=77.0), SMALL, depth=FlatGround(), extinction="koschmieder", airlight=(0.6, 0.7, 0.8)),
         tw.BayerWeather(
-            tw.Mixture(tw.Snow(1.5, albedo=0.85), tw.Fog(mor_m=300.0)), SMALL, variant=None, drop_view="upper"
+            tw.Mixture(tw.Snow(1.5, albedo=0.85), tw.Fog(mor_m=300.0)), SMALL, variant=None, drop_radiance="upper"
         ),
         tw.AsBayer(tw.BayerFog(tw.Fog(mor_m=50.0), tw.Camera.preset("sekonix-sf3325"))),
     ],

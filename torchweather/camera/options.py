@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 from torchweather.pipeline.options import TransformOptions
 
-__all__ = ["CameraOptions"]
+__all__ = ["RENAMED", "CameraOptions"]
+
+RENAMED = {"cut": "min_listed_coverage", "crowding": "max_listed_density", "drop_view": "drop_radiance"}
+"""Old name of an option to its name now."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,9 +24,9 @@ class CameraOptions(TransformOptions):
     extinction: str = "mie"
     near_m: float = 0.5
     far_m: float = 200.0
-    cut: float = 1 / 1024
-    crowding: float = 0.25
+    min_listed_coverage: float = 1 / 1024
+    max_listed_density: float = 0.25
     ego_speed_m_per_s: float = 0.0
-    drop_view: str = "frame"
+    drop_radiance: str = "frame"
     rate_capacity_mm_per_h: float | None = None
     variant: str | None = None

@@ -18,13 +18,14 @@ from torchweather.camera.bayer import cfa_colour_index
 from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.levels import check_bayer, raw_from_linear, raw_to_linear
-from torchweather.camera.options import CameraOptions
+from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.overcast_sky import OvercastSky
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.rays import Rays, rays_of
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
+from torchweather.core.moved import renamed_arguments
 from torchweather.core.random import sample_seeds, sizes_of
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
@@ -76,10 +77,11 @@ class BayerWeather(WeatherTransform):
             cast shadows stay. ``None`` keeps the frame's.
         extinction: of fog: ``mie`` or ``koschmieder``.
         near_m, far_m: limits of falling particles along the optical axis.
-        cut, crowding: peak coverage above which, and number per pixel and e-fold of depth up to which, particles are
-            drawn one by one; the others enter through their moments.
+        min_listed_coverage: peak coverage of a pixel above which a particle is drawn one by one, 1e-6 to 1; the others
+            enter through their moments.
+        max_listed_density: particles per pixel and e-fold of depth up to which they are drawn one by one.
         ego_speed_m_per_s: speed of the vehicle, forward.
-        drop_view: what a drop shows: the mean of the ``frame`` or of its ``upper`` three fifths.
+        drop_radiance: what a drop shows: the mean of the ``frame`` or of its ``upper`` three fifths.
         rate_capacity_mm_per_h: highest rate that one draw serves.
         variant: ``d3_4`` computes what the deliverable published (``PHYSICS.md`` 8) where that differs.
         effects: of ``stages.EFFECTS`` for cameras, or their dictionaries; each goes to its place in the chain.
@@ -101,6 +103,7 @@ class BayerWeather(WeatherTransform):
     extra_inputs: ClassVar[Mapping[str, int]] = {"depth": 3, "normal": 3}
     data_shape = ("1", "H", "W")
 
+    @renamed_arguments(**RENAMED)
     def __init__(
         self,
         weather: Weather,
@@ -113,10 +116,10 @@ class BayerWeather(WeatherTransform):
         extinction: str = "mie",
         near_m: float = 0.5,
         far_m: float = 200.0,
-        cut: float = 1 / 1024,
-        crowding: float = 0.25,
+        min_listed_coverage: float = 1 / 1024,
+        max_listed_density: float = 0.25,
         ego_speed_m_per_s: float = 0.0,
-        drop_view: str = "frame",
+        drop_radiance: str = "frame",
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
@@ -131,10 +134,10 @@ class BayerWeather(WeatherTransform):
             extinction=extinction,
             near_m=near_m,
             far_m=far_m,
-            cut=cut,
-            crowding=crowding,
+            min_listed_coverage=min_listed_coverage,
+            max_listed_density=max_listed_density,
             ego_speed_m_per_s=ego_speed_m_per_s,
-            drop_view=drop_view,
+            drop_radiance=drop_radiance,
             rate_capacity_mm_per_h=rate_capacity_mm_per_h,
             variant=variant,
             effects=effects,
@@ -170,11 +173,11 @@ class BayerWeather(WeatherTransform):
                 camera,
                 near_m=near_m,
                 far_m=far_m,
-                cut=cut,
-                crowding=crowding,
+                min_listed_coverage=min_listed_coverage,
+                max_listed_density=max_listed_density,
                 ego_speed_m_per_s=ego_speed_m_per_s,
                 ambient=airlight,
-                drop_view=drop_view,
+                drop_radiance=drop_radiance,
                 rate_capacity_mm_per_h=rate_capacity_mm_per_h,
                 variant=variant,
             )

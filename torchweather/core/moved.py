@@ -5,9 +5,15 @@ from __future__ import annotations
 import importlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
-__all__ = ["moved", "renamed"]
+from torchweather.core.exceptions import InputTypeError
+
+__all__ = ["moved", "new_names", "renamed", "renamed_arguments"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def moved(old: str, homes: str | Sequence[str] | Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
@@ -65,3 +71,52 @@ def renamed(old: str, names: str | Mapping[str, tuple[str, Any]]) -> Callable[[s
         return value
 
     return find
+
+
+def renamed_arguments(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorator of a function some of whose keyword arguments have other names now; the old ones work with a warning.
+
+    Args:
+        names: old name of an argument to the new one.
+
+    Example:
+        >>> @renamed_arguments(size="width_px")
+        ... def area(width_px): return width_px**2
+        >>> with warnings.catch_warnings():
+        ...     warnings.simplefilter("ignore")
+        ...     area(size=3)
+        9
+    """
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        @wraps(function)
+        def call(*args: P.args, **more: P.kwargs) -> R:
+            given = new_names(more, names, function.__qualname__.removesuffix(".__init__"), stacklevel=2)
+            return function(*args, **given)
+
+        return call
+
+    return decorated
+
+
+def new_names(values: Mapping[str, Any], names: Mapping[str, str], owner: str, stacklevel: int = 1) -> dict[str, Any]:
+    """Values by name, those with an old name under the new one, with a warning.
+
+    Args:
+        values: by name.
+        names: old name to the new one.
+        owner: of the values, for the warning.
+        stacklevel: of the warning, 1 for the caller's own line.
+
+    Raises:
+        InputTypeError: both names are given.
+    """
+    found = dict(values)
+    for old in [name for name in names if name in values]:
+        new = names[old]
+        if new in values:
+            raise InputTypeError(f"{owner}: {old} is the old name of {new}; both were given. Leave {old} out.")
+        text = f"{owner}: {old} is {new} now; the old name goes with the next release."
+        warnings.warn(text, DeprecationWarning, stacklevel=stacklevel + 1)
+        found[new] = found.pop(old)
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -10,10 +10,11 @@ import numpy as np
 from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
-from torchweather.camera.options import CameraOptions
+from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.plans import plan_of, sensor_of
 from torchweather.core.errors import InputValueError
+from torchweather.core.moved import new_names
 from torchweather.lidar.options import LidarOptions
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
 from torchweather.lidar.transform import LidarWeather
@@ -22,7 +23,16 @@ from torchweather.pipeline.sensor import Sensor
 from torchweather.radar.options import RadarOptions
 from torchweather.radar.transform import RadarAttenuation
 
-__all__ = ["FLAGS", "GROUND", "OPTIONS", "RecipeTransform", "options_of", "sensor_values", "with_more_effects"]
+__all__ = [
+    "FLAGS",
+    "GROUND",
+    "OPTIONS",
+    "RecipeTransform",
+    "current_names",
+    "options_of",
+    "sensor_values",
+    "with_more_effects",
+]
 
 RecipeTransform = BayerWeather | LidarWeather | RadarAttenuation
 T = TypeVar("T", bound=RecipeTransform)
@@ -35,6 +45,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 # By the kind of the sensor: flags of a recipe beside the options.
 FLAGS = {"camera": ("rgb", "through_mosaic"), "lidar": (), "radar": ()}
+
+
+def current_names(options: Mapping[str, Any], owner: str) -> dict[str, Any]:
+    """Options under their names of today; an old name is taken with a warning."""
+    return new_names(options, RENAMED, owner, stacklevel=2)
 
 
 def sensor_values(sensor: Sensor) -> dict[str, Any]:

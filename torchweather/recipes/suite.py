@@ -12,7 +12,7 @@ from torchweather.atmosphere.weather import WEATHERS, Weather, weather_from_dict
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.schema import MAPPING, ROWS, check_keys, check_value, one_of, refuse_unknown
 from torchweather.recipes.files import name_of
-from torchweather.recipes.options import OPTIONS
+from torchweather.recipes.options import OPTIONS, current_names
 from torchweather.recipes.transform import refuse_overrides, sensor_keys
 from torchweather.sensors import SENSOR_CLASSES
 
@@ -98,7 +98,8 @@ def checked_suite(values: Mapping[str, Any], path: Path) -> SuiteRecipe:
     Raises:
         TorchweatherError: with the file and the key.
     """
-    file, sensor, options = str(path), dict(values["sensor"]), dict(values.get("options") or {})
+    file, sensor = str(path), dict(values["sensor"])
+    options = current_names(values.get("options") or {}, f"{file}: options")
     check_value(sensor.get("kind"), one_of(SENSOR_CLASSES), file, "sensor.kind")
     check_keys(sensor, sensor_keys(sensor["kind"]), file, "sensor")
     refuse_unknown(options, OPTIONS[sensor["kind"]], "options", file)

@@ -20,7 +20,7 @@ from torchweather.lidar.sensor import Lidar
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
 from torchweather.radar.sensor import Radar
 from torchweather.recipes.files import name_of
-from torchweather.recipes.options import FLAGS, GROUND, OPTIONS
+from torchweather.recipes.options import FLAGS, GROUND, OPTIONS, current_names
 from torchweather.sensors import SENSOR_CLASSES, sensor_preset
 
 __all__ = ["TransformRecipe", "checked_transform", "refuse_overrides", "transform_class"]
@@ -87,6 +87,7 @@ class TransformRecipe:
 
     def build(self, **overrides: Any) -> nn.Module:
         """The transform, ready to call; the overrides are those of ``load_recipe``."""
+        overrides = current_names(overrides, "load_recipe")
         refuse_overrides(overrides, ["weather", *self.overrides], "load_recipe")
         weather = overrides.pop("weather", None)
         try:
@@ -125,7 +126,8 @@ def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> Tr
     Raises:
         TorchweatherError: with the file and the key.
     """
-    transform, options = values["transform"], values.get("options") or {}
+    transform = values["transform"]
+    options = current_names(values.get("options") or {}, f"{path}: {at}options")
     kind = TRANSFORMS[transform].sensor_class.kind
     check_keys(values["sensor"], sensor_keys(kind), str(path), f"{at}sensor")
     refuse_unknown(options, OPTIONS[kind], f"{at}options", str(path))

@@ -73,7 +73,13 @@ def test_flakes_fade_along_the_ray() -> None:
     for left, slope in ((0.0, 1.0), (400.0, math.sqrt(2))):
         camera = Camera.from_intrinsics(400.0, 400.0, 31.5 - left, 31.5, 64, 64)
         near = 14.9 / slope, 15.1 / slope
-        options = {"near_m": near[0], "far_m": 2 * near[0] + 0.1, "depth": near[1], "airlight": 0.9, "cut": 1e-6}
+        options = {
+            "near_m": near[0],
+            "far_m": 2 * near[0] + 0.1,
+            "depth": near[1],
+            "airlight": 0.9,
+            "min_listed_coverage": 1e-6,
+        }
         black = torch.zeros(1, 64, 64)
         foggy = BayerWeather(Mixture(Snow(10.0), Fog(20.0)), camera, **options)  # type: ignore[arg-type]
         result = foggy.run(black, noise=foggy.draw(black, seed=1))

@@ -82,7 +82,7 @@ def test_every_particle_of_the_frustum_is_there_with_its_size(
     """At a tiny cut nearly all particles are drawn one by one: count and area are the distribution's."""
     weather = Rain(rate) if kind == "rain" else Snow(rate)
     camera = camera_of()
-    transform = BayerWeather(weather, camera, near_m=near_m, far_m=far_m, cut=1e-6, airlight=0.7)
+    transform = BayerWeather(weather, camera, near_m=near_m, far_m=far_m, min_listed_coverage=1e-6, airlight=0.7)
     counts, areas = [], []
     for seed in range(n_seeds):
         marks, _ = marks_of(transform, seed)
@@ -103,9 +103,9 @@ def test_every_particle_of_the_frustum_is_there_with_its_size(
 
 @pytest.mark.parametrize("rate", [0.013, 0.7, 3.3, 17.0, 61.0, 100.0])
 def test_haze_alone_has_the_optical_depth_of_all_drops(rate: float) -> None:
-    """At cut 1 no drop is listed: the table over rate and depth holds the closed-form extinction times the way."""
+    """At a least coverage of 1 no drop is listed: the table over rate and depth has the closed-form extinction."""
     weather = Rain(torch.tensor(rate)) if rate > 0.1 else Rain(0.2)
-    veil = ParticleVeil([weather], camera_of(), near_m=1.5, far_m=60.0, cut=1.0, ambient=0.7)
+    veil = ParticleVeil([weather], camera_of(), near_m=1.5, far_m=60.0, min_listed_coverage=1.0, ambient=0.7)
     rate = float(weather.rate_mm_per_h)
     depth = veil.parts[0].at_rate(1).haze_depth[0, -1] * veil.parts[0].focal_px
     alpha = geometric_extinction(population("rain", rate))
@@ -167,8 +167,8 @@ def test_the_scene_hides_particles_pixel_by_pixel() -> None:
 @pytest.mark.parametrize("weather", [Rain(50.0), Snow(3.0)], ids=["rain", "snow"])
 @pytest.mark.parametrize(
     ("limit", "values_of_limit"),
-    [("cut", (1 / 256, 1 / 1024, 1 / 4096)), ("crowding", (0.1, 0.25, 1e9))],
-    ids=["cut", "crowding"],
+    [("min_listed_coverage", (1 / 256, 1 / 1024, 1 / 4096)), ("max_listed_density", (0.1, 0.25, 1e9))],
+    ids=["min_listed_coverage", "max_listed_density"],
 )
 def test_the_sum_of_listed_and_haze_does_not_depend_on_what_is_listed(
     weather: Rain | Snow, limit: str, values_of_limit: tuple[float, ...]
@@ -308,7 +308,7 @@ def test_distortion_moves_and_bends_but_keeps_the_mask() -> None:
 def test_defocus_spreads_the_marks_and_keeps_their_area(focus_m: float | None) -> None:
     sharp = camera_of()
     blurred = camera_of(f_number=2.0, focal_length_mm=25.0, focus_distance_m=focus_m)
-    options: dict[str, Any] = {"near_m": 1.5, "far_m": 6.0, "cut": 1e-6, "airlight": 0.7}
+    options: dict[str, Any] = {"near_m": 1.5, "far_m": 6.0, "min_listed_coverage": 1e-6, "airlight": 0.7}
     found = masks(BayerRain(Rain(50.0), sharp, **options), range(16), 100.0).double()
     soft = masks(BayerRain(Rain(50.0), blurred, **options), range(16), 100.0).double()
     error = math.sqrt(float(found.mean((1, 2)).var() + soft.mean((1, 2)).var()) / 16)
@@ -359,8 +359,8 @@ def test_flakes_are_white_in_the_light_of_the_sky() -> None:
 def test_drops_may_show_the_upper_part_of_the_scene_only() -> None:
     scene = frame(camera_of())
     scene[:, :57] = 0.6  # the upper three fifths of 96 rows are 57.6: 56 whole rows of cells
-    options: dict[str, Any] = {"near_m": 1.0, "depth": 20.0, "airlight": 0.6, "cut": 1e-3}
-    transform = BayerRain(Rain(80.0), camera_of(), drop_view="upper", **options)
+    options: dict[str, Any] = {"near_m": 1.0, "depth": 20.0, "airlight": 0.6, "min_listed_coverage": 1e-3}
+    transform = BayerRain(Rain(80.0), camera_of(), drop_radiance="upper", **options)
     noise = transform.draw(scene, seed=2)
     assert torch.allclose(transform(scene, noise=noise)[:, :56], scene[:, :56], atol=1e-6)
     whole = BayerRain(Rain(80.0), camera_of(), **options)
@@ -413,9 +413,9 @@ def test_measured_drops_fall_too() -> None:
     [
         ({"near_m": 0.0}, "near_m must be above 0 m"),
         ({"near_m": 10.0, "far_m": 15.0}, "far_m must be 20 m or more"),
-        ({"cut": 0.0}, "cut must lie in"),
+        ({"min_listed_coverage": 0.0}, "min_listed_coverage must lie in"),
         ({"ego_speed_m_per_s": 300.0}, "ego_speed_m_per_s must lie in -100..100 m/s"),
-        ({"drop_view": "lower"}, "drop_view must be one of frame, upper; got 'lower'"),
+        ({"drop_radiance": "lower"}, "drop_radiance must be one of frame, upper; got 'lower'"),
         ({"variant": "d34"}, "variant must be one of d3_4; got 'd34'"),
     ],
 )

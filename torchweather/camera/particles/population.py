@@ -89,7 +89,8 @@ class Population(nn.Module):
     Args:
         weather: the precipitation.
         camera: the camera.
-        near_m, far_m, cut, crowding, ego_speed_m_per_s, rate_capacity_mm_per_h: as in ``ParticleVeil``.
+        near_m, far_m, min_listed_coverage, max_listed_density, ego_speed_m_per_s, rate_capacity_mm_per_h: as in
+            ``ParticleVeil``.
         published_blend: D3.4's blend weight.
     """
 
@@ -102,8 +103,8 @@ class Population(nn.Module):
         *,
         near_m: float,
         far_m: float,
-        cut: float,
-        crowding: float,
+        min_listed_coverage: float,
+        max_listed_density: float,
         ego_speed_m_per_s: float,
         rate_capacity_mm_per_h: float | None,
         published_blend: bool,
@@ -122,7 +123,14 @@ class Population(nn.Module):
             capacity = float(highest)
         self.rate_capacity_mm_per_h = capacity
         self.tables = particle_tables(
-            weather, self.optics, self.focal_px, self.near_m, self.far_m, cut, crowding, capacity
+            weather,
+            self.optics,
+            self.focal_px,
+            self.near_m,
+            self.far_m,
+            min_listed_coverage,
+            max_listed_density,
+            capacity,
         )
         self.register_buffer("rate_mm_per_h", torch.as_tensor(rate, dtype=torch.float32))
         self._set_motion(ego_speed_m_per_s)

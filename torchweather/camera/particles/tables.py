@@ -5,9 +5,9 @@ Coordinates. A particle at depth Z covers ``d = D / g`` pixels and moves ``v t /
 (D, g) alone, so the tables run over g, and a new focal length needs no new table.
 
 Listed and haze. A particle is *listed*, drawn one by one, where it can be seen by itself: the peak of its mark
-exceeds ``cut``, and no more than ``crowding`` larger ones share a pixel in an e-fold of depth. That is D > D_cut(g).
-All smaller ones are the *haze*, which enters through the mean and the variance of its optical depth and the
-correlation of its streaks. The sum depends neither on the cut nor on the crowding.
+exceeds ``min_listed_coverage``, and no more than ``max_listed_density`` larger ones share a pixel in an e-fold of
+depth. That is D > D_cut(g). All smaller ones are the *haze*, which enters through the mean and the variance of its
+optical depth and the correlation of its streaks. The sum depends on neither limit.
 
 Levels. Listed particles are a Poisson process in (pixel area, g, level) of unit density, where the level of a
 particle is the number of larger particles per m^3, ``s = N_>(D; R)``. A rate R reads each particle's diameter
@@ -204,8 +204,8 @@ def build_particle_tables(
     focal_px: float,
     near_m: float,
     far_m: float,
-    cut: float,
-    crowding: float,
+    min_listed_coverage: float,
+    max_listed_density: float,
     rate_capacity: float,
 ) -> ParticleTables:
     """Tabulate a precipitation for a camera; see the module's text. Takes about 0.1 s."""
@@ -231,7 +231,7 @@ def build_particle_tables(
     width, length, opacity = mark(outline, speed, foot, focal_px, optics)  # (G, K)
     peak = opacity * np.minimum(1, width**2) * np.minimum(1, width / np.maximum(length, 1e-9))
     larger_per_px = focal_px * foot**3 * tail.max(0)  # (G, K) per e-fold of depth
-    listed = (peak > cut) & (larger_per_px <= crowding)
+    listed = (peak > min_listed_coverage) & (larger_per_px <= max_listed_density)
     # A larger particle of the same depth is listed as well.
     listed = np.flip(np.logical_and.accumulate(np.flip(listed, 1), 1), 1)
     if_listed = listed.any(1)
@@ -361,11 +361,13 @@ def _cached(
     focal_px: float,
     near_m: float,
     far_m: float,
-    cut: float,
-    crowding: float,
+    min_listed_coverage: float,
+    max_listed_density: float,
     rate_capacity: float,
 ) -> ParticleTables:
-    return build_particle_tables(shape, optics, focal_px, near_m, far_m, cut, crowding, rate_capacity)
+    return build_particle_tables(
+        shape, optics, focal_px, near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity
+    )
 
 
 def particle_tables(
@@ -374,10 +376,10 @@ def particle_tables(
     focal_px: float,
     near_m: float,
     far_m: float,
-    cut: float,
-    crowding: float,
+    min_listed_coverage: float,
+    max_listed_density: float,
     rate_capacity: float,
 ) -> ParticleTables:
     """The tables, from a cache that does not look at the rate."""
     shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))
-    return _cached(shape, optics, focal_px, near_m, far_m, cut, crowding, rate_capacity)
+    return _cached(shape, optics, focal_px, near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity)

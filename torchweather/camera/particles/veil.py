@@ -12,6 +12,7 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Rain, Snow, weather_from_dict
 from torchweather.camera.airlight import Airlight, airlight_argument, frame_mean, given_or_estimated, scaled_airlight
 from torchweather.camera.fog import FADING_COLOUR
+from torchweather.camera.options import RENAMED
 from torchweather.camera.particles.haze import haze_depth
 from torchweather.camera.particles.population import AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
@@ -26,6 +27,7 @@ from torchweather.core.errors import (
     check_one_of,
     check_positive,
 )
+from torchweather.core.moved import renamed_arguments
 from torchweather.core.random import Variate
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.pipeline.registry import register
@@ -48,8 +50,8 @@ class ParticleVeil(Stage):
     ``0.94`` of the scene's mean and ``0.06`` of the sky for drops, the albedo times the sky for flakes, per CFA colour
     and linear in light (``PHYSICS.md`` 4.1-4.7). Particles seen through fog fade into the airlight.
 
-    Particles whose mark peaks above ``cut`` are rendered one by one; all others enter through the exact mean and
-    variance of their optical depth with the correlation of their streaks.
+    Particles whose mark peaks above ``min_listed_coverage`` are rendered one by one; all others enter through the exact
+    mean and variance of their optical depth with the correlation of their streaks.
 
     Identity: rate 0.
 
@@ -57,12 +59,12 @@ class ParticleVeil(Stage):
         weathers: rain, snow or both, or their dictionaries.
         camera: the camera, or its dictionary.
         near_m, far_m: limits of the particles along the axis; beyond ``far_m`` the air is clear.
-        cut: peak coverage above which a particle is drawn one by one.
-        crowding: listed particles per pixel and e-fold of depth; where there are more, none is seen by itself and
-            the smallest count as haze.
+        min_listed_coverage: peak coverage above which a particle is drawn one by one.
+        max_listed_density: listed particles per pixel and e-fold of depth; where there are more, none is seen by
+            itself and the smallest count as haze.
         ego_speed_m_per_s: of the vehicle, forward.
         ambient: linear signal of the sky per colour; ``None`` estimates it from the frame.
-        drop_view: what a drop shows: the mean of the whole ``frame`` or of its ``upper`` three fifths.
+        drop_radiance: what a drop shows: the mean of the whole ``frame`` or of its ``upper`` three fifths.
         rate_capacity_mm_per_h: highest rate that one draw serves; ``None`` is 100 mm/h for rain and 10 mm/h for
             snow, or the weather's own rate where that is higher.
         variant: ``d3_4`` takes D3.4's blend weight (1 + d)/(v t) in place of the covered share.
@@ -84,17 +86,18 @@ class ParticleVeil(Stage):
     )
     writes: ClassVar[tuple[str, ...]] = ("image.particle_mask", "image.signal")
 
+    @renamed_arguments(**RENAMED)
     def __init__(
         self,
         weathers: Sequence[Rain | Snow | Mapping[str, Any]],
         camera: Camera | Mapping[str, Any],
         near_m: float = 0.5,
         far_m: float = 200.0,
-        cut: float = 1 / 1024,
-        crowding: float = 0.25,
+        min_listed_coverage: float = 1 / 1024,
+        max_listed_density: float = 0.25,
         ego_speed_m_per_s: float = 0.0,
         ambient: Sequence[float] | float | str | None = None,
-        drop_view: str = "frame",
+        drop_radiance: str = "frame",
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
     ) -> None:
@@ -105,23 +108,23 @@ class ParticleVeil(Stage):
         check_finite("far_m", far_m, unit="m", owner=self)
         if rate_capacity_mm_per_h is not None:
             check_positive("rate_capacity_mm_per_h", rate_capacity_mm_per_h, unit="mm/h", owner=self)
-        check_between("cut", cut, 1e-6, 1.0, owner=self)
-        check_positive("crowding", crowding, unit="particles per pixel", owner=self)
+        check_between("min_listed_coverage", min_listed_coverage, 1e-6, 1.0, owner=self)
+        check_positive("max_listed_density", max_listed_density, unit="particles per pixel", owner=self)
         check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner=self)
-        check_one_of("drop_view", drop_view, DROP_VIEWS, owner=self)
+        check_one_of("drop_radiance", drop_radiance, DROP_VIEWS, owner=self)
         built = [w if isinstance(w, (Rain, Snow)) else weather_from_dict(w) for w in weathers]
         self.options: dict[str, Any] = {
             "near_m": near_m,
             "far_m": far_m,
-            "cut": cut,
-            "crowding": crowding,
+            "min_listed_coverage": min_listed_coverage,
+            "max_listed_density": max_listed_density,
             "ego_speed_m_per_s": ego_speed_m_per_s,
             "ambient": list(ambient) if isinstance(ambient, (list, tuple)) else ambient,
-            "drop_view": drop_view,
+            "drop_radiance": drop_radiance,
             "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
             "variant": variant,
         }
-        self.drop_view = drop_view
+        self.drop_radiance = drop_radiance
         self.given_ambient: Airlight = airlight_argument(ambient, self)
         self.populations = torch.nn.ModuleList()
         for weather in sorted(built, key=lambda part: part.kind):
@@ -133,8 +136,8 @@ class ParticleVeil(Stage):
                     self.camera,
                     near_m=near_m,
                     far_m=far_m,
-                    cut=cut,
-                    crowding=crowding,
+                    min_listed_coverage=min_listed_coverage,
+                    max_listed_density=max_listed_density,
                     ego_speed_m_per_s=ego_speed_m_per_s,
                     rate_capacity_mm_per_h=rate_capacity_mm_per_h,
                     published_blend=variant == "d3_4",
@@ -210,7 +213,7 @@ class ParticleVeil(Stage):
         return colours
 
     def _seen_through(self, state: CameraState) -> Tensor:
-        if self.drop_view == "frame":
+        if self.drop_radiance == "frame":
             return frame_mean(state)
         # Whole row pairs of the upper three fifths; sym_max, so that a graph of any height counts anew.
         rows = torch.sym_max(2, state.image.signal.shape[-2] * 3 // 5 // 2 * 2)  # type: ignore[no-untyped-call]
