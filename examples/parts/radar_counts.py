@@ -39,7 +39,7 @@ def weathers() -> dict[str, Weather | None]:
     with warnings.catch_warnings():
         # 19 mm/h is D3.4's own, beyond what the flakes' sizes were fitted to.
         warnings.simplefilter("ignore", TorchweatherWarning)
-        found |= {f"snow {rate:g} mm/h": tw.Snow(rate_mm_per_h=rate) for rate in SNOW_MM_PER_H}
+        found |= {f"snow {rate:g} mm/h": tw.Snow(rate_mm_per_h=rate, close_rate=rate > 10) for rate in SNOW_MM_PER_H}
     return found
 
 

@@ -40,11 +40,34 @@ def test_impossible_rates_are_refused(rate: object) -> None:
 @pytest.mark.parametrize(("kind", "rate"), [(Rain, 0.01), (Rain, 500.0), (Snow, 0.01), (Snow, 30.0)])
 def test_rates_outside_the_fitted_range_warn_and_name_it(kind: type[Rain] | type[Snow], rate: float) -> None:
     low, high = kind.rate_range_mm_per_h
+    closed = {"close_rate": True}
     message = re.escape(f"{kind.__name__}: rate_mm_per_h = {rate:g} lies outside {low:g}..{high:g} mm/h")
     with pytest.warns(TorchweatherWarning, match=message):
-        kind(rate)
+        kind(rate, **closed)
     with pytest.warns(TorchweatherWarning, match=message):
-        kind(torch.tensor([1.0, rate]))
+        kind(torch.tensor([1.0, rate]), **closed)
+
+
+@pytest.mark.parametrize("law", ["sekhon-srivastava", "gunn-marshall"])
+@pytest.mark.parametrize("rate", [10.5, torch.tensor([1.0, 50.0]), (0.5, 20.0)], ids=["number", "batch", "range"])
+def test_snow_beyond_its_law_is_refused_with_the_range(law: str, rate: object) -> None:
+    """Above 10 mm/h these laws make less snow of more: their extinction falls."""
+    with pytest.raises(ValueError, match=r"was fitted to 0\.05\.\.10 mm/h .* Lower the rate, or set close_rate=True"):
+        Snow(rate, size_distribution=law)  # type: ignore[arg-type]
+
+
+@pytest.mark.filterwarnings("ignore:.*lies outside")
+@pytest.mark.parametrize("kind", [Rain, Snow])
+def test_more_weather_is_never_thinner(kind: type[Rain] | type[Snow]) -> None:
+    """Extinction rises with the rate, for every law and over every rate that is accepted."""
+    for law in kind.families:
+        for closed in (False, True):
+            rates = np.geomspace(0.02, 2000.0, 60)
+            if law in kind.not_beyond_fit and not closed:
+                rates = np.append(rates[rates < 10.0], 10.0)
+            weather = kind(torch.as_tensor(rates), size_distribution=law, close_rate=closed)
+            found = extinction_per_m(weather.distribution(), 905.0)
+            assert bool((found.diff() > 0).all()), law
 
 
 def test_no_rain_and_ordinary_rain_do_not_warn() -> None:

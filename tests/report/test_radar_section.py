@@ -118,7 +118,7 @@ def test_the_noise_of_the_receiver_is_the_same_in_all_frames(seen: RadarScene) -
 
 
 def test_a_rate_beyond_the_fit_is_said(seen: RadarScene) -> None:
-    frame = seen.render("snow:rate=19", seed=0)
+    frame = seen.render("snow:rate=19,close_rate=true", seed=0)
     (said,) = frame.warnings
     assert "19 lies outside" in said
 

@@ -207,6 +207,8 @@ class _Precipitation(Weather):
     intensity_name: ClassVar[str] = "rate_mm_per_h"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = (0.0, math.inf)
     families: ClassVar[Mapping[str, Any]] = {}
+    not_beyond_fit: ClassVar[tuple[str, ...]] = ()
+    """Families whose extinction falls with the rate beyond the range of their fit."""
     particles: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -240,13 +242,22 @@ class _Precipitation(Weather):
             check_between("wind_m_per_s", speed, -100.0, 100.0, unit="m/s", owner=self)
         check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
         self._check_patches()
-        self._warn_outside_fit()
+        self._check_fit()
 
-    def _warn_outside_fit(self) -> None:
+    def _check_fit(self) -> None:
+        """Refuse rates at which the law of the sizes is wrong; warn of others outside the range of its fit."""
         low, high = self.rate_range_mm_per_h
         rates = torch.as_tensor(self.rate_mm_per_h).detach().reshape(-1)
         if torch.compiler.is_compiling():
             return
+        above = rates[rates > high]
+        if above.numel() and self.size_distribution in self.not_beyond_fit and not self.close_rate:
+            raise InputValueError(
+                f"{type(self).__name__}: rate_mm_per_h = {above[0].item():g} lies above {high:g} mm/h. The law "
+                f"{self.size_distribution!r} was fitted to {low:g}..{high:g} mm/h (liquid equivalent) and makes less "
+                f"{self.kind} of a higher rate. Lower the rate, or set close_rate=True: the sizes then follow the law, "
+                "and their number is scaled to the rate."
+            )
         outside = rates[(rates > 0) & ((rates < low) | (rates > high))]
         if outside.numel():
             warnings.warn(
@@ -312,7 +323,8 @@ class Snow(_Precipitation):
     """Snow of a liquid-equivalent rate, dry unless ``melt_fraction`` is set.
 
     Args:
-        rate_mm_per_h: liquid-equivalent snowfall rate, mm/h, a number or a tensor of the batch shape.
+        rate_mm_per_h: liquid-equivalent snowfall rate, mm/h, a number or a tensor of the batch shape; up to 10 mm/h
+            for the laws of Sekhon & Srivastava and Gunn & Marshall, which were not fitted to more.
         size_distribution: a name from ``torchweather.physics.SNOW`` (per melted diameter) or measured bins.
         close_rate: scale the distribution so that its flux is exactly the rate.
         temperature_c: ice temperature, degrees Celsius.
@@ -331,6 +343,7 @@ class Snow(_Precipitation):
     kind: ClassVar[str] = "snow"
     rate_range_mm_per_h: ClassVar[tuple[float, float]] = SNOW_RATE_RANGE_MM_PER_H
     families: ClassVar[Mapping[str, Any]] = SNOW
+    not_beyond_fit: ClassVar[tuple[str, ...]] = ("sekhon-srivastava", "gunn-marshall")
     particles: ClassVar[tuple[str, ...]] = ("melted-flake", "flake")
 
     size_distribution: str | Binned = "sekhon-srivastava"

@@ -19,12 +19,14 @@ from torchweather.scenes.primitives import Point
 
 __all__ = ["RADAR_WEATHERS", "WALKING", "radar_part"]
 
-# Name of the files, label, kind, weather as the command line takes it. 19 mm/h of snow is a rate that the literature
-# speaks of; the flakes' size distribution was fitted to lower ones, which the page says.
+# Name of the files, label, kind, weather as the command line takes it. 19 mm/h is a rate
+# of the literature; the law of the sizes was fitted to lower rates, so the number of flakes is scaled to it, and the
+# page warns.
 RADAR_WEATHERS = (
     *((f"rain-{rate}", f"Rain {rate} mm/h", "rain", f"rain:rate={rate}") for rate in (10, 25, 50)),
     *((f"fog-{mor}", f"Fog {mor} m", "fog", f"fog:mor={mor}") for mor in (10, 20, 30, 50)),
-    *((f"snow-{rate}", f"Snow {rate} mm/h", "snow", f"snow:rate={rate}") for rate in (1, 19)),
+    ("snow-1", "Snow 1 mm/h", "snow", "snow:rate=1"),
+    ("snow-19", "Snow 19 mm/h", "snow", "snow:rate=19,close_rate=true"),
 )
 # Walking pace, m/s in the vehicle frame: it sets the road users apart in speed, and no preset's Doppler folds.
 WALKING: dict[str, Point] = {
