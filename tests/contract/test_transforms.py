@@ -432,7 +432,7 @@ def test_noise_that_is_missing_or_of_another_input_is_refused(entry: Entry, tran
         with pytest.raises(ValueError, match=f"lacks {key}.*draw"):
             transform(given, noise=lacking)
         for wrong in (value[..., :-1], value[:1], value.flatten(), value[..., None]):
-            with pytest.raises(ValueError, match=f"noise '{key}' must hold .* Draw again"):
+            with pytest.raises(ValueError, match=f"noise '{key}' must hold .* Use what draw"):
                 transform(given, noise={**noise, key: wrong})
     with pytest.raises(ValueError, match=r"noise is drawn already.* Pass noise, or one of the others"):
         transform(given, noise=noise, seed=1)

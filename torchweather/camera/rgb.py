@@ -269,7 +269,7 @@ class AsBayer(nn.Module):
         scene = inner.scene_of(rgb, depth)
         linear = linear_planes(rgb).reshape(-1, 3, height, width)
         state = inner.planes_state(linear, scene, rgb.shape[:-3], keep_truth=keep_truth)
-        return state, inner.weathered(state, noise), scene
+        return state, inner.weathered(state, noise, rgb.shape[:-3]), scene
 
     # ---- the mosaic ----------------------------------------------------------------------------------------------
 

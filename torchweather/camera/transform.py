@@ -231,7 +231,7 @@ class BayerWeather(WeatherTransform):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal, out=out)
         state = self._state(bayer, depth, normal)
-        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, bayer.shape[:-3])
         if out is not None:
             self._run_into(state, out)
             return out
@@ -253,7 +253,7 @@ class BayerWeather(WeatherTransform):
             return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal)
         scene = self.scene_of(bayer, depth)
         state = self._state(bayer, scene, normal, keep_truth=True)
-        after = self.weathered(state, noise)
+        after = self.weathered(state, noise, bayer.shape[:-3])
         transmission, airlight, mask = self.truth_of(state, after)
         return CameraResult(
             bayer=self._raw(after, state, bayer),
@@ -263,14 +263,17 @@ class BayerWeather(WeatherTransform):
             depth_confidence=scene.confidence,
         )
 
-    def weathered(self, state: CameraState, noise: Mapping[str, Tensor] | None = None) -> CameraState:
+    def weathered(
+        self, state: CameraState, noise: Mapping[str, Tensor] | None = None, batch: Sequence[int] | None = None
+    ) -> CameraState:
         """The state after the chain.
 
         Args:
             state: of `state_of` or `planes_state`.
             noise: what ``draw`` gave; ``None`` draws.
+            batch: batch shape of the frames, with which the noise leads; (B,) unless given.
         """
-        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, batch)
         after: CameraState = self.chain(state, drawn)
         return after
 

@@ -231,36 +231,6 @@ def sample_seeds(
     return [int(v) for v in torch.randint(0, 2**63 - 1, (number,), generator=generator, device=device).tolist()]
 
 
-def flat_noise(
-    noise: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]], batch: int, *, owner: object
-) -> dict[str, Tensor]:
-    """The noise that is needed, ``(batch, *shape)`` each.
-
-    Args:
-        noise: ``<stage>.<variate>`` to a tensor that leads with the batch shape, as ``draw`` gave it.
-        shapes: the keys that are needed and the shape of one sample's.
-        batch: number of samples.
-        owner: for messages.
-    """
-    name = type(owner).__name__
-    flat = {}
-    for key, shape in shapes.items():
-        if key not in noise:
-            raise InputValueError(
-                f"{name}: the noise lacks {key}; use what draw() of this (or of one with the same weather and "
-                "sensor) gave."
-            )
-        value = noise[key]
-        fits = tuple(value.shape[value.ndim - len(shape) :]) == shape
-        if not fits or value.numel() != batch * math.prod(shape):
-            raise InputValueError(
-                f"{name}: noise {key!r} must hold {shape} for each of {batch} samples; got {tuple(value.shape)}. Draw "
-                "again for this data."
-            )
-        flat[key] = value.reshape(batch, *shape)
-    return flat
-
-
 def sizes_of(height: int, width: int, planes: int = 1) -> dict[str, int]:
     """The named sizes of an image: ``C`` is 1 for a mosaic and 3 for colour planes."""
     return {"C": planes, "H": height, "W": width}

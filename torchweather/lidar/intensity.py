@@ -79,7 +79,7 @@ def zero_intensity(intensity: Tensor, unit: str, given: float | None = None) -> 
 
 
 def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) -> Tensor:
-    """Apparent Lambertian reflectivity; for every unit but ``photons``.
+    """Apparent Lambertian reflectivity; for every unit but ``photons``. The calibrated scale ends at 255.
 
     Args:
         intensity: in the unit.
@@ -91,7 +91,9 @@ def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) ->
     linear = intensity / WHITE[unit]
     if unit != "uint8_calibrated":
         return linear
-    return torch.where(intensity > 100.0, torch.exp((intensity - 100.0) * _LOG_STEP), linear)
+    # Values that 8 bits cannot hold count as 255: the exponential of 3087 would overflow.
+    above = torch.exp((intensity.clamp_max(255.0) - 100.0) * _LOG_STEP)
+    return torch.where(intensity > 100.0, above, linear)
 
 
 def _intensity_from_reflectivity(reflectivity: Tensor, unit: str) -> Tensor:

@@ -284,7 +284,7 @@ class LidarWeather(WeatherTransform):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, state = self._begin(points, directions, reach_m)
-        state = _own_vehicle_restored(self._through(state, noise, beams.first_row), beams)
+        state = _own_vehicle_restored(self._through(state, noise, points.shape[:-2], beams.first_row), beams)
         assert state.returns.points is not None
         return self._outgoing(state.returns.points, state.returns.kind[..., 0], points, beams)
 
@@ -303,7 +303,7 @@ class LidarWeather(WeatherTransform):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, before = self._begin(points, directions, reach_m)
-        state = _own_vehicle_restored(self._through(before, noise, beams.first_row), beams)
+        state = _own_vehicle_restored(self._through(before, noise, points.shape[:-2], beams.first_row), beams)
         assert state.returns.points is not None
         batch, count = state.returns.kind.shape[:2]
         rows = torch.arange(count, device=points.device)
@@ -505,14 +505,19 @@ class LidarWeather(WeatherTransform):
         return len(rings), columns
 
     def _through(
-        self, state: LidarState, noise: Mapping[str, Tensor] | None, first_row: Tensor | None = None
+        self,
+        state: LidarState,
+        noise: Mapping[str, Tensor] | None,
+        batch: Sequence[int],
+        first_row: Tensor | None = None,
     ) -> LidarState:
         if noise is None:
             drawn = self.chain.draw(state)
             flat = {key: value.to(state.scene.points_in.device) for key, value in drawn.items()}
         else:
             flat = {
-                key: value.to(state.scene.points_in.device) for key, value in self._flat_noise(noise, state).items()
+                key: value.to(state.scene.points_in.device)
+                for key, value in self._flat_noise(noise, state, batch).items()
             }
         if first_row is not None:  # echoes of one beam meet the same particles
             flat = {key: _of_first(value, first_row) for key, value in flat.items()}

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import InputTypeError, InputValueError, check_between
-from torchweather.core.random import flat_noise, sample_seeds
+from torchweather.core.noise import flat_noise
+from torchweather.core.random import sample_seeds
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.at_call import weather_at_call
 from torchweather.pipeline.chain import Chain
@@ -164,14 +165,16 @@ class WeatherTransform(nn.Module):
         drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
 
-    def _flat_noise(self, noise: Mapping[str, Tensor], state: State) -> dict[str, Tensor]:
-        """The noise that the chain needs, ``(B, ...)``, checked against the sizes of the state."""
-        shapes = {
-            f"{name}.{variate.name}": variate.sample_shape(state.sizes)
+    def _flat_noise(
+        self, noise: Mapping[str, Tensor], state: State, batch: Sequence[int] | None = None
+    ) -> dict[str, Tensor]:
+        """The noise that the chain needs, ``(B, ...)``, checked against the state and the batch shape of the data."""
+        variates = {
+            f"{name}.{variate.name}": variate
             for name, stage in self.chain.stages.items()
             for variate in stage.variates()
         }
-        return flat_noise(noise, shapes, state.batch, owner=self)
+        return flat_noise(noise, variates, state.sizes, (state.batch,) if batch is None else batch, owner=self)
 
 
 def class_for(kind: type[WeatherTransform], weather: Weather) -> type[WeatherTransform]:

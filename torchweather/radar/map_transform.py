@@ -295,6 +295,6 @@ class RadarMapWeather(WeatherTransform):
         check_intensities(self.weather, batch, owner=self)
         flat = values.reshape(math.prod(batch), *self.axes.shape)
         state = map_state(flat, self.axes, self.sensor, self.ego_speed_m_per_s)
-        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, batch)
         found: PowerMapState = self.chain(state, {key: value.to(flat.device) for key, value in drawn.items()})
         return found

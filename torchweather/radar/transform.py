@@ -230,7 +230,7 @@ class RadarAttenuation(WeatherTransform):
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
-        state = self._through(self.state_of(points, **known), noise)
+        state = self._through(self.state_of(points, **known), noise, points.shape[:-2])
         assert state.returns.points is not None
         return self._outgoing(self._marked(state.returns.points, state, points), state, points)
 
@@ -248,7 +248,7 @@ class RadarAttenuation(WeatherTransform):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         before = self.state_of(points, **known)
-        state = self._through(before, noise)
+        state = self._through(before, noise, points.shape[:-2])
         assert state.returns.points is not None
         assert state.returns.snr_db is not None
         batch, total = state.returns.kind.shape
@@ -348,8 +348,8 @@ class RadarAttenuation(WeatherTransform):
             found[name] = tensor.expand(*batch, *sizes).reshape(math.prod(batch), *sizes)
         return found
 
-    def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None) -> RadarState:
-        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state)
+    def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None, batch: Sequence[int]) -> RadarState:
+        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, batch)
         found: RadarState = self.chain(state, {key: value.to(state.returns.gain_db) for key, value in drawn.items()})
         return found
 

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of
-from torchweather.core.random import Variate, draw_variates, flat_noise, sample_seeds
+from torchweather.core.noise import flat_noise
+from torchweather.core.random import Variate, draw_variates, sample_seeds
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.fmcw.beat_signal import beat_signal
 from torchweather.radar.fmcw.cfar import CellAveragingCfar, Cfar, OrderStatisticCfar, window_correlation
@@ -193,8 +194,8 @@ class FmcwRadar(nn.Module):
         )
         if self.weather is not None:
             check_intensities(self.weather, batch, owner=self)
-        shapes = {f"{stage}.{v.name}": v.sample_shape({}) for stage, own in self._variates().items() for v in own}
-        own = flat_noise(noise, shapes, math.prod(batch), owner=self)
+        variates = {f"{stage}.{one.name}": one for stage, several in self._variates().items() for one in several}
+        own = flat_noise(noise, variates, {}, batch, owner=self)
         own = {key: value.to(flat.speed_m_per_s.device) for key, value in own.items()}
         cube = beat_signal(flat, self.radar, attenuation_db=self._loss_db(flat))
         cover_loss_db = self.radome.two_way_db(len(cube))

@@ -1,0 +1,94 @@
+"""Noise that a user hands to a transform: the keys, shapes, types and values that a draw gives, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchweather.core.exceptions import InputTypeError, InputValueError
+from torchweather.core.random import ABSENT, Variate
+
+__all__ = ["flat_noise"]
+
+# Least and largest number of each law. A uniform of float16 can round up to 1.
+BOUNDS: dict[str, tuple[float, float]] = {
+    "uniform": (0.0, 1.0),
+    "normal": (-math.inf, math.inf),
+    "exponential": (0.0, math.inf),
+    "points": (0.0, ABSENT),
+}
+AGAIN = "Use what draw() of this transform gives for this data."
+
+
+def flat_noise(
+    noise: Mapping[str, Tensor],
+    variates: Mapping[str, Variate],
+    sizes: Mapping[str, int],
+    batch: Sequence[int],
+    *,
+    owner: object,
+) -> dict[str, Tensor]:
+    """Noise for the samples of a batch in one row, ``(B, *shape)`` each.
+
+    Args:
+        noise: ``<stage>.<variate>`` to a tensor that leads with the batch shape, or with (B,), as ``draw`` gives it.
+        variates: ``<stage>.<variate>`` to the law and shape that are needed.
+        sizes: of the data, that shapes refer to.
+        batch: batch shape of the data, of B samples.
+        owner: for messages.
+
+    Raises:
+        InputTypeError: no mapping of tensors of real floating-point numbers.
+        InputValueError: a key is missing or of another transform; a shape does not fit; a number is NaN, infinite or
+            outside its law. An exported or compiled graph checks shapes alone.
+    """
+    name = type(owner).__name__
+    if not isinstance(noise, Mapping):
+        raise InputTypeError(
+            f"{name}: noise must be a mapping of names to tensors; got {type(noise).__name__}. {AGAIN}"
+        )
+    strange = [str(key) for key in noise if key not in variates]
+    lacking = [key for key in variates if key not in noise]
+    if strange or lacking:
+        has = f"holds {', '.join(sorted(strange)[:3])}" if strange else f"lacks {', '.join(lacking[:3])}"
+        raise InputValueError(f"{name}: the noise is of another transform: it {has}. {AGAIN}")
+    flat = {
+        key: _checked(noise[key], f"{name}: noise {key!r}", variate.sample_shape(sizes), tuple(batch))
+        for key, variate in variates.items()
+    }
+    if flat and not torch.compiler.is_compiling():
+        _check_values(flat, variates, name)
+    return flat
+
+
+def _checked(value: Tensor, what: str, shape: tuple[int, ...], batch: tuple[int, ...]) -> Tensor:
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        raise InputTypeError(f"{what} must be a floating-point tensor; got {got}. {AGAIN}")
+    number = math.prod(batch)
+    leading = value.shape[: value.ndim - len(shape)] if value.ndim >= len(shape) else None
+    fits = leading is not None and tuple(value.shape[len(leading) :]) == shape
+    if not fits or leading not in (batch, (number,)):
+        raise InputValueError(
+            f"{what} must hold {shape} for each sample of the batch {batch}; got {tuple(value.shape)}. {AGAIN}"
+        )
+    return value.reshape(number, *shape)
+
+
+def _check_values(flat: Mapping[str, Tensor], variates: Mapping[str, Variate], name: str) -> None:
+    """Look at the ends of every tensor: one pass each, and one answer from the device."""
+    filled = {key: value.detach() for key, value in flat.items() if value.numel()}
+    if not filled:
+        return
+    ends = torch.stack([torch.stack(torch.aminmax(value)).double().cpu() for value in filled.values()]).tolist()
+    for key, (least, most) in zip(filled, ends, strict=True):
+        low, high = BOUNDS[variates[key].law]
+        if not (low <= least and most <= high and math.isfinite(least) and math.isfinite(most)):
+            law = variates[key].law
+            raise InputValueError(
+                f"{name}: noise {key!r} must be finite numbers of the law {law!r} ({low:g} to {high:g}); got {least:g} "
+                f"to {most:g}. {AGAIN}"
+            )
