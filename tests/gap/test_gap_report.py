@@ -84,8 +84,8 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, whole: f
     weight = np.full((5, LAYOUT.bins), 200.0)
     shared = {"fit": (), "holdout": (), "catalogue": ["lidar.window_loss"]}
     model = SimpleNamespace(layout=LAYOUT, measured=lambda _: SimpleNamespace(weight=weight), **shared)
-    rest = departure if left is None else left
-    whitened = np.concatenate([start.whitened(name, rest) for name in CONDITIONS])
+    residual = departure if left is None else left
+    whitened = np.concatenate([start.whitened(name, residual) for name in CONDITIONS])
     search = SimpleNamespace(
         model=model,
         measured=measured,
@@ -93,14 +93,14 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, whole: f
         origin=ParameterPoint(),
         simulated_frames=100,
         seed=0,
-        catalogue_effects=lambda setting: [EFFECTS[name](**values) for name, values in setting.values.items()],
+        catalogue_effects=lambda point: [EFFECTS[name](**values) for name, values in point.values.items()],
     )
     held = HeldOut(3.0, 1.0, 0.1, 9.0 * SIZE)
     given = {
         "verdict": verdict,
         "fit": None,
         "rounds": (),
-        "screening": SimpleNamespace(p_value=1e-9, misfit_null=np.array([60.0])),
+        "global_test": SimpleNamespace(p_value=1e-9, misfit_null=np.array([60.0])),
         "before": held,
         "after": held,
         "left": whitened,
@@ -226,16 +226,16 @@ def test_nothing_is_unknown_where_nothing_is_left(verdict: str) -> None:
 def fitted(**values: Any) -> dict[str, Any]:
     """A fit of window loss, which takes away what is uniform; a rival that is a pair with range noise."""
     uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
-    setting = ParameterPoint({"lidar.window_loss": {"loss_db": 1.5}}, {"c0": 0.05, "c1": -0.1, "c2": 0.1})
+    point = ParameterPoint({"lidar.window_loss": {"loss_db": 1.5}}, {"c0": 0.05, "c1": -0.1, "c2": 0.1})
     fit = SimpleNamespace(
-        setting=setting,
+        point=point,
         base=base(**dict.fromkeys(CONDITIONS, uniform)),
         misfit=60.0,
         covariance=np.eye(1) * 0.01,
         names=(("lidar.window_loss", "loss_db"),),
     )
     rival = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.threshold_shift": {"shift_db": 1.0}})
-    other = SimpleNamespace(setting=rival, base=base(), misfit=61.0)
+    other = SimpleNamespace(point=rival, base=base(), misfit=61.0)
     best = SimpleNamespace(id="lidar.window_loss", fit=fit, gain=100.0)
     second = SimpleNamespace(id="lidar.threshold_shift", fit=other, gain=99.0)
     return {"fit": fit, "rounds": ((best, second),), **values}
@@ -265,7 +265,7 @@ def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round(ver
     first = fitted()["rounds"]
     pair = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.blind_zone": {"range_m": 2.0}})
     names = (("lidar.range_noise", "std_m"), ("lidar.blind_zone", "range_m"))
-    fit = SimpleNamespace(setting=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
+    fit = SimpleNamespace(point=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
     best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
     report = gap_report(result(verdict, ripple(0.01), fit=fit, rounds=(*first, (best,))), "ab" * 32, 3)
     assert [one["name"] for one in report.to_dict()["effects"]] == ["lidar.range_noise", "lidar.blind_zone"]

@@ -161,8 +161,8 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     """The report of a result."""
     found = result.fit if result.verdict in ("named", "named_and_rest") else None
     weights = [_weights(round_, result) for round_ in result.rounds]
-    effects = [] if found is None else [_effect(name, found, result, weights) for name in found.setting.values]
-    rest = unknown(result) if result.verdict in ("unknown", "named_and_rest") else None
+    effects = [] if found is None else [_effect(name, found, result, weights) for name in found.point.values]
+    unexplained = unknown(result) if result.verdict in ("unknown", "named_and_rest") else None
     low = max(0.0, result.after.gap - CENTRAL_90 * result.after.spread)
     answer = {
         "format": FORMAT,
@@ -182,16 +182,16 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
             "interval_after": [low, result.after.gap + CENTRAL_90 * result.after.spread],
             "split": "holdout",
         },
-        "p_value": result.screening.p_value,
+        "p_value": result.global_test.p_value,
         "clear_air": [vars(one) for one in result.clear],
-        "unknown": None if rest is None else rest.to_dict(),
+        "unknown": None if unexplained is None else unexplained.to_dict(),
         "candidates": [
             {
                 "name": one.id,
                 "gain": one.gain,
                 "misfit": one.fit.misfit,
                 "weight": weight,
-                "parameters": dict(one.fit.setting.values[one.id]),
+                "parameters": dict(one.fit.point.values[one.id]),
             }
             for one, weight in zip(result.rounds[0], weights[0], strict=True)
         ]
@@ -205,10 +205,10 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     }
     return GapReport(
         _plain(answer),
-        () if found is None else tuple(result.search.catalogue_effects(found.setting)),
+        () if found is None else tuple(result.search.catalogue_effects(found.point)),
         tuple(_curves(result)),
         study_sha256,
-        None if rest is None else rest.empirical,
+        None if unexplained is None else unexplained.empirical,
         tuple(_responses(result)),
         _residuals(result),
     )
@@ -221,7 +221,7 @@ def _nuisance(result: GapResult) -> dict[str, Any]:
     conditions count with the precision of their record. ``by_condition`` has the factor on each recorded rate or
     visibility.
     """
-    intensities = result.search.origin.log_intensity if result.fit is None else result.fit.setting.log_intensity
+    intensities = result.search.origin.log_intensity if result.fit is None else result.fit.point.log_intensity
     total, weight = 0.0, 0.0
     for target in result.search.measured:
         if target.intensity_sd > 0:
@@ -236,14 +236,14 @@ def _nuisance(result: GapResult) -> dict[str, Any]:
 def _weights(candidates: Sequence[Candidate], result: GapResult) -> list[float]:
     """Weight of each candidate of a round after its misfit, in units of the noise that is left."""
     misfits = np.array([one.fit.misfit for one in candidates])
-    unit = max(1.0, float(misfits.min()) / max(float(result.screening.misfit_null.mean()), 1.0))
+    unit = max(1.0, float(misfits.min()) / max(float(result.global_test.misfit_null.mean()), 1.0))
     weight = np.exp(-0.5 * (misfits - misfits.min()) / unit)
     return [float(one) for one in weight / weight.sum()]
 
 
 def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[float]]) -> dict[str, Any]:
     """An effect of the answer; its confidence is that of the round in which it was found."""
-    values = fit.setting.values[name]
+    values = fit.point.values[name]
     interval = {}
     for place, (effect, parameter) in enumerate(fit.names):
         if effect == name:
@@ -251,13 +251,13 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
             value = values[parameter]
             half = CENTRAL_90 * _standard_error(declared, value, float(fit.covariance[place, place]))
             interval[parameter] = [max(declared.low, value - half), min(declared.high, value + half)]
-    own = next(number for number, round_ in enumerate(result.rounds) if name in round_[0].fit.setting.values)
+    own = next(number for number, round_ in enumerate(result.rounds) if name in round_[0].fit.point.values)
     confidence = weights[own][0]
     others = [
         rival
         for one, weight in zip(result.rounds[own], weights[own], strict=True)
-        for rival in one.fit.setting.values
-        if rival not in fit.setting.values and weight > LIKELY * confidence
+        for rival in one.fit.point.values
+        if rival not in fit.point.values and weight > LIKELY * confidence
     ]
     return {
         "name": name,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.candidate_fits import SETTLED_ROUNDS, _least, _refined, _settled_along
+from torchweather.gap.inference.candidate_fits import PROFILE_ROUNDS, _least, _profiled_along, _refined
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import ParameterPoint
 from torchweather.gap.inference.response_templates import ResponseTemplate
@@ -33,40 +33,40 @@ def test_the_least_is_not_looked_for_beyond_the_points() -> None:
 
 
 @pytest.mark.parametrize(("truth", "farther"), [(1.064, 0), (0.93, 1), (0.7, 4), (1.6, 5)])
-def test_nuisances_are_settled_beside_weak_strengths_of_either_sign_and_on_along_a_valley(
+def test_nuisances_are_profiled_beside_weak_strengths_of_either_sign_and_on_along_a_valley(
     truth: float, farther: int
 ) -> None:
     """The misfit is a parabola of the factor: it is found exactly, whatever sign the response was of. Of the weak
     strengths 0.88 and 1.13 are the farthest; beyond them each step is 1.4 times the departure, until one is worse."""
     asked = []
 
-    def settle_beside(setting: ParameterPoint, like: Any, rounds: int) -> Any:
-        assert (like, rounds) == (BASE, SETTLED_ROUNDS)
-        factor = setting.values["lidar.extinction_scale"]["factor"]
+    def profile_beside(point: ParameterPoint, like: Any, rounds: int) -> Any:
+        assert (like, rounds) == (BASE, PROFILE_ROUNDS)
+        factor = point.values["lidar.extinction_scale"]["factor"]
         asked.append(factor)
-        return setting, factor, 200.0 + 5e4 * (factor - truth) ** 2
+        return point, factor, 200.0 + 5e4 * (factor - truth) ** 2
 
-    search: Any = SimpleNamespace(settle_beside=settle_beside, model=SimpleNamespace(sizes={}))
-    (line, _) = parameter_grids(EFFECTS["lidar.extinction_scale"], [])
-    node = ResponseTemplate(line, 0, line.settings[0], np.zeros(3))
-    setting, nuisance = _settled_along(search, BASE, ParameterPoint(), node, 200.0 + 5e4 * (1.0 - truth) ** 2)
-    assert setting.values["lidar.extinction_scale"]["factor"] == pytest.approx(truth, abs=1e-6)
+    search: Any = SimpleNamespace(profile_beside=profile_beside, model=SimpleNamespace(sizes={}))
+    (grid, _) = parameter_grids(EFFECTS["lidar.extinction_scale"], [])
+    template = ResponseTemplate(grid, 0, grid.points[0], np.zeros(3))
+    point, nuisance = _profiled_along(search, BASE, ParameterPoint(), template, 200.0 + 5e4 * (1.0 - truth) ** 2)
+    assert point.values["lidar.extinction_scale"]["factor"] == pytest.approx(truth, abs=1e-6)
     assert nuisance == pytest.approx(truth, abs=1e-6)  # those of the same fit
     assert len(asked) == 5 + farther
     assert min(asked) < 1.0 < max(asked)
 
 
-def test_an_effect_whose_identity_is_infinitely_far_is_settled_at_its_settings() -> None:
+def test_an_effect_whose_identity_is_infinitely_far_is_profiled_at_its_points() -> None:
     asked = []
 
-    def settle_beside(setting: ParameterPoint, like: Any, rounds: int) -> Any:
-        asked.append(setting.values["lidar.limited_extent"]["extent_m"])
-        return setting, None, abs(asked[-1] - 90.0)
+    def profile_beside(point: ParameterPoint, like: Any, rounds: int) -> Any:
+        asked.append(point.values["lidar.limited_extent"]["extent_m"])
+        return point, None, abs(asked[-1] - 90.0)
 
-    search: Any = SimpleNamespace(settle_beside=settle_beside, model=SimpleNamespace(sizes={}))
-    (line,) = parameter_grids(EFFECTS["lidar.limited_extent"], [])
-    found, _ = _settled_along(
-        search, BASE, ParameterPoint(), ResponseTemplate(line, 0, line.settings[0], np.zeros(3)), math.inf
+    search: Any = SimpleNamespace(profile_beside=profile_beside, model=SimpleNamespace(sizes={}))
+    (grid,) = parameter_grids(EFFECTS["lidar.limited_extent"], [])
+    found, _ = _profiled_along(
+        search, BASE, ParameterPoint(), ResponseTemplate(grid, 0, grid.points[0], np.zeros(3)), math.inf
     )
     assert found.values["lidar.limited_extent"]["extent_m"] == min(asked, key=lambda one: abs(one - 90.0))
     assert len(asked) == 3
@@ -77,19 +77,19 @@ def test_an_effect_whose_identity_is_infinitely_far_is_settled_at_its_settings()
     [
         ([90.0, 80.0, 70.0, 60.0], 70.0, METHOD.reweightings),  # no more than so often
         ([90.0, 89.0, 10.0], 89.0, 2),  # a round that gains little is the last
-        ([100.0 + METHOD.settled_chi2, 10.0], 100.0, 1),  # none that is worse is taken
+        ([100.0 + METHOD.converged_chi2, 10.0], 100.0, 1),  # none that is worse is taken
     ],
 )
 def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float], best: float, rounds: int) -> None:
     asked = []
 
-    def fit(setting: str, nuisance: Any, base: Any) -> Any:
-        assert nuisance == ("nuisance", setting, base)  # of the same place
-        asked.append(setting)
+    def fit(point: str, nuisance: Any, base: Any) -> Any:
+        assert nuisance == ("nuisance", point, base)  # of the same place
+        asked.append(point)
         number = len(asked)
-        return SimpleNamespace(setting=f"setting {number}", base=f"base {number}", misfit=misfits[number - 1])
+        return SimpleNamespace(point=f"point {number}", base=f"base {number}", misfit=misfits[number - 1])
 
-    search: Any = SimpleNamespace(fit=fit, nuisance=lambda setting, base: ("nuisance", setting, base))
-    start: Any = SimpleNamespace(setting="setting 0", base="base 0", misfit=100.0)
+    search: Any = SimpleNamespace(fit=fit, nuisance=lambda point, base: ("nuisance", point, base))
+    start: Any = SimpleNamespace(point="point 0", base="base 0", misfit=100.0)
     assert _refined(search, start).misfit == best
-    assert asked == [f"setting {number}" for number in range(rounds)]
+    assert asked == [f"point {number}" for number in range(rounds)]

@@ -31,7 +31,7 @@ from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.forward_selection import (
     HELD_GAIN,
     HELD_LOSS,
-    REST_SHARE,
+    RESIDUAL_SHARE,
     SURE_GAIN,
     UNKNOWN_SHARE,
     GapResult,
@@ -41,7 +41,7 @@ from torchweather.gap.inference.forward_selection import (
     _without_idle,
     find_gap_with,
 )
-from torchweather.gap.inference.global_test import _tail, global_test, located_templates, overdispersion
+from torchweather.gap.inference.global_test import _tail, located_templates, overdispersion, run_global_test
 from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
@@ -63,10 +63,10 @@ def searched(*hidden: tuple[str, float], allowed: Sequence[str] | None = None, *
 
 
 def found_in(result: GapResult) -> dict[str, float]:
-    """Effects of the final setting and their strengths; none where none is named."""
+    """Effects of the final point and their strengths; none where none is named."""
     if result.fit is None:
         return {}
-    return {name: strength_of(name, values) for name, values in result.fit.setting.values.items()}
+    return {name: strength_of(name, values) for name, values in result.fit.point.values.items()}
 
 
 def likelihood_of(model: LinearSimulator) -> SimulatorLikelihood:
@@ -74,16 +74,16 @@ def likelihood_of(model: LinearSimulator) -> SimulatorLikelihood:
     return SimulatorLikelihood(model, observations(model, model.fit), 0)
 
 
-def node(name: str, values: dict[str, float], response: Any) -> ResponseTemplate:
+def template(name: str, values: dict[str, float], response: Any) -> ResponseTemplate:
     return ResponseTemplate(ParameterGrid(EFFECTS[name], (values,)), 0, values, np.asarray(response, dtype=np.float64))
 
 
 NOTHING = Systematics(np.zeros((4, 1)), np.zeros(1), 1)
-NODES = [
-    node("lidar.window_loss", {"loss_db": 1.0}, [1.0, 0.0, 0.0, 0.0]),
-    node("lidar.window_loss", {"loss_db": 3.0}, [3.0, 0.5, 0.0, 0.0]),
-    node("lidar.range_noise", {"std_m": 0.1}, [0.0, 2.0, 0.0, 0.0]),
-    node("lidar.crosstalk", {"probability": 0.1}, [0.0, 0.0, 1.0, 0.0]),
+TEMPLATES = [
+    template("lidar.window_loss", {"loss_db": 1.0}, [1.0, 0.0, 0.0, 0.0]),
+    template("lidar.window_loss", {"loss_db": 3.0}, [3.0, 0.5, 0.0, 0.0]),
+    template("lidar.range_noise", {"std_m": 0.1}, [0.0, 2.0, 0.0, 0.0]),
+    template("lidar.crosstalk", {"probability": 0.1}, [0.0, 0.0, 1.0, 0.0]),
 ]
 
 
@@ -97,7 +97,7 @@ def test_nothing_is_named_where_nothing_is_hidden(seed: int) -> None:
         result = searched(seed=seed, **more)
         assert result.verdict == "none"
         assert found_in(result) == {}
-        assert result.screening.p_value > METHOD.alarm_p
+        assert result.global_test.p_value > METHOD.alarm_p
         assert result.after.gap < 1.3 * result.after.floor
 
 
@@ -115,7 +115,7 @@ def test_a_hidden_effect_is_named_with_its_strength(name: str, record: float) ->
 def test_the_weaker_an_effect_the_less_it_alarms_and_below_noise_it_is_not_named() -> None:
     results = [searched((WINDOW, strength)) for strength in (0.02, 0.05, 0.1, 0.2)]
     assert [result.verdict for result in results] == ["none", "none", "named", "named"]
-    chances = [result.screening.p_value for result in results]
+    chances = [result.global_test.p_value for result in results]
     assert chances == sorted(chances, reverse=True)
     assert chances[1] > METHOD.alarm_p > chances[2]
 
@@ -149,7 +149,7 @@ def test_a_further_effect_must_earn_its_place(beside: str) -> None:
         assert len(found_in(result)) == number, strength
         if number > 1:
             gained = result.rounds[-1][0].gain
-            assert gained > np.quantile(result.screening.best_null, 0.99)
+            assert gained > np.quantile(result.global_test.best_null, 0.99)
             held = [one[0].held for one in result.rounds]
             assert held[0].misfit - held[1].misfit > HELD_GAIN
 
@@ -171,7 +171,7 @@ def test_effects_that_are_idle_beside_others_go() -> None:
     }
     whole = search.fit(ParameterPoint(three), base.nuisance, base.base)
     kept = _without_idle(search, Candidate(BIAS, whole, 100.0), 30.0)
-    assert set(kept.setting.values) == {NOISE, BIAS}  # the last one earns its place elsewhere
+    assert set(kept.point.values) == {NOISE, BIAS}  # the last one earns its place elsewhere
     assert kept.misfit < whole.misfit + 60.0
 
 
@@ -191,20 +191,20 @@ def test_what_an_effect_leaves_decides_between_a_name_a_rest_and_no_name(scatter
 def test_what_no_effect_explains_is_unknown_once_it_is_sure(scatters: float, verdict: str) -> None:
     result = searched(unknown=unknown(scatters))
     assert result.verdict == verdict
-    assert (result.screening.p_value < METHOD.sure_alarm_p) == (verdict == "unknown")
+    assert (result.global_test.p_value < METHOD.sure_alarm_p) == (verdict == "unknown")
 
 
 def test_a_pattern_that_all_conditions_have_need_not_be_sure_in_each() -> None:
     """Of two scatters in every condition: noise in any two, an alarm in eight."""
     few, many = (searched(unknown=unknown(2.0), conditions=number) for number in (2, 8))
     assert (few.verdict, many.verdict) == ("none", "unknown")
-    assert few.screening.common_p_value > METHOD.alarm_p > many.screening.common_p_value
+    assert few.global_test.common_p_value > METHOD.alarm_p > many.global_test.common_p_value
 
 
 def test_an_effect_that_is_not_allowed_is_not_explained_by_another() -> None:
     result = searched((WINDOW, 0.5), allowed=[NOISE])
     assert result.verdict == "unknown"
-    assert result.screening.misfit - result.rounds[0][0].fit.misfit < 0.01 * result.screening.misfit
+    assert result.global_test.misfit - result.rounds[0][0].fit.misfit < 0.01 * result.global_test.misfit
 
 
 @pytest.mark.parametrize(
@@ -237,20 +237,29 @@ BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
 EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
 
 
-def screening(
+def global_test(
     misfit: float = 1200.0,
     p_value: float = 1e-9,
     excess: float = 0.0,
-    rest_p: float = 1.0,
-    rest_common_p: float = 1.0,
+    residual_p: float = 1.0,
+    residual_common_p: float = 1.0,
     common_p: float = 1.0,
 ) -> Any:
     """Noise gains 30 at most; some statistics exceed theirs."""
-    rest = SimpleNamespace(
-        excess=lambda left: excess, p_value=lambda left: rest_p, common_p_value=lambda left: rest_common_p
+    residual_test = SimpleNamespace(
+        excess=lambda left: excess, p_value=lambda left: residual_p, common_p_value=lambda left: residual_common_p
     )
     noise = np.full(100, 30.0)
-    return SimpleNamespace(misfit=misfit, p_value=p_value, common_p_value=common_p, best_null=noise, rest=rest)
+    return SimpleNamespace(
+        misfit=misfit, p_value=p_value, common_p_value=common_p, best_null=noise, residual_test=residual_test
+    )
+
+
+def test_the_global_test_is_read_under_its_old_name_with_a_warning() -> None:
+    alarm, held = global_test(), HeldOut(1.0, 1.0, 0.05, 1.0)
+    result = GapResult("none", None, (), alarm, held, held, np.zeros(4), SimpleNamespace(), 0.0)  # type: ignore[arg-type]
+    with pytest.warns(DeprecationWarning, match="is GapResult.global_test now"):
+        assert result.screening is alarm
 
 
 def left_by(misfit: float) -> Any:
@@ -262,8 +271,8 @@ def left_by(misfit: float) -> Any:
     ("share", "verdict"),
     [
         (0.0, "named"),
-        (0.5 * REST_SHARE, "named"),
-        (REST_SHARE + 0.01, "named_and_rest"),
+        (0.5 * RESIDUAL_SHARE, "named"),
+        (RESIDUAL_SHARE + 0.01, "named_and_rest"),
         (UNKNOWN_SHARE - 0.01, "named_and_rest"),
         (UNKNOWN_SHARE + 0.01, "unknown"),
         (0.9, "unknown"),
@@ -272,9 +281,9 @@ def left_by(misfit: float) -> Any:
 def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, verdict: str) -> None:
     """Of 1,000 that the effect explains and what it leaves, where that is no noise."""
     excess = 1000.0 * share / (1.0 - share)
-    for sure in ({"rest_p": 0.5 * METHOD.residual_p}, {"rest_common_p": 0.5 * METHOD.residual_p}):
-        assert _verdict(screening(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
-    noise = screening(excess=excess, rest_p=2.0 * METHOD.residual_p, rest_common_p=2.0 * METHOD.residual_p)
+    for sure in ({"residual_p": 0.5 * METHOD.residual_p}, {"residual_common_p": 0.5 * METHOD.residual_p}):
+        assert _verdict(global_test(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
+    noise = global_test(excess=excess, residual_p=2.0 * METHOD.residual_p, residual_common_p=2.0 * METHOD.residual_p)
     assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
 
 
@@ -288,14 +297,14 @@ def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, ve
 )
 def test_what_noise_gains_is_no_name(gain: float, p_value: float, verdict: str) -> None:
     """Although something is missing, if that is sure."""
-    found = screening(misfit=1200.0, p_value=p_value)
+    found = global_test(misfit=1200.0, p_value=p_value)
     assert _verdict(found, left_by(1200.0 - gain), BEFORE, EXPLAINED) == verdict
 
 
 @pytest.mark.parametrize(("common_p", "verdict"), [(0.9 * METHOD.alarm_p, "unknown"), (1.1 * METHOD.alarm_p, "none")])
 def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: float, verdict: str) -> None:
     """An alarm is enough where an effect explains no more than noise, or held-out conditions speak against it."""
-    found = screening(p_value=2.0 * METHOD.sure_alarm_p, common_p=common_p)
+    found = global_test(p_value=2.0 * METHOD.sure_alarm_p, common_p=common_p)
     assert _verdict(found, left_by(1200.0 - 29.0), BEFORE, EXPLAINED) == verdict
     worse = HeldOut(gap=2.1, floor=1.0, spread=0.05, misfit=1000.0)
     assert _verdict(found, left_by(1200.0 - 60.0), BEFORE, worse) == verdict
@@ -311,7 +320,7 @@ def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: floa
 )
 def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, explained: float, least: float) -> None:
     """They must not speak against a weak effect; a strong one may lose a little there."""
-    found = screening(misfit=210.0 + explained, p_value=p_value)
+    found = global_test(misfit=210.0 + explained, p_value=p_value)
     for gained, expected in ((least - 0.1, verdict), (least + 0.1, "named")):
         after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained)
         assert _verdict(found, left_by(210.0), BEFORE, after) == expected
@@ -319,7 +328,7 @@ def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, e
 
 def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
     for gap, verdict in ((1.45, "named"), (1.55, "named_and_rest")):
-        assert _verdict(screening(), left_by(210.0), BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+        assert _verdict(global_test(), left_by(210.0), BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
 
 
 @pytest.mark.parametrize(
@@ -329,11 +338,13 @@ def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
 def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(gap: float, verdict: str) -> None:
     """That over the floor's."""
     before = HeldOut(20.0, 1.0, 0.05, 16000.0)
-    assert _verdict(screening(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+    assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
     far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
-    assert _verdict(screening(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
+    assert _verdict(global_test(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
     # ... but ten floors are not a rest, whatever was explained.
-    assert _verdict(screening(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0)) == "unknown"
+    assert (
+        _verdict(global_test(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0)) == "unknown"
+    )
 
 
 def test_a_further_effect_must_gain_what_it_needs_also_over_the_others_fitted_again() -> None:
@@ -369,14 +380,16 @@ def test_the_chance_of_an_excess_is_counted_and_beyond_the_nulls_that_of_a_gumbe
 def test_only_grids_near_the_best_are_simulated_whole() -> None:
     """Of the effects whose gain comes near that of the best."""
     search = likelihood_of(LinearSimulator([effect(WINDOW, 0.5)]))
-    found = global_test(search, [EFFECTS[name] for name in DIRECTIONS], search.begin(), 0)
+    found = run_global_test(search, [EFFECTS[name] for name in DIRECTIONS], search.begin(), 0)
     grids = {name: parameter_grids(EFFECTS[name], []) for name in DIRECTIONS}
-    every = {name: sum(len(grid.settings) for grid in own) for name, own in grids.items()}
+    every = {name: sum(len(grid.points) for grid in own) for name, own in grids.items()}
     first = {name: sum(len(grid.first) for grid in own) for name, own in grids.items()}
-    asked = {name: sum(one.id == name for one in found.nodes) for name in DIRECTIONS}
+    asked = {name: sum(one.id == name for one in found.templates) for name in DIRECTIONS}
     assert {name for name in DIRECTIONS if asked[name] == every[name] > first[name]} == {WINDOW}
     assert all(asked[name] == first[name] for name in (NOISE, BIAS))
-    gain = {name: max(g for one, g in zip(found.nodes, found.gains, strict=True) if one.id == name) for name in asked}
+    gain = {
+        name: max(g for one, g in zip(found.templates, found.gains, strict=True) if one.id == name) for name in asked
+    }
     assert max(gain, key=lambda name: gain[name]) == WINDOW
     assert gain[NOISE] < METHOD.refined_share * gain[WINDOW]
 
@@ -398,9 +411,9 @@ def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> 
     first = ParameterPoint({"lidar.sector_loss": {"azimuth_rad": -1.5, "width_rad": 0.8, "loss_db": 3.0}})
     fit = search.fit(first, base.nuisance, base.base, 1)
     found = located_templates(search, [EFFECTS["lidar.spray"], EFFECTS["lidar.window_loss"]], fit)
-    assert {node.id for node in found} == {"lidar.spray"}
+    assert {template.id for template in found} == {"lidar.spray"}
     # Sectors of the statistics are 0.39 rad wide.
-    assert min(abs(node.values["azimuth_rad"] - 1.8) for node in found) < 0.6
+    assert min(abs(template.values["azimuth_rad"] - 1.8) for template in found) < 0.6
     best = found[int(delta_chi2(found, fit.nuisance.left(fit.residual)[None], fit.nuisance)[0].argmax())]
     assert best.values["azimuth_rad"] == pytest.approx(1.8, abs=0.6)
 
@@ -415,8 +428,8 @@ def test_the_catalogue_says_what_may_be_taken_for_what_in_either_place() -> None
 # ---- candidates ------------------------------------------------------------------------------------------------------
 
 
-def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
-    found = best_templates(NODES, np.array([1.5, 1.3, 0.3, 0.0]), NOTHING)
+def test_of_each_effect_the_best_template_is_fitted_if_it_is_worth_it() -> None:
+    found = best_templates(TEMPLATES, np.array([1.5, 1.3, 0.3, 0.0]), NOTHING)
     # Gains: 1 x 2 a 1.5 - a^2 of at most 1.35; 26.5 / 9.25; 1.69; 0.09, too little.
     assert [(one.id, one.values) for one, _ in found] == [
         ("lidar.window_loss", {"loss_db": 3.0}),
@@ -425,30 +438,30 @@ def test_of_each_effect_the_best_setting_is_fitted_if_it_is_worth_it() -> None:
     assert [amplitude for _, amplitude in found] == pytest.approx([5.15 / 9.25, 0.65], rel=1e-12)
 
 
-def test_what_begins_at_a_threshold_is_also_fitted_from_a_setting_as_it_stands() -> None:
+def test_what_begins_at_a_threshold_is_also_fitted_from_a_point_as_it_stands() -> None:
     """Counts that grow as the square: of what is left the strongest explains most if scaled to a tenth, the second as
-    it is. Where none is scaled by as much, and of an effect with a few settings, there is one beginning."""
+    it is. Where none is scaled by as much, and of an effect with a few points, there is one beginning."""
     effect, strengths = EFFECTS["lidar.crosstalk"], (0.01, 0.02, 0.03, 0.04, 0.08)
-    line = ParameterGrid(effect, tuple({"probability": one} for one in strengths))
+    grid = ParameterGrid(effect, tuple({"probability": one} for one in strengths))
     responses = [[0.2, 0.0, 0.0], [0.9, 0.1, 0.0], [2.0, 1.0, 0.0], [3.0, 4.0, 0.0], [9.0, 9.0, 1.0]]
-    nodes = [
-        ResponseTemplate(line, k, dict(values), np.array(response))
-        for k, (values, response) in enumerate(zip(line.settings, responses, strict=True))
+    templates = [
+        ResponseTemplate(grid, k, dict(values), np.array(response))
+        for k, (values, response) in enumerate(zip(grid.points, responses, strict=True))
     ]
     nuisance, left = Systematics(np.zeros((3, 1)), np.zeros(1), 1), np.array([1.0, 0.5, 0.0])
-    assert unscaled_templates(nodes, [(nodes[4], 0.1)], left, nuisance) == [(nodes[1], 1.0)]
-    assert unscaled_templates(nodes, [(nodes[4], 0.9 * METHOD.threshold_amplitude)], left, nuisance) == [
-        (nodes[1], 1.0)
+    assert unscaled_templates(templates, [(templates[4], 0.1)], left, nuisance) == [(templates[1], 1.0)]
+    assert unscaled_templates(templates, [(templates[4], 0.9 * METHOD.threshold_amplitude)], left, nuisance) == [
+        (templates[1], 1.0)
     ]
-    assert unscaled_templates(nodes, [(nodes[2], 1.1 * METHOD.threshold_amplitude)], left, nuisance) == []
-    few = [replace(one, line=ParameterGrid(effect, line.settings[:3])) for one in nodes[:3]]
+    assert unscaled_templates(templates, [(templates[2], 1.1 * METHOD.threshold_amplitude)], left, nuisance) == []
+    few = [replace(one, grid=ParameterGrid(effect, grid.points[:3])) for one in templates[:3]]
     assert unscaled_templates(few, [(few[2], 0.1)], left, nuisance) == []
 
 
 def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_done() -> None:
     """The record stands 9 off, what is open -2: along (-2, 0, 2, 0), of which crosstalk explains 4."""
     response = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]])
-    found = hidden_templates(NODES, Systematics(response, np.array([9.0, -2.0]), 2), slice(1, 2))
+    found = hidden_templates(TEMPLATES, Systematics(response, np.array([9.0, -2.0]), 2), slice(1, 2))
     (first, amplitude), *others = found
     assert (first.id, amplitude) == ("lidar.crosstalk", 1.35)  # twice its response, but no farther than that
     assert [expected for _, expected in others] == [0.0, 0.0]  # a window would do the opposite
@@ -456,12 +469,12 @@ def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_d
 
 def test_pairs_are_of_different_effects_each_once_best_first() -> None:
     gain = np.array([[9.0, 9.0, 5.0, 7.0], [9.0, 9.0, 6.0, 3.0], [5.0, 6.0, 9.0, 1.0], [7.0, 3.0, 1.0, 9.0]])
-    found = best_pairs(NODES, gain, ParameterPoint(), 2.0)
-    assert [{*setting.values, other.id} for setting, other, _ in found] == [
+    found = best_pairs(TEMPLATES, gain, ParameterPoint(), 2.0)
+    assert [{*point.values, other.id} for point, other, _ in found] == [
         {"lidar.window_loss", "lidar.crosstalk"},
         {"lidar.window_loss", "lidar.range_noise"},
     ]
-    assert best_pairs(NODES, gain, ParameterPoint(), 8.0) == []
+    assert best_pairs(TEMPLATES, gain, ParameterPoint(), 8.0) == []
 
 
 @pytest.mark.parametrize(
@@ -485,7 +498,7 @@ def test_pairs_are_of_different_effects_each_once_best_first() -> None:
 def test_a_fit_starts_at_the_amplitude_of_the_response(
     name: str, values: dict[str, float], amplitude: float, expected: dict[str, float]
 ) -> None:
-    found = _start(node(name, values, np.zeros(4)), amplitude)
+    found = _start(template(name, values, np.zeros(4)), amplitude)
     assert {key: found[key] for key in expected} == pytest.approx(expected)
     assert list(found) == [parameter.name for parameter in EFFECTS[name].arguments]
 

@@ -58,30 +58,30 @@ def test_entries_that_do_not_count_touch_nothing() -> None:
 
 
 def test_a_gain_is_that_of_the_entries_alone() -> None:
-    line = ParameterGrid(EFFECTS["lidar.range_noise"], ({"std_m": 0.1}, {"std_m": 0.2}))
-    nodes = [
-        ResponseTemplate(line, place, values, np.array(response))
-        for place, (values, response) in enumerate(
-            zip(line.settings, ([100.0, 3.0, 0.0], [0.0, 0.0, 5.0]), strict=True)
-        )
+    grid = ParameterGrid(EFFECTS["lidar.range_noise"], ({"std_m": 0.1}, {"std_m": 0.2}))
+    templates = [
+        ResponseTemplate(grid, place, values, np.array(response))
+        for place, (values, response) in enumerate(zip(grid.points, ([100.0, 3.0, 0.0], [0.0, 0.0, 5.0]), strict=True))
     ]
     left = np.array([-100.0, 3.0, 1.0])
     nothing = Systematics(np.zeros((3, 1)), np.zeros(1), 0)
     # Of the first the amplitude is 1 in the second entry: 2 * 9 - 9; of the second 0.2: 1.
-    assert fresh_delta_chi2(nodes, left, nothing, np.array([False, True, True])) == pytest.approx(
+    assert fresh_delta_chi2(templates, left, nothing, np.array([False, True, True])) == pytest.approx(
         {"lidar.range_noise": 9.0}
     )
-    assert fresh_delta_chi2(nodes, left, nothing, np.array([False, False, True])) == pytest.approx(
+    assert fresh_delta_chi2(templates, left, nothing, np.array([False, False, True])) == pytest.approx(
         {"lidar.range_noise": 1.0}
     )
-    assert fresh_delta_chi2(nodes, left, nothing, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
+    assert fresh_delta_chi2(templates, left, nothing, np.zeros(3, bool)) == {"lidar.range_noise": 0.0}
 
 
 def test_what_a_nuisance_took_from_a_residual_is_taken_from_the_response() -> None:
     """A clock moves both entries together, far more than a bias does; what it leaves of a bias still counts fully."""
-    line = ParameterGrid(EFFECTS["lidar.range_bias"], ({"offset_m": 0.1},))
-    node = ResponseTemplate(line, 0, line.settings[0], np.array([40.0, 48.0]))
+    grid = ParameterGrid(EFFECTS["lidar.range_bias"], ({"offset_m": 0.1},))
+    template = ResponseTemplate(grid, 0, grid.points[0], np.array([40.0, 48.0]))
     clock = Systematics(np.array([[1e4], [1e4]]), np.zeros(1), 0)
-    left = clock.left(0.5 * node.response)  # -2 and 2 about
+    left = clock.left(0.5 * template.response)  # -2 and 2 about
     # Half a response: 2 * 0.5 * 16 - 0.25 * 32.
-    assert fresh_delta_chi2([node], left, clock, np.ones(2, bool)) == pytest.approx({"lidar.range_bias": 8.0}, rel=1e-3)
+    assert fresh_delta_chi2([template], left, clock, np.ones(2, bool)) == pytest.approx(
+        {"lidar.range_bias": 8.0}, rel=1e-3
+    )

@@ -15,8 +15,8 @@ from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.forward_selection import find_gap_with
-from torchweather.gap.inference.global_test import global_test
-from torchweather.gap.inference.likelihood import KNOB_STEP, Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.global_test import run_global_test
+from torchweather.gap.inference.likelihood import INTENSITY_STEP, Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
 from torchweather.gap.inference.simulated_distribution import observations, simulated_distribution
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -75,8 +75,8 @@ def test_same_seeds_give_the_same_search() -> None:
     study = small()
     first, again, other = search_of(study), search_of(study), search_of(study, seed=1)
     np.testing.assert_array_equal(first.residual(first.start), again.residual(again.start))
-    setting = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
-    for mine, theirs in zip(first.mean(setting), again.mean(setting), strict=True):
+    point = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
+    for mine, theirs in zip(first.mean(point), again.mean(point), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert not np.array_equal(first.residual(first.start), other.residual(other.start))
 
@@ -84,11 +84,11 @@ def test_same_seeds_give_the_same_search() -> None:
 def test_one_thread_and_two_agree() -> None:
     before, found = torch.get_num_threads(), []
     study = tiny_study(rows=8, columns=32, weathers=(Snow(2.0), Snow(1.0), Snow(1.2)))
-    setting = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
+    point = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            found.append(np.concatenate(search_of(study).mean(setting)))
+            found.append(np.concatenate(search_of(study).mean(point)))
     finally:
         torch.set_num_threads(before)
     # Conditions run side by side, each on one thread.
@@ -100,7 +100,7 @@ def test_a_response_to_an_intensity_is_that_of_a_study_whose_record_is_off(null:
     one = null.nuisance(null.origin, null.start)
     name = null.measured[0].condition.id
     sd = null.measured[0].intensity_sd
-    share = KNOB_STEP
+    share = INTENSITY_STEP
     ends = (null.mean(ParameterPoint({}, {name: sign * share * sd}), METHOD.screen_frames)[0] for sign in (1.0, -1.0))
     high, low = ends
     expected = null.whitened(null.start, [(high - low) / (2.0 * share)])
@@ -170,7 +170,7 @@ def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     assert search._scanned(ParameterPoint({}, {"c0": -0.58})).log_intensity == pytest.approx({"c0": -0.58}, abs=0.03)
     assert search._scanned(ParameterPoint({}, {"c0": 0.1})).log_intensity == pytest.approx({"c0": -0.6})
     # Fitted, it pays its prior: a little nearer to the record.
-    assert search.begin().setting.log_intensity == pytest.approx({"c0": -0.6}, abs=0.06)
+    assert search.begin().point.log_intensity == pytest.approx({"c0": -0.6}, abs=0.06)
 
 
 def fixed_nuisances(search: SimulatorLikelihood, fit: Fit) -> np.ndarray:
@@ -184,9 +184,9 @@ def test_fits_hold_residual_and_nuisances_in_units_of_one_scatter() -> None:
     """Whole frames shift intensities by forty standard deviations: a scatter that differs by a few percent between the
     two would leave a departure that is none."""
     search = search_of(small(seed=5))
-    settled = search.begin()
+    profiled = search.begin()
     start = ParameterPoint({"lidar.range_noise": {"std_m": 0.02}})
-    for fit in (settled, search.fit(start, settled.nuisance, settled.base, 1)):
+    for fit in (profiled, search.fit(start, profiled.nuisance, profiled.base, 1)):
         np.testing.assert_allclose(fit.residual, search.residual(fit.base), rtol=1e-12)
         expected = fixed_nuisances(search, fit)
         first = fit.nuisance.moving
@@ -197,12 +197,12 @@ def test_fits_hold_residual_and_nuisances_in_units_of_one_scatter() -> None:
 def test_responses_of_the_model_as_it_was_are_put_into_units_of_a_fit(null: SimulatorLikelihood) -> None:
     (loss,) = parameter_grids(EFFECTS["lidar.window_loss"], ())
     there = null.at(ParameterPoint({"lidar.range_noise": {"std_m": 0.05}}))
-    (node,) = null.nodes([(loss, 2)], ParameterPoint(), null.start)
-    (found,) = null.nodes_at([node], there)
-    (expected,) = null.nodes([(loss, 2)], ParameterPoint(), there)
-    assert (found.id, found.values) == (node.id, node.values)
+    (template,) = null.templates([(loss, 2)], ParameterPoint(), null.start)
+    (found,) = null.templates_at([template], there)
+    (expected,) = null.templates([(loss, 2)], ParameterPoint(), there)
+    assert (found.id, found.values) == (template.id, template.values)
     np.testing.assert_allclose(found.response, expected.response, rtol=1e-7, atol=1e-9)
-    assert np.abs(found.response - node.response).max() > 0.1
+    assert np.abs(found.response - template.response).max() > 0.1
 
 
 def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
@@ -220,7 +220,7 @@ def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
         found.append(search.begin())
     assert one_sd == pytest.approx(0.02 / math.sqrt(len(scene.clear)), rel=0.7)
     # The five frames of the measurement have a scale of their own; which of both it is, their variances say.
-    moved = found[1].setting.open["clear scale s0"] - found[0].setting.open["clear scale s0"]
+    moved = found[1].point.open["clear scale s0"] - found[0].point.open["clear scale s0"]
     clear_share = (1.0 / len(scene.clear)) / (1.0 / len(scene.clear) + 1.0 / search.measured[0].frames)
     assert moved == pytest.approx(-4.0 * clear_share, abs=0.6)  # settling stops where little is gained
     assert found[1].nuisance.misfit(found[1].residual) < found[0].nuisance.misfit(found[0].residual) + 4.0**2
@@ -269,31 +269,31 @@ def test_an_effect_without_a_place_is_not_moved(null: SimulatorLikelihood) -> No
 
 def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: SimulatorLikelihood) -> None:
     name = ("lidar.window_loss", "loss_db")
-    settings = [ParameterPoint({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
-    here, low, high = (null.mean(setting, METHOD.screen_frames) for setting in settings)
+    points = [ParameterPoint({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
+    here, low, high = (null.mean(point, METHOD.screen_frames) for point in points)
     before = null.simulated_frames
-    found = null._derivative(settings[0], name, here, null.start)
+    found = null._derivative(points[0], name, here, null.start)
     assert null.simulated_frames - before == METHOD.screen_frames
     expected = null.whitened(null.start, [(b - a) / 0.8 for a, b in zip(low, high, strict=True)])
     # A logarithm of intensities is linear in decibels; a few beams at the threshold are not.
     assert float(found @ expected) == pytest.approx(float(expected @ expected), rel=0.05)
 
 
-def test_responses_are_those_of_the_settings_that_are_asked_for(null: SimulatorLikelihood) -> None:
+def test_responses_are_those_of_the_points_that_are_asked_for(null: SimulatorLikelihood) -> None:
     """On top of what is there, in the order of the question."""
     (loss,) = parameter_grids(EFFECTS["lidar.window_loss"], ())
     noise = ParameterGrid(EFFECTS["lidar.range_noise"], ({"std_m": 0.03}, {"std_m": 0.1}))
-    setting = ParameterPoint({"lidar.range_bias": {"offset_m": 0.02}})
-    found = null.nodes([(loss, 2), (noise, 1), (loss, 0)], setting, null.start)
-    assert [(one.line, one.number) for one in found] == [(loss, 2), (noise, 1), (loss, 0)]
-    here = null.mean(setting, METHOD.screen_frames)
+    point = ParameterPoint({"lidar.range_bias": {"offset_m": 0.02}})
+    found = null.templates([(loss, 2), (noise, 1), (loss, 0)], point, null.start)
+    assert [(one.grid, one.number) for one in found] == [(loss, 2), (noise, 1), (loss, 0)]
+    here = null.mean(point, METHOD.screen_frames)
     for one in found:
-        assert one.values == one.line.settings[one.number]
-        there = null.mean(ParameterPoint({**setting.values, one.id: one.values}), METHOD.screen_frames)
+        assert one.values == one.grid.points[one.number]
+        there = null.mean(ParameterPoint({**point.values, one.id: one.values}), METHOD.screen_frames)
         change = [new - old for new, old in zip(there, here, strict=True)]
         np.testing.assert_allclose(one.response, null.whitened(null.start, change), atol=1e-12)
         assert np.abs(one.response).max() > 0.01
-    assert null.nodes([], setting, null.start) == []
+    assert null.templates([], point, null.start) == []
 
 
 @pytest.mark.parametrize(
@@ -302,9 +302,9 @@ def test_responses_are_those_of_the_settings_that_are_asked_for(null: SimulatorL
 def test_only_an_effect_that_leaves_something_unsaid_widens_a_scatter(
     null: SimulatorLikelihood, name: str, values: dict[str, float]
 ) -> None:
-    setting = ParameterPoint({name: values})
-    found = null.at(setting)
-    pools = null.pools(setting, null.pool_frames)
+    point = ParameterPoint({name: values})
+    found = null.at(point)
+    pools = null.pools(point, null.pool_frames)
     plain = simulated_distribution(pools, null.measured, null.noise, null.start, null.seed)
     groups = null.model.layout.groups
     open_entries = np.concatenate([np.full(one.bins, one.statistic in EFFECTS[name].unmodelled) for one in groups])
@@ -325,7 +325,7 @@ HIDDEN = [
 ]
 
 
-# With the same random numbers for every setting a share of few beams goes in steps: from other starts the fit ends up
+# With the same random numbers for every point a share of few beams goes in steps: from other starts the fit ends up
 # to this much elsewhere (2.03 to 2.11 dB for seed 1), which least squares does not know.
 STEPS_OF_FITS = {"lidar.threshold_shift": 0.05}
 
@@ -339,9 +339,9 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
     search = search_of(small([EFFECTS[name](**{parameter: truth})], seed=1))
     base = search.begin()
     fit = search.fit(ParameterPoint({name: {parameter: start}}), base.nuisance, base.base)
-    fit = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)  # with the scatter where it stands
+    fit = search.fit(fit.point, search.nuisance(fit.point, fit.base), fit.base)  # with the scatter where it stands
     error = math.hypot(math.sqrt(float(fit.covariance[0, 0])), STEPS_OF_FITS.get(name, 0.0))
-    found = fit.setting.values[name][parameter]
+    found = fit.point.values[name][parameter]
     assert fit.names == ((name, parameter),)
     assert abs(found - truth) < 3.0 * error
     assert abs(found - truth) < 0.1 * abs(truth)
@@ -359,7 +359,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_study_that_lacks_nothing_raises_no_alarm(seed: int) -> None:
     search = search_of(small(seed=seed + 10))
-    found = global_test(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
+    found = run_global_test(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
     assert found.p_value > METHOD.alarm_p
 
 
@@ -369,10 +369,10 @@ def test_a_hidden_effect_raises_an_alarm_and_with_it_in_the_model_there_is_none(
     study = small([window], seed=2)
     search = search_of(study)
     names = ["lidar.window_loss", "lidar.range_noise"]
-    found = global_test(search, [EFFECTS[name] for name in names], search.begin(), 0)
+    found = run_global_test(search, [EFFECTS[name] for name in names], search.begin(), 0)
     assert found.p_value < 1e-6
-    assert found.nodes[int(found.gains.argmax())].id == "lidar.window_loss"
+    assert found.templates[int(found.gains.argmax())].id == "lidar.window_loss"
     others = [name for name in SCREENED if name != "lidar.window_loss"]
     with_it = find_gap_with(LidarFrames(study, effects=[window]), effects=others)
     assert with_it.verdict == "none"
-    assert with_it.screening.misfit < 1.3 * with_it.screening.counted < 0.5 * found.misfit
+    assert with_it.global_test.misfit < 1.3 * with_it.global_test.counted < 0.5 * found.misfit

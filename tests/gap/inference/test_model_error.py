@@ -19,8 +19,8 @@ NOTHING = Systematics(np.zeros((4, 1)), np.zeros(1), 0)
 def search(start: list[float]) -> Any:
     """Two conditions of two entries; scatter 0.5."""
 
-    def mean(setting: ParameterPoint, frames: int) -> list[Any]:
-        moved = sum(values["by"] for values in setting.values.values()) + sum(setting.log_intensity.values())
+    def mean(point: ParameterPoint, frames: int) -> list[Any]:
+        moved = sum(values["by"] for values in point.values.values()) + sum(point.log_intensity.values())
         return [np.array([moved, 0.0]), np.array([0.0, 2.0 * moved])]
 
     return SimpleNamespace(
@@ -31,9 +31,9 @@ def search(start: list[float]) -> Any:
     )
 
 
-def fit(mean: list[float], nuisance: Systematics = NOTHING, setting: ParameterPoint | None = None) -> Any:
+def fit(mean: list[float], nuisance: Systematics = NOTHING, point: ParameterPoint | None = None) -> Any:
     base = SimpleNamespace(mean=dict(zip(NAMES, np.array(mean).reshape(2, 2), strict=True)))
-    return SimpleNamespace(base=base, nuisance=nuisance, setting=setting or ParameterPoint())
+    return SimpleNamespace(base=base, nuisance=nuisance, point=point or ParameterPoint())
 
 
 def test_what_acts_alike_shares_all_and_what_acts_elsewhere_nothing() -> None:
@@ -47,10 +47,10 @@ def test_what_acts_alike_shares_all_and_what_acts_elsewhere_nothing() -> None:
 def test_no_error_of_a_first_effect_gives_a_further_one_more_than_its_share() -> None:
     """Off by 10 % anywhere along its signature: what any response gains of that is at most 1 % of what it shares."""
     generator = np.random.default_rng(3)
-    signature, further = generator.normal(size=(2, 4))
-    shared = explained_beside(search([0.0] * 4), fit((0.5 * signature).tolist()), further[None])[0]
+    signature, added = generator.normal(size=(2, 4))
+    shared = explained_beside(search([0.0] * 4), fit((0.5 * signature).tolist()), added[None])[0]
     off = 0.1 * signature * generator.choice([-1.0, 1.0], size=(200, 4))
-    gained = (off @ further) ** 2 / (further @ further)
+    gained = (off @ added) ** 2 / (added @ added)
     assert gained.max() <= 0.01 * shared * (1.0 + 1e-9)
     assert gained.max() > 0.999 * 0.01 * shared  # and it is reached
 
@@ -63,6 +63,6 @@ def test_what_nuisances_explain_counts_for_neither() -> None:
 
 
 def test_a_response_is_that_of_one_effect_beside_the_others_and_the_weather() -> None:
-    setting = ParameterPoint({"first": {"by": 5.0}, "further": {"by": 0.25}}, {"c0": 7.0})
-    found = response_of(search([0.0] * 4), fit([0.0] * 4, setting=setting), "further")
+    point = ParameterPoint({"first": {"by": 5.0}, "further": {"by": 0.25}}, {"c0": 7.0})
+    found = response_of(search([0.0] * 4), fit([0.0] * 4, point=point), "further")
     assert found == pytest.approx([0.5, 0.0, 0.0, 1.0])

@@ -32,7 +32,7 @@ ENTRIES = np.repeat(np.arange(4), 3)
 PLACES = np.tile(ENTRIES, 2)  # two conditions
 USED = PLACES.reshape(2, 12) < 3
 USED[0, 3] = False  # the group "seldom" has five of six entries
-REST = ResidualTest(ENTRIES, USED, np.array([1.5, 0.5, 1.0, 1.0]))
+RESIDUAL = ResidualTest(ENTRIES, USED, np.array([1.5, 0.5, 1.0, 1.0]))
 
 
 def test_squares_and_excess_are_those_of_loops() -> None:
@@ -40,15 +40,15 @@ def test_squares_and_excess_are_those_of_loops() -> None:
     squares = [
         sum(float(value) ** 2 for value, place in zip(left, PLACES, strict=True) if place == k) for k in range(4)
     ]
-    np.testing.assert_allclose(REST.squares(left), squares, rtol=1e-12)
+    np.testing.assert_allclose(RESIDUAL.squares(left), squares, rtol=1e-12)
     left[PLACES == 1] *= 10.0
     left[PLACES == 3] = 0.0
-    np.testing.assert_array_equal(REST.counted, [6, 5, 6, 0])
+    np.testing.assert_array_equal(RESIDUAL.counted, [6, 5, 6, 0])
     excess = sum(
         max(float(one) - noise * n, 0.0)
-        for one, noise, n in zip(REST.squares(left), REST.noise, REST.counted, strict=True)
+        for one, noise, n in zip(RESIDUAL.squares(left), RESIDUAL.noise, RESIDUAL.counted, strict=True)
     )
-    assert REST.excess(left) == pytest.approx(excess, rel=1e-12)
+    assert RESIDUAL.excess(left) == pytest.approx(excess, rel=1e-12)
     assert excess > 50.0
 
 
@@ -65,9 +65,9 @@ def test_a_few_entries_that_depart_are_not_drowned_in_all_others() -> None:
 
 
 def test_noise_seldom_raises_an_alarm() -> None:
-    noise = np.sqrt(REST.noise)[PLACES] * USED.ravel() * RNG(3).normal(size=(4000, 24))
+    noise = np.sqrt(RESIDUAL.noise)[PLACES] * USED.ravel() * RNG(3).normal(size=(4000, 24))
     # Three groups, 4,000 draws: 5 x sqrt(0.05 x 0.95 / 4,000) = 0.017.
-    for p_value in (REST.p_value, REST.common_p_value):
+    for p_value in (RESIDUAL.p_value, RESIDUAL.common_p_value):
         found = np.array([p_value(one) for one in noise])
         assert (found < 0.05).mean() == pytest.approx(0.05, abs=0.017)
     nothing = ResidualTest(ENTRIES, np.zeros((2, 12), bool), np.ones(4))

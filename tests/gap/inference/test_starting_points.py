@@ -1,4 +1,4 @@
-"""Where the search starts: settings inside the bounds, of either sign, away from the identity."""
+"""Where the search starts: points inside the bounds, of either sign, away from the identity."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ PLACES = (-2.0, 0.5)
 NAMES = sorted(name for name in LIDAR_EFFECTS if name.startswith("lidar."))
 
 
-def varied(line: ParameterGrid) -> list[str]:
-    """Parameters that change along a line."""
-    return [name for name in line.settings[0] if len({values[name] for values in line.settings}) > 1]
+def varied(grid: ParameterGrid) -> list[str]:
+    """Parameters that change along a grid."""
+    return [name for name in grid.points[0] if len({values[name] for values in grid.points}) > 1]
 
 
-def departures(effect: type[Effect], line: ParameterGrid) -> dict[str, list[float]]:
-    """By how much each deciding parameter that a line sets departs from its identity."""
+def departures(effect: type[Effect], grid: ParameterGrid) -> dict[str, list[float]]:
+    """By how much each deciding parameter that a grid sets departs from its identity."""
     found = {}
     for parameter in effect.arguments:
-        if parameter.identity is not None and parameter.name in line.settings[0]:
-            values = [one[parameter.name] for one in line.settings]
+        if parameter.identity is not None and parameter.name in grid.points[0]:
+            values = [one[parameter.name] for one in grid.points]
             # A far extent or saturation is near to none.
             found[parameter.name] = [
                 -1.0 / value if math.isinf(parameter.identity) else value - parameter.identity for value in values
@@ -39,25 +39,25 @@ def test_the_catalogue_is_there() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_settings_lie_inside_the_bounds_and_are_no_identity(name: str) -> None:
+def test_points_lie_inside_the_bounds_and_are_no_identity(name: str) -> None:
     effect = EFFECTS[name]
     bounds = {parameter.name: (parameter.low, parameter.high) for parameter in effect.arguments}
     found = parameter_grids(effect, PLACES)
     assert found
-    for line in found:
-        assert line.effect is effect
-        assert line.settings
-        for values in line.settings:
+    for grid in found:
+        assert grid.effect is effect
+        assert grid.points
+        for values in grid.points:
             assert all(bounds[key][0] <= value <= bounds[key][1] for key, value in values.items())
             assert not bool(effect(**values).at_identity)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_settings_grow_along_a_line(name: str) -> None:
-    for line in parameter_grids(EFFECTS[name], PLACES):
-        changed = departures(EFFECTS[name], line)
-        assert len(changed) == 1  # one deciding parameter a line
-        assert varied(line) in ([], list(changed))
+def test_points_grow_along_a_grid(name: str) -> None:
+    for grid in parameter_grids(EFFECTS[name], PLACES):
+        changed = departures(EFFECTS[name], grid)
+        assert len(changed) == 1  # one deciding parameter a grid
+        assert varied(grid) in ([], list(changed))
         (steps,) = changed.values()
         sizes = [abs(step) for step in steps]
         assert sizes == sorted(set(sizes))
@@ -68,8 +68,8 @@ def test_settings_grow_along_a_line(name: str) -> None:
 def test_a_deciding_parameter_is_tried_on_either_side_where_its_bounds_allow(name: str) -> None:
     effect = EFFECTS[name]
     signs: dict[str, set[float]] = {}
-    for line in parameter_grids(effect, PLACES):
-        for key, steps in departures(effect, line).items():
+    for grid in parameter_grids(effect, PLACES):
+        for key, steps in departures(effect, grid).items():
             signs.setdefault(key, set()).add(math.copysign(1.0, steps[0]))
     for parameter in effect.arguments:
         if parameter.identity is None:
@@ -83,54 +83,54 @@ def test_a_deciding_parameter_is_tried_on_either_side_where_its_bounds_allow(nam
 def test_a_place_is_tried_where_the_caller_says() -> None:
     found = {
         values["azimuth_rad"]
-        for line in parameter_grids(EFFECTS["lidar.sector_loss"], PLACES)
-        for values in line.settings
+        for grid in parameter_grids(EFFECTS["lidar.sector_loss"], PLACES)
+        for values in grid.points
     }
     assert found == set(PLACES)
     assert not parameter_grids(EFFECTS["lidar.sector_loss"], [])
 
 
-def test_weak_and_strong_settings_span_a_decade_where_the_bounds_allow() -> None:
-    (line,) = parameter_grids(EFFECTS["lidar.window_loss"], PLACES)
-    strengths = [values["loss_db"] for values in line.settings]
+def test_weak_and_strong_points_span_a_decade_where_the_bounds_allow() -> None:
+    (grid,) = parameter_grids(EFFECTS["lidar.window_loss"], PLACES)
+    strengths = [values["loss_db"] for values in grid.points]
     assert strengths[-1] / strengths[0] >= 10.0
     assert strengths[0] <= 0.05 * EFFECTS["lidar.window_loss"].arguments[0].scale  # few counts go as the root
 
 
 @pytest.mark.parametrize(("number", "first"), [(1, (0,)), (2, (1,)), (3, (0, 1)), (4, (0, 2)), (6, (0, 1, 2, 3, 4, 5))])
-def test_a_weak_setting_and_a_typical_one_are_tried_first(number: int, first: tuple[int, ...]) -> None:
-    settings = tuple({"loss_db": float(place)} for place in range(number))
-    assert ParameterGrid(EFFECTS["lidar.window_loss"], settings).first == first
+def test_a_weak_point_and_a_typical_one_are_tried_first(number: int, first: tuple[int, ...]) -> None:
+    points = tuple({"loss_db": float(place)} for place in range(number))
+    assert ParameterGrid(EFFECTS["lidar.window_loss"], points).first == first
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_of_four_steps_the_third_is_of_the_typical_size_and_far_extents_are_all_tried(name: str) -> None:
     effect = EFFECTS[name]
     scales = {one.name: (one.identity, one.scale) for one in effect.arguments if one.identity is not None}
-    for line in parameter_grids(effect, PLACES):
-        ((key, steps),) = departures(effect, line).items()
+    for grid in parameter_grids(effect, PLACES):
+        ((key, steps),) = departures(effect, grid).items()
         identity, scale = scales[key]
         if math.isinf(identity):
-            assert line.first == tuple(range(len(line.settings)))
-        elif len(line.settings) == 4:
+            assert grid.first == tuple(range(len(grid.points)))
+        elif len(grid.points) == 4:
             factor = identity > 0 and effect.arguments[[one.name for one in effect.arguments].index(key)].low >= 0
             typical = (
                 identity * math.expm1(math.copysign(scale, steps[0])) if factor else math.copysign(scale, steps[0])
             )
-            assert steps[line.first[-1]] == pytest.approx(typical, rel=1e-9)
-            assert abs(steps[line.first[0]]) < 0.1 * abs(typical)
+            assert steps[grid.first[-1]] == pytest.approx(typical, rel=1e-9)
+            assert abs(steps[grid.first[0]]) < 0.1 * abs(typical)
 
 
 def test_what_cuts_is_tried_so_closely_that_nothing_is_stepped_over() -> None:
     """Particles between one metre and the next are cut or not: from half a metre to seven, by a fifth each."""
-    (line,) = parameter_grids(EFFECTS["lidar.blind_zone"], [])
-    values = [setting["range_m"] for setting in line.settings]
+    (grid,) = parameter_grids(EFFECTS["lidar.blind_zone"], [])
+    values = [point["range_m"] for point in grid.points]
     assert values[0] < 0.5 < 6.5 < values[-1]
     assert [high / low for low, high in itertools.pairwise(values)] == pytest.approx([1.2] * (len(values) - 1))
-    assert list(line.first) == list(range(len(values)))
+    assert list(grid.first) == list(range(len(values)))
     assert [name for name in NAMES if EFFECTS[name].cuts] == ["lidar.blind_zone"]
 
 
 def test_values_that_are_a_matter_of_the_data_are_tried_as_they_are() -> None:
-    (line,) = parameter_grids(EFFECTS["camera.saturation"], (), {"level": (0.71, 0.69, 0.4)})
-    assert [dict(one) for one in line.settings] == [{"level": 0.71}, {"level": 0.69}, {"level": 0.4}]
+    (grid,) = parameter_grids(EFFECTS["camera.saturation"], (), {"level": (0.71, 0.69, 0.4)})
+    assert [dict(one) for one in grid.points] == [{"level": 0.71}, {"level": 0.69}, {"level": 0.4}]

@@ -89,7 +89,7 @@ def test_an_intensity_error_within_its_record_costs_its_prior_alone() -> None:
     response = 5.0 * RNG(6).normal(size=(SIZE, 1))
     one, norm = Systematics(response, np.zeros(1), 1), float((response**2).sum())
     for sds in (-1.0, 0.5, 2.0):
-        # |G n|^2 / (1 + |G|^2) = n^2 (1 - 1 / (1 + |G|^2)): the knob's own prior and no more.
+        # |G n|^2 / (1 + |G|^2) = n^2 (1 - 1 / (1 + |G|^2)): the intensity's own prior and no more.
         assert one.misfit(sds * response[:, 0]) == pytest.approx(sds**2 * norm / (1.0 + norm), rel=1e-10)
         assert one.step(sds * response[:, 0])[0] == pytest.approx(sds * norm / (1.0 + norm), rel=1e-10)
 
@@ -147,9 +147,9 @@ def test_drawn_nuisances_have_their_covariance() -> None:
 # ---- responses -------------------------------------------------------------------------------------------------------
 
 
-def nodes(responses: Any) -> list[ResponseTemplate]:
-    line = ParameterGrid(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},))
-    return [ResponseTemplate(line, 0, {"loss_db": 1.0}, response) for response in responses]
+def templates(responses: Any) -> list[ResponseTemplate]:
+    grid = ParameterGrid(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},))
+    return [ResponseTemplate(grid, 0, {"loss_db": 1.0}, response) for response in responses]
 
 
 GRID = np.linspace(*METHOD.template_amplitudes, 541)  # steps of 0.0025
@@ -162,8 +162,8 @@ def test_an_amplitude_is_the_best_of_a_grid_and_a_gain_what_it_takes_off_the_mis
     responses = RNG(7).normal(size=(4, SIZE))
     rows = np.stack([responses[0], -responses[1], 3.0 * responses[2], RNG(8).normal(size=SIZE)])
     left = np.stack([one.left(row) for row in rows])
-    found, norm = amplitudes(nodes(responses), left, one)
-    gain = delta_chi2(nodes(responses), left, one)
+    found, norm = amplitudes(templates(responses), left, one)
+    gain = delta_chi2(templates(responses), left, one)
     np.testing.assert_allclose(norm, [float(response @ one(response)) for response in responses], rtol=1e-10)
     for place, row in enumerate(rows):
         for number, response in enumerate(responses):
@@ -182,7 +182,7 @@ def test_a_gain_is_the_whole_square_of_a_response_itself_and_none_of_its_opposit
     left = one(np.stack([response, -response, 3.0 * response]))
     # No more than 1.35 times a response is believed: 2 a 3 - a^2 squares.
     expected = [square, 0.0, (6.0 * METHOD.template_amplitudes[1] - METHOD.template_amplitudes[1] ** 2) * square]
-    np.testing.assert_allclose(delta_chi2(nodes([response]), left, one)[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(delta_chi2(templates([response]), left, one)[:, 0], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -193,7 +193,7 @@ def test_the_gain_of_a_pair_is_the_best_of_a_grid_of_both_amplitudes(seed: int) 
     responses[3] = 0.8 * responses[2] + 0.05 * rng.normal(size=SIZE)  # nearly the same
     residual = 0.9 * responses[0] + 0.4 * responses[1] - 0.5 * responses[4] + rng.normal(size=SIZE)
     left = one.left(residual)
-    found = pair_delta_chi2(nodes(responses), left, one)
+    found = pair_delta_chi2(templates(responses), left, one)
     np.testing.assert_allclose(found, found.T, rtol=1e-9)
     first, second = np.meshgrid(GRID, GRID, indexing="ij")
     for i in range(5):
@@ -204,7 +204,7 @@ def test_the_gain_of_a_pair_is_the_best_of_a_grid_of_both_amplitudes(seed: int) 
             gain -= first**2 * own + second**2 * other + 2.0 * first * second * both
             missed = 0.25 * GRID[1] ** 2 * (own + other + 2.0 * abs(both))
             assert 0.0 <= found[i, j] - gain.max() + 1e-9 < missed + 2e-9
-    alone = delta_chi2(nodes(responses), left[None], one)[0]
+    alone = delta_chi2(templates(responses), left[None], one)[0]
     assert (found >= np.maximum(alone[:, None], alone[None]) - 1e-9).all()
 
 
@@ -214,7 +214,7 @@ def test_two_halves_of_a_residual_are_found_together() -> None:
     common, own = RNG(11).normal(size=(2, SIZE))
     first, second = common + 0.1 * own, -common + 0.1 * own
     residual = first + second
-    single = delta_chi2(nodes([first, second]), residual[None], one)[0]
-    pair = pair_delta_chi2(nodes([first, second]), residual, one)[0, 1]
+    single = delta_chi2(templates([first, second]), residual[None], one)[0]
+    pair = pair_delta_chi2(templates([first, second]), residual, one)[0, 1]
     assert pair == pytest.approx(float(residual @ residual), rel=1e-9)
     assert single.max() < 0.1 * pair

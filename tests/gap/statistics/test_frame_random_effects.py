@@ -290,7 +290,7 @@ def test_seeds_differ_between_conditions_and_searches() -> None:
     assert len({seed for seeds in each for seed in seeds}) == 6 * 48
 
 
-def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_response() -> None:
+def test_every_point_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_response() -> None:
     search, given = bare(), []
 
     def simulated(condition: Any, effects: Any, log_intensity: float, seeds: Any, portions: int = 1) -> Reduced:
@@ -300,9 +300,9 @@ def test_every_setting_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_
 
     search.model.simulated = simulated  # type: ignore[method-assign]
     search.model.systematics = lambda condition, strengths: []  # type: ignore[method-assign]
-    for setting in (ParameterPoint(), ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
-        search.mean(setting)
-        search.mean(setting, METHOD.screen_frames)
+    for point in (ParameterPoint(), ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
+        search.mean(point)
+        search.mean(point, METHOD.screen_frames)
     assert (METHOD.probe_frames, METHOD.screen_frames) == (16, 6)
     wanted = {(name, tuple(search.seeds(k, number))) for k, name in enumerate(SCENES) for number in (16, 6)}
     assert set(given) == wanted

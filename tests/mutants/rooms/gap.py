@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
 
-REST = "torchweather.gap.inference.residual_tests"
-WHOLE_FRAMES = "torchweather.gap.statistics.frame_random_effects"
+RESIDUAL = "torchweather.gap.inference.residual_tests"
+RANDOM_EFFECTS = "torchweather.gap.statistics.frame_random_effects"
 FORMULA = "torchweather.gap.statistics.formula"
 
 MUTANTS = (
     Mutant(
         "multiple_comparisons_not_corrected",
         "the least of many p-values is multiplied by their number",
-        REST,
+        RESIDUAL,
         "return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0",
         "return float(min(1.0, each.min())) if some.any() else 1.0",
         ("tests/gap/inference/test_residual_tests.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
@@ -20,7 +20,7 @@ MUTANTS = (
     Mutant(
         "residuals_shared_by_conditions_not_scaled",
         "a pattern common to n conditions is their sum over the root of n",
-        REST,
+        RESIDUAL,
         "/ np.sqrt(np.maximum(number, 1))",
         "/ np.maximum(number, 1)",
         ("tests/gap/inference/test_residual_tests.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
@@ -28,7 +28,7 @@ MUTANTS = (
     Mutant(
         "t_interval_taken_as_normal",
         "few degrees of freedom widen the noise of whole frames",
-        WHOLE_FRAMES,
+        RANDOM_EFFECTS,
         "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2)",
         "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 0)",
         (
@@ -41,7 +41,7 @@ MUTANTS = (
     Mutant(
         "sampling_noise_counted_as_frame_noise",
         "noise of whole frames is what exceeds the sampling noise",
-        WHOLE_FRAMES,
+        RANDOM_EFFECTS,
         "excess = float((even**2).sum()) - (number - 1) * variance",
         "excess = float((even**2).sum())",
         (
@@ -53,10 +53,10 @@ MUTANTS = (
     ),
     Mutant(
         "effects_found_not_taken_out",
-        "a further effect explains what the found ones do not",
+        "an added effect explains what the found ones do not",
         "torchweather.gap.inference.model_error",
-        "found: Floats = (further @ done) ** 2 / norm",
-        "found: Floats = 0.0 * (further @ done) ** 2 / norm",
+        "found: Floats = (added @ done) ** 2 / norm",
+        "found: Floats = 0.0 * (added @ done) ** 2 / norm",
         ("tests/gap/inference/test_model_error.py::test_what_nuisances_explain_counts_for_neither",),
     ),
     Mutant(

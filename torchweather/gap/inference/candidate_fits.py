@@ -1,4 +1,4 @@
-"""Candidates: settings that response curves propose, fitted in the simulator.
+"""Candidates: parameter points that response templates propose, fitted in the simulator.
 
 References:
     GAP.md 3 (6).
@@ -23,7 +23,7 @@ from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.gap.inference.systematics import Systematics
 
 __all__ = [
-    "SETTLED_BESIDE",
+    "PROFILED_BESIDE",
     "Candidate",
     "Proposal",
     "best_templates",
@@ -38,12 +38,12 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 Proposal = tuple[ParameterPoint, ResponseTemplate, float]
-"""A setting, what to put on top of it, and how much of its response is expected."""
+"""A parameter point, the template to put on top of it, and how much of its response is expected."""
 
 # Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
 # left open stands so many standard deviations off.
 SHADOWED, FAR = (0.1, 0.5), 2.0
-SETTLED_ROUNDS, SETTLED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
+PROFILE_ROUNDS, PROFILED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
 OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronger effects, and what each multiplies by
 QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 
@@ -66,77 +66,86 @@ class Candidate:
 
 
 def best_templates(
-    nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics
+    templates: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics
 ) -> list[tuple[ResponseTemplate, float]]:
-    """The best node of each effect that is worth a fit, with its amplitude, best first."""
-    gain = delta_chi2(nodes, left[None], nuisance)[0]
-    amplitude = amplitudes(nodes, left[None], nuisance)[0][0]
+    """The best template of each effect that is worth a fit, with its amplitude, best first."""
+    gain = delta_chi2(templates, left[None], nuisance)[0]
+    amplitude = amplitudes(templates, left[None], nuisance)[0][0]
     best: dict[str, int] = {}
     for place in np.argsort(-gain):
-        best.setdefault(nodes[place].id, int(place))
+        best.setdefault(templates[place].id, int(place))
     worth = [place for place in best.values() if gain[place] >= METHOD.refit_share * gain.max()]
-    return [(nodes[place], float(amplitude[place])) for place in worth]
+    return [(templates[place], float(amplitude[place])) for place in worth]
 
 
 def unscaled_templates(
-    nodes: Sequence[ResponseTemplate],
+    templates: Sequence[ResponseTemplate],
     chosen: Sequence[tuple[ResponseTemplate, float]],
     left: Floats,
     nuisance: Systematics,
 ) -> list[tuple[ResponseTemplate, float]]:
-    """Of each effect that begins at a threshold and whose chosen node would be scaled to much less, the node that
-    explains most, or spoils least, as it stands.
+    """Unscaled template that explains most, or spoils least, of each effect that begins at a threshold and whose chosen
+    template would be scaled to much less.
 
     A share of the response to many strong ghosts is not the response to the first ones that are detected.
     """
-    responses = np.stack([node.response for node in nodes])
+    responses = np.stack([template.response for template in templates])
     gain = 2.0 * responses @ left - (responses * nuisance(responses)).sum(1)
     best: dict[str, int] = {}
     for place in np.argsort(-gain):
-        best.setdefault(nodes[place].id, int(place))
-    scaled = [node for node, amplitude in chosen if node.line.curved and amplitude < METHOD.threshold_amplitude]
-    return [(nodes[best[node.id]], 1.0) for node in scaled]
+        best.setdefault(templates[place].id, int(place))
+    scaled = [
+        template for template, amplitude in chosen if template.grid.curved and amplitude < METHOD.threshold_amplitude
+    ]
+    return [(templates[best[template.id]], 1.0) for template in scaled]
 
 
 def hidden_templates(
-    nodes: Sequence[ResponseTemplate], nuisance: Systematics, open_ones: slice
+    templates: Sequence[ResponseTemplate], nuisance: Systematics, open_ones: slice
 ) -> list[tuple[ResponseTemplate, float]]:
-    """The node of each effect that looks most like what is left open has done, with its amplitude, best first.
+    """The template of each effect that looks most like what is left open has done, with its amplitude, best first.
 
     Such an effect promises nothing while the nuisances stand in its place.
 
     Args:
-        nodes: responses.
+        templates: responses.
         nuisance: where they stand.
         open_ones: places of what is left open among the nuisances.
     """
     done = nuisance.response[:, open_ones] @ nuisance.offset[open_ones]
-    responses = np.stack([node.response for node in nodes])
+    responses = np.stack([template.response for template in templates])
     norm = np.maximum((responses**2).sum(1), 1e-12)
     along = np.maximum(responses @ done, 0.0)
     best: dict[str, int] = {}
     for place in np.argsort(-(along**2 / norm)):
-        best.setdefault(nodes[place].id, int(place))
+        best.setdefault(templates[place].id, int(place))
     return [
-        (nodes[place], float(min(along[place] / norm[place], METHOD.template_amplitudes[1]))) for place in best.values()
+        (templates[place], float(min(along[place] / norm[place], METHOD.template_amplitudes[1])))
+        for place in best.values()
     ]
 
 
-def best_pairs(nodes: Sequence[ResponseTemplate], gain: Floats, origin: ParameterPoint, least: float) -> list[Proposal]:
+def best_pairs(
+    templates: Sequence[ResponseTemplate], gain: Floats, origin: ParameterPoint, least: float
+) -> list[Proposal]:
     """Pairs of different effects whose responses explain more than ``least`` together, best first."""
     first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
     found: dict[frozenset[str], Proposal] = {}
     for one, other in zip(first, second, strict=True):
         if gain[one, other] < least or len(found) == METHOD.pairs_refitted:
             break
-        names = frozenset((nodes[one].id, nodes[other].id))
+        names = frozenset((templates[one].id, templates[other].id))
         if len(names) == 2 and names not in found:
-            found[names] = (replace(origin, values={nodes[one].id: _start(nodes[one], 1.0)}), nodes[other], 1.0)
+            found[names] = (
+                replace(origin, values={templates[one].id: _start(templates[one], 1.0)}),
+                templates[other],
+                1.0,
+            )
     return list(found.values())
 
 
 def scattering(
-    search: SimulatorLikelihood, base: Fit, nodes: Sequence[ResponseTemplate], least: float
+    search: SimulatorLikelihood, base: Fit, templates: Sequence[ResponseTemplate], least: float
 ) -> list[tuple[Fit, Proposal]]:
     """The likeliest strength of each effect by which whole frames differ, and which other statistics than means show.
 
@@ -145,30 +154,30 @@ def scattering(
     Args:
         search: its simulator.
         base: the fit without effects.
-        nodes: responses.
+        templates: responses.
         least: gain of a response in other statistics than means from which its effect is looked at.
 
     Returns:
         The simulator with each effect, to begin a fit from, and the proposal of that strength.
     """
-    own = [node for node in nodes if node.line.effect.scatters]
+    own = [template for template in templates if template.grid.effect.scatters]
     found = []
-    for name in dict.fromkeys(node.id for node in own if _gain_beside_means(search, node) >= least):
+    for name in dict.fromkeys(template.id for template in own if _gain_beside_means(search, template) >= least):
         tried = []
-        for line in {id(node.line): node.line for node in own if node.id == name}.values():
-            for number, values in enumerate(line.settings):
+        for grid in {id(template.grid): template.grid for template in own if template.id == name}.values():
+            for number, values in enumerate(grid.points):
                 fit = search.fit(replace(search.origin, values={name: values}), base.nuisance, base.base, 0)
-                tried.append((fit, ResponseTemplate(line, number, values, base.residual)))
-        best, node = min(tried, key=lambda one: one[0].misfit)
-        found.append((best, (search.origin, node, 1.0)))
+                tried.append((fit, ResponseTemplate(grid, number, values, base.residual)))
+        best, template = min(tried, key=lambda one: one[0].misfit)
+        found.append((best, (search.origin, template, 1.0)))
     return found
 
 
-def _gain_beside_means(search: SimulatorLikelihood, node: ResponseTemplate) -> float:
+def _gain_beside_means(search: SimulatorLikelihood, template: ResponseTemplate) -> float:
     """By how much a response, scaled, lowers the squares of what departs in entries that are no means of elements."""
     there, here = (
         search.mean(replace(search.origin, values=values), METHOD.screen_frames)
-        for values in ({node.id: node.values}, {})
+        for values in ({template.id: template.values}, {})
     )
     along = norm = 0.0
     for target, moved, still in zip(search.measured, there, here, strict=True):
@@ -180,83 +189,85 @@ def _gain_beside_means(search: SimulatorLikelihood, node: ResponseTemplate) -> f
     return max(along, 0.0) ** 2 / max(norm, 1e-12)
 
 
-def stands_far(setting: ParameterPoint) -> bool:
+def stands_far(point: ParameterPoint) -> bool:
     """Whether something that the model leaves open has moved by more than such things do by chance."""
-    return any(abs(value) > FAR for value in setting.open.values())
+    return any(abs(value) > FAR for value in point.open.values())
 
 
 def fitted(
     search: SimulatorLikelihood, base: Fit, proposed: Sequence[Proposal], misfit: float, progress: Callable[[str], None]
 ) -> list[Candidate]:
-    """Effects fitted in the simulator, each on top of its setting; best first."""
+    """Effects fitted in the simulator, each on top of its point; best first."""
     found = []
-    for place, (setting, node, amplitude) in enumerate(proposed):
-        progress("fitting " + " and ".join([*setting.values, node.id]))
-        values = {**setting.values, node.id: _start(node, amplitude)}
-        starts = [(replace(setting, values=values), base.nuisance)]
-        response = node.response
-        shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(setting)] * (response @ response)
-        if shadowed and place < SETTLED_BESIDE and not setting.values:
-            # The nuisances have moved to look like the effect while it was not there: let them settle with it.
-            starts.append(_settled_along(search, base, setting, node, misfit))
+    for place, (point, template, amplitude) in enumerate(proposed):
+        progress("fitting " + " and ".join([*point.values, template.id]))
+        values = {**point.values, template.id: _start(template, amplitude)}
+        starts = [(replace(point, values=values), base.nuisance)]
+        response = template.response
+        shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(point)] * (response @ response)
+        if shadowed and place < PROFILED_BESIDE and not point.values:
+            # The nuisances have moved to look like the effect while it was not there: profile over them beside it.
+            starts.append(_profiled_along(search, base, point, template, misfit))
         fits = []
         for start, nuisance in starts:
-            fits.append(search.fit(located(search, start, node.id, base), nuisance, base.base, QUICK))
+            fits.append(search.fit(located(search, start, template.id, base), nuisance, base.base, QUICK))
         fit = min(fits, key=lambda one: one.misfit)
-        if stands_far(fit.setting) and place < SETTLED_BESIDE and not setting.values:
-            # What is left open may have gone astray: let it settle from rest beside the effect as it was found.
-            start, nuisance, _ = search.settle_beside(ParameterPoint(fit.setting.values), base, SETTLED_ROUNDS)
+        if stands_far(fit.point) and place < PROFILED_BESIDE and not point.values:
+            # What is left open may have gone astray: profile over it from zero beside the effect as found.
+            start, nuisance, _ = search.profile_beside(ParameterPoint(fit.point.values), base, PROFILE_ROUNDS)
             fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)
-        found.append(Candidate(node.id, fit, misfit - fit.misfit))
+        found.append(Candidate(template.id, fit, misfit - fit.misfit))
     least = min(candidate.fit.misfit for candidate in found)
     for place, one in enumerate(found):
         if one.fit.misfit < least + CLOSE:
-            progress("refining " + " and ".join(one.fit.setting.values))
+            progress("refining " + " and ".join(one.fit.point.values))
             fit = _refined(search, one.fit)
             found[place] = Candidate(one.id, fit, misfit - fit.misfit)
-    own = [one for one in found if not is_another(search.model, one.fit.setting.values)]
+    own = [one for one in found if not is_another(search.model, one.fit.point.values)]
     return sorted(own or found, key=lambda candidate: candidate.fit.misfit)
 
 
 def _refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
     """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
     for _ in range(METHOD.reweightings):
-        found = search.fit(fit.setting, search.nuisance(fit.setting, fit.base), fit.base)
+        found = search.fit(fit.point, search.nuisance(fit.point, fit.base), fit.base)
         gained = fit.misfit - found.misfit
         fit = found if gained > 0 else fit
-        if gained < METHOD.settled_chi2:
+        if gained < METHOD.converged_chi2:
             break
     return fit
 
 
-def _settled_along(
-    search: SimulatorLikelihood, base: Fit, setting: ParameterPoint, node: ResponseTemplate, misfit: float
+def _profiled_along(
+    search: SimulatorLikelihood, base: Fit, point: ParameterPoint, template: ResponseTemplate, misfit: float
 ) -> tuple[ParameterPoint, Systematics]:
-    """The nuisances settled beside an effect at the best of its weak strengths (the nuisances do not reach as far as a
-    strong one), and where a parabola through the misfits has its least.
+    """Profile over the nuisances beside an effect, at the best of its weak strengths and at the least of a parabola
+    through their misfits; the nuisances do not reach as far as a strong effect.
 
     Args:
         search: its simulator.
         base: the fit without effects.
-        setting: effects found before.
-        node: of the effect.
+        point: effects found before.
+        template: of the effect.
         misfit: without the effect.
 
     Returns:
-        The setting, and the nuisances there.
+        The point, and the nuisances there.
     """
 
-    def settled(values: Mapping[str, float]) -> tuple[ParameterPoint, Systematics, float]:
-        values = _start(replace(node, values=values), 1.0)
-        return search.settle_beside(ParameterPoint({**setting.values, node.id: values}), base, SETTLED_ROUNDS)
+    def profiled(values: Mapping[str, float]) -> tuple[ParameterPoint, Systematics, float]:
+        values = _start(replace(template, values=values), 1.0)
+        return search.profile_beside(ParameterPoint({**point.values, template.id: values}), base, PROFILE_ROUNDS)
 
-    (name,) = [one.name for one in node.line.effect.arguments if one.identity is not None and one.name in node.values]
-    declared = next(one for one in node.line.effect.arguments if one.name == name)
+    (name,) = [
+        one.name for one in template.grid.effect.arguments if one.identity is not None and one.name in template.values
+    ]
+    declared = next(one for one in template.grid.effect.arguments if one.name == name)
     # Of either sign: while the nuisances look like the effect, its own may be the wrong one.
-    curves = parameter_grids(node.line.effect, [node.values.get("azimuth_rad", 0.0)], search.model.sizes)
-    curves = [one for one in curves if name in one.settings[0]]
-    strengths = {values[name] for curve in curves for values in curve.settings[: 2 if len(curves) > 1 else 3]}
-    found = {strength: settled({**node.values, name: strength}) for strength in sorted(strengths)}
+    curves = parameter_grids(template.grid.effect, [template.values.get("azimuth_rad", 0.0)], search.model.sizes)
+    curves = [one for one in curves if name in one.points[0]]
+    strengths = {values[name] for curve in curves for values in curve.points[: 2 if len(curves) > 1 else 3]}
+    found = {strength: profiled({**template.values, name: strength}) for strength in sorted(strengths)}
     if declared.identity is not None and math.isfinite(declared.identity):
         for _ in range(OUTWARD):
             # Along a narrow valley, in which an effect and the record say nearly the same, no derivative leads.
@@ -265,10 +276,10 @@ def _settled_along(
             farther = min(max(farther, declared.low), declared.high)
             if any((one - strength) * (strength - declared.identity) > 0 for one in found) or farther == strength:
                 break
-            found[farther] = settled({**node.values, name: farther})
+            found[farther] = profiled({**template.values, name: farther})
         places = [declared.identity, *found]
         least = _least(np.array(places), np.array([misfit, *(one[2] for one in found.values())]))
-        found[least] = settled({**node.values, name: least})
+        found[least] = profiled({**template.values, name: least})
     best = min(found.values(), key=lambda one: one[2])
     return best[0], best[1]
 
@@ -285,12 +296,12 @@ def _least(place: Floats, value: Floats) -> float:
     return float(np.clip(place[middle] - 0.5 * slope / curvature, place[near][0], place[near][-1]))
 
 
-def _start(node: ResponseTemplate, amplitude: float) -> dict[str, float]:
-    """All parameters where an effect of so many times a node's response is expected."""
-    found, effect = {}, node.line.effect
+def _start(template: ResponseTemplate, amplitude: float) -> dict[str, float]:
+    """All parameters where an effect of so many times a template's response is expected."""
+    found, effect = {}, template.grid.effect
     amplitude = 1.0 if effect.cuts else amplitude
     for one in effect.arguments:
-        value = node.values.get(one.name, one.value)
+        value = template.values.get(one.name, one.value)
         if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
             value = one.identity + max(amplitude, METHOD.least_amplitude) * (value - one.identity)
         found[one.name] = min(max(value, one.low), one.high) if math.isfinite(value) else value

@@ -53,7 +53,7 @@ class InferenceConfig:
     derivative_step: float = 0.05  # over the typical size of a parameter
     max_iterations: int = 10  # Gauss-Newton steps of a fit
     nuisance_rounds: int = 10  # Gauss-Newton steps of the nuisances alone
-    settled_chi2: float = 3.0  # gain below which one more of those steps is not worth its frames
+    converged_chi2: float = 3.0  # gain below which one more of those steps is not worth its frames
     unmodelled_share: float = 0.5  # scatter of a statistic that no parameter gives, over its change by the effect
     nuisance_bound_sd: float = 4.0  # standard deviations by which a nuisance may move
 

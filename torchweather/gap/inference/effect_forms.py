@@ -29,12 +29,12 @@ class SearchForm(Effect):
     """An effect of the catalogue with other parameters; its ``to_dict`` is that of the catalogue's.
 
     Class attributes:
-        handicap: by how much it must lower the misfit more than others do, as it has more parameters.
+        complexity_penalty: by how much it must lower the misfit more than others do, as it has more parameters.
         tried: values of parameters that say which or where, at which response curves begin.
         another_from: values of parameters from which on it is another effect of the catalogue.
     """
 
-    handicap: ClassVar[float] = 0.0
+    complexity_penalty: ClassVar[float] = 0.0
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     another_from: ClassVar[Mapping[str, float]] = {}
 
@@ -43,11 +43,13 @@ def counted_form(effect: type[Effect]) -> type[Effect]:
     """An effect that must explain more than one with a single parameter, as each further one can explain noise.
 
     Example:
-        >>> counted_form(EFFECTS["camera.ego_blur"]).handicap
+        >>> counted_form(EFFECTS["camera.ego_blur"]).complexity_penalty
         5.0
     """
     return type(
-        effect.__name__, (SearchForm, effect), {"handicap": METHOD.parameter_penalty * (len(effect.arguments) - 1)}
+        effect.__name__,
+        (SearchForm, effect),
+        {"complexity_penalty": METHOD.parameter_penalty * (len(effect.arguments) - 1)},
     )
 
 
@@ -65,7 +67,7 @@ def tried_values(effect: type[Effect], name: str) -> tuple[float, ...]:
 def complexity_penalty(model: object, name: str) -> float:
     """By how much an effect must lower the misfit more than others."""
     found = effect_class(model, name)
-    return found.handicap if issubclass(found, SearchForm) else 0.0
+    return found.complexity_penalty if issubclass(found, SearchForm) else 0.0
 
 
 def is_another(model: object, values: Mapping[str, Mapping[str, float]]) -> bool:

@@ -1,8 +1,8 @@
 """A departure that no effect explains: as a curve in natural units, and as a stage that copies it.
 
-Statistics are compared in units in which their scatter is even (``statistics.py``); here they go back to shares, counts
-a frame, metres and logarithms of intensity, are averaged over the conditions with their weights, and become the curve
-of an ``Empirical`` stage where a stage can copy them.
+Statistics are compared in units in which their scatter is even (``frame_statistics.py``); here they go back to shares,
+counts a frame, metres and logarithms of intensity, are averaged over the conditions with their weights, and become the
+curve of an ``Empirical`` stage where a stage can copy them.
 
 References:
     GAP.md 3 (9). Widening of an average whose parts disagree: Particle Data Group, Review of Particle Physics, 5.2.2.

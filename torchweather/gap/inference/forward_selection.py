@@ -1,8 +1,8 @@
 """find_gap: where simulation and measurement disagree, which effect explains it, and how much is left with it added.
 
-The order of things: screen (is anything missing?), single effects from response curves, refitted in the simulator, a
-second and a third while each earns its place on conditions that it was not fitted to, a verdict. What the weather
-record and the mean of the clear frames can explain is never taken for an effect.
+The order of things: a global test (is anything missing?), single effects from response curves, refitted in the
+simulator, a second and a third while each earns its place on conditions that it was not fitted to, a verdict. What the
+weather record and the mean of the clear frames can explain is never taken for an effect.
 
 References:
     GAP.md 3, 4.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.gap.inference.candidate_fits import (
-    SETTLED_BESIDE,
+    PROFILED_BESIDE,
     Candidate,
     Proposal,
     best_pairs,
@@ -35,7 +36,7 @@ from torchweather.gap.inference.candidate_fits import (
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import effect_class
-from torchweather.gap.inference.global_test import GlobalTest, global_test, located_templates, screening_entries
+from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, held_out
 from torchweather.gap.inference.insensitive_statistics import fresh_delta_chi2, insensitive_statistics
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
@@ -48,29 +49,29 @@ __all__ = ["GapResult", "find_gap_with"]
 
 Floats = NDArray[np.float64]
 
-# Candidates that are fitted: alone, further ones, and such as what is left open may stand for.
-REFITTED, FURTHER_REFITTED, HIDDEN_REFITTED = 4, 2, 1
-# Of what is explained where a further effect acts, that it must add (``further.py``); and of the misfit that is left,
+# Candidates that are fitted: alone, on top of others, and such as what is left open may stand for.
+REFITTED, ADDED_REFITTED, HIDDEN_REFITTED = 4, 2, 1
+# Of what is explained where an added effect acts, that it must add (``model_error.py``); and of the residual misfit,
 # unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
-FURTHER, FURTHER_SURE, OF_THE_REST = 0.03, 0.1, 0.6
-# By which a further effect must lower the misfit of held-out conditions, two standard deviations, however much it
+ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
+# By which an added effect must lower the misfit of held-out conditions, two standard deviations, however much it
 # explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
-# than SURE_GAIN they may, by so much of the rest: where they hardly show it.
+# than SURE_GAIN they may, by so much of the remainder: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
-REST_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left in such statistics
+RESIDUAL_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left as a residual in such statistics
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
 UNKNOWN_GAP, UNKNOWN_HELD = 2.5, 0.05
 
 
 @dataclass(frozen=True)
 class GapResult:
-    """What was found, before it is put into words.
+    """Result of the search, before it is put into words.
 
     Args:
         verdict: ``none``, ``named``, ``named_and_rest`` or ``unknown``.
-        fit: the final setting; ``None`` where nothing was fitted.
+        fit: at the final parameter point; ``None`` where nothing was fitted.
         rounds: the effects fitted in each round, best first; the first round is of single effects.
-        screening: on the base model.
+        global_test: on the base model.
         before, after: of the held-out conditions.
         left: ``(C P,)`` whitened departure of the fitted conditions at the end.
         search: with the model as it was.
@@ -81,13 +82,20 @@ class GapResult:
     verdict: str
     fit: Fit | None
     rounds: tuple[tuple[Candidate, ...], ...]
-    screening: GlobalTest
+    global_test: GlobalTest
     before: HeldOut
     after: HeldOut
     left: Floats
     search: SimulatorLikelihood
     seconds: float
     clear: tuple[ClearAir, ...] = ()
+
+    @property
+    def screening(self) -> GlobalTest:
+        """The old name of ``global_test``; goes with the next release."""
+        text = "GapResult.screening is GapResult.global_test now; the old name goes with the next release."
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return self.global_test
 
 
 def find_gap_with(
@@ -118,62 +126,66 @@ def find_gap_with(
     progress("simulating the conditions as they are")
     search = SimulatorLikelihood(model, observations(model, model.fit), seed)
     base = search.begin()
-    if screening_entries(search) < METHOD.min_entries:
+    if counted_entries(search) < METHOD.min_entries:
         raise TorchweatherError(
-            f"find_gap: not enough data to decide: {screening_entries(search)} statistics hold enough beams to count; "
+            f"find_gap: not enough data to decide: {counted_entries(search)} statistics hold enough beams to count; "
             f"wanted {METHOD.min_entries} or more. Record more frames a condition, or more beams that see a surface."
         )
     progress("response curves")
-    screening = global_test(search, chosen, base, seed)
+    global_test = run_global_test(search, chosen, base, seed)
     held = SimulatorLikelihood(model, observations(model, model.holdout), seed + 1)
     before = held_out(held, held.begin(), seed)
     singles: list[Candidate] = []
-    if screening.p_value <= METHOD.alarm_p or stands_far(base.setting):
+    if global_test.p_value <= METHOD.alarm_p or stands_far(base.point):
         # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
-        number = REFITTED if screening.p_value <= METHOD.alarm_p else SETTLED_BESIDE
-        singles = _singles(search, base, screening, number, progress)
-        if screening.p_value > METHOD.alarm_p:
-            # The effect may only have led the nuisances to where they belong: they are settled from there without it.
-            without = search.settle(replace(singles[0].fit.setting, values={}))
-            least = min(screening.misfit, without.nuisance.misfit(without.residual))
-            screening = screening.raised(least - singles[0].fit.misfit)
-    if screening.p_value > METHOD.alarm_p:
+        number = REFITTED if global_test.p_value <= METHOD.alarm_p else PROFILED_BESIDE
+        singles = _singles(search, base, global_test, number, progress)
+        if global_test.p_value > METHOD.alarm_p:
+            # The effect may only have led the nuisances to where they belong: they are profiled from there without it.
+            without = search.profile(replace(singles[0].fit.point, values={}))
+            least = min(global_test.misfit, without.nuisance.misfit(without.residual))
+            global_test = global_test.raised(least - singles[0].fit.misfit)
+    if global_test.p_value > METHOD.alarm_p:
         left = base.nuisance.left(base.residual)
         return GapResult(
-            "none", None, (), screening, before, before, left, search, time.perf_counter() - started, clear
+            "none", None, (), global_test, before, before, left, search, time.perf_counter() - started, clear
         )
-    rounds = _rounds(search, held, base, screening, singles, progress)
+    rounds = _rounds(search, held, base, global_test, singles, progress)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
-    verdict = _verdict(screening, best, before, after)
+    verdict = _verdict(global_test, best, before, after)
     after = before if verdict == "none" else after  # nothing is added
     left = best.nuisance.left(best.residual)
     candidates = tuple(tuple(one) for one in rounds)
     return GapResult(
-        verdict, best, candidates, screening, before, after, left, search, time.perf_counter() - started, clear
+        verdict, best, candidates, global_test, before, after, left, search, time.perf_counter() - started, clear
     )
 
 
 def _singles(
-    search: SimulatorLikelihood, base: Fit, screening: GlobalTest, number: int, progress: Callable[[str], None]
+    search: SimulatorLikelihood, base: Fit, global_test: GlobalTest, number: int, progress: Callable[[str], None]
 ) -> list[Candidate]:
     """So many single effects fitted in the simulator, best first; and those that something left open may stand for."""
     nuisance = base.nuisance
-    best = best_templates(screening.nodes, nuisance.left(base.residual), nuisance)[:number]
-    promised = {node.id for node, _ in best}
-    if stands_far(base.setting):
-        hidden = hidden_templates(screening.nodes, nuisance, slice(len(search.measured), nuisance.moving))
+    best = best_templates(global_test.templates, nuisance.left(base.residual), nuisance)[:number]
+    promised = {template.id for template, _ in best}
+    if stands_far(base.point):
+        hidden = hidden_templates(global_test.templates, nuisance, slice(len(search.measured), nuisance.moving))
         best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
-    best += unscaled_templates(screening.nodes, best, nuisance.left(base.residual), nuisance)
+    best += unscaled_templates(global_test.templates, best, nuisance.left(base.residual), nuisance)
     found = fitted(
-        search, base, [(search.origin, node, amplitude) for node, amplitude in best], screening.misfit, progress
+        search,
+        base,
+        [(search.origin, template, amplitude) for template, amplitude in best],
+        global_test.misfit,
+        progress,
     )
-    for own, proposal in scattering(search, base, screening.nodes, _threshold(screening)):
+    for own, proposal in scattering(search, base, global_test.templates, _threshold(global_test)):
         promised.add(proposal[1].id)
-        found += fitted(search, own, [proposal], screening.misfit, progress)
+        found += fitted(search, own, [proposal], global_test.misfit, progress)
     # The better one of what was fitted twice; best first.
     found = list({one.id: one for one in sorted(found, key=lambda one: one.gain)}.values())[::-1]
     # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
-    least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(screening)
+    least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(global_test)
     return [one for one in found if one.id in promised or one.gain > least]
 
 
@@ -181,56 +193,58 @@ def _rounds(
     search: SimulatorLikelihood,
     held: SimulatorLikelihood,
     base: Fit,
-    screening: GlobalTest,
+    global_test: GlobalTest,
     singles: list[Candidate],
     progress: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
-    threshold = _threshold(screening)
+    threshold = _threshold(global_test)
     rounds = [list(singles)]
     led: set[str] = set()  # effects that have taken the place of one that stood for them
     while True:
         best = rounds[-1][0]
-        values = best.fit.setting.values
+        values = best.fit.point.values
         # What is left open may be told better by either.
-        starts = (replace(held.origin, values=values), ParameterPoint(values, open=best.fit.setting.open))
-        settled = min((held.settle(start) for start in starts), key=lambda fit: fit.misfit)
-        after = held_out(held, settled, search.seed)
+        starts = (replace(held.origin, values=values), ParameterPoint(values, open=best.fit.point.open))
+        profiled = min((held.profile(start) for start in starts), key=lambda fit: fit.misfit)
+        after = held_out(held, profiled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
-        explained = screening.misfit - best.fit.misfit
+        explained = global_test.misfit - best.fit.misfit
         left = best.fit.nuisance.left(best.fit.residual)
-        excess = OF_THE_REST * screening.rest.excess(left)
-        significant = screening.rest.p_value(left) < METHOD.residual_p
-        least = max(threshold, min(FURTHER_SURE * explained, excess if significant else 0.0))
+        excess = OF_THE_RESIDUAL * global_test.residual_test.excess(left)
+        significant = global_test.residual_test.p_value(left) < METHOD.residual_p
+        least = max(threshold, min(ADDED_SHARE_SURE * explained, excess if significant else 0.0))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
         if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
         if len(values) == METHOD.max_effects:
             return rounds
-        rest = _further(search, screening, best)
+        remaining = _remaining_templates(search, global_test, best)
         sure = max(threshold, excess) if significant else math.inf
         pairs: list[Proposal] = []
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
-            nodes = _beside(search, screening)
+            templates = _beside(search, global_test)
             gain = (
-                pair_delta_chi2(nodes, base.nuisance.left(base.residual), base.nuisance) if nodes else np.zeros((0, 0))
+                pair_delta_chi2(templates, base.nuisance.left(base.residual), base.nuisance)
+                if templates
+                else np.zeros((0, 0))
             )
-            pairs = best_pairs(nodes, gain, search.origin, best.gain + max(least, FURTHER * explained))
-        fresh, proposed = _on_top(search, rest, best, least, threshold, sure)
+            pairs = best_pairs(templates, gain, search.origin, best.gain + max(least, ADDED_SHARE * explained))
+        fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
         if pairs:
-            proposed = [*(proposed or _best_on_top(best, rest)), *pairs]
+            proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]
         if not proposed:
             return rounds
-        more = _fitted_on_top(search, base, best, rest, proposed, threshold, progress)
+        more = _fitted_on_top(search, base, best, remaining, proposed, threshold, progress)
         kept = [one for one in more if _earns(search, best, one, fresh.get(one.id, math.inf), least)]
         if not kept:
             return rounds
         needful = _without_idle(search, kept[0], threshold)
-        number = len(needful.setting.values)
-        if number < len(kept[0].fit.setting.values) and kept[0].id not in led:
+        number = len(needful.point.values)
+        if number < len(kept[0].fit.point.values) and kept[0].id not in led:
             led.add(kept[0].id)
-            earlier = rounds[number - 2][0].fit.misfit if number > 1 else screening.misfit
+            earlier = rounds[number - 2][0].fit.misfit if number > 1 else global_test.misfit
             others = [one for one in rounds[number - 1] if one.id != kept[0].id]
             rounds = [*rounds[: number - 1], [Candidate(kept[0].id, needful, earlier - needful.misfit), *others]]
         else:
@@ -241,7 +255,7 @@ def _fitted_on_top(
     search: SimulatorLikelihood,
     base: Fit,
     best: Candidate,
-    rest: Sequence[ResponseTemplate],
+    remaining: Sequence[ResponseTemplate],
     proposed: Sequence[Proposal],
     threshold: float,
     progress: Callable[[str], None],
@@ -250,53 +264,53 @@ def _fitted_on_top(
     what was gained are fitted as well: a response that no longer holds there must not keep them out."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
     found = fitted(search, base, proposed, best.fit.misfit, progress)
-    promised = float(delta_chi2(rest, left[None], nuisance)[0].max()) if rest else 0.0
-    for _ in range(FURTHER_REFITTED):
+    promised = float(delta_chi2(remaining, left[None], nuisance)[0].max()) if remaining else 0.0
+    for _ in range(ADDED_REFITTED):
         gained = max((one.gain for one in found), default=0.0)
-        others = [node for node in rest if node.id not in {one.id for one in found}]
+        others = [template for template in remaining if template.id not in {one.id for one in found}]
         if (
             not others
             or gained >= promised
             or delta_chi2(others, left[None], nuisance).max() < max(METHOD.refit_share * gained, threshold)
         ):
             break
-        node, amplitude = best_templates(others, left, nuisance)[0]
-        found += fitted(search, base, [(best.fit.setting, node, amplitude)], best.fit.misfit, progress)
+        template, amplitude = best_templates(others, left, nuisance)[0]
+        found += fitted(search, base, [(best.fit.point, template, amplitude)], best.fit.misfit, progress)
     return sorted(found, key=lambda one: one.fit.misfit)
 
 
-def _without_idle(search: SimulatorLikelihood, further: Candidate, threshold: float) -> Fit:
-    """A further effect with those of the others that are needed beside it: a first effect may only have stood for it,
+def _without_idle(search: SimulatorLikelihood, added: Candidate, threshold: float) -> Fit:
+    """An added effect with those of the others that are needed beside it: a first effect may only have stood for it,
     and explains no more than noise where it is."""
-    fit = further.fit
-    for name in further.fit.setting.values:
-        if name == further.id:
+    fit = added.fit
+    for name in added.fit.point.values:
+        if name == added.id:
             continue
-        without = search.fit(fit.setting.without(name), fit.nuisance, fit.base)
-        if without.misfit - further.fit.misfit < threshold:
+        without = search.fit(fit.point.without(name), fit.nuisance, fit.base)
+        if without.misfit - added.fit.misfit < threshold:
             fit = without
     return fit
 
 
-def _earns(search: SimulatorLikelihood, best: Candidate, further: Candidate, fresh: float, least: float) -> bool:
-    """Whether a further effect gains what it needs: so much if that is ``fresh``, or ``least`` and a share of what was
+def _earns(search: SimulatorLikelihood, best: Candidate, added: Candidate, fresh: float, least: float) -> bool:
+    """Whether an added effect gains what it needs: so much if that is ``fresh``, or ``least`` and a share of what was
     explained where it acts.
 
     Also over the others fitted again from where they stand beside it: a first effect that was not at its best yet is no
     merit of the second.
     """
-    fit = further.fit
-    beside = float(explained_beside(search, best.fit, response_of(search, fit, further.id)[None])[0])
-    needed = min(fresh, max(least, FURTHER * beside))
-    if further.gain < needed:
+    fit = added.fit
+    beside = float(explained_beside(search, best.fit, response_of(search, fit, added.id)[None])[0])
+    needed = min(fresh, max(least, ADDED_SHARE * beside))
+    if added.gain < needed:
         return False
-    alone = search.fit(fit.setting.without(further.id), fit.nuisance, fit.base)
+    alone = search.fit(fit.point.without(added.id), fit.nuisance, fit.base)
     return alone.misfit - fit.misfit >= needed
 
 
 def _on_top(
     search: SimulatorLikelihood,
-    rest: Sequence[ResponseTemplate],
+    remaining: Sequence[ResponseTemplate],
     best: Candidate,
     least: float,
     sure: float,
@@ -306,84 +320,92 @@ def _on_top(
 
     Args:
         search: its simulator.
-        rest: responses to the effects that were not found yet.
+        remaining: responses to the effects that were not found yet.
         best: what was found so far.
-        least: gain that a further effect must promise, and a share of what was explained where it acts,
+        least: gain that an added effect must promise, and a share of what was explained where it acts,
         sure: or this, if it shows where those found do nothing,
-        most: or this, most of a rest that is no noise.
+        most: or this, most of a residual that is no noise.
 
     Returns:
         The effects that need not compare with the first, with what they need: they show where those found do nothing,
         or explain what is left. And what is to be fitted.
     """
-    if not rest:
+    if not remaining:
         return {}, []
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    gain = delta_chi2(rest, left[None], nuisance)[0]
-    elsewhere = fresh_delta_chi2(rest, left, nuisance, insensitive_statistics(search, best.fit))
-    fresh = {node.id: most for node, value in zip(rest, gain, strict=True) if value > most}
+    gain = delta_chi2(remaining, left[None], nuisance)[0]
+    elsewhere = fresh_delta_chi2(remaining, left, nuisance, insensitive_statistics(search, best.fit))
+    fresh = {template.id: most for template, value in zip(remaining, gain, strict=True) if value > most}
     fresh |= {name: sure for name, value in elsewhere.items() if value > sure}
     # Another form of an effect than the stage's looks like what it is confused with.
-    found = best.fit.setting.values
+    found = best.fit.point.values
     fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}
-    beside = explained_beside(search, best.fit, np.stack([node.response for node in rest]))
-    if not fresh and (gain < np.maximum(least, FURTHER * beside)).all():
+    beside = explained_beside(search, best.fit, np.stack([template.response for template in remaining]))
+    if not fresh and (gain < np.maximum(least, ADDED_SHARE * beside)).all():
         return fresh, []
-    return fresh, _best_on_top(best, rest, fresh.keys())
+    return fresh, _best_on_top(best, remaining, fresh.keys())
 
 
-def _beside(search: SimulatorLikelihood, screening: GlobalTest) -> list[ResponseTemplate]:
+def _beside(search: SimulatorLikelihood, global_test: GlobalTest) -> list[ResponseTemplate]:
     """Responses to the effects that may be named beside another."""
-    return [node for node in screening.nodes if node.id not in search.model.as_record]
+    return [template for template in global_test.templates if template.id not in search.model.as_record]
 
 
-def _further(search: SimulatorLikelihood, screening: GlobalTest, best: Candidate) -> list[ResponseTemplate]:
+def _remaining_templates(
+    search: SimulatorLikelihood, global_test: GlobalTest, best: Candidate
+) -> list[ResponseTemplate]:
     """Responses to the effects that were not found yet, in units of the scatter with those that were; where more is
     left than noise, of effects with a place also where most of it is."""
-    rest = [node for node in _beside(search, screening) if node.id not in best.fit.setting.values]
-    if not rest:
+    remaining = [template for template in _beside(search, global_test) if template.id not in best.fit.point.values]
+    if not remaining:
         return []
-    found = search.nodes_at(rest, best.fit.base)
-    if screening.rest.p_value(best.fit.nuisance.left(best.fit.residual)) < METHOD.residual_p:
-        found += located_templates(search, list(dict.fromkeys(node.line.effect for node in rest)), best.fit)
+    found = search.templates_at(remaining, best.fit.base)
+    if global_test.residual_test.p_value(best.fit.nuisance.left(best.fit.residual)) < METHOD.residual_p:
+        found += located_templates(
+            search, list(dict.fromkeys(template.grid.effect for template in remaining)), best.fit
+        )
     return found
 
 
 def _best_on_top(
-    best: Candidate, rest: Sequence[ResponseTemplate], fresh: AbstractSet[str] = frozenset()
+    best: Candidate, remaining: Sequence[ResponseTemplate], fresh: AbstractSet[str] = frozenset()
 ) -> list[Proposal]:
-    """The best nodes on top of an effect, and the best one of some effects."""
+    """The best templates on top of an effect, and the best one of some effects."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    further = best_templates(rest, left, nuisance)[:FURTHER_REFITTED] if rest else []
-    own = [node for node in rest if node.id in fresh]
-    further += best_templates(own, left, nuisance)[:1] if own else []
-    return list({node.id: (best.fit.setting, node, amplitude) for node, amplitude in reversed(further)}.values())
+    added = best_templates(remaining, left, nuisance)[:ADDED_REFITTED] if remaining else []
+    own = [template for template in remaining if template.id in fresh]
+    added += best_templates(own, left, nuisance)[:1] if own else []
+    return list(
+        {template.id: (best.fit.point, template, amplitude) for template, amplitude in reversed(added)}.values()
+    )
 
 
-def _verdict(screening: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -> str:
+def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -> str:
     """What is said of effects that were fitted: also on conditions that they were not fitted to.
 
     Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
     share of what departs.
     """
-    explained = screening.misfit - fit.misfit
+    explained = global_test.misfit - fit.misfit
     unexplained = (
-        "unknown" if screening.p_value < METHOD.sure_alarm_p or screening.common_p_value <= METHOD.alarm_p else "none"
+        "unknown"
+        if global_test.p_value < METHOD.sure_alarm_p or global_test.common_p_value <= METHOD.alarm_p
+        else "none"
     )
-    if explained < _threshold(screening):
+    if explained < _threshold(global_test):
         return unexplained
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
         return unexplained
     left = fit.nuisance.left(fit.residual)
-    excess = screening.rest.excess(left)
+    excess = global_test.residual_test.excess(left)
     # As an alarm is: in any one condition, or in what all have in common.
-    chance = min(screening.rest.p_value(left), screening.rest.common_p_value(left))
+    chance = min(global_test.residual_test.p_value(left), global_test.residual_test.common_p_value(left))
     share = excess / max(excess + explained, 1e-9) if chance < METHOD.residual_p else 0.0
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
     far = after.gap > METHOD.unexplained_gap * after.floor
     if share > UNKNOWN_SHARE or far or (after.gap > UNKNOWN_GAP * after.floor and over > UNKNOWN_HELD):
         return "unknown"
-    return "named_and_rest" if share > REST_SHARE or after.gap > METHOD.residual_gap * after.floor else "named"
+    return "named_and_rest" if share > RESIDUAL_SHARE or after.gap > METHOD.residual_gap * after.floor else "named"
 
 
 def _confusable(name: str, other: str) -> bool:
@@ -391,6 +413,6 @@ def _confusable(name: str, other: str) -> bool:
     return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with
 
 
-def _threshold(screening: GlobalTest) -> float:
+def _threshold(global_test: GlobalTest) -> float:
     """Gain that noise seldom reaches."""
-    return float(np.quantile(screening.best_null, 1.0 - METHOD.alarm_p))
+    return float(np.quantile(global_test.best_null, 1.0 - METHOD.alarm_p))

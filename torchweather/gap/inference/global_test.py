@@ -1,4 +1,4 @@
-"""Whether anything is missing: response curves of all effects against the nulls of a simulator without them.
+"""Global test: response templates of all effects against the nulls of a simulator without them.
 
 References:
     GAP.md 3 (5, 7). Gumbel 1958 (largest of many).
@@ -22,24 +22,24 @@ from torchweather.gap.inference.simulated_distribution import SimulatedDistribut
 from torchweather.gap.inference.starting_points import PLACES, parameter_grids
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["GlobalTest", "overdispersion", "located_templates", "global_test", "screening_entries"]
+__all__ = ["GlobalTest", "overdispersion", "counted_entries", "located_templates", "run_global_test"]
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class GlobalTest:
-    """Whether anything is missing.
+    """Test of the whole model: is anything missing?
 
     Args:
         residual: ``(C P,)`` whitened departure of the measured conditions.
         misfit: its square, without what the nuisance explains.
         counted: number of entries.
-        nodes: responses.
-        gains: ``(nodes,)``.
+        templates: responses.
+        gains: ``(templates,)`` delta chi-square of each.
         best_null: ``(R,)`` largest gain of each null.
         misfit_null: ``(R,)``.
-        rest: noise of each statistic by itself.
+        residual_test: noise of each statistic by itself.
         p_value: of the largest of the four departures: along a response, of all entries, of one statistic, of what all
             conditions have in common of one.
         common_p_value: the same of the last one alone.
@@ -48,11 +48,11 @@ class GlobalTest:
     residual: Floats
     misfit: float
     counted: int
-    nodes: tuple[ResponseTemplate, ...]
+    templates: tuple[ResponseTemplate, ...]
     gains: Floats
     best_null: Floats
     misfit_null: Floats
-    rest: ResidualTest
+    residual_test: ResidualTest
     p_value: float
     common_p_value: float
 
@@ -61,36 +61,42 @@ class GlobalTest:
         return replace(self, p_value=min(self.p_value, METHOD.departures * _tail(self.best_null, gain)))
 
 
-def global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], base: Fit, seed: int) -> GlobalTest:
-    """Response curves of all effects, and whether any of them, or anything at all, stands out."""
+def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], base: Fit, seed: int) -> GlobalTest:
+    """Simulate the response templates of all effects and test whether anything stands out."""
     residual, nuisance = base.residual, base.nuisance
     places = azimuths(search, search.start)
-    found = [line for effect in effects for line in parameter_grids(effect, places, search.model.sizes)]
+    found = [grid for effect in effects for grid in parameter_grids(effect, places, search.model.sizes)]
     found += standing_grids(search, effects, search.origin)
     left = nuisance.left(residual)
-    nodes = search.nodes([(line, place) for line in found for place in line.first], search.origin, search.start)
-    gain = delta_chi2(nodes, left[None], nuisance)[0]
-    near = {id(node.line) for node, one in zip(nodes, gain, strict=True) if one >= METHOD.refined_share * gain.max()}
-    rest = [
-        (line, place)
-        for line in found
-        if id(line) in near
-        for place in range(len(line.settings))
-        if place not in line.first
+    templates = search.templates([(grid, place) for grid in found for place in grid.first], search.origin, search.start)
+    gain = delta_chi2(templates, left[None], nuisance)[0]
+    near = {
+        id(template.grid)
+        for template, one in zip(templates, gain, strict=True)
+        if one >= METHOD.refined_share * gain.max()
+    }
+    remaining = [
+        (grid, place)
+        for grid in found
+        if id(grid) in near
+        for place in range(len(grid.points))
+        if place not in grid.first
     ]
-    nodes += search.nodes(rest, search.origin, search.start)
+    templates += search.templates(remaining, search.origin, search.start)
     nulls = search.null_residuals(nuisance, METHOD.null_draws, seed)
-    best_null = delta_chi2(nodes, nuisance(nulls), nuisance).max(1) * overdispersion(search)
+    best_null = delta_chi2(templates, nuisance(nulls), nuisance).max(1) * overdispersion(search)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
-    gain = delta_chi2(nodes, left[None], nuisance)[0]
+    gain = delta_chi2(templates, left[None], nuisance)[0]
     misfit = nuisance.misfit(residual)
-    counted = screening_entries(search)
+    counted = counted_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
     each = residual_test(search, base, overdispersion(search))
     p_common = min(1.0, METHOD.departures * each.common_p_value(left))
     p_value = min(p_common, METHOD.departures * min(p_gain, p_misfit, each.p_value(left)))
-    return GlobalTest(residual, misfit, counted, tuple(nodes), gain, best_null, misfit_null, each, p_value, p_common)
+    return GlobalTest(
+        residual, misfit, counted, tuple(templates), gain, best_null, misfit_null, each, p_value, p_common
+    )
 
 
 def located_templates(search: SimulatorLikelihood, effects: Sequence[type[Effect]], fit: Fit) -> list[ResponseTemplate]:
@@ -100,10 +106,10 @@ def located_templates(search: SimulatorLikelihood, effects: Sequence[type[Effect
     """
     placed = [effect for effect in effects if any(one.name in PLACES for one in effect.arguments)]
     found = [
-        line for effect in placed for line in parameter_grids(effect, azimuths(search, fit.base), search.model.sizes)
+        grid for effect in placed for grid in parameter_grids(effect, azimuths(search, fit.base), search.model.sizes)
     ]
-    found += standing_grids(search, placed, fit.setting)
-    return search.nodes([(line, place) for line in found for place in line.first], fit.setting, fit.base)
+    found += standing_grids(search, placed, fit.point)
+    return search.templates([(grid, place) for grid in found for place in grid.first], fit.point, fit.base)
 
 
 def azimuths(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[float]:
@@ -136,7 +142,7 @@ def overdispersion(search: SimulatorLikelihood) -> float:
     return METHOD.overdispersion * (1.0 + 2.0 / degrees)
 
 
-def screening_entries(search: SimulatorLikelihood) -> int:
+def counted_entries(search: SimulatorLikelihood) -> int:
     """Number of statistics that hold enough to count, over all conditions."""
     return int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchweather.gap.inference.config import METHOD
-from torchweather.gap.inference.global_test import screening_entries
+from torchweather.gap.inference.global_test import counted_entries
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["HeldOut", "held_out"]
@@ -36,8 +36,8 @@ class HeldOut:
 
 
 def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
-    """The held-out departure at a setting of effects."""
-    counted = max(screening_entries(held), 1)
+    """The held-out departure at a point of effects."""
+    counted = max(counted_entries(held), 1)
     nulls = held.null_residuals(fitted.nuisance, METHOD.floor_draws, seed)
     left = np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls))
     floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters

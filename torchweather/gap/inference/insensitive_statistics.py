@@ -42,12 +42,12 @@ def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.
 
 
 def fresh_delta_chi2(
-    nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics, entries: NDArray[np.bool_]
+    templates: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics, entries: NDArray[np.bool_]
 ) -> dict[str, float]:
     """Largest gain of each effect in some entries of a residual ``(C P,)`` from which nuisances are taken."""
     nothing = Systematics(np.zeros((len(left), 1)), np.zeros(1), 0)
-    masked = [ResponseTemplate(one.line, one.number, one.values, nuisance(one.response) * entries) for one in nodes]
+    masked = [ResponseTemplate(one.grid, one.number, one.values, nuisance(one.response) * entries) for one in templates]
     found: dict[str, float] = {}
-    for node, gain in zip(nodes, delta_chi2(masked, (left * entries)[None], nothing)[0], strict=True):
-        found[node.id] = max(found.get(node.id, 0.0), float(gain))
+    for template, gain in zip(templates, delta_chi2(masked, (left * entries)[None], nothing)[0], strict=True):
+        found[template.id] = max(found.get(template.id, 0.0), float(gain))
     return found

@@ -1,8 +1,9 @@
-"""The search for missing effects: the simulator at a setting, response curves, nuisances, fits in the simulator.
+"""Simulator likelihood: the simulator at a parameter point, response templates, nuisances, fits in the simulator.
 
-All in whitened space (``baseline.py``), where a departure of length one is one standard deviation. What must not be
-taken for an effect is a nuisance (``nuisance.py``), in units of its standard deviations: the error of the weather
-record of every condition, what whole frames do (``whole_frames.py``), and what the model leaves open.
+All in whitened space (``simulated_distribution.py``), where a departure of length one is one standard deviation. What
+must not be taken for an effect is a nuisance (``systematics.py``), in units of its standard deviations: the error of
+the weather record of every condition, what whole frames do (``frame_random_effects.py``), and what the model leaves
+open.
 
 References:
     GAP.md 3 (4, 5, 6).
@@ -40,7 +41,8 @@ __all__ = ["Fit", "SimulatorLikelihood", "ParameterPoint"]
 
 Floats = NDArray[np.float64]
 
-KNOB_STEP, LEAST_KNOB_STEP = 0.5, 0.005  # of a derivative by the weather's intensity: standard deviations, logarithm
+# Step of a derivative by the weather's intensity, in its standard deviations; at least, of its logarithm.
+INTENSITY_STEP, LEAST_INTENSITY_STEP = 0.5, 0.005
 WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
 STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
@@ -67,10 +69,10 @@ class ParameterPoint:
 
 @dataclass(frozen=True)
 class Fit:
-    """A setting, fitted in the simulator.
+    """A parameter point, fitted in the simulator.
 
     Args:
-        setting: effects, parameters, nuisances.
+        point: effects, parameters, nuisances.
         base: the simulator there.
         residual: ``(C P,)`` of the measured conditions there.
         nuisance: there.
@@ -80,7 +82,7 @@ class Fit:
         names: (effect, parameter) of each.
     """
 
-    setting: ParameterPoint
+    point: ParameterPoint
     base: SimulatedDistribution
     residual: Floats
     nuisance: Systematics
@@ -118,22 +120,22 @@ class SimulatorLikelihood:
 
     def begin(self) -> Fit:
         """Fit the nuisances of the model as it is; the search then starts from there."""
-        settled = self.settle(ParameterPoint())
-        self.start, self.origin = settled.base, settled.setting
-        return replace(settled, misfit=settled.nuisance.misfit(settled.residual))
+        profiled = self.profile(ParameterPoint())
+        self.start, self.origin = profiled.base, profiled.point
+        return replace(profiled, misfit=profiled.nuisance.misfit(profiled.residual))
 
-    def effects(self, setting: ParameterPoint) -> list[Effect]:
-        """The stages of a setting, in the form in which they are searched for."""
-        return [effect_class(self.model, name)(**values) for name, values in setting.values.items()]
+    def effects(self, point: ParameterPoint) -> list[Effect]:
+        """The stages of a point, in the form in which they are searched for."""
+        return [effect_class(self.model, name)(**values) for name, values in point.values.items()]
 
-    def catalogue_effects(self, setting: ParameterPoint) -> list[Effect]:
+    def catalogue_effects(self, point: ParameterPoint) -> list[Effect]:
         """The same as the catalogue has them."""
-        return [catalogue_effect(effect) for effect in self.effects(setting)]
+        return [catalogue_effect(effect) for effect in self.effects(point)]
 
     # ---- the simulator ---------------------------------------------------------------------------------------------
 
     def seeds(self, condition: int, number: int) -> list[int]:
-        """Seeds of the frames of a condition: the same ones whatever the setting.
+        """Seeds of the frames of a condition: the same ones whatever the point.
 
         Modulo the number of clear frames they go round all of those: what the clear frames' own noise makes of a mean
         is then the same for every mean, and that of the measurement's reference.
@@ -144,16 +146,16 @@ class SimulatorLikelihood:
         drawn = generator.integers(0, 2**62 // clear, self.pool_frames)
         return [int(value) * clear + int(order[place % clear]) for place, value in enumerate(drawn[:number])]
 
-    def pools(self, setting: ParameterPoint, number: int, portions: int = 1) -> dict[str, Pool]:
+    def pools(self, point: ParameterPoint, number: int, portions: int = 1) -> dict[str, Pool]:
         """Simulated frames of all conditions, in portions of their elements."""
-        effects = self.effects(setting)
+        effects = self.effects(point)
         found: dict[str, Pool] = {}
 
         def simulate(place: int, target: Observation) -> None:
             name = target.condition.id
             seeds = self.seeds(place, number)
-            log_intensity = setting.log_intensity.get(name, 0.0)
-            stages = [*effects, *self.model.systematics(target.condition, setting.open)]
+            log_intensity = point.log_intensity.get(name, 0.0)
+            stages = [*effects, *self.model.systematics(target.condition, point.open)]
             reduced = self.model.simulated(target.condition, stages, log_intensity, seeds, portions)
             found[name] = Pool(self.model.layout, reduced)
 
@@ -161,14 +163,14 @@ class SimulatorLikelihood:
         self.simulated_frames += number * len(self.measured)
         return found
 
-    def at(self, setting: ParameterPoint) -> SimulatedDistribution:
-        """The distribution of the vectors at a setting; whitened as the model without effects is."""
-        pools = self.pools(setting, self.pool_frames)
-        scatters = any(effect_class(self.model, effect).scatters for effect in setting.values)
+    def at(self, point: ParameterPoint) -> SimulatedDistribution:
+        """The distribution of the vectors at a point; whitened as the model without effects is."""
+        pools = self.pools(point, self.pool_frames)
+        scatters = any(effect_class(self.model, effect).scatters for effect in point.values)
         found = simulated_distribution(
             pools, self.measured, self.noise, getattr(self, "start", None), self.seed, scatters
         )
-        unmodelled = {name for effect in setting.values for name in effect_class(self.model, effect).unmodelled}
+        unmodelled = {name for effect in point.values for name in effect_class(self.model, effect).unmodelled}
         return self._loosened(found, unmodelled) if unmodelled else found
 
     def _loosened(self, base: SimulatedDistribution, unmodelled: AbstractSet[str]) -> SimulatedDistribution:
@@ -187,10 +189,10 @@ class SimulatorLikelihood:
         shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
         return replace(base, sd=sd, total=wider(base.total), shared=shared)
 
-    def mean(self, setting: ParameterPoint, frames: int = METHOD.probe_frames) -> list[Floats]:
-        """Mean vectors at a setting, from so many frames of each condition, no fewer than were measured."""
+    def mean(self, point: ParameterPoint, frames: int = METHOD.probe_frames) -> list[Floats]:
+        """Mean vectors at a point, from so many frames of each condition, no fewer than were measured."""
         frames = max(frames, self.least_frames)
-        pools = self.pools(setting, frames)
+        pools = self.pools(point, frames)
         found = []
         for number, target in enumerate(self.measured):
             generator = np.random.default_rng([self.seed, 104729, number])
@@ -262,10 +264,12 @@ class SimulatorLikelihood:
         response = self.rewhitened(nuisance.response.T, old, new).T
         return Systematics(response, nuisance.offset, nuisance.moving, nuisance.precision)
 
-    def nodes_at(self, nodes: Sequence[ResponseTemplate], base: SimulatedDistribution) -> list[ResponseTemplate]:
+    def templates_at(
+        self, templates: Sequence[ResponseTemplate], base: SimulatedDistribution
+    ) -> list[ResponseTemplate]:
         """Responses of the model as it was in units of another scatter."""
-        found = self.rewhitened(np.stack([node.response for node in nodes]), self.start, base)
-        return [replace(node, response=response) for node, response in zip(nodes, found, strict=True)]
+        found = self.rewhitened(np.stack([template.response for template in templates]), self.start, base)
+        return [replace(template, response=response) for template, response in zip(templates, found, strict=True)]
 
     def null_residuals(self, nuisance: Systematics, number: int, seed: int) -> Floats:
         """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
@@ -282,54 +286,54 @@ class SimulatorLikelihood:
         """Stated uncertainty of the weather of each condition: standard deviation of its logarithm."""
         return np.array([target.intensity_sd for target in self.measured])
 
-    def offset(self, setting: ParameterPoint) -> Floats:
-        """Where the nuisances stand at a setting, in standard deviations: intensities, what is open, clear means."""
+    def offset(self, point: ParameterPoint) -> Floats:
+        """Where the nuisances stand at a point, in standard deviations: intensities, what is open, clear means."""
         sd = self.intensity_sd()
-        off = np.array([setting.log_intensity.get(target.condition.id, 0.0) for target in self.measured])
+        off = np.array([point.log_intensity.get(target.condition.id, 0.0) for target in self.measured])
         intensities = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
-        opened = np.array([setting.open.get(name, 0.0) for name in self.open])
+        opened = np.array([point.open.get(name, 0.0) for name in self.open])
         return np.concatenate([intensities, opened, np.zeros(len(self.fixed))])
 
-    def shifted(self, setting: ParameterPoint, step: Floats) -> ParameterPoint:
-        """A setting with its nuisances moved by a step ``(K,)``."""
+    def shifted(self, point: ParameterPoint, step: Floats) -> ParameterPoint:
+        """A point with its nuisances moved by a step ``(K,)``."""
         sd, number = self.intensity_sd(), len(self.measured)
-        place = np.clip(self.offset(setting) + step, -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd)
+        place = np.clip(self.offset(point) + step, -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd)
         place[number : number + len(self.open)] = np.maximum(
             place[number : number + len(self.open)], list(self.open.values())
         )
         intensities = {t.condition.id: float(place[k] * sd[k]) for k, t in enumerate(self.measured)}
         opened = {name: float(place[number + k]) for k, name in enumerate(self.open)}
-        return replace(setting, log_intensity=intensities, open=opened)
+        return replace(point, log_intensity=intensities, open=opened)
 
-    def nuisance(self, setting: ParameterPoint, base: SimulatedDistribution) -> Systematics:
-        """Responses to the nuisances at a setting: differences in the simulator."""
+    def nuisance(self, point: ParameterPoint, base: SimulatedDistribution) -> Systematics:
+        """Responses to the nuisances at a point: differences in the simulator."""
         sd = self.intensity_sd()
-        steps = np.maximum(KNOB_STEP * sd, LEAST_KNOB_STEP)
+        steps = np.maximum(INTENSITY_STEP * sd, LEAST_INTENSITY_STEP)
         ends = []
         for sign in (1.0, -1.0):
             log_intensity = {
-                target.condition.id: setting.log_intensity.get(target.condition.id, 0.0) + sign * step
+                target.condition.id: point.log_intensity.get(target.condition.id, 0.0) + sign * step
                 for target, step in zip(self.measured, steps, strict=True)
             }
-            ends.append(self.mean(replace(setting, log_intensity=log_intensity), METHOD.screen_frames))
+            ends.append(self.mean(replace(point, log_intensity=log_intensity), METHOD.screen_frames))
         columns = [
             self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
             for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
         ]
-        columns += self._open_columns(setting, base)
+        columns += self._open_columns(point, base)
         whitened = partial(self._column, base)
         self.fixed = clear_errors(self.frame_departures, self.measured, self.model.open_shifts, whitened)
         self.fixed += model_errors(self.model.layout, self.measured, base, self.clear_means, whitened)
         response = np.stack([*columns, *self.fixed], 1)
         # A gauge that reads too low may do so in every condition.
         precision = together(response.shape[1], len(self.measured))
-        return Systematics(response, self.offset(setting), len(columns), precision)
+        return Systematics(response, self.offset(point), len(columns), precision)
 
-    def _open_columns(self, setting: ParameterPoint, base: SimulatedDistribution) -> list[Floats]:
+    def _open_columns(self, point: ParameterPoint, base: SimulatedDistribution) -> list[Floats]:
         """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
         if not self.open:
             return []
-        before = self.mean(setting, METHOD.screen_frames)
+        before = self.mean(point, METHOD.screen_frames)
         places = {
             name: [k for k, target in enumerate(self.measured) if name in self.model.open(target.condition)]
             for name in self.open
@@ -342,15 +346,15 @@ class SimulatorLikelihood:
                 if name in columns or taken & set(places[name]):
                     continue
                 taken |= set(places[name])
-                strength = setting.open.get(name, 0.0)
+                strength = point.open.get(name, 0.0)
                 # A short one would be noise alone.
                 steps[name] = (
                     METHOD.systematic_step_sd
                     if strength + METHOD.systematic_step_sd <= METHOD.nuisance_bound_sd
                     else -METHOD.systematic_step_sd
                 )
-            moved = {name: setting.open.get(name, 0.0) + step for name, step in steps.items()}
-            after = self.mean(replace(setting, open={**setting.open, **moved}), METHOD.screen_frames)
+            moved = {name: point.open.get(name, 0.0) + step for name, step in steps.items()}
+            after = self.mean(replace(point, open={**point.open, **moved}), METHOD.screen_frames)
             for name, step in steps.items():
                 columns[name] = self._column(base, {k: (after[k] - before[k]) / step for k in places[name]})
         return [columns[name] for name in self.open]
@@ -360,89 +364,89 @@ class SimulatorLikelihood:
         nothing = np.zeros(self.model.layout.size)
         return self.whitened(base, [departures.get(place, nothing) for place in range(len(self.measured))])
 
-    def settle(self, setting: ParameterPoint) -> Fit:
-        """The nuisances alone, fitted at a setting of effects; the intensities first looked for on a grid."""
-        setting = self._scanned(setting)
-        base = self.at(setting)
-        setting, nuisance, _ = self._settled(setting, base, self.nuisance(setting, base), METHOD.nuisance_rounds)
-        if not setting.values:
+    def profile(self, point: ParameterPoint) -> Fit:
+        """Profile over the nuisances at a point of effects; the intensities are first looked for on a grid."""
+        point = self._scanned(point)
+        base = self.at(point)
+        point, nuisance, _ = self._profiled(point, base, self.nuisance(point, base), METHOD.nuisance_rounds)
+        if not point.values:
             for target in self.measured:
-                self.model.render_near(target.condition, setting.log_intensity.get(target.condition.id, 0.0))
-        final = self.at(setting)
+                self.model.render_near(target.condition, point.log_intensity.get(target.condition.id, 0.0))
+        final = self.at(point)
         residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
         misfit = nuisance.misfit(residual) + self._wider(final)
-        return Fit(setting, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
+        return Fit(point, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
 
-    def settle_beside(
-        self, setting: ParameterPoint, like: Fit, rounds: int
+    def profile_beside(
+        self, point: ParameterPoint, like: Fit, rounds: int
     ) -> tuple[ParameterPoint, Systematics, float]:
         """The same beside a weak effect, with the scatter and, at first, the nuisances of a fit without it.
 
         Args:
-            setting: of the effect; the intensities are looked for.
+            point: of the effect; the intensities are looked for.
             like: the fit without it.
             rounds: at most.
 
         Returns:
-            The setting, the nuisances there, and the misfit.
+            The point, the nuisances there, and the misfit.
         """
-        setting = self._scanned(setting)
-        found, nuisance, residual = self._settled(setting, like.base, like.nuisance.moved(self.offset(setting)), rounds)
+        point = self._scanned(point)
+        found, nuisance, residual = self._profiled(point, like.base, like.nuisance.moved(self.offset(point)), rounds)
         return found, nuisance, nuisance.misfit(residual)
 
-    def _settled(
-        self, setting: ParameterPoint, base: SimulatedDistribution, nuisance: Systematics, rounds: int
+    def _profiled(
+        self, point: ParameterPoint, base: SimulatedDistribution, nuisance: Systematics, rounds: int
     ) -> tuple[ParameterPoint, Systematics, Floats]:
-        """The setting with its nuisances moved, the nuisances, and the residual there."""
-        residual = self.departure(base, self.mean(setting))
+        """The point with its nuisances moved, the nuisances, and the residual there."""
+        residual = self.departure(base, self.mean(point))
         cost = nuisance.cost(residual)
         for _ in range(rounds):
-            found = self._along(setting, (), np.zeros(0), nuisance.step(residual), cost, base, nuisance)
+            found = self._along(point, (), np.zeros(0), nuisance.step(residual), cost, base, nuisance)
             if found is None:
                 break
             gained = cost - found[0]
-            cost, setting, mean = found
+            cost, point, mean = found
             residual = self.departure(base, mean)
-            if gained < METHOD.settled_chi2 + STALLED_SHARE * cost:
+            if gained < METHOD.converged_chi2 + STALLED_SHARE * cost:
                 break
-            nuisance = self.nuisance(setting, base)
+            nuisance = self.nuisance(point, base)
             cost = nuisance.cost(residual)
-        return setting, nuisance.moved(self.offset(setting)), residual
+        return point, nuisance.moved(self.offset(point)), residual
 
-    def _scanned(self, setting: ParameterPoint) -> ParameterPoint:
-        """A setting with each condition's intensity where its own vector is met best, of a few over the record.
+    def _scanned(self, point: ParameterPoint) -> ParameterPoint:
+        """A point with each condition's intensity where its own vector is met best, of a few over the record.
 
         Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other.
         """
         sd = self.intensity_sd()
-        places = [self.offset(setting)[: len(sd)], *(np.full(len(sd), place) for place in METHOD.intensity_grid_sd)]
+        places = [self.offset(point)[: len(sd)], *(np.full(len(sd), place) for place in METHOD.intensity_grid_sd)]
         costs = []
         for place in places:
             intensities = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
-            mean = self.mean(replace(setting, log_intensity=intensities), METHOD.screen_frames)
-            rest = [
+            mean = self.mean(replace(point, log_intensity=intensities), METHOD.screen_frames)
+            residuals = [
                 self.start.whitened(target.condition.id, target.vector - one)
                 for target, one in zip(self.measured, mean, strict=True)
             ]
-            costs.append((np.stack(rest) ** 2).sum(1) + place**2)
+            costs.append((np.stack(residuals) ** 2).sum(1) + place**2)
         best = np.argmin(costs, 0)
         intensities = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
-        return replace(setting, log_intensity=intensities)
+        return replace(point, log_intensity=intensities)
 
     # ---- responses and fits ----------------------------------------------------------------------------------------
 
-    def nodes(
-        self, points: Sequence[tuple[ParameterGrid, int]], setting: ParameterPoint, base: SimulatedDistribution
+    def templates(
+        self, points: Sequence[tuple[ParameterGrid, int]], point: ParameterPoint, base: SimulatedDistribution
     ) -> list[ResponseTemplate]:
-        """Responses to settings, each given by its line and its place there, on top of a setting."""
-        before = self.mean(setting, METHOD.screen_frames)
+        """Response templates of points, each given by its grid and its place there, on top of a point."""
+        before = self.mean(point, METHOD.screen_frames)
         found = []
-        for line, number in points:
-            values = line.settings[number]
-            tried = replace(setting, values={**setting.values, line.effect.id: values})
+        for grid, number in points:
+            values = grid.points[number]
+            tried = replace(point, values={**point.values, grid.effect.id: values})
             after = self.mean(tried, METHOD.screen_frames)
             change = [new - old for new, old in zip(after, before, strict=True)]
-            found.append(ResponseTemplate(line, number, values, self.whitened(base, change)))
+            found.append(ResponseTemplate(grid, number, values, self.whitened(base, change)))
         return found
 
     def fit(
@@ -455,9 +459,9 @@ class SimulatorLikelihood:
         """Parameters and nuisances that explain the measured conditions best, by Gauss-Newton in the simulator.
 
         Args:
-            start: setting to start from.
+            start: point to start from.
             nuisance: responses to the nuisances; renewed where no step helps any more.
-            base: scatter that the steps are weighed with; the final misfit has that of the fitted setting.
+            base: scatter that the steps are weighed with; the final misfit has that of the fitted point.
             iterations: at most; a step that does not help is shortened.
         """
         names = [
@@ -466,47 +470,47 @@ class SimulatorLikelihood:
             for parameter in effect_class(self.model, effect).arguments
             if math.isfinite(values[parameter.name])
         ]
-        setting = start
-        mean = self.mean(setting)
-        here = nuisance.moved(self.offset(setting))
+        point = start
+        mean = self.mean(point)
+        here = nuisance.moved(self.offset(point))
         residual = self.departure(base, mean)
         cost = here.cost(residual)
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
-            near = self.mean(setting, METHOD.screen_frames)
-            jacobian = np.stack([self._derivative(setting, name, near, base) for name in names], 1)
+            near = self.mean(point, METHOD.screen_frames)
+            jacobian = np.stack([self._derivative(point, name, near, base) for name in names], 1)
             projected = here(jacobian.T).T
             normal = jacobian.T @ projected
             ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
             step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
             covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
             aside = here.step(residual - jacobian @ step)
-            found = self._along(setting, names, step, aside, cost, base, here)
+            found = self._along(point, names, step, aside, cost, base, here)
             gained = 0.0
             if found is not None:
                 gained = cost - found[0]
-                cost, setting, mean = found
-                residual, here = self.departure(base, mean), here.moved(self.offset(setting))
+                cost, point, mean = found
+                residual, here = self.departure(base, mean), here.moved(self.offset(point))
             stalled = STALLED + STALLED_SHARE * cost
             if gained < stalled:
                 if renewed:
                     break
                 # The nuisances may do something else here than where the search began.
-                here, renewed = self.nuisance(setting, base), True
+                here, renewed = self.nuisance(point, base), True
                 cost = here.cost(residual)
             elif gained > 10.0 * stalled:
                 renewed = False
-        final = self.at(setting)
+        final = self.at(point)
         residual = self.residual(final)
-        here = self._nuisance_at(here.moved(self.offset(setting)), base, final)
+        here = self._nuisance_at(here.moved(self.offset(point)), base, final)
         misfit = here.misfit(residual) + self._wider(final)
-        misfit += sum(complexity_penalty(self.model, name) for name in setting.values)
-        return Fit(setting, final, residual, here, misfit, covariance, tuple(names))
+        misfit += sum(complexity_penalty(self.model, name) for name in point.values)
+        return Fit(point, final, residual, here, misfit, covariance, tuple(names))
 
     def _along(
         self,
-        setting: ParameterPoint,
+        point: ParameterPoint,
         names: Sequence[tuple[str, str]],
         step: Floats,
         aside: Floats,
@@ -514,14 +518,14 @@ class SimulatorLikelihood:
         base: SimulatedDistribution,
         nuisance: Systematics,
     ) -> tuple[float, ParameterPoint, list[Floats]] | None:
-        """The best of a few shares of a step that cost less than before: cost, setting and mean vectors there.
+        """The best of a few shares of a step that cost less than before: cost, point and mean vectors there.
 
         Where the whole step helps it is doubled while that helps: along a valley in which an effect and the record say
         nearly the same, a step from finite differences is short.
         """
 
         def tried(share: float) -> tuple[float, ParameterPoint, list[Floats]]:
-            there = self.shifted(self._moved(setting, names, share * step), share * aside)
+            there = self.shifted(self._moved(point, names, share * step), share * aside)
             mean = self.mean(there)
             return nuisance.moved(self.offset(there)).cost(self.departure(base, mean)), there, mean
 
@@ -555,12 +559,12 @@ class SimulatorLikelihood:
         return total
 
     def _derivative(
-        self, setting: ParameterPoint, name: tuple[str, str], mean: Sequence[Floats], base: SimulatedDistribution
+        self, point: ParameterPoint, name: tuple[str, str], mean: Sequence[Floats], base: SimulatedDistribution
     ) -> Floats:
         """Whitened change per unit of a parameter, by a step away from the nearer bound."""
         effect, parameter = name
         declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
-        value = setting.values[effect][parameter]
+        value = point.values[effect][parameter]
         step = METHOD.derivative_step * (
             max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale
         )
@@ -568,20 +572,20 @@ class SimulatorLikelihood:
             # Counts go as the root of a probability: a step far beyond a weak one has another slope.
             step = min(step, max(WEAK_STEP * abs(value - declared.identity), LEAST_STEP * declared.scale))
         if parameter in ("azimuth_rad", "width_rad"):  # finer than the sector itself
-            step = max(0.25 * setting.values[effect].get("width_rad", 0.0), METHOD.angle_step_rad)
+            step = max(0.25 * point.values[effect].get("width_rad", 0.0), METHOD.angle_step_rad)
         step = min(step, 0.25 * (declared.high - declared.low))
         if value + step > declared.high:
             step = -step
-        values = {**setting.values, effect: {**setting.values[effect], parameter: value + step}}
-        after = self.mean(replace(setting, values=values), METHOD.screen_frames)
+        values = {**point.values, effect: {**point.values[effect], parameter: value + step}}
+        after = self.mean(replace(point, values=values), METHOD.screen_frames)
         return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
 
-    def _moved(self, setting: ParameterPoint, names: Sequence[tuple[str, str]], step: Floats) -> ParameterPoint:
-        values = {effect: dict(given) for effect, given in setting.values.items()}
+    def _moved(self, point: ParameterPoint, names: Sequence[tuple[str, str]], step: Floats) -> ParameterPoint:
+        values = {effect: dict(given) for effect, given in point.values.items()}
         for (effect, parameter), change in zip(names, step, strict=True):
             declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
             # Not further than twice the typical size at once.
             limited = float(np.clip(change, -2.0 * declared.scale, 2.0 * declared.scale))
             moved = values[effect][parameter] + limited
             values[effect][parameter] = float(np.clip(moved, declared.low, declared.high))
-        return replace(setting, values=values)
+        return replace(point, values=values)

@@ -25,16 +25,16 @@ ANSCOMBE = 3.0 / 8.0
 
 
 def standing_grids(
-    search: SimulatorLikelihood, effects: Sequence[type[Effect]], setting: ParameterPoint
+    search: SimulatorLikelihood, effects: Sequence[type[Effect]], point: ParameterPoint
 ) -> list[ParameterGrid]:
-    """Settings of effects with an azimuth, a range and a width at the cell of the map with the most returns that a
-    setting lacks."""
+    """Points of effects with an azimuth, a range and a width, at the cell of the map where the simulation lacks most
+    returns."""
     fitting = [one for one in effects if {"azimuth_rad", "range_m", "width_rad"} <= {p.name for p in one.arguments}]
     if not fitting:
         return []
     cells = search.model.map_cells
     total = np.zeros(len(cells))
-    pools = search.pools(setting, METHOD.location_frames)
+    pools = search.pools(point, METHOD.location_frames)
     for target in search.measured:
         # The least of all frames: what stands is in each of them.
         measured = search.model.measured(target.condition).maps[:, 0].min(0)
@@ -48,42 +48,42 @@ def standing_grids(
     ]
 
 
-def located(search: SimulatorLikelihood, setting: ParameterPoint, name: str, base: Fit) -> ParameterPoint:
-    """A setting with one of its effects better placed, if that effect has a place.
+def located(search: SimulatorLikelihood, point: ParameterPoint, name: str, base: Fit) -> ParameterPoint:
+    """A point with one of its effects better placed, if that effect has a place.
 
     Args:
         search: its simulator.
-        setting: to start from.
+        point: to start from.
         name: id of the effect.
         base: the model as it is.
     """
-    if "azimuth_rad" not in setting.values[name]:
-        return setting
+    if "azimuth_rad" not in point.values[name]:
+        return point
     bounds = {one.name: (one.low, one.high) for one in effect_class(search.model, name).arguments}
-    width = setting.values[name].get("width_rad", METHOD.location_widths_rad[-1])
-    steps = {one: width if one == "azimuth_rad" else 0.5 * abs(setting.values[name][one]) for one in bounds}
+    width = point.values[name].get("width_rad", METHOD.location_widths_rad[-1])
+    steps = {one: width if one == "azimuth_rad" else 0.5 * abs(point.values[name][one]) for one in bounds}
 
     def cost(tried: ParameterPoint) -> float:
         here = base.nuisance.moved(search.offset(tried))
         return here.misfit(search.departure(base.base, search.mean(tried, METHOD.location_frames)))
 
-    best = cost(setting)
+    best = cost(point)
     for _ in range(HALVINGS):
         for _ in range(PASSES):
             before = best
             for parameter, step in steps.items():
                 low, high = bounds[parameter]
                 for sign in (1.0, -1.0):
-                    value = setting.values[name][parameter] + sign * step
+                    value = point.values[name][parameter] + sign * step
                     if parameter == "azimuth_rad":
                         value = math.remainder(value, 2.0 * math.pi)
-                    moved = {**setting.values[name], parameter: min(max(value, low), high)}
-                    tried = replace(setting, values={**setting.values, name: moved})
+                    moved = {**point.values[name], parameter: min(max(value, low), high)}
+                    tried = replace(point, values={**point.values, name: moved})
                     found = cost(tried)
                     if found < best:
-                        setting, best = tried, found
+                        point, best = tried, found
                         break
             if best == before:
                 break
         steps = {parameter: 0.5 * step for parameter, step in steps.items()}
-    return setting
+    return point

@@ -1,6 +1,6 @@
-"""What a further effect must explain: more than another form of those found would leave to it.
+"""Forward-selection gate: chi-square that an added effect must gain beyond the model error of those found.
 
-A stage that is off by a share e of what it does leaves ``e s`` of its signature s, anywhere along it. Of that a further
+A stage that is off by a share e of what it does leaves ``e s`` of its signature s, anywhere along it. Of that an added
 effect with the signature u, of length one, explains at most ``e^2 (sum |u| |s|)^2``: all of it where it acts as the
 first one, none where that does nothing.
 
@@ -27,7 +27,7 @@ def explained_beside(search: SimulatorLikelihood, fit: Fit, responses: Floats) -
     Args:
         search: its simulator.
         fit: with the effects that were found.
-        responses: ``(K, C P)`` whitened changes by further ones, of any length.
+        responses: ``(K, C P)`` whitened changes by added ones, of any length.
 
     Returns:
         ``(K,)`` ``(sum |u| |s|)^2``, each at most ``|s|^2``.
@@ -35,13 +35,13 @@ def explained_beside(search: SimulatorLikelihood, fit: Fit, responses: Floats) -
     names = [target.condition.id for target in search.measured]
     change = [fit.base.mean[name] - search.start.mean[name] for name in names]
     done = np.abs(fit.nuisance(search.whitened(fit.base, change)))
-    further = np.abs(fit.nuisance(responses))
-    norm = np.maximum((further**2).sum(-1), 1e-12)
-    found: Floats = (further @ done) ** 2 / norm
+    added = np.abs(fit.nuisance(responses))
+    norm = np.maximum((added**2).sum(-1), 1e-12)
+    found: Floats = (added @ done) ** 2 / norm
     return found
 
 
 def response_of(search: SimulatorLikelihood, fit: Fit, name: str) -> Floats:
     """What one effect of a fit changes where it stands, ``(C P,)``."""
-    there, here = (search.mean(setting, METHOD.screen_frames) for setting in (fit.setting, fit.setting.without(name)))
+    there, here = (search.mean(point, METHOD.screen_frames) for point in (fit.point, fit.point.without(name)))
     return search.whitened(fit.base, [new - old for new, old in zip(there, here, strict=True)])

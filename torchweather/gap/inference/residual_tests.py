@@ -3,7 +3,7 @@
 Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
 pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Stated scatters
 have a least value; of shares and counts of what hardly ever happens, simulated frames show how much less they scatter,
-and that is taken (``LEVEL``), with a margin.
+and that is taken (``METHOD.count_variance_ratio``), with a margin.
 
 References:
     GAP.md 3 (7): look at the groups of statistics that stay untouched.

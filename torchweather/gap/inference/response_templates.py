@@ -23,16 +23,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ResponseTemplate:
-    """Response to one setting of one effect.
+    """Response to one parameter point of one effect.
 
     Args:
-        line: it belongs to.
-        number: place in the line.
+        grid: it belongs to.
+        number: place in the grid.
         values: the parameters.
         response: ``(C P,)`` whitened change of all vectors.
     """
 
-    line: ParameterGrid
+    grid: ParameterGrid
     number: int
     values: Mapping[str, float]
     response: Floats
@@ -40,31 +40,31 @@ class ResponseTemplate:
     @property
     def id(self) -> str:
         """Of the effect."""
-        return self.line.effect.id
+        return self.grid.effect.id
 
 
-def amplitudes(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> tuple[Floats, Floats]:
-    """By what each node is best scaled to explain what nuisances have left ``(R, C P)``, and its squared length."""
-    responses = np.stack([node.response for node in nodes])
+def amplitudes(templates: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> tuple[Floats, Floats]:
+    """Best amplitude of each template on residuals ``(R, C P)`` after the nuisances, and its squared length."""
+    responses = np.stack([template.response for template in templates])
     norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
     found: Floats = np.clip((left @ responses.T) / norm, *METHOD.template_amplitudes)
     return found, norm
 
 
-def delta_chi2(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> Floats:
-    """By how much each node, scaled, lowers the squares of what nuisances have left ``(R, C P)``: ``(R, nodes)``."""
-    amplitude, norm = amplitudes(nodes, left, nuisance)
-    along = left @ np.stack([node.response for node in nodes]).T
+def delta_chi2(templates: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> Floats:
+    """Delta chi-square ``(R, templates)`` of each template, scaled, on residuals ``(R, C P)`` after the nuisances."""
+    amplitude, norm = amplitudes(templates, left, nuisance)
+    along = left @ np.stack([template.response for template in templates]).T
     found: Floats = 2.0 * amplitude * along - amplitude**2 * norm
     return found
 
 
-def pair_delta_chi2(nodes: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> Floats:
-    """By how much each two nodes together lower what is left ``(C P,)``: ``(nodes, nodes)``, from one Gram matrix.
+def pair_delta_chi2(templates: Sequence[ResponseTemplate], left: Floats, nuisance: Systematics) -> Floats:
+    """Delta chi-square ``(templates, templates)`` of each two together on a residual ``(C P,)``, from one Gram matrix.
 
     Amplitudes are those of the best point of the square in which both may lie, its edges included.
     """
-    responses = np.stack([node.response for node in nodes])
+    responses = np.stack([template.response for template in templates])
     gram = responses @ nuisance(responses).T
     along = responses @ left
     norm = np.maximum(np.diag(gram), 1e-12)

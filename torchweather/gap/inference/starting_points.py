@@ -1,6 +1,6 @@
-"""Where the search for an effect starts: settings of its parameters, from weak to strong, of either sign.
+"""Starting points of the search: grids of an effect's parameters, from weak to strong, of either sign.
 
-Response curves come from finite settings, refined near the identity and of both signs: gradients at the identity vanish
+Response curves come from finite points, refined near the identity and of both signs: gradients at the identity vanish
 or are one-sided for half of the effects (GAP.md 3 (5)). An effect with a place (an azimuth) is tried where the residual
 is largest.
 """
@@ -23,27 +23,27 @@ PLACES = ("azimuth_rad",)  # parameters that say where
 
 @dataclass(frozen=True)
 class ParameterGrid:
-    """Settings of one effect along which it grows from its identity.
+    """Points of one effect along which it grows from its identity.
 
     Args:
         effect: its class.
-        settings: parameters from weak to strong, without the identity.
+        points: parameters from weak to strong, without the identity.
     """
 
     effect: type[Effect]
-    settings: tuple[Mapping[str, float], ...]
+    points: tuple[Mapping[str, float], ...]
 
     @property
     def curved(self) -> bool:
-        """Whether no setting says what the next one does, so that many are tried: of what cuts, or begins at a
+        """Whether no point predicts the next one, so that many are tried: of what cuts, or begins at a
         threshold, or has its identity infinitely far."""
-        return len(self.settings) > len(METHOD.start_steps)
+        return len(self.points) > len(METHOD.start_steps)
 
     @property
     def first(self) -> tuple[int, ...]:
-        """Places of the settings that are tried at first: one of a typical size, and a weak one, as few counts go as
+        """Places of the points that are tried at first: one of a typical size, and a weak one, as few counts go as
         the root and strong effects change other statistics as well; all where the identity is infinitely far."""
-        number = len(self.settings)
+        number = len(self.points)
         if self.curved:
             return tuple(range(number))
         return (0, number // 2) if number > 2 else (number // 2,)
@@ -74,7 +74,7 @@ def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = METHO
 def parameter_grids(
     effect: type[Effect], places: Sequence[float], sizes: Mapping[str, float | Sequence[float]] | None = None
 ) -> list[ParameterGrid]:
-    """Lines of settings of an effect.
+    """Grids of points of an effect.
 
     Args:
         effect: its class.

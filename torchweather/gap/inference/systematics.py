@@ -68,8 +68,8 @@ class Systematics:
     def misfit(self, residual: Floats) -> float:
         """What is left, squared, with what the moved nuisances cost."""
         step = self.step(residual)
-        rest = residual - self.response @ step
-        return float(rest @ rest + self._unlikely(self.offset + step))
+        unexplained = residual - self.response @ step
+        return float(unexplained @ unexplained + self._unlikely(self.offset + step))
 
     def drawn(self, generator: np.random.Generator, number: int) -> Floats:
         """Residuals ``(number, C P)`` that nuisances alone make."""

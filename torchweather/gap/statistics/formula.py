@@ -70,8 +70,8 @@ class _Form:
     Args:
         name, names: of the formula and of its coefficients.
         terms: ``(bins, points)`` coordinates to the terms ``(bins, points, coefficients)``.
-        fixed: further parameters, by name.
-        further: number of fixed parameters that were fitted by trying.
+        fixed: other parameters, by name.
+        searched: number of fixed parameters that were fitted by trying.
         choices: among which it is one.
         written: coefficients to text.
     """
@@ -81,7 +81,7 @@ class _Form:
     terms: Callable[[Floats], Floats]
     written: Callable[[Sequence[float]], str]
     fixed: Mapping[str, float]
-    further: int
+    searched: int
     choices: int
 
 
@@ -139,7 +139,7 @@ def _fitted(
 ) -> tuple[Formula, float, float] | None:
     """A form with its best coefficients, the probability of a chi2 as large, and the share of the square it leaves."""
     design = form.terms(points).mean(1)
-    fitted, free = design[known], len(form.names) + form.further
+    fitted, free = design[known], len(form.names) + form.searched
     n = int(known.sum())
     if n < max(free, 1) or (n == free and n > 1):
         return None

@@ -58,7 +58,7 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
     degrees = sum(scenes.values()) - len(scenes)
     if degrees < 1:
         return []
-    rests: list[Floats] = []  # summed up in square: the variance of a frame
+    residuals: list[Floats] = []  # summed up in square: the variance of a frame
     evenly: dict[str, float] = {}  # variance of a mean over all elements
     found, expected = np.zeros(layout.size), np.zeros(layout.size)
     for scene, number in scenes.items():
@@ -76,14 +76,14 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
             evenly[name] = evenly.get(name, 0.0) + excess / degrees
         found += (apart**2).sum(0) / degrees
         expected += noise * (number - 1) / degrees
-        rests += list(apart / math.sqrt(degrees))
+        residuals += list(apart / math.sqrt(degrees))
     share = np.zeros(layout.size)
     for name in set(statistic[moved]):
         own = moved & (statistic == name) & (found > 0)
         if own.any():
             share[own] = max(1.0 - 1.0 / float(np.mean(found[own] / np.maximum(expected[own], TINY))), 0.0)
     widening = math.sqrt(widened(degrees))
-    one_frame = [FrameDeparture(widening * np.sqrt(share) * rest) for rest in rests if share.any()]
+    one_frame = [FrameDeparture(widening * np.sqrt(share) * residual) for residual in residuals if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
     for name, variance in evenly.items():
         entries = layout.averages & (statistic == name)

@@ -339,19 +339,19 @@ def test_a_frame_depends_on_its_own_seed_alone(model: LidarFrames, study: Study)
 
 @pytest.mark.parametrize("name", ["lidar.window_loss", "lidar.extinction_scale", "lidar.range_bias"])
 def test_what_is_kept_of_the_chain_gives_the_bits_of_the_whole_chain(study: Study, name: str) -> None:
-    settings = {
+    points = {
         "lidar.window_loss": ({"loss_db": 0.5}, {"loss_db": 3.0}),
         "lidar.extinction_scale": ({"factor": 0.7}, {"factor": 1.5}),
         "lidar.range_bias": ({"offset_m": 0.05}, {"offset_m": -0.1}),
     }[name]
     condition = study.conditions[0]
     keeping = LidarFrames(study)
-    for values in settings:  # the second starts from what the first kept
+    for values in points:  # the second starts from what the first kept
         effects = [EFFECTS["lidar.wet_target"](share=0.2), EFFECTS[name](**values)]
         found = keeping.simulated(condition, effects, 0.05, SEEDS)
         assert_same(found, LidarFrames(study).simulated(condition, effects, 0.05, SEEDS))
     # Another setting of what comes before must not be taken for it.
-    effects = [EFFECTS["lidar.wet_target"](share=0.6), EFFECTS[name](**settings[1])]
+    effects = [EFFECTS["lidar.wet_target"](share=0.6), EFFECTS[name](**points[1])]
     found = keeping.simulated(condition, effects, 0.05, SEEDS)
     assert_same(found, LidarFrames(study).simulated(condition, effects, 0.05, SEEDS))
 

@@ -224,10 +224,10 @@ class CameraFrames:
         # Without randomness all seeds of one clear frame give one frame.
         random = any(stage.variates() for name, stage in chain.stages.items() if name != OF_THE_CONDITION)
         wanted = list(seeds) if random else [seed % clear for seed in seeds]
-        setting = (condition.id, str([effect.to_dict() for effect in effects]), float(log_intensity), portions)
+        key = (condition.id, str([effect.to_dict() for effect in effects]), float(log_intensity), portions)
         found: dict[int, Reduced] = {}
         for seed in dict.fromkeys(wanted):
-            kept = self._recall((setting, seed))
+            kept = self._recall((key, seed))
             if kept is not None:
                 found[seed] = kept
         missing = [seed for seed in dict.fromkeys(wanted) if seed not in found]
@@ -242,7 +242,7 @@ class CameraFrames:
                 names = ("weight", "value", "square", "scalar", "maps")
                 found[seed] = Reduced(*(getattr(reduced, name)[own] for name in names))
                 if portions == 1:
-                    self._keep((setting, seed), found[seed])
+                    self._keep((key, seed), found[seed])
         return Reduced.joined([found[seed] for seed in wanted])
 
     def _refuse_changed(self, scene_id: str) -> None:

@@ -93,20 +93,20 @@ class Rendered:
 
     def _nodes(self, state: CameraState, log_rate: float, number: int, seeds: list[int]) -> dict[int, Tensor]:
         """Optical depth ``(1, H, W)`` of each seed at one of the rates and numbers that are rendered, as float16."""
-        setting = (log_rate, number)
+        key = (log_rate, number)
         found: dict[int, Tensor] = {}
         with self._lock:
             for seed in dict.fromkeys(seeds):
-                if (setting, seed) in self._kept:
-                    found[seed] = self._kept[setting, seed]
-                    self._kept.move_to_end((setting, seed))
+                if (key, seed) in self._kept:
+                    found[seed] = self._kept[key, seed]
+                    self._kept.move_to_end((key, seed))
         missing = [seed for seed in dict.fromkeys(seeds) if seed not in found]
         if not missing:
             return found
         rendered = self._render(state, log_rate, number * COUNT_STEP, {}, missing)
         with self._lock:
             for seed, optical in zip(missing, rendered.unbind(0), strict=True):
-                found[seed] = self._kept[setting, seed] = optical.clone()
+                found[seed] = self._kept[key, seed] = optical.clone()
             while len(self._kept) * rendered[0].numel() * 2 > KEPT_BYTES:
                 self._kept.popitem(last=False)
         return found
@@ -132,7 +132,7 @@ class Rendered:
         return self._at(log_rate).optical_depth(bare, self._noise(bare, seeds)).half()
 
     def _noise(self, state: CameraState, seeds: list[int]) -> dict[str, Tensor]:
-        """Random numbers of some seeds; those of the last ones are kept, as a few settings follow one another."""
+        """Random numbers of some seeds; those of the last ones are kept, as a few rates follow one another."""
         if self._drawn is None or self._drawn[0] != seeds:
             self._drawn = (seeds, self.stage.draw(state, seed=torch.tensor(seeds), name=self.stage.default_name))
         return self._drawn[1]

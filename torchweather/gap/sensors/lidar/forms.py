@@ -39,7 +39,7 @@ class WakeForm(SearchForm, LidarParticleDensityAzimuth):
     """
 
     arguments: ClassVar[tuple[Parameter, ...]] = WAKE
-    handicap: ClassVar[float] = METHOD.parameter_penalty * (len(WAKE) - 1)
+    complexity_penalty: ClassVar[float] = METHOD.parameter_penalty * (len(WAKE) - 1)
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"width_rad": (0.5, 2.5)}
     wind_amplitude: Tensor
     wind_azimuth_rad: Tensor
@@ -58,7 +58,7 @@ class WakeForm(SearchForm, LidarParticleDensityAzimuth):
 class ElevationForm(SearchForm, LidarParticleDensityElevation):
     """As the catalogue's, begun at three elevations and two widths."""
 
-    handicap: ClassVar[float] = METHOD.parameter_penalty * (len(LidarParticleDensityElevation.arguments) - 1)
+    complexity_penalty: ClassVar[float] = METHOD.parameter_penalty * (len(LidarParticleDensityElevation.arguments) - 1)
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {
         "elevation_rad": (-0.15, 0.0, 0.15),
         "width_rad": (0.1, 0.4),
@@ -69,7 +69,7 @@ class ElevationForm(SearchForm, LidarParticleDensityElevation):
 class SharedForm(SearchForm, LidarSharedParticles):
     """As the catalogue's, begun at the sensor's own width."""
 
-    handicap: ClassVar[float] = METHOD.parameter_penalty
+    complexity_penalty: ClassVar[float] = METHOD.parameter_penalty
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"width_factor": (1.0,)}
 
 

@@ -50,7 +50,7 @@ def wet_rcs_form(classes: Sequence[int]) -> type[Effect]:
         after: ClassVar[str] = RadarWetRcs.after
         axes: ClassVar[tuple[str, ...]] = RadarWetRcs.axes
         confusable_with: ClassVar[Mapping[str, str]] = RadarWetRcs.confusable_with
-        handicap: ClassVar[float] = METHOD.parameter_penalty * (len(classes) - 1)
+        complexity_penalty: ClassVar[float] = METHOD.parameter_penalty * (len(classes) - 1)
 
         def to_dict(self) -> dict[str, Any]:
             """As the catalogue's effect."""
@@ -107,5 +107,5 @@ class InterferenceForm(RadarInterference, SearchForm):
     """``radar.interference``, tried at levels of all sizes. One that strikes every frame is ``radar.noise_floor``."""
 
     another_from: ClassVar[Mapping[str, float]] = {"probability": MOST_STRUCK}
-    handicap: ClassVar[float] = METHOD.parameter_penalty
+    complexity_penalty: ClassVar[float] = METHOD.parameter_penalty
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"level_db": (0.2, 0.6, 2.0, 6.0, 18.0)}
