@@ -13,7 +13,7 @@ from .generator.planning import FAMILIES
 from .scoring import score
 from .sealed import read_json, read_lines, write_json
 from .steps import sensor_of, truth_of
-from .table_text import bars_table, further_table, missed_table
+from .table_text import bars_table, missed_table, other_figures_table
 
 __all__ = ["folder_and_families", "report"]
 
@@ -55,7 +55,7 @@ def report(arguments: argparse.Namespace) -> None:
     if found["table"]["confusion"]:  # of single effects and such from outside
         draw_confusion(found["table"]["confusion"], out / "confusion.png")
     draw_calibration(found["table"]["calibration"], out / "calibration.png")
-    tables = bars_table(found["table"], bars), further_table(found["table"]), missed_table(found["cases"])
+    tables = bars_table(found["table"], bars), other_figures_table(found["table"]), missed_table(found["cases"])
     with atomic_write(out / "table.md") as unfinished:  # for docs/gap-bench.md
         unfinished.write_text("\n\n".join(tables) + "\n", encoding="utf-8")
     for name, value in found["table"].items():

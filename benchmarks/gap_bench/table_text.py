@@ -8,7 +8,7 @@ from typing import Any
 
 from torchweather.stages.catalogue import EFFECTS
 
-__all__ = ["bars_table", "further_table", "missed_table", "short_name"]
+__all__ = ["bars_table", "other_figures_table", "missed_table", "short_name"]
 
 Row = Mapping[str, Any]
 WORDS = {
@@ -16,7 +16,7 @@ WORDS = {
     "singles_wrong_asserted": "single effects: a wrong name asserted",
     "singles_identifiable_unknown": "single effects, identifiable, d' of 10 or more: called unknown",
     "pairs_both": "pairs: both names",
-    "screen_nulls_alarm": "nothing hidden, screening alone: alarms",
+    "screen_nulls_alarm": "nothing hidden, global test alone: alarms",
     "nulls_alarm": "nothing hidden, whole workflow: alarms",
     "outside_unknown": "outside of the catalogue: called unknown",
     "coverage_90": "90 % intervals of parameters: hold the truth",
@@ -33,7 +33,7 @@ WORDS = {
     "decoys_right": "decoys: right answer",
     "coverage_90_same_form": "90 % intervals, effects of the catalogue's own form: hold the truth",
 }
-FURTHER = (
+OTHER_FIGURES = (
     "singles_exact",
     "singles_in_confusion_set",
     "triples_all",
@@ -53,7 +53,7 @@ def bars_table(table: Row, bars: Sequence[Row]) -> str:
         side = "at_least" if "at_least" in one else "at_most"
         figure = table[one["figure"]]
         counts = "share" in figure
-        limit = f"{100 * one[side]:g} %" if counts else f"{one[side]:g}"
+        limit = f"{round(100 * one[side], 1):g} %" if counts else f"{one[side]:g}"
         bar = f"{'>=' if side == 'at_least' else '<='} {limit}"
         reached = _share(figure) if counts else _number(one["reached"])
         if figure.get("alone"):  # seconds
@@ -64,10 +64,10 @@ def bars_table(table: Row, bars: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def further_table(table: Row) -> str:
+def other_figures_table(table: Row) -> str:
     """Figures without a bar."""
     lines = ["| figure | reached | Wilson 95 % |", "| --- | --- | --- |"]
-    for name in FURTHER:
+    for name in OTHER_FIGURES:
         lines.append(f"| {WORDS[name]} | {_share(table[name])} | {_interval(table[name])} |")
     for level, figure in sorted(table["by_level"].items(), key=lambda one: float(one[0])):
         lines.append(f"| single effects, d' of {level}: exact name | {_share(figure)} | {_interval(figure)} |")
@@ -103,12 +103,18 @@ def short_name(name: str) -> str:
 
 
 def _share(figure: Row) -> str:
-    return f"{figure['hits']} of {figure['of']}" + (f" ({100 * figure['share']:.0f} %)" if figure["of"] else "")
+    return f"{figure['hits']} of {figure['of']}" + (f" ({_percent(figure['share'])} %)" if figure["of"] else "")
 
 
 def _interval(figure: Row) -> str:
     ends = figure["wilson_95"]
-    return "" if ends is None else f"{100 * ends[0]:.0f} to {100 * ends[1]:.0f} %"
+    return "" if ends is None else f"{_percent(ends[0])} to {_percent(ends[1])} %"
+
+
+def _percent(share: float) -> str:
+    """A share in percent; with one decimal below 10 %, and above 99 % where it is not all."""
+    percent = 100.0 * share
+    return f"{percent:.1f}" if round(percent, 1) < 10.0 or 99.0 < percent < 100.0 else f"{percent:.0f}"
 
 
 def _number(value: float | None) -> str:

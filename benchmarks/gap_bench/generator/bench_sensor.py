@@ -2,7 +2,8 @@
 
 The truth of a case is a dictionary that ``scoring`` reads:
 
-- ``id, family, weather, options``: of the case; ``options`` has ``screen`` where screening alone counts and ``decoy``.
+- ``id, family, weather, options``: of the case; ``options`` has ``screen`` where the global test alone counts and
+  ``decoy``.
 - ``effects``: a list of what is hidden, each with ``name`` (``lidar.window_loss``, or ``outside.`` and a name that the
   catalogue does not have), ``parameters``, ``same_form`` (the catalogue's own), ``level`` (d'), ``identifiable``,
   ``confusable_with`` (effect to cosine) and ``axes`` (words of the right axis, of an outside effect).
