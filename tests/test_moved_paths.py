@@ -6,7 +6,7 @@ import importlib
 
 import pytest
 
-from torchweather import physics
+from torchweather import Compose, Lidar, LidarRain, physics
 from torchweather.atmosphere.weather import Rain
 
 MOVED = [
@@ -64,3 +64,9 @@ def test_old_names_of_the_intensity_work_with_a_warning() -> None:
         assert physics.KnobTable is physics.InterpolationTable
     with pytest.raises(AttributeError, match="nothing"):
         physics.nothing  # noqa: B018
+
+
+def test_the_old_name_of_the_specifications_of_a_sample_works_with_a_warning() -> None:
+    compose = Compose({"points": LidarRain(Rain(10.0), Lidar.preset("velodyne-hdl-32e"))})
+    with pytest.warns(DeprecationWarning, match="Compose.plans is Compose.specs now"):
+        assert compose.plans is compose.specs

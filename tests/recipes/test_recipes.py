@@ -82,13 +82,13 @@ def test_a_compose_comes_back_from_its_own_file(recipe: Any, tmp_path: Path) -> 
     saved(compose, tmp_path)
     again = load_recipe(tmp_path / "mine.yaml", history="weather")
     assert again.weather == compose.weather
-    assert list(again.plans) == list(compose.plans)
-    assert all(again.plans[key].sensor == plan.sensor for key, plan in compose.plans.items())
-    if "image" not in compose.plans:
-        sample = {key: SAMPLE[key] for key in compose.plans}
+    assert list(again.specs) == list(compose.specs)
+    assert all(again.specs[key].sensor == spec.sensor for key, spec in compose.specs.items())
+    if "image" not in compose.specs:
+        sample = {key: SAMPLE[key] for key in compose.specs}
         out, wanted = again(sample, seed=3), compose(sample, seed=3)
         assert out["weather"] == wanted["weather"]
-        assert all(torch.equal(out[key], wanted[key]) for key in compose.plans)
+        assert all(torch.equal(out[key], wanted[key]) for key in compose.specs)
 
 
 def test_the_conditions_of_d34_are_there() -> None:
@@ -226,11 +226,11 @@ def test_sensors_options_and_keys_can_be_those_of_one_s_own_car() -> None:
     camera = tw.Camera.from_intrinsics(100, 100, 15.5, 11.5, 32, 24)
     changes = {"image": {"sensor": camera, "rgb": False, "depth": 30.0, "airlight": 0.7}, "radar": None}
     mine = load_recipe(MIX, transforms=changes, keys={"image": "CAM_FRONT"}, weather="fog:mor=50")
-    assert list(mine.plans) == ["CAM_FRONT", "points"]
+    assert list(mine.specs) == ["CAM_FRONT", "points"]
     frame = torch.full((1, 24, 32), 0.3)
     wanted = tw.BayerFog(tw.Fog(mor_m=50.0), camera, depth=30.0, airlight=0.7)(frame)
     assert torch.equal(mine({"CAM_FRONT": frame, "points": SAMPLE["points"]}, seed=1)["CAM_FRONT"], wanted)
-    assert "image" in load_recipe(MIX).plans
+    assert "image" in load_recipe(MIX).specs
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +15,8 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.depth import SceneDepth
-from torchweather.compose.plans import Plan, plan_of
 from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
+from torchweather.compose.transform_spec import TransformSpec, spec_of
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
@@ -117,8 +118,8 @@ class Compose(nn.Module):
                 "Compose: seed needs sample_key, the key of what tells samples apart (a token, a file name, a number). "
                 "Without one, give a seed at each call, or wrap the data set: WeatherDataset(dataset, compose, seed)."
             )
-        self.plans = {key: _plan(key, transform) for key, transform in transforms.items()}
-        if not self.plans:
+        self.specs = {key: _spec(key, transform) for key, transform in transforms.items()}
+        if not self.specs:
             raise InputValueError("Compose: wanted a transform for at least one key; got none.")
         self.weather = _candidates(weather, transforms)
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
@@ -126,7 +127,7 @@ class Compose(nn.Module):
         self.inputs = {key: dict(names) for key, names in (inputs or {}).items()}
         self._check_inputs()
         taken = {
-            *self.plans,
+            *self.specs,
             self.depth,
             self.sample_key,
             *(one for names in self.inputs.values() for one in names.values()),
@@ -136,13 +137,20 @@ class Compose(nn.Module):
         self._epoch = shared(torch.zeros((), dtype=torch.int64))
         self._built: OrderedDict[tuple[str, str, str], Any] = OrderedDict()
         for one in self.weather.values:  # so that what does not go together is said here, and tables are made once
-            for plan in self.plans.values():
+            for spec in self.specs.values():
                 if one is not None:
-                    plan.build(one)
+                    spec.build(one)
+
+    @property
+    def plans(self) -> dict[str, TransformSpec[Any]]:
+        """The old name of ``specs``; goes with the next release."""
+        text = "Compose.plans is Compose.specs now; the old name goes with the next release."
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return self.specs
 
     def extra_repr(self) -> str:
         """What is done to which key."""
-        inside = ", ".join(f"{key!r}: {plan.kind.__name__}" for key, plan in self.plans.items())
+        inside = ", ".join(f"{key!r}: {spec.kind.__name__}" for key, spec in self.specs.items())
         return f"{{{inside}}}, weather={list(self.weather.values)!r}, p={self.p:g}"
 
     def __getstate__(self) -> dict[str, Any]:
@@ -247,22 +255,22 @@ class Compose(nn.Module):
             )
         out = dict(sample)
         results: dict[str, Any] = {}
-        for key, plan in self.plans.items():
+        for key, spec in self.specs.items():
             if number is None:
-                found = self._in_weather(key, plan, data[key], self._extras(sample, key, plan, None, 1), draws[0])
+                found = self._in_weather(key, spec, data[key], self._extras(sample, key, spec, None, 1), draws[0])
                 if found is not None:
                     results[key] = found
                     out[key] = like(data_of(found), sample[key])
-                elif self._mosaics(plan):
-                    out[key] = like(self._clear(key, plan, data[key]), sample[key])
+                elif self._mosaics(spec):
+                    out[key] = like(self._clear(key, spec, data[key]), sample[key])
             else:
                 each = [
-                    self._in_weather(key, plan, data[key][k], self._extras(sample, key, plan, k, number), draws[k])
+                    self._in_weather(key, spec, data[key][k], self._extras(sample, key, spec, k, number), draws[k])
                     for k in range(number)
                 ]
-                if self._mosaics(plan) or any(found is not None for found in each):
+                if self._mosaics(spec) or any(found is not None for found in each):
                     kept = [
-                        self._clear(key, plan, data[key][k]) if found is None else data_of(found)
+                        self._clear(key, spec, data[key][k]) if found is None else data_of(found)
                         for k, found in enumerate(each)
                     ]
                     out[key] = like_batch(kept, sample[key])
@@ -273,27 +281,29 @@ class Compose(nn.Module):
 
     def clear_through_mosaic(self, key: str) -> bool:
         """Whether clear images of a key go through the mosaic."""
-        return self._mosaics(self.plans[key])
+        return self._mosaics(self.specs[key])
 
-    def _mosaics(self, plan: Plan[Any]) -> bool:
+    def _mosaics(self, spec: TransformSpec[Any]) -> bool:
         """Whether clear data of a key go through the mosaic."""
-        return self.mosaic_clear and plan.through_mosaic
+        return self.mosaic_clear and spec.through_mosaic
 
-    def _clear(self, key: str, plan: Plan[Any], value: Tensor) -> Tensor:
+    def _clear(self, key: str, spec: TransformSpec[Any], value: Tensor) -> Tensor:
         """Data that get no weather."""
-        if not self._mosaics(plan):
+        if not self._mosaics(spec):
             return value
         some = next(one for one in self.weather.values if one is not None).densest()
-        found: Tensor = self._transform(key, plan, some.to_dict(), value.device).without_weather(value)
+        found: Tensor = self._transform(key, spec, some.to_dict(), value.device).without_weather(value)
         return found
 
-    def _in_weather(self, key: str, plan: Plan[Any], value: Tensor, extras: Mapping[str, Any], draw: Draw) -> Any:
+    def _in_weather(
+        self, key: str, spec: TransformSpec[Any], value: Tensor, extras: Mapping[str, Any], draw: Draw
+    ) -> Any:
         """What the transform of a key makes of it; ``None`` without weather."""
         if draw.weather is None:
             return None
-        transform = self._transform(key, plan, draw.weather, value.device)
+        transform = self._transform(key, spec, draw.weather, value.device)
         noise = transform.draw(value, seed=derived_seed(draw.seed, key))
-        inner = transform.transform if plan.rgb else transform
+        inner = transform.transform if spec.rgb else transform
         for name, stage in inner.chain.stages.items():
             if stage.of_the_air:
                 shared = draw_variates([draw.seed], "air", list(stage.variates()), {})
@@ -303,11 +313,11 @@ class Compose(nn.Module):
         noise = {name: one.to(value.device) for name, one in noise.items()}
         return transform.run(value, noise=noise, **extras)
 
-    def _transform(self, key: str, plan: Plan[Any], weather: Mapping[str, Any], device: torch.device) -> Any:
+    def _transform(self, key: str, spec: TransformSpec[Any], weather: Mapping[str, Any], device: torch.device) -> Any:
         """The key's transform for a weather, kept for when it comes again."""
         place = (key, json.dumps(weather, sort_keys=True), str(device))
         if place not in self._built:
-            self._built[place] = plan.build(weather_from_dict(weather)).to(device)
+            self._built[place] = spec.build(weather_from_dict(weather)).to(device)
             if len(self._built) > KEPT:
                 self._built.popitem(last=False)
         self._built.move_to_end(place)
@@ -327,13 +337,13 @@ class Compose(nn.Module):
 
     def _data(self, sample: Sample) -> dict[str, Any]:
         """Of each key the data, as a tensor or a list of them."""
-        return {key: as_tensor(self._value(sample, key), key) for key in self.plans}
+        return {key: as_tensor(self._value(sample, key), key) for key in self.specs}
 
     def _number(self, data: Mapping[str, Any]) -> int | None:
         """Samples in a batch; ``None`` where it is a single one."""
         found: dict[str, int | None] = {}
         for key, value in data.items():
-            single = len(self.plans[key].data_shape)
+            single = len(self.specs[key].data_shape)
             if isinstance(value, list):
                 found[key] = len(value)
             elif value.ndim == single:
@@ -342,7 +352,7 @@ class Compose(nn.Module):
                 found[key] = len(value)
             else:
                 raise InputValueError(
-                    f"Compose: {key!r} must have shape ({', '.join(self.plans[key].data_shape)}), or one dimension "
+                    f"Compose: {key!r} must have shape ({', '.join(self.specs[key].data_shape)}), or one dimension "
                     f"more for a batch; got {tuple(value.shape)}."
                 )
         if len(set(found.values())) > 1:
@@ -350,10 +360,12 @@ class Compose(nn.Module):
             raise InputValueError(f"Compose: the data of all keys must be of one batch; got {said}.")
         return next(iter(found.values()))
 
-    def _extras(self, sample: Sample, key: str, plan: Plan[Any], element: int | None, number: int) -> dict[str, Any]:
+    def _extras(
+        self, sample: Sample, key: str, spec: TransformSpec[Any], element: int | None, number: int
+    ) -> dict[str, Any]:
         """Further arguments of a key's transform, of one sample of a number of them."""
         names = dict(self.inputs.get(key, {}))
-        if "depth" in plan.extra_inputs and "depth" not in names and self.depth in sample:
+        if "depth" in spec.extra_inputs and "depth" not in names and self.depth in sample:
             names["depth"] = self.depth
         found = {}
         for argument, where in names.items():
@@ -361,7 +373,7 @@ class Compose(nn.Module):
             if isinstance(given, SceneDepth):
                 found[argument] = given if element is None else given.of_sample(element)
                 continue
-            value, single = as_tensor(given, where), plan.extra_inputs[argument]
+            value, single = as_tensor(given, where), spec.extra_inputs[argument]
             if isinstance(value, list) or value.ndim > single:  # what has one more dimension is of a batch
                 if element is None or len(value) != number:
                     wanted = "one sample" if element is None else f"one sample, or of each of the {number}"
@@ -375,12 +387,12 @@ class Compose(nn.Module):
 
     def _check_inputs(self) -> None:
         for key, names in self.inputs.items():
-            if key not in self.plans:
+            if key not in self.specs:
                 raise InputValueError(
                     f"Compose: inputs names {key!r}, for which there is no transform; there are "
-                    f"{', '.join(self.plans)}.{nearest_name(key, self.plans)}"
+                    f"{', '.join(self.specs)}.{nearest_name(key, self.specs)}"
                 )
-            known = list(self.plans[key].extra_inputs)
+            known = list(self.specs[key].extra_inputs)
             for argument in names:
                 if argument not in known:
                     raise InputValueError(
@@ -401,7 +413,7 @@ def _no_mapping(given: Any, more: Sequence[object]) -> str:
     )
 
 
-def _plan(key: str, transform: Any) -> Plan[Any]:
+def _spec(key: str, transform: Any) -> TransformSpec[Any]:
     if isinstance(transform, (list, tuple)):
         raise InputValueError(
             f"Compose: {key!r} has {len(transform)} transforms; of two weathers the extinctions must add before any "
@@ -413,15 +425,15 @@ def _plan(key: str, transform: Any) -> Plan[Any]:
             "weather=Mixture(...)."
         )
     try:
-        plan = plan_of(transform)
+        spec = spec_of(transform)
     except TypeError as error:
         raise InputTypeError(f"Compose: {key!r}: {error}") from error
-    if plan.options.get("p", 1.0) != 1.0:
+    if spec.options.get("p", 1.0) != 1.0:
         raise InputValueError(
-            f"Compose: {key!r} has p={plan.options['p']:g} of its own, and all sensors of a sample see one weather. "
+            f"Compose: {key!r} has p={spec.options['p']:g} of its own, and all sensors of a sample see one weather. "
             "Give p to Compose."
         )
-    return plan
+    return spec
 
 
 def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:

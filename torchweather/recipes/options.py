@@ -12,7 +12,7 @@ from torch import Tensor
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.transform import BayerWeather
-from torchweather.compose.plans import plan_of, sensor_of
+from torchweather.compose.transform_spec import sensor_of, spec_of
 from torchweather.core.errors import InputValueError
 from torchweather.core.moved import new_names
 from torchweather.lidar.options import LidarOptions
@@ -67,7 +67,7 @@ def sensor_values(sensor: Sensor) -> dict[str, Any]:
 def options_of(transform: RecipeTransform) -> dict[str, Any]:
     """The keyword arguments that the transform was built with, where they differ from the defaults, as plain values."""
     try:
-        options = dict(plan_of(transform).options)
+        options = dict(spec_of(transform).options)
     except ValueError as error:
         raise InputValueError(
             f"save_recipe: {error} A recipe cannot hold that; use transform.chain.save(path)."
@@ -92,13 +92,13 @@ def with_more_effects(transform: T, effects: Sequence[Effect]) -> T:
     if strange:
         raise InputValueError(f"with_more_effects: wanted effects of a {kind}; got {', '.join(strange)}.")
     try:
-        plan = plan_of(transform)
+        spec = spec_of(transform)
     except ValueError as error:
         raise InputValueError(
             f"with_more_effects: {error} Or use stages.with_effects(transform.chain, effects)."
         ) from error
-    more = {**plan.options, "effects": [*plan.options.get("effects", ()), *effects]}
-    again: T = replace(plan, options=more).build(transform.weather)
+    more = {**spec.options, "effects": [*spec.options.get("effects", ()), *effects]}
+    again: T = replace(spec, options=more).build(transform.weather)
     return again
 
 

@@ -11,7 +11,7 @@ from torch import nn
 
 from torchweather.camera.rgb import AsBayer
 from torchweather.compose.compose import Compose
-from torchweather.compose.plans import TRANSFORMS, sensor_of
+from torchweather.compose.transform_spec import TRANSFORMS, sensor_of
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.core.yaml_file import dump_yaml
@@ -112,7 +112,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], *, kind: Kinds = None, **o
         30.0
         >>> changes = {"points": {"sensor": "lidar:velodyne-hdl-32e"}, "radar": None}
         >>> mine = load_recipe("multi_sensor/training-mix", transforms=changes, keys={"points": "LIDAR_TOP"}, p=0.5)
-        >>> list(mine.plans), mine.p
+        >>> list(mine.specs), mine.p
         (['image', 'LIDAR_TOP'], 0.5)
     """
     return read_recipe(name_or_path, kind).build(**overrides)
@@ -166,7 +166,7 @@ def _several(compose: Compose) -> dict[str, Any]:
     return {
         "kind": "multi_sensor",
         "weather": first.to_dict() if alone else compose.weather.to_dict(),
-        "transforms": {key: _of_a_sensor(plan.kind.__name__, plan.build(first)) for key, plan in compose.plans.items()},
+        "transforms": {key: _of_a_sensor(spec.kind.__name__, spec.build(first)) for key, spec in compose.specs.items()},
         "p": compose.p,
         "depth": compose.depth,
         **({"mosaic_clear": True} if compose.mosaic_clear else {}),

@@ -27,7 +27,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from torchweather.compose.plans import TRANSFORMS
+from torchweather.compose.transform_spec import TRANSFORMS
 from torchweather.core.schema import FLAG, MAPPING, SHARE, TEXT, Key, check_format, check_keys, check_value, one_of
 from torchweather.core.yaml_file import read_yaml
 from torchweather.recipes.files import KINDS

@@ -13,7 +13,7 @@ from torchweather.atmosphere.weather import Weather, parse_weather, weather_from
 from torchweather.camera.depth import AUTO, FlatGround
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
-from torchweather.compose.plans import TRANSFORMS
+from torchweather.compose.transform_spec import TRANSFORMS
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
 from torchweather.core.schema import TEXT, Key, check_keys, check_value, field_keys, one_of, refuse_unknown
 from torchweather.lidar.sensor import Lidar

@@ -80,7 +80,7 @@ def test_a_folder_keeps_its_tree_and_each_frame_has_one_weather(tmp_path: Path) 
     assert row.seed == sample_seed(5, "001", 0)
     points = (
         load_recipe(recipe(tmp_path))
-        .plans["points"]
+        .specs["points"]
         .build(torchweather.atmosphere.weather.weather_from_dict(row.weather))
     )
     clear = read_points(source / "day/clouds/001.bin").points
@@ -116,11 +116,11 @@ def test_a_recipe_of_one_sensor_carries_the_others_along(tmp_path: Path) -> None
 
 def by_hand(folder: Path, row: Row, key: str, text: str) -> Tensor:
     """Image 0 in the weather of a row, with the depth of cloud 0 and the intrinsics of the tables."""
-    plan = load_recipe(recipe(folder, text)).plans["image"]
+    spec = load_recipe(recipe(folder, text)).specs["image"]
     camera = torchweather.Camera.from_intrinsics(40, 40, 19.5, 11.5, 40, 24, height_m=1.65)
     lidar_axes = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     depth = CompletedDepth(cloud(0), torch.tensor(lidar_axes)).scene(camera, 24, 40, image=image(0))
-    transform = plan.build(torchweather.atmosphere.weather.weather_from_dict(row.weather))
+    transform = spec.build(torchweather.atmosphere.weather.weather_from_dict(row.weather))
     noise = transform.draw(image(0), seed=torchweather.core.random.derived_seed(row.seed, key))
     found: Tensor = transform(image(0), depth, noise)
     return found
@@ -184,7 +184,7 @@ def test_clear_frames_go_through_the_mosaic_where_the_recipe_says_so(tmp_path: P
     )
     run(source, target, text)
     after = read_image(target / "day/images/000.png")[0]
-    camera = load_recipe(recipe(tmp_path, text)).plans["image"]
+    camera = load_recipe(recipe(tmp_path, text)).specs["image"]
     rain = torchweather.AsBayer(camera.kind(torchweather.Rain(5.0), camera.sensor, depth=30.0), through_mosaic=True)
     assert torch.equal(after, rain.without_weather(image(0)))
     assert not torch.equal(after, image(0))

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchweather.camera.depth import AUTO, CompletedDepth, DepthSource, SceneDepth
 from torchweather.camera.sensor import Camera
-from torchweather.compose.plans import Plan
+from torchweather.compose.transform_spec import TransformSpec
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.core.file_names import stem
 from torchweather.datasets import read_kitti_calibration
@@ -37,9 +37,9 @@ class CameraUse(SensorUse):
     camera: Camera
     rgb: bool
 
-    def changed(self, plan: Plan[Any]) -> Plan[Any]:
-        """The plan for this camera, of mosaics or of colour images."""
-        return replace(plan, sensor=self.camera, rgb=self.rgb, through_mosaic=plan.through_mosaic and self.rgb)
+    def changed(self, spec: TransformSpec[Any]) -> TransformSpec[Any]:
+        """The spec for this camera, of mosaics or of colour images."""
+        return replace(spec, sensor=self.camera, rgb=self.rgb, through_mosaic=spec.through_mosaic and self.rgb)
 
 
 class CameraFile(FrameFile):
@@ -48,7 +48,7 @@ class CameraFile(FrameFile):
     kind: ClassVar[str] = "camera"
     suffixes: ClassVar[tuple[str, ...]] = IMAGE_SUFFIXES
     takes_depth: ClassVar[bool] = True
-    plan: Plan[Camera]
+    spec: TransformSpec[Camera]
 
     def _read(self, path: Path) -> None:
         self.data, info = read_image(path)
@@ -65,7 +65,7 @@ class CameraFile(FrameFile):
     def _camera(self) -> Camera:
         """The recipe's camera with the intrinsics of the data set, or scaled to the size of the image."""
         height, width = self.data.shape[-2:]
-        camera = self.plan.sensor
+        camera = self.spec.sensor
         matrix: Any = self.file.camera_matrix
         if matrix is None and self.frame.calibration is not None:
             matrix = read_kitti_calibration(self.paths.source(self.frame.calibration)).camera_matrix.tolist()
@@ -92,7 +92,7 @@ class CameraFile(FrameFile):
         if chosen == FROM_LIDAR:
             raise TorchweatherError(f"{path}: there is no cloud of its number, for --depth lidar.")
         if chosen is None:
-            if self.plan.options.get("depth") is not None:
+            if self.spec.options.get("depth") is not None:
                 return None
             chosen = AUTO if rgb else GROUND
         return depth_source(chosen, self.job.depth_encoding, path)

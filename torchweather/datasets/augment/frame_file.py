@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 from torch import Tensor
 
 from torchweather.camera.depth import SceneDepth
-from torchweather.compose.plans import Plan
 from torchweather.compose.samples import data_of
+from torchweather.compose.transform_spec import TransformSpec
 from torchweather.datasets.augment.frame_recipe import SensorUse
 from torchweather.datasets.augment.frames import Frame, SensorFile
 from torchweather.datasets.augment.job import FramePaths, Job
@@ -27,7 +27,7 @@ class FrameFile(ABC):
         frame: with the file.
         file: its place and what belongs to it.
         paths: of the frame.
-        plan: the recipe's transform for this kind of sensor.
+        spec: the recipe's transform for this kind of sensor.
     """
 
     kind: ClassVar[str]
@@ -39,20 +39,25 @@ class FrameFile(ABC):
     data: Tensor
     use: SensorUse
 
-    def __init__(self, job: Job, frame: Frame, file: SensorFile, paths: FramePaths, plan: Plan[Any]) -> None:
-        self.job, self.frame, self.file, self.paths, self.plan = job, frame, file, paths, plan
+    def __init__(self, job: Job, frame: Frame, file: SensorFile, paths: FramePaths, spec: TransformSpec[Any]) -> None:
+        self.job, self.frame, self.file, self.paths, self.spec = job, frame, file, paths, spec
         self._read(paths.source(file.path))
 
     @classmethod
     def prepared(
-        cls, job: Job, frames: Sequence[Frame], plan: Plan[Any], settings: dict[str, str], before: Mapping[str, str]
+        cls,
+        job: Job,
+        frames: Sequence[Frame],
+        spec: TransformSpec[Any],
+        settings: dict[str, str],
+        before: Mapping[str, str],
     ) -> Job:
         """The job with what follows from all files of the kind together, found before the first frame.
 
         Args:
             job: of the run.
             frames: of the data set.
-            plan: the recipe's transform for this kind of sensor.
+            spec: the recipe's transform for this kind of sensor.
             settings: of the run; what a later run must find again is added.
             before: settings of an earlier run that goes on; empty of a new one.
         """

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.compose import Compose
-from torchweather.compose.plans import Plan, plan_of
+from torchweather.compose.transform_spec import TransformSpec, spec_of
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.recipes import load_recipe
 
@@ -32,9 +32,9 @@ class SensorUse:
     kind: str
     depth: bool = False
 
-    def changed(self, plan: Plan[Any]) -> Plan[Any]:
-        """The recipe's plan as it is for this sensor."""
-        return plan
+    def changed(self, spec: TransformSpec[Any]) -> TransformSpec[Any]:
+        """The recipe's spec as it is for this sensor."""
+        return spec
 
 
 class FrameRecipe:
@@ -59,11 +59,11 @@ class FrameRecipe:
             except TorchweatherError as error:
                 raise TorchweatherError(str(error).replace(str(file), name)) from error
         if not isinstance(built, Compose):
-            built = Compose({plan_of(built).sensor.data_key: built})
+            built = Compose({spec_of(built).sensor.data_key: built})
         self.compose = built
         self.keys: dict[str, str] = {}
-        for key, plan in self.compose.plans.items():
-            kind = plan.sensor.kind
+        for key, spec in self.compose.specs.items():
+            kind = spec.sensor.kind
             if kind in self.keys:
                 raise InputValueError(
                     f"augment: wanted a recipe with one sensor of a kind; it has two of a {kind}, {self.keys[kind]!r} "
@@ -72,9 +72,9 @@ class FrameRecipe:
             self.keys[kind] = key
         self._built: OrderedDict[str, Compose] = OrderedDict()
 
-    def plan(self, kind: str) -> Plan[Any]:
+    def spec(self, kind: str) -> TransformSpec[Any]:
         """The transform for a kind of sensor."""
-        return self.compose.plans[self.keys[kind]]
+        return self.compose.specs[self.keys[kind]]
 
     def for_sensors(self, uses: Mapping[str, SensorUse]) -> Compose:
         """The recipe for the sensors of a frame, by key; a depth map is wanted as ``<key> depth``."""
@@ -91,7 +91,7 @@ class FrameRecipe:
         if some is None:
             raise InputValueError("augment: the recipe has no weather, clear air only.")
         return Compose(
-            {key: use.changed(self.plan(use.kind)).build(some) for key, use in uses.items()},
+            {key: use.changed(self.spec(use.kind)).build(some) for key, use in uses.items()},
             weather=self.compose.weather,
             p=self.compose.p,
             inputs={key: {"depth": f"{key} depth"} for key, use in uses.items() if use.depth},

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.compose.plans import Plan
+from torchweather.compose.transform_spec import TransformSpec
 from torchweather.core.file_names import stem
 from torchweather.datasets import (
     BoxVisibility,
@@ -55,11 +55,11 @@ class LidarUse(SensorUse):
     drive: str = ""
     own_vehicle: OwnVehicleMask | None = field(default=None, repr=False, compare=False)
 
-    def changed(self, plan: Plan[Any]) -> Plan[Any]:
-        """The plan with the mask of the drive."""
+    def changed(self, spec: TransformSpec[Any]) -> TransformSpec[Any]:
+        """The spec with the mask of the drive."""
         if self.own_vehicle is None:
-            return plan
-        return replace(plan, options={**plan.options, "own_vehicle": self.own_vehicle})
+            return spec
+        return replace(spec, options={**spec.options, "own_vehicle": self.own_vehicle})
 
 
 class LidarFile(FrameFile):
@@ -71,13 +71,18 @@ class LidarFile(FrameFile):
 
     @classmethod
     def prepared(
-        cls, job: Job, frames: Sequence[Frame], plan: Plan[Lidar], settings: dict[str, str], before: Mapping[str, str]
+        cls,
+        job: Job,
+        frames: Sequence[Frame],
+        spec: TransformSpec[Lidar],
+        settings: dict[str, str],
+        before: Mapping[str, str],
     ) -> Job:
         """The job with a mask of the own vehicle for each drive; a run that goes on takes the masks it began with."""
         masks = masks_from_text(before.get(MASKS, ""))
         if not before:
             sweeps = [file.path for frame in frames for file in frame.files if file.kind == cls.kind]
-            masks = drive_masks(settings["own_vehicle"] or None, sweeps, Path(job.source), plan)
+            masks = drive_masks(settings["own_vehicle"] or None, sweeps, Path(job.source), spec)
         settings[MASKS] = masks_to_text(masks)
         return replace(job, own_vehicle=masks)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchweather.compose.plans import Plan
+from torchweather.compose.transform_spec import TransformSpec
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.augment.paths import inside
 from torchweather.io import read_points
@@ -39,7 +39,7 @@ def drive_of(path: str) -> str:
 
 
 def drive_masks(
-    chosen: str | None, sweeps: Sequence[str], source: Path, plan: Plan[Lidar]
+    chosen: str | None, sweeps: Sequence[str], source: Path, spec: TransformSpec[Lidar]
 ) -> dict[str, OwnVehicleMask]:
     """Drive to its mask.
 
@@ -48,7 +48,7 @@ def drive_masks(
             ``own_vehicle`` of its own.
         sweeps: paths of the data set's clouds; at most 50 of a drive are read, evenly chosen by name.
         source: root of the data set.
-        plan: of the recipe's LiDAR.
+        spec: of the recipe's LiDAR.
 
     Returns:
         Drives with fewer than 5 sweeps that differ have none: each of their sweeps is looked at by itself.
@@ -59,7 +59,7 @@ def drive_masks(
     drives: dict[str, list[str]] = {}
     for path in sweeps:
         drives.setdefault(drive_of(path), []).append(path)
-    wanted = bool(plan.options.get("complete_scan")) and plan.options.get("own_vehicle") is None
+    wanted = bool(spec.options.get("complete_scan")) and spec.options.get("own_vehicle") is None
     if chosen == NONE or (chosen is None and not wanted):
         return {}
     if chosen not in (None, DRIVE):
@@ -69,7 +69,7 @@ def drive_masks(
     why = "there are no sweeps"
     for drive, paths in drives.items():
         try:
-            mask = own_vehicle_mask(_clouds(evenly_chosen(paths), source), plan.sensor)
+            mask = own_vehicle_mask(_clouds(evenly_chosen(paths), source), spec.sensor)
         except (ValueError, IndexError) as error:
             why = str(error)
             continue

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchweather.compose.plans import Plan
+from torchweather.compose.transform_spec import TransformSpec
 from torchweather.datasets.augment.frame_file import FrameFile
 from torchweather.datasets.augment.frame_recipe import SensorUse
 from torchweather.io import read_radar, write_radar
@@ -21,10 +21,10 @@ class RadarFile(FrameFile):
 
     kind: ClassVar[str] = "radar"
     suffixes: ClassVar[tuple[str, ...]] = (".pcd", ".npz", ".csv")
-    plan: Plan[Radar]
+    spec: TransformSpec[Radar]
 
     def _read(self, path: Path) -> None:
-        self.detections = read_radar(path, self.plan.sensor)
+        self.detections = read_radar(path, self.spec.sensor)
         self.data = self.detections.points
         self.use = SensorUse(kind=self.kind)
 

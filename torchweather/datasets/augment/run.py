@@ -176,7 +176,7 @@ def augment(
         if dry_run:
             return summary
         for kind in built.keys if to_do else ():
-            job = FRAME_FILES[kind].prepared(job, data.frames, built.plan(kind), settings, before)
+            job = FRAME_FILES[kind].prepared(job, data.frames, built.spec(kind), settings, before)
         manifest.write_settings(settings)
         _clean(target)  # what a killed run left; its marks of tries must not count
         try:

@@ -78,7 +78,7 @@ class Worker:
 
     def _in_weather(self, frame: Frame, seed: int, row: Row, paths: FramePaths) -> Row:
         files = {
-            file.key: FRAME_FILES[file.kind](self.job, frame, file, paths, self.recipe.plan(file.kind))
+            file.key: FRAME_FILES[file.kind](self.job, frame, file, paths, self.recipe.spec(file.kind))
             for file in frame.files
         }
         compose = self.recipe.for_sensors({key: one.use for key, one in files.items()})

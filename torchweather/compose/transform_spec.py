@@ -1,4 +1,4 @@
-"""How a transform is built: its class, sensor and options, so that the same can be built for another weather."""
+"""Specification of a transform: its class, sensor and options, from which it is built again for another weather."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchweather.pipeline.sensor import Sensor
 from torchweather.pipeline.sensor_transform import WeatherTransform, class_for
 from torchweather.radar.transform import RadarAttenuation
 
-__all__ = ["TRANSFORMS", "Plan", "TransformClass", "class_for", "plan_of", "sensor_of"]
+__all__ = ["TRANSFORMS", "TransformClass", "TransformSpec", "class_for", "sensor_of", "spec_of"]
 
 S = TypeVar("S", bound=Sensor)
 TransformClass = type[WeatherTransform]
@@ -35,8 +35,8 @@ def sensor_of(transform: WeatherTransform) -> Sensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Generic[S]):
-    """All that a transform is but its weather.
+class TransformSpec(Generic[S]):
+    """Everything that a transform is built from but its weather.
 
     Args:
         kind: its class.
@@ -64,8 +64,8 @@ class Plan(Generic[S]):
         return AsBayer(built, through_mosaic=self.through_mosaic, method=self.method) if self.rgb else built
 
 
-def plan_of(transform: nn.Module) -> Plan[Any]:
-    """How a ready-made transform, or ``AsBayer`` around one, was built.
+def spec_of(transform: nn.Module) -> TransformSpec[Any]:
+    """Specification of a ready-made transform, or of ``AsBayer`` around one.
 
     Raises:
         TypeError: it is none.
@@ -79,8 +79,10 @@ def plan_of(transform: nn.Module) -> Plan[Any]:
         )
     outer = transform if isinstance(transform, AsBayer) else inner
     options = inner.options.arguments()
-    plan: Plan[Any] = Plan(type(inner), inner.own_sensor(), options, outer.data_shape, outer.extra_inputs)
+    spec: TransformSpec[Any] = TransformSpec(
+        type(inner), inner.own_sensor(), options, outer.data_shape, outer.extra_inputs
+    )
     inner.refuse_changes()
     if isinstance(transform, AsBayer):
-        return replace(plan, rgb=True, through_mosaic=transform.through_mosaic, method=transform.method)
-    return plan
+        return replace(spec, rgb=True, through_mosaic=transform.through_mosaic, method=transform.method)
+    return spec
