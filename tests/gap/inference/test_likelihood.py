@@ -28,7 +28,7 @@ from torchweather.pipeline.effect import Effect
 
 RNG = np.random.default_rng
 WEATHERS = (Snow(2.0), Snow(1.2))
-SCREENED = (
+TESTED = (
     "lidar.window_loss",
     "lidar.threshold_shift",
     "lidar.extinction_scale",
@@ -222,7 +222,7 @@ def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
     # The five frames of the measurement have a scale of their own; which of both it is, their variances say.
     moved = found[1].point.open["clear scale s0"] - found[0].point.open["clear scale s0"]
     clear_share = (1.0 / len(scene.clear)) / (1.0 / len(scene.clear) + 1.0 / search.measured[0].frames)
-    assert moved == pytest.approx(-4.0 * clear_share, abs=0.6)  # settling stops where little is gained
+    assert moved == pytest.approx(-4.0 * clear_share, abs=0.6)  # the profile stops where little is gained
     assert found[1].nuisance.misfit(found[1].residual) < found[0].nuisance.misfit(found[0].residual) + 4.0**2
 
 
@@ -299,7 +299,7 @@ def test_responses_are_those_of_the_points_that_are_asked_for(null: SimulatorLik
 @pytest.mark.parametrize(
     ("name", "values"), [("lidar.crosstalk", {"probability": 0.1}), ("lidar.window_loss", {"loss_db": 1.0})]
 )
-def test_only_an_effect_that_leaves_something_unsaid_widens_a_scatter(
+def test_only_an_effect_that_leaves_something_unmodelled_widens_a_scatter(
     null: SimulatorLikelihood, name: str, values: dict[str, float]
 ) -> None:
     point = ParameterPoint({name: values})
@@ -359,7 +359,7 @@ def test_a_hidden_parameter_is_found_within_three_standard_errors(
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_study_that_lacks_nothing_raises_no_alarm(seed: int) -> None:
     search = search_of(small(seed=seed + 10))
-    found = run_global_test(search, [EFFECTS[name] for name in SCREENED], search.begin(), seed)
+    found = run_global_test(search, [EFFECTS[name] for name in TESTED], search.begin(), seed)
     assert found.p_value > METHOD.alarm_p
 
 
@@ -372,7 +372,7 @@ def test_a_hidden_effect_raises_an_alarm_and_with_it_in_the_model_there_is_none(
     found = run_global_test(search, [EFFECTS[name] for name in names], search.begin(), 0)
     assert found.p_value < 1e-6
     assert found.templates[int(found.gains.argmax())].id == "lidar.window_loss"
-    others = [name for name in SCREENED if name != "lidar.window_loss"]
+    others = [name for name in TESTED if name != "lidar.window_loss"]
     with_it = find_gap_with(LidarFrames(study, effects=[window]), effects=others)
     assert with_it.verdict == "none"
     assert with_it.global_test.misfit < 1.3 * with_it.global_test.counted < 0.5 * found.misfit

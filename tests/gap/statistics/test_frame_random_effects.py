@@ -313,7 +313,7 @@ def test_every_point_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_re
 # ---- what effects leave unmodelled -------------------------------------------------------------------------------
 
 
-def test_what_an_effect_leaves_unsaid_is_known_to_half_of_what_it_does() -> None:
+def test_what_an_effect_leaves_unmodelled_is_known_to_half_of_what_it_does() -> None:
     search, there = bare(), base(-0.7)
     search.start = base(0.2)
     found = search._loosened(there, {"log_particle_intensity", "no_such_statistic"})
@@ -327,7 +327,7 @@ def test_what_an_effect_leaves_unsaid_is_known_to_half_of_what_it_does() -> None
         np.testing.assert_array_equal(found.mean[name], there.mean[name])
 
 
-def test_effects_leave_unsaid_only_what_is_looked_at() -> None:
+def test_effects_leave_unmodelled_only_what_is_looked_at() -> None:
     axes = ("range_m", "margin_db", "azimuth_rad", "elevation_rad", "cos_incidence", "up", "log_intensity", "isolated")
     groups = lidar_layout(dict.fromkeys(axes, (0.0, 1.0)), True, 100).groups
     names = {group.statistic for group in groups}

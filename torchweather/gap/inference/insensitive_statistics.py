@@ -1,10 +1,10 @@
 """Statistics that the effects found so far leave as they were: what shows there is something else.
 
-Another form of an effect than the stage's leaves a rest that many others patch a little, but only where the effect
-itself acts. A range that is off is no rest of a wet road.
+Another form of an effect than the stage's leaves a residual that many others patch a little, but only where the effect
+itself acts. A range that is off is no residual of a wet road.
 
 References:
-    GAP.md 3 (7): look at the groups of statistics that stay untouched.
+    GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ have a least value; of shares and counts of what hardly ever happens, simulated 
 and that is taken (``METHOD.count_variance_ratio``), with a margin.
 
 References:
-    GAP.md 3 (7): look at the groups of statistics that stay untouched.
+    GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float)
 
     Args:
         search: its simulator.
-        base: the model without further effects, its nuisances fitted.
+        base: the model without added effects, its nuisances fitted.
         overdispersion: how much larger in square noise is taken than stated.
     """
     groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
