@@ -308,7 +308,9 @@ def test_drops_in_the_picture_follow_the_density_in_front_of_it() -> None:
     patchy, uniform = (BayerRain(one, CAMERA, depth=depth_m, airlight=0.7) for one in (rain, Rain(50)))
     frame = torch.full((frames, 1, 96, 128), 0.2)
     noise = patchy.draw(frame, seed=1) | {f"air.{k}": v.expand(frames, *v.shape[1:]) for k, v in field.items()}
-    masks = [one.run(frame, noise=noise).particle_mask.double()[:, 0] for one in (patchy, uniform)]
+    drops = {key: value for key, value in noise.items() if not key.startswith("air.")}
+    pairs = ((patchy, noise), (uniform, drops))
+    masks = [one.run(frame, noise=own).particle_mask.double()[:, 0] for one, own in pairs]
     strips = [mask.reshape(frames, 96, 8, 16).mean((1, 3)) for mask in masks]
     azimuth = [math.atan2(-(16 * k + 7.5 - 63.5) / 100.0, 1.0) for k in range(8)]
     wanted = np.array([mean_density(field, log_std, a, depth_m / math.cos(a)) for a in azimuth])

@@ -132,7 +132,7 @@ def test_the_share_of_lost_points_goes_to_zero_with_the_weather(kind: str, mode:
     }[kind]
     for amount in amounts:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(KINDS[kind], "_warn_outside_fit", lambda self: None, raising=False)
+            patch.setattr(KINDS[kind], "_check_fit", lambda self: None, raising=False)
             transform = LidarWeather(KINDS[kind](amount), sensor)
         result: Any = transform.run(points, transform.draw(points, seed=1))
         shares.append(float((result.kind != PointKind.OBJECT)[there].float().mean()))

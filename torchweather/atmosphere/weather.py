@@ -27,6 +27,7 @@ from torchweather.core.errors import (
     nearest_name,
     owner_name,
 )
+from torchweather.core.fields import between, check_fields
 from torchweather.core.random import keyed_stream
 from torchweather.core.schema import MAPPING, NUMBERS, ROWS, check_value
 from torchweather.physics import (
@@ -71,6 +72,16 @@ MOR_CONTRAST = 0.05
 REHEARSE, REHEARSE_MOR_M = "rehearse", (10, 20, 30, 50)
 # Patches are laid out on a grid that follows their length; below this the sectors of a LiDAR would be too coarse.
 PATCH_LENGTH_LOW_M, PATCH_LENGTH_HIGH_M, PATCH_LOG_STD_HIGH = 5.0, 10_000.0, 2.0
+
+
+RANGES = {
+    "wind_m_per_s": between(-100.0, 100.0, "m/s (forward, left, up in the vehicle frame)"),
+    "temperature_c": between(-60.0, 60.0, "degrees Celsius"),
+    "albedo": between(0.0, 1.0),
+    "melt_fraction": between(0.0, 1.0, advice="It is the share of a flake's mass that is liquid; dry snow is 0."),
+    "contrast": between(1e-6, 1 - 1e-6),
+}
+"""Values that the fields of a weather take, beside its intensity and its patches."""
 
 
 class Weather:
@@ -224,23 +235,15 @@ class _Precipitation(Weather):
             owner=self,
             advice="Heavy rain is 50 mm/h, heavy snow 5 mm/h.",
         )
-        if isinstance(self.size_distribution, str):
+        check_fields(self, RANGES)
+        if not isinstance(self.size_distribution, Binned):
             check_one_of("size_distribution", self.size_distribution, self.families, owner=self)
         elif self.size_distribution.particle not in self.particles:
             raise InputValueError(
                 f"{type(self).__name__}: size_distribution must count {' or '.join(self.particles)}; got bins of "
                 f"{self.size_distribution.particle!r}. Set Binned(particle=...)."
             )
-        if len(self.wind_m_per_s) != 3:
-            raise InputValueError(
-                f"{type(self).__name__}: wind_m_per_s must be (forward, left, up) in the vehicle frame, m/s; "
-                f"got {self.wind_m_per_s!r}."
-            )
         object.__setattr__(self, "rate_mm_per_h", _plain_intensity(rate))
-        object.__setattr__(self, "wind_m_per_s", tuple(float(speed) for speed in self.wind_m_per_s))
-        for speed in self.wind_m_per_s:
-            check_between("wind_m_per_s", speed, -100.0, 100.0, unit="m/s", owner=self)
-        check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
         self._check_patches()
         self._check_fit()
 
@@ -351,20 +354,6 @@ class Snow(_Precipitation):
     albedo: float = 0.9
     melt_fraction: float = 0.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.random:
-            return
-        check_between("albedo", self.albedo, 0.0, 1.0, owner=self)
-        check_between(
-            "melt_fraction",
-            self.melt_fraction,
-            0.0,
-            1.0,
-            owner=self,
-            advice="It is the share of a flake's mass that is liquid; dry snow is 0.",
-        )
-
 
 @dataclass(frozen=True, init=False)
 class Fog(Weather):
@@ -436,8 +425,7 @@ class Fog(Weather):
         check_one_of("size_distribution", self.size_distribution, (*FOG, REHEARSE), owner=self)
         if self.size_distribution == REHEARSE:
             self._check_measured()
-        check_between("contrast", self.contrast, 1e-6, 1 - 1e-6, owner=self)
-        check_between("temperature_c", self.temperature_c, -60.0, 60.0, unit="degrees Celsius", owner=self)
+        check_fields(self, RANGES)
         self._check_patches()
         object.__setattr__(self, "mor_m", _plain_intensity(self.intensity))
 

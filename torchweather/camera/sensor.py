@@ -20,10 +20,9 @@ from torchweather.core.errors import (
     InputValueError,
     check_at_least,
     check_between,
-    check_finite,
     check_one_of,
-    check_positive,
 )
+from torchweather.core.fields import above, at_least, between, check_fields
 from torchweather.pipeline.sensor import Sensor
 
 __all__ = ["BAYER_PATTERNS", "Camera"]
@@ -32,6 +31,28 @@ BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG", "RCCB")
 
 # Iterations of the fixed point that inverts Brown-Conrady; each one gains a factor |distortion| < 0.3.
 UNDISTORT_ITERATIONS = 12
+
+
+_COEFFICIENT = between(-1e3, 1e3)
+RANGES = {
+    **dict.fromkeys(("width", "height"), at_least(1, 1e5, "px")),
+    **dict.fromkeys(("fx", "fy"), above(0.0, 1e7, "px")),
+    **dict.fromkeys(("cx", "cy"), between(-1e7, 1e7, "px")),
+    **dict.fromkeys(("wavelengths_nm", "clear_wavelength_nm"), between(300.0, 2500.0, "nm")),
+    "bit_depth": between(1, 32, "bits"),
+    "black_level": at_least(0.0, 2.0**32),
+    "white_level": at_least(0.0, 2.0**32),
+    "exposure_s": above(0.0, 3600.0, "s"),
+    "f_number": above(0.0, 1e3),
+    "focal_length_mm": above(0.0, 1e4, "mm"),
+    "focus_distance_m": above(0.0, math.inf, "m"),
+    "lens_blur_px": at_least(0.0, 1e3, "px"),
+    "roll_rad": between(-math.pi, math.pi, "rad"),
+    "pitch_rad": between(-math.pi / 2, math.pi / 2, "rad"),
+    "height_m": above(0.0, 1e5, "m"),
+    **dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), _COEFFICIENT),
+}
+"""Values that a camera's fields take."""
 
 
 @dataclass(frozen=True)
@@ -95,40 +116,25 @@ class Camera(Sensor):
 
     def __post_init__(self) -> None:
         check_one_of("bayer_pattern", self.bayer_pattern, BAYER_PATTERNS, owner=self)
-        for name in ("width", "height"):
-            check_at_least(name, getattr(self, name), 1, unit="px", owner=self)
-        for name in ("fx", "fy"):
-            check_positive(name, getattr(self, name), unit="px", owner=self)
-        check_positive("exposure_s", self.exposure_s, unit="s", owner=self)
-        check_positive("height_m", self.height_m, unit="m", owner=self)
-        check_at_least("lens_blur_px", self.lens_blur_px, 0.0, unit="px", owner=self)
-        check_between("bit_depth", self.bit_depth, 1, 32, unit="bits", owner=self)
-        check_between("pitch_rad", self.pitch_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
-        check_between("roll_rad", self.roll_rad, -math.pi, math.pi, unit="rad", owner=self)
-        for wavelength in (*self.wavelengths_nm, self.clear_wavelength_nm):
-            check_between("wavelengths_nm", wavelength, 300.0, 2500.0, unit="nm", owner=self)
-        object.__setattr__(self, "wavelengths_nm", tuple(float(w) for w in self.wavelengths_nm))
-        object.__setattr__(self, "cx", (self.width - 1) / 2 if self.cx is None else float(self.cx))
-        object.__setattr__(self, "cy", (self.height - 1) / 2 if self.cy is None else float(self.cy))
-        white = float(2**self.bit_depth - 1) if self.white_level is None else float(self.white_level)
+        check_fields(self, RANGES)
+        object.__setattr__(self, "cx", (self.width - 1) / 2 if self.cx is None else self.cx)
+        object.__setattr__(self, "cy", (self.height - 1) / 2 if self.cy is None else self.cy)
+        white = float(2**self.bit_depth - 1) if self.white_level is None else self.white_level
         object.__setattr__(self, "white_level", white)
-        for name in ("fx", "fy", "cx", "cy", "exposure_s", "height_m", "white_level", "k1", "k2", "p1", "p2", "k3"):
-            check_finite(name, getattr(self, name), owner=self)
-        check_at_least("black_level", self.black_level, 0.0, owner=self)
         if white <= self.black_level:
             raise InputValueError(
                 f"Camera: white_level must exceed black_level; got {white:g} and {self.black_level:g}."
             )
-        if self.f_number is not None:
-            check_positive("f_number", self.f_number, owner=self)
-            check_positive("focal_length_mm", self.focal_length_mm, unit="mm", owner=self)
-        if self.focus_distance_m is not None:
-            check_positive("focus_distance_m", self.focus_distance_m, unit="m", owner=self)
+        if self.f_number is not None and self.focal_length_mm is None:
+            RANGES["focal_length_mm"].check("focal_length_mm", None, self)
         if self.response_knots is not None:
             self._check_knots(self.response_knots)
 
     def _check_knots(self, knots: tuple[tuple[float, float], ...]) -> None:
-        points = tuple((float(linear), float(raw)) for linear, raw in knots)
+        try:
+            points = tuple((float(linear), float(raw)) for linear, raw in knots)
+        except (TypeError, ValueError):
+            points = ()
         rising = all(a[0] < b[0] and a[1] < b[1] for a, b in pairwise(points))
         if len(points) < 2 or points[0] != (0.0, 0.0) or points[-1] != (1.0, 1.0) or not rising:
             raise InputValueError(

@@ -14,13 +14,11 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import (
+    InputTypeError,
     InputValueError,
-    check_at_least,
-    check_between,
-    check_finite,
     check_one_of,
-    check_positive,
 )
+from torchweather.core.fields import above, at_least, between, check_fields
 from torchweather.lidar.pose import checked_origin, checked_rotation, split_pose
 from torchweather.pipeline.sensor import Sensor
 
@@ -34,6 +32,30 @@ CALIBRATION_REFLECTIVITY = 0.1
 # Near-range response of Hahner 2022: full overlap at 1 m. No recording shows the fog returns that follow from it
 # (PHYSICS.md 5.3).
 HAHNER_OVERLAP_M = (0.9, 1.0)
+
+
+RANGES = {
+    "wavelength_nm": between(300.0, 2500.0, "nm"),
+    "exit_diameter_mm": above(0.0, 1e4, "mm"),
+    "divergence_mrad": above(0.0, 1e3, "mrad"),
+    "pulse_width_ns": above(0.0, 1e4, "ns"),
+    "range_at_10_percent_m": above(0.0, 1e5, "m"),
+    "near_power": above(0.0, 100.0),
+    "near_full_m": above(0.0, 1e5, "m"),
+    "max_range_m": above(0.0, 1e5, "m"),
+    "photons_at_threshold": above(0.0, 1e12),
+    "margin_db": above(0.0, 100.0, "dB"),
+    "assumed_reflectivity": above(0.0, 1e3),
+    **dict.fromkeys(("near_start_m", "min_range_m"), at_least(0.0, 1e5, "m")),
+    **dict.fromkeys(("range_resolution_m", "range_noise_m", "echo_separation_m"), at_least(0.0, 1e4, "m")),
+    "zero_intensity": at_least(0.0, 1e12),
+    "elevations_deg": between(-90.0, 90.0, "degrees"),
+    "azimuth_offsets_deg": between(-360.0, 360.0, "degrees"),
+    "origin_heights_m": between(-10.0, 10.0, "m"),
+    "columns": at_least(1, 1e6),
+    "ring_column": at_least(4, 1e4),
+}
+"""Values that a LiDAR's fields take."""
 
 
 @dataclass(frozen=True)
@@ -116,33 +138,12 @@ class Lidar(Sensor):
     directions: Tensor | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_between("wavelength_nm", self.wavelength_nm, 300.0, 2500.0, unit="nm", owner=self)
-        for name, unit in (
-            ("exit_diameter_mm", "mm"),
-            ("divergence_mrad", "mrad"),
-            ("pulse_width_ns", "ns"),
-            ("range_at_10_percent_m", "m"),
-            ("near_power", ""),
-            ("max_range_m", "m"),
-            ("photons_at_threshold", ""),
-            ("margin_db", "dB"),
-            ("assumed_reflectivity", ""),
-        ):
-            check_positive(name, getattr(self, name), unit=unit, owner=self)
-            check_finite(name, getattr(self, name), unit=unit, owner=self)
-        for name in ("near_start_m", "min_range_m", "range_resolution_m", "range_noise_m"):
-            check_at_least(name, getattr(self, name), 0.0, unit="m", owner=self)
-            check_finite(name, getattr(self, name), unit="m", owner=self)
-        if self.echo_separation_m is not None:
-            check_at_least("echo_separation_m", self.echo_separation_m, 0.0, unit="m", owner=self)
-        if self.zero_intensity is not None:
-            check_at_least("zero_intensity", self.zero_intensity, 0.0, owner=self)
-            check_finite("zero_intensity", self.zero_intensity, owner=self)
+        object.__setattr__(self, "origin_m", checked_origin(self.origin_m))
+        check_fields(self, RANGES)
         check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)
         check_one_of("intensity_unit", self.intensity_unit, INTENSITY_UNITS, owner=self)
         self._check_ranges()
         self._check_pattern()
-        object.__setattr__(self, "origin_m", checked_origin(self.origin_m))
         object.__setattr__(self, "rotation", checked_rotation(self.rotation))
         if self.directions is not None:
             object.__setattr__(self, "directions", unit_directions(self.directions, owner=self))
@@ -160,28 +161,13 @@ class Lidar(Sensor):
             )
 
     def _check_pattern(self) -> None:
-        for name, limit, unit in (
-            ("elevations_deg", 90.0, "degrees"),
-            ("azimuth_offsets_deg", 360.0, "degrees"),
-            ("origin_heights_m", 10.0, "m"),
-        ):
+        for name in ("elevations_deg", "azimuth_offsets_deg", "origin_heights_m"):
             values = getattr(self, name)
-            if values is None:
-                continue
-            plain = tuple(float(value) for value in values)
-            object.__setattr__(self, name, plain)
-            for value in plain:
-                check_between(name, value, -limit, limit, unit=unit, owner=self)
-            if len(plain) != len(self.elevations_deg or ()):
+            if values is not None and len(values) != len(self.elevations_deg or ()):
                 raise InputValueError(
                     f"Lidar: {name} must have one value for each of the {len(self.elevations_deg or ())} "
-                    f"elevations_deg; got {len(plain)}."
+                    f"elevations_deg; got {len(values)}."
                 )
-        if self.ring_column is not None:
-            check_at_least("ring_column", self.ring_column, 4, owner=self)
-        if self.columns is not None:
-            check_at_least("columns", self.columns, 1, owner=self)
-            object.__setattr__(self, "columns", int(self.columns))
 
     @property
     def bands(self) -> dict[str, float]:
@@ -231,7 +217,12 @@ class Lidar(Sensor):
 def unit_directions(directions: Tensor, owner: object) -> Tensor:
     """Directions ``(..., N, 3)``, checked and scaled to unit length."""
     if not isinstance(directions, Tensor):
-        directions = torch.as_tensor(directions, dtype=torch.float32)
+        try:
+            directions = torch.as_tensor(directions, dtype=torch.float32)
+        except (TypeError, ValueError, RuntimeError):
+            raise InputTypeError(
+                f"{type(owner).__name__}: directions must be a tensor (..., N, 3); got {directions!r}."
+            ) from None
     if directions.ndim < 2 or directions.shape[-1] != 3 or not directions.is_floating_point():
         raise InputValueError(
             f"{type(owner).__name__}: directions must be floating point of shape (..., N, 3), x forward, y left, z up; "

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.efficiency_table import extinction_table, scattering_table
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import SizeDistribution
@@ -146,6 +146,7 @@ def rain_q_back(wavelength_nm: float) -> float:
         >>> rain_q_back(905.0)
         0.2
     """
+    check_between("wavelength_nm", wavelength_nm, 100.0, 1e5, unit="nm", owner="rain_q_back")
     (near, q_near), (far, q_far) = RAIN_Q_BACK_NM
     share = min(max((wavelength_nm - near) / (far - near), 0.0), 1.0)
     return float(q_near * (q_far / q_near) ** share)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import check_one_of
+from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.snow_geometry import melted_diameter_mm
 
@@ -50,6 +50,7 @@ def rain_fall_speed_m_per_s(diameter_mm: Quantity, law: str = "brandes") -> Tens
     """
     check_one_of("law", law, RAIN_LAWS, owner="rain_fall_speed_m_per_s")
     (diameter,) = to_float64(diameter_mm)
+    check_at_least("diameter_mm", diameter, 0.0, unit="mm", owner="rain_fall_speed_m_per_s")
     if law == "atlas-1973":
         return (9.65 - 10.3 * torch.exp(-0.6 * diameter)).clamp_min(0.0)  # negative below 0.109 mm
     if law == "atlas-ulbrich":
@@ -95,6 +96,7 @@ def snow_fall_speed_m_per_s(melted_diameter_mm: Quantity, *, variant: str = "def
     """
     check_one_of("variant", variant, ("default", "d3_4"), owner="snow_fall_speed_m_per_s")
     (melted,) = to_float64(melted_diameter_mm)
+    check_at_least("melted_diameter_mm", melted, 0.0, unit="mm", owner="snow_fall_speed_m_per_s")
     return 2.0 * (10.0 * melted) ** 0.31 if variant == "d3_4" else 2.07 * (0.1 * melted) ** 0.31
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import numbers
+from typing import Any, TypeAlias
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from torchweather.core.exceptions import InputTypeError
 
 __all__ = ["Quantity", "to_complex128", "to_float64"]
 
@@ -27,7 +31,7 @@ def to_float64(*values: Quantity) -> tuple[Tensor, ...]:
         # Stating the type matters: a Python float would first become float32.
         value.to(device, torch.float64)
         if isinstance(value, Tensor)
-        else torch.tensor(value, dtype=torch.float64, device=device)
+        else torch.tensor(_number(value), dtype=torch.float64, device=device)
         for value in values
     )
 
@@ -43,6 +47,15 @@ def to_complex128(*values: complex | Tensor) -> tuple[Tensor, ...]:
     return tuple(
         value.to(device, torch.complex128)
         if isinstance(value, Tensor)
-        else torch.tensor(value, dtype=torch.complex128, device=device)
+        else torch.tensor(_number(value, numbers.Complex), dtype=torch.complex128, device=device)
         for value in values
     )
+
+
+def _number(value: Any, kind: type = numbers.Real) -> Any:
+    """A plain number, an array of them or nested lists; anything else is refused."""
+    if isinstance(value, (np.ndarray, list, tuple)):
+        return value
+    if isinstance(value, bool) or not isinstance(value, kind):
+        raise InputTypeError(f"torchweather.physics: expected a number or a tensor of numbers; got {value!r}.")
+    return value

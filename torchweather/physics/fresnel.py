@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import InputValueError, check_positive
+from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
 __all__ = ["SphereBudget", "axial_q_back", "normal_reflectance", "sphere_budget"]
@@ -80,7 +80,7 @@ def normal_reflectance(refractive_index: complex | Tensor) -> Tensor:
         >>> round(float(normal_reflectance(1.3284)), 4)
         0.0199
     """
-    (m,) = to_complex128(refractive_index)
+    m = _checked_index(refractive_index, "normal_reflectance")
     return ((m - 1.0) / (m + 1.0)).abs() ** 2
 
 
@@ -103,7 +103,7 @@ def axial_q_back(
         >>> round(float(axial_q_back(1.328)), 3)
         0.094
     """
-    (m,) = to_complex128(refractive_index)
+    m = _checked_index(refractive_index, "axial_q_back")
     reflected = normal_reflectance(torch.complex(m.real, torch.zeros_like(m.real)))
     rear = (1.0 - reflected) ** 2 * (m.real / (2.0 - m.real)) ** 2
     if diameter_mm is not None and wavelength_nm is not None:
@@ -111,3 +111,10 @@ def axial_q_back(
         k, diameter, wavelength = to_float64(m.imag, diameter_mm, wavelength_nm)
         rear = rear * torch.exp(-8.0 * math.pi * k * diameter * 1e6 / wavelength)
     return reflected * (1.0 + rear)
+
+
+def _checked_index(refractive_index: complex | Tensor, owner: str) -> Tensor:
+    (m,) = to_complex128(refractive_index)
+    check_between("the real part of refractive_index", m.real, 1e-3, 1e3, owner=owner)
+    check_between("the imaginary part of refractive_index", m.imag, 0.0, 1e3, owner=owner)
+    return m

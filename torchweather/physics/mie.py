@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, check_between, check_positive
-from torchweather.physics.float64 import Quantity
+from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
 __all__ = ["MieEfficiencies", "mie_coefficients", "mie_efficiencies"]
 
@@ -99,12 +99,14 @@ def mie_coefficients(size_parameter: float, refractive_index: complex) -> tuple[
 def _checked(size_parameter: Any, refractive_index: Any, owner: str) -> tuple[Real, Complex, torch.device]:
     tensors = [v for v in (size_parameter, refractive_index) if isinstance(v, Tensor)]
     device = tensors[0].device if tensors else torch.device("cpu")
-    x, m = (v.detach().cpu().numpy() if isinstance(v, Tensor) else v for v in (size_parameter, refractive_index))
-    x, m = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(m, dtype=np.complex128))
+    size, index = (*to_float64(size_parameter), *to_complex128(refractive_index))
+    x, m = np.broadcast_arrays(size.detach().cpu().numpy(), index.detach().cpu().numpy())
     if x.size:
         check_positive("size_parameter", torch.from_numpy(x.copy()), owner=owner)
         check_between("size_parameter", torch.from_numpy(x.copy()), 0.0, SIZE_PARAMETER_MAX, owner=owner)
         check_positive("the real part of refractive_index", torch.from_numpy(m.real.copy()), owner=owner)
+        if not np.isfinite(m).all():
+            raise InputValueError(f"{owner}: refractive_index must be finite; got NaN or infinity.")
         if not bool((m.imag >= 0).all()):
             raise InputValueError(f"{owner}: refractive_index must be n + i k with k >= 0 (not n - i k); got k < 0.")
     return x, m, device

@@ -323,7 +323,7 @@ def wet_snow_refractive_index_microwave(
 
 
 def _check_optical(wavelength_nm: Tensor, owner: str) -> None:
-    check_positive("wavelength_nm", wavelength_nm, unit="nm", owner=owner)
+    check_between("wavelength_nm", wavelength_nm, 1.0, 1e9, unit="nm", owner=owner)
     outside = (wavelength_nm < OPTICAL_MIN_NM) | (wavelength_nm > OPTICAL_MAX_NM)
     if bool(outside.any()):
         warnings.warn(

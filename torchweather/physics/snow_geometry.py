@@ -56,6 +56,7 @@ def physical_diameter_mm(melted_mm: Quantity) -> Tensor:
         2.2947
     """
     (melted,) = to_float64(melted_mm)
+    check_at_least("melted_mm", melted, 0.0, unit="mm", owner="physical_diameter_mm")
     power = 1.0 / (3.0 + SNOW_DENSITY_EXPONENT)
     loose = (melted**3 / SNOW_DENSITY_AT_1MM_G_PER_CM3) ** power
     return torch.maximum(loose, melted / ICE_DENSITY_G_PER_CM3 ** (1.0 / 3.0))
@@ -72,6 +73,7 @@ def melted_diameter_mm(physical_mm: Quantity) -> Tensor:
         4.48
     """
     (physical,) = to_float64(physical_mm)
+    check_at_least("physical_mm", physical, 0.0, unit="mm", owner="melted_diameter_mm")
     loose = (SNOW_DENSITY_AT_1MM_G_PER_CM3 * physical ** (3.0 + SNOW_DENSITY_EXPONENT)) ** (1.0 / 3.0)
     return torch.minimum(loose, physical * ICE_DENSITY_G_PER_CM3 ** (1.0 / 3.0))
 
@@ -92,6 +94,7 @@ def snow_bulk_density_g_per_cm3(physical_mm: Quantity, *, variant: str = "defaul
     """
     check_one_of("variant", variant, ("default", "d3_4"), owner="snow_bulk_density_g_per_cm3")
     (physical,) = to_float64(physical_mm)
+    check_at_least("physical_mm", physical, 0.0, unit="mm", owner="snow_bulk_density_g_per_cm3")
     exponent = SNOW_DENSITY_EXPONENT_D3_4 if variant == "d3_4" else SNOW_DENSITY_EXPONENT
     return (SNOW_DENSITY_AT_1MM_G_PER_CM3 * physical**exponent).clamp_max(ICE_DENSITY_G_PER_CM3)
 

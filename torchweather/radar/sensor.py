@@ -10,7 +10,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_one_of
+from torchweather.core.fields import above, at_least, between, check_fields
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S, radar_constant_db, thermal_noise_dbm
 from torchweather.pipeline.sensor import Sensor
 
@@ -20,6 +21,25 @@ POLARISATIONS = ("h", "v")
 HALF_POWER_DB = 10.0 * math.log10(2.0)
 PATTERN_FLOOR_DB = 30.0  # generic: how far below its peak an element's pattern ends
 GRID = 1e-6  # positions of the antennas are compared to this many half wavelengths
+
+
+RANGES = {
+    "frequency_ghz": between(1.0, 1000.0, "GHz"),
+    "elevation_rad": between(-math.pi / 2, math.pi / 2, "rad"),
+    "transmit_power_dbm": between(-100.0, 100.0, "dBm"),
+    "antenna_gain_dbi": between(-100.0, 100.0, "dBi"),
+    **dict.fromkeys(("azimuth_beamwidth_deg", "elevation_beamwidth_deg"), between(0.01, 360.0, "degrees")),
+    **dict.fromkeys(("loss_db", "noise_figure_db", "margin_db"), between(0.0, 100.0, "dB")),
+    "noise_floor_db": between(-300.0, 300.0, "dB"),
+    "detection_snr_db": between(-100.0, 100.0, "dB"),
+    "compensated_to_m": between(0.0, 10_000.0, "m"),
+    "bandwidth_mhz": above(0.0, 1e6, "MHz"),
+    "sample_rate_mhz": above(0.0, 1e6, "MHz"),
+    "chirp_period_us": above(0.0, 1e9, "us"),
+    "samples": at_least(2, 1e7, advice="One sample a chirp has no range."),
+    "chirps": at_least(1, 1e7),
+}
+"""Values that a radar's fields take."""
 
 
 @dataclass(frozen=True)
@@ -85,28 +105,8 @@ class Radar(Sensor):
     compensated_to_m: float = 0.0
 
     def __post_init__(self) -> None:
-        check_between("frequency_ghz", self.frequency_ghz, 1.0, 1000.0, unit="GHz", owner=self)
+        check_fields(self, RANGES)
         check_one_of("polarisation", self.polarisation, POLARISATIONS, owner=self)
-        check_between("elevation_rad", self.elevation_rad, -math.pi / 2, math.pi / 2, unit="rad", owner=self)
-        for name in ("transmit_power_dbm", "antenna_gain_dbi"):
-            check_between(name, getattr(self, name), -100.0, 100.0, unit=name.rsplit("_", 1)[1], owner=self)
-        for name in ("azimuth_beamwidth_deg", "elevation_beamwidth_deg"):
-            check_between(name, getattr(self, name), 0.01, 360.0, unit="degrees", owner=self)
-        for name in ("loss_db", "noise_figure_db", "margin_db"):
-            check_between(name, getattr(self, name), 0.0, 100.0, unit="dB", owner=self)
-        if self.noise_floor_db is not None:
-            check_between("noise_floor_db", self.noise_floor_db, -300.0, 300.0, unit="dB", owner=self)
-        check_between("compensated_to_m", self.compensated_to_m, 0.0, 10_000.0, unit="m", owner=self)
-        check_between("detection_snr_db", self.detection_snr_db, -100.0, 100.0, unit="dB", owner=self)
-        for name, unit in (("bandwidth_mhz", "MHz"), ("sample_rate_mhz", "MHz"), ("chirp_period_us", "us")):
-            check_positive(name, getattr(self, name), unit=unit, owner=self)
-        check_at_least("samples", self.samples, 2, owner=self, advice="One sample a chirp has no range.")
-        check_at_least("chirps", self.chirps, 1, owner=self)
-        for name in ("samples", "chirps"):
-            count = getattr(self, name)
-            if count != int(count):
-                raise InputValueError(f"Radar: {name} must be a whole number; got {count!r}.")
-            object.__setattr__(self, name, int(count))
         for name in ("tx_half_wavelengths", "rx_half_wavelengths"):
             object.__setattr__(self, name, _positions(name, getattr(self, name)))
         if self.active_time_s > self.chirp_period_s * (1 + 1e-9):
