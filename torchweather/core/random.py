@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ABSENT",
+    "DRAWS",
     "Variate",
     "derived_seed",
     "draw_variates",
@@ -36,6 +37,9 @@ __all__ = [
     "sample_seeds",
     "sizes_of",
 ]
+
+DRAWS = "torchweather-draws/1"
+"""How a seed becomes numbers. Another rule is a breaking change: a new number here, and a line in CHANGELOG.md."""
 
 LAWS = ("uniform", "normal", "exponential", "points")
 

@@ -133,4 +133,12 @@ MUTANTS = (
         "BOX_OF_DISK = 1.0",
         ("tests/camera/particles/test_narrow_marks.py::test_spread_along_the_motion_is_that_of_a_disk",),
     ),
+    Mutant(
+        "marks_longer_by_three_percent",
+        "a mark in the tables is as long as the particle's path during the exposure",
+        "torchweather.camera.particles.tables",
+        "length = speed * optics.exposure_s / footprint_m",
+        "length = 1.03 * speed * optics.exposure_s / footprint_m",
+        ("tests/camera/particles/test_particle_tables.py::test_the_variance_of_the_haze_is_that_of_its_marks",),
+    ),
 )

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import torchweather
 from torchweather.core.errors import InputValueError, check_at_least, check_one_of
-from torchweather.core.random import sample_seed
+from torchweather.core.random import DRAWS, sample_seed
 from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frame_recipe import FrameRecipe, text_sha256
 from torchweather.datasets.augment.frames import COPY, DataSet, Frame, SensorFile
@@ -159,6 +159,7 @@ def augment(
         "own_vehicle": own_vehicle or "",
         "formats": json.dumps(dict(formats or {}), sort_keys=True),
         "version": torchweather.__version__,
+        "draws": DRAWS,
     }
     job = Job(str(source.resolve()), str(target.resolve()), text, int(seed), depth, depth_encoding)
     _check_target(target)
