@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 
 import pytest
 
 import torchweather
+from tests.public_names import MODULES, names_of, written
 
 
 def test_importing_the_library_does_not_import_torch() -> None:
@@ -52,3 +54,16 @@ def test_every_public_name_is_there_and_unknown_ones_are_refused() -> None:
         assert getattr(torchweather, name) is not None
     with pytest.raises(AttributeError, match="LidarRian"):
         _ = torchweather.LidarRian
+
+
+@pytest.mark.parametrize("module", list(MODULES))
+def test_the_public_names_are_those_of_the_page(module: str) -> None:
+    """After a change: ``python -m tests.public_names``, a line in CHANGELOG.md, and an old name where one goes."""
+    assert written()[module] == names_of(module)
+
+
+def test_every_public_name_exists() -> None:
+    assert list(written()) == list(MODULES)
+    for module, names in written().items():
+        for name in names:
+            assert hasattr(importlib.import_module(module), name), f"{module}.{name}"

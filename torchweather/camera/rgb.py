@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -143,6 +143,9 @@ class AsBayer(nn.Module):
             return image_of_mosaic(before, inner(before, scene, noise), rgb, inner.camera, self.method)
         state, after, _ = self._planes(rgb, depth, noise, keep_truth=False)
         return encoded_planes(after.image.signal.reshape(rgb.shape), state.image.signal.reshape(rgb.shape), rgb)
+
+    if TYPE_CHECKING:
+        __call__ = forward
 
     def with_weather(self, weather: Weather) -> AsBayer:
         """The same for another weather; tables that both need are shared."""

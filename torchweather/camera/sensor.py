@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypedDict, Unpack
 
 import numpy as np
 import torch
@@ -53,6 +53,37 @@ RANGES = {
     **dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), _COEFFICIENT),
 }
 """Values that a camera's fields take."""
+
+
+class CameraFields(TypedDict, total=False):
+    """Fields that a preset can be given anew, by name; those of `Camera`."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float | None
+    cy: float | None
+    bayer_pattern: str
+    wavelengths_nm: tuple[float, float, float]
+    clear_wavelength_nm: float
+    bit_depth: int
+    black_level: float
+    white_level: float | None
+    response_knots: tuple[tuple[float, float], ...] | None
+    exposure_s: float
+    f_number: float | None
+    focal_length_mm: float | None
+    focus_distance_m: float | None
+    lens_blur_px: float
+    roll_rad: float
+    pitch_rad: float
+    height_m: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
 
 
 @dataclass(frozen=True)
@@ -113,6 +144,13 @@ class Camera(Sensor):
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+
+    if TYPE_CHECKING:
+
+        @classmethod
+        def preset(cls, name: str, **overrides: Unpack[CameraFields]) -> Self:  # type: ignore[override]
+            """As of every sensor."""
+            ...
 
     def __post_init__(self) -> None:
         check_one_of("bayer_pattern", self.bayer_pattern, BAYER_PATTERNS, owner=self)

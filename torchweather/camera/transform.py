@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -236,6 +236,9 @@ class BayerWeather(WeatherTransform):
             self._run_into(state, out)
             return out
         return self._raw(self.chain(state, drawn), state, bayer)
+
+    if TYPE_CHECKING:
+        __call__ = forward
 
     def run(
         self,

@@ -7,7 +7,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -230,6 +230,9 @@ class Compose(nn.Module):
             ValueError: the sample lacks a key, or the data of the keys are of batches of different sizes.
         """
         return self.run(sample, seed=seed, draw=draw)[0]
+
+    if TYPE_CHECKING:
+        __call__ = forward
 
     def run(
         self, sample: Sample, *, seed: int | None = None, draw: Draw | Sequence[Draw] | None = None

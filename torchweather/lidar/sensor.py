@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self, TypedDict, Unpack
 
 import torch
 from torch import Tensor
@@ -56,6 +56,38 @@ RANGES = {
     "ring_column": at_least(4, 1e4),
 }
 """Values that a LiDAR's fields take."""
+
+
+class LidarFields(TypedDict, total=False):
+    """Fields that a preset can be given anew, by name; those of `Lidar`."""
+
+    wavelength_nm: float
+    exit_diameter_mm: float
+    divergence_mrad: float
+    pulse_width_ns: float
+    range_at_10_percent_m: float
+    near_start_m: float
+    near_full_m: float
+    near_power: float
+    min_range_m: float
+    max_range_m: float
+    photons_at_threshold: float
+    range_resolution_m: float
+    range_noise_m: float
+    return_mode: str
+    margin_db: float
+    echo_separation_m: float | None
+    intensity_unit: str
+    assumed_reflectivity: float
+    zero_intensity: float | None
+    elevations_deg: tuple[float, ...] | None
+    columns: int | None
+    azimuth_offsets_deg: tuple[float, ...] | None
+    origin_heights_m: tuple[float, ...] | None
+    ring_column: int | None
+    origin_m: tuple[float, float, float]
+    rotation: tuple[tuple[float, float, float], ...] | None
+    directions: Tensor | None
 
 
 @dataclass(frozen=True)
@@ -136,6 +168,13 @@ class Lidar(Sensor):
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: tuple[tuple[float, float, float], ...] | None = None
     directions: Tensor | None = field(default=None, compare=False, repr=False)
+
+    if TYPE_CHECKING:
+
+        @classmethod
+        def preset(cls, name: str, **overrides: Unpack[LidarFields]) -> Self:  # type: ignore[override]
+            """As of every sensor."""
+            ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", checked_origin(self.origin_m))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
@@ -288,6 +288,9 @@ class LidarWeather(WeatherTransform):
         assert state.returns.points is not None
         return self._outgoing(state.returns.points, state.returns.kind[..., 0], points, beams)
 
+    if TYPE_CHECKING:
+        __call__ = forward
+
     def run(
         self,
         points: Tensor,
@@ -394,6 +397,8 @@ class LidarWeather(WeatherTransform):
             along = None if directions is None else _from_numpy(directions)
             noise = self.draw(cloud, seed=seed)
             out = self(cloud, noise, directions=along)
+        if isinstance(out, list):
+            raise InputValueError(f"{type(self).__name__}.on_numpy: expected one cloud (N, 4 or more); got a batch.")
         found: NDArray[Any] = out.numpy()
         return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -206,6 +206,9 @@ class RadarMapWeather(WeatherTransform):
         state = self._through(values, noise)
         assert state.maps.map_out is not None
         return state.maps.map_out.reshape(values.shape)
+
+    if TYPE_CHECKING:
+        __call__ = forward
 
     def run(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self, TypedDict, Unpack
 
 import torch
 from torch import Tensor
@@ -40,6 +40,31 @@ RANGES = {
     "chirps": at_least(1, 1e7),
 }
 """Values that a radar's fields take."""
+
+
+class RadarFields(TypedDict, total=False):
+    """Fields that a preset can be given anew, by name; those of `Radar`."""
+
+    frequency_ghz: float
+    polarisation: str
+    elevation_rad: float
+    transmit_power_dbm: float
+    antenna_gain_dbi: float
+    azimuth_beamwidth_deg: float
+    elevation_beamwidth_deg: float
+    loss_db: float
+    noise_figure_db: float
+    bandwidth_mhz: float
+    samples: int
+    sample_rate_mhz: float
+    chirp_period_us: float
+    chirps: int
+    tx_half_wavelengths: tuple[tuple[float, float], ...]
+    rx_half_wavelengths: tuple[tuple[float, float], ...]
+    noise_floor_db: float | None
+    detection_snr_db: float
+    margin_db: float
+    compensated_to_m: float
 
 
 @dataclass(frozen=True)
@@ -103,6 +128,13 @@ class Radar(Sensor):
     detection_snr_db: float = 12.0
     margin_db: float = 3.0
     compensated_to_m: float = 0.0
+
+    if TYPE_CHECKING:
+
+        @classmethod
+        def preset(cls, name: str, **overrides: Unpack[RadarFields]) -> Self:  # type: ignore[override]
+            """As of every sensor."""
+            ...
 
     def __post_init__(self) -> None:
         check_fields(self, RANGES)

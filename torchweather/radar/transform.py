@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
@@ -234,6 +234,9 @@ class RadarAttenuation(WeatherTransform):
         assert state.returns.points is not None
         return self._outgoing(self._marked(state.returns.points, state, points), state, points)
 
+    if TYPE_CHECKING:
+        __call__ = forward
+
     def run(
         self,
         points: Tensor,
@@ -303,8 +306,11 @@ class RadarAttenuation(WeatherTransform):
         """
         with torch.no_grad():
             detections = torch.from_numpy(np.require(points, requirements=("C", "W")))
-            found: NDArray[Any] = self(detections, self.draw(detections, seed=seed)).numpy()
-        return found
+            found = self(detections, self.draw(detections, seed=seed))
+        if isinstance(found, list):
+            raise InputValueError(f"{type(self).__name__}.on_numpy: expected one list (N, 6 or more); got a batch.")
+        array: NDArray[Any] = found.numpy()
+        return array
 
     def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
         """What the chain takes: the detections before any stage; arguments as ``forward``."""

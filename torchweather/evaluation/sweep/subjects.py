@@ -329,5 +329,6 @@ class RadarSceneSubject(_Points):
     def _frame(self, weather: Weather | None, drawn: Mapping[str, Tensor]) -> Tensor:
         receiver = FmcwRadar(self.radar).draw(self.scatterers, seed=self.noise_seed)
         with torch.no_grad():
-            found: Tensor = FmcwRadar(self.radar, weather, **self.options)(self.scatterers, {**drawn, **receiver})
+            found = FmcwRadar(self.radar, weather, **self.options)(self.scatterers, {**drawn, **receiver})
+        assert isinstance(found, Tensor)  # one frame
         return found

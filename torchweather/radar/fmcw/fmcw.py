@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -156,6 +156,9 @@ class FmcwRadar(nn.Module):
             batch.
         """
         return self.run(scatterers, noise).points
+
+    if TYPE_CHECKING:
+        __call__ = forward
 
     def run(self, scatterers: Scatterers, noise: Mapping[str, Tensor] | None = None) -> FmcwResult:
         """The points of a frame and the map that they come from; arguments as ``forward``."""
