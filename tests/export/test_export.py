@@ -73,7 +73,7 @@ CASES = {
     "snow": Case(snow, {"rate_mm_per_h": 0.7}),
     "mixture": Case(mixture, {"rate_mm_per_h": 40.0, "mor_m": 15.0}),
 }
-LONG = ("mixture",)
+LONG = ("snow", "mixture")
 every_case = pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in CASES]
 )

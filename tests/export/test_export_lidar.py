@@ -84,7 +84,7 @@ CASES = {
         directions=True,
     ),
 }
-LONG = ("mixture",)
+LONG = ("snow", "mixture")
 every_case = pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in CASES]
 )

@@ -103,7 +103,7 @@ CASES = {
     "fog of a mosaic": Case(fog_of_mosaic, {"mor_m": FAR}, {"masks": True}),
     "endless fog of a mosaic": Case(endless_fog_of_mosaic, {"mor_m": FAR}),
 }
-LONG = ("endless fog", "snow", "mixture")
+LONG = ("endless fog", "endless fog of a mosaic", "snow", "mixture")
 
 
 def cases(*left_out: str) -> pytest.MarkDecorator:
