@@ -59,7 +59,7 @@ def endless_fog(mor_m: float = 50.0) -> AsBayer:
 
 
 def rain(rate: float = 25.0) -> AsBayer:
-    return AsBayer(BayerRain(Rain(rate), camera(*TRACED), near_m=1.0, far_m=4.0, drop_view="upper"))
+    return AsBayer(BayerRain(Rain(rate), camera(*TRACED), near_m=1.0, far_m=4.0, drop_radiance="upper"))
 
 
 def snow(rate: float = 2.0) -> AsBayer:

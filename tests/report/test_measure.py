@@ -54,7 +54,8 @@ def test_as_many_particles_are_drawn_as_expected(weather: Rain | Snow) -> None:
 def test_a_lower_cut_draws_more_one_by_one_and_leaves_the_expected_mask() -> None:
     depth = torch.full((1, 48, 64), DEPTH_M)
     fine, coarse = (
-        falling_numbers(BayerWeather(Snow(1.0), CAMERA, airlight=0.5, cut=cut), depth) for cut in (1 / 256, 1 / 8)
+        falling_numbers(BayerWeather(Snow(1.0), CAMERA, airlight=0.5, min_listed_coverage=cut), depth)
+        for cut in (1 / 256, 1 / 8)
     )
     assert fine["share_drawn_one_by_one"] > coarse["share_drawn_one_by_one"] > 0
     assert 1 > fine["share_of_optical_depth_drawn_one_by_one"] > coarse["share_of_optical_depth_drawn_one_by_one"] > 0
