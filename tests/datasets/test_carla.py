@@ -115,6 +115,44 @@ def test_points_right_of_the_sensor_come_out_right_of_it() -> None:
     assert points_from_carla(SimpleNamespace(raw_data=b"")).shape == (0, 4)
 
 
+SEMANTIC = np.dtype([(name, "<f4") for name in "xyzc"] + [("index", "<u4"), ("tag", "<u4")])
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 6])
+@pytest.mark.parametrize("index", [0, 7])
+def test_a_semantic_lidar_has_24_bytes_a_point(rows: int, index: int) -> None:
+    table = np.zeros(rows, SEMANTIC)
+    table["x"], table["y"], table["c"] = 10 + np.arange(rows), 1.0, 0.9
+    table["index"], table["tag"] = index, 2 * index
+    measured = SimpleNamespace(raw_data=table.tobytes())
+    found = points_from_carla(measured)
+    wanted = [[10.0 + row, -1.0, 0.0, np.float32(0.9), index, 2 * index] for row in range(rows)]
+    assert found.tolist() == wanted
+    assert points_to_carla(found, semantic=True).tobytes() == table.tobytes()
+    assert points_from_carla(measured, reflectivity=0.5)[:, 3].tolist() == pytest.approx([0.45] * rows)
+
+
+def test_particles_do_not_keep_the_semantic_tag_of_what_they_hide() -> None:
+    points = torch.tensor([[10.0, 0, 0, 1, 7, 14], [3.0, 0, 0, 1, 8, 14], [0.0, 0, 0, 0, 9, 14]])
+    found = points_to_carla(points, semantic=True, kind=torch.tensor([0, 1, 2]))
+    assert found["object_idx"].tolist() == [7, 0]
+    assert found["object_tag"].tolist() == [14, 0]
+
+
+def test_a_measurement_that_is_semantic_by_its_class_is_read_so_whatever_its_numbers() -> None:
+    class SemanticLidarMeasurement(SimpleNamespace):
+        pass
+
+    table = np.zeros(2, SEMANTIC)
+    table["x"], table["index"], table["tag"] = 5.0, 9_000_000, 300
+    assert points_from_carla(SemanticLidarMeasurement(raw_data=table.tobytes())).shape == (2, 6)
+    with pytest.raises(ValueError, match="rows of 24 bytes"):
+        points_from_carla(SemanticLidarMeasurement(raw_data=bytes(32)))
+    table["index"] = 1 << 25
+    with pytest.raises(ValueError, match="16777216 or less"):
+        points_from_carla(SemanticLidarMeasurement(raw_data=table.tobytes()))
+
+
 def test_lost_points_are_not_in_carlas_cloud() -> None:
     points = torch.tensor([[1.0, 2, 3, 4, 9], [0, 0, 0, 5, 9], [math.nan, math.nan, math.nan, 1, 9]])
     assert points_to_carla(points).tolist() == [[1, -2, 3, 4]]

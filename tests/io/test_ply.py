@@ -68,7 +68,7 @@ def test_windows_line_ends_in_the_header(tmp_path: Path) -> None:
         (ply("ascii", "property float x\n"), "IndexError"),
         (ply("ascii", VERTEX.replace("uchar", "quad")), "quad"),
         (ply("ascii", "banana\n"), "no such line in PLY"),
-        (ply("ascii", VERTEX.replace("uchar intensity", "list uchar int i")), "single numbers"),
+        (ply("ascii", "element vertex 2\nproperty list uchar int i\n"), "single numbers"),
         (ply("ascii", VERTEX.replace("vertex 2", "vertex -2")), "negative"),
         (ply("binary_little_endian", VERTEX) + bytes(25), "wanted 2 points of at least 13 bytes"),
         (ply("binary_little_endian", VERTEX.replace("vertex 2", "vertex 9999999999")) + bytes(26), "9999999999 points"),
@@ -82,5 +82,57 @@ def test_windows_line_ends_in_the_header(tmp_path: Path) -> None:
 )
 def test_a_broken_file_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "a.ply").write_bytes(content)
+    with pytest.raises(TorchweatherError, match=rf"a\.ply: .*({message})"):
+        read_points(tmp_path / "a.ply")
+
+
+VIEWED = (
+    "element vertex 3\nproperty list uchar int view\nproperty float x\nproperty float y\nproperty float z\n"
+    "property list ushort double weights\nproperty float intensity\nproperty list uint uchar tags\n"
+)
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("elements", [(VIEWED,), (CAMERA, FACE, VIEWED), (VIEWED, FACE)])
+@pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian", "ascii"])
+def test_lists_among_the_numbers_of_a_vertex_are_stepped_over(
+    tmp_path: Path, encoding: str, elements: tuple[str, ...], even: bool
+) -> None:
+    wanted = [[1, 2, 3, 0.5], [4, 5, 6, 0.25], [7, 8, 9, 0.125]]
+    lengths = [(2, 1, 0)] * 3 if even else [(2, 1, 0), (0, 0, 3), (1, 2, 1)]
+    order = ">" if "big" in encoding else "<"
+    content = b""
+    for (x, y, z, i), (a, b, c) in zip(wanted, lengths, strict=True):
+        if encoding == "ascii":
+            words = [a, *[7] * a, x, y, z, b, *[1.5] * b, i, c, *[9] * c]
+            content += (" ".join(map(str, words)) + "\n").encode()
+        else:
+            content += bytes([a]) + np.full(a, 7, order + "i4").tobytes() + np.array([x, y, z], order + "f4").tobytes()
+            content += np.array(b, order + "u2").tobytes() + np.full(b, 1.5, order + "f8").tobytes()
+            content += np.array(i, order + "f4").tobytes() + np.array(c, order + "u4").tobytes() + bytes([9] * c)
+    others = {FACE: b"3 0 1 0 0.5\n4 1 0 1 0 0.5\n", CAMERA: b"35 3\n"} if encoding == "ascii" else body(order)
+    parts = {**others, VIEWED: content}
+    (tmp_path / "a.ply").write_bytes(ply(encoding, *elements) + b"".join(parts[one] for one in elements))
+    found = read_points(tmp_path / "a.ply")
+    assert found.columns == ("x", "y", "z", "intensity")
+    assert found.points.tolist() == wanted
+    write_points(tmp_path / "b.ply", found)
+    assert read_points(tmp_path / "b.ply").points.tolist() == wanted
+    assert b"list" not in (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "content", "message"),
+    [
+        ("ascii", b"1 7 1 2 3 0 0.5 0\n1 7 1 2 3 0 0.5\n0 1 2 3 0 0.5 0\n", "line 14: wanted the length of the list"),
+        ("ascii", b"1 7 1 2 3 0 0.5 0\n1 7 1 2 3 0 0.5 1\n0 1 2 3 0 0.5 0\n", "line 14: wanted 9 numbers"),
+        ("ascii", b"1 7 1 2 3 0 0.5 0\n-1 7 1 2 3 0 0.5 1\n0 1 2 3 0 0.5 0\n", "length of the list 'view'"),
+        ("binary_little_endian", bytes(23) * 2 + bytes(22), "3 points of at least 23 bytes"),
+        ("binary_little_endian", bytes([200]) + bytes(80), "ends within them"),
+        ("binary_little_endian", bytes(13) + b"\xff\xff" + bytes(80), "ends within them"),
+    ],
+)
+def test_a_vertex_with_broken_lists_is_refused(tmp_path: Path, encoding: str, content: bytes, message: str) -> None:
+    (tmp_path / "a.ply").write_bytes(ply(encoding, VIEWED) + content)
     with pytest.raises(TorchweatherError, match=rf"a\.ply: .*({message})"):
         read_points(tmp_path / "a.ply")

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_SUFFIXES, read_points, write_points
 from torchweather.io.stored_points import PointField, PointLayout
@@ -378,3 +378,31 @@ def test_real_clouds_are_written_back_byte_for_byte(
     target = tmp_path / source.name
     write_points(target, found)
     assert target.read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("unit", "taken"),
+    [
+        ("uint8_calibrated", "reflectivity"),
+        ("reflectivity_percent", "reflectivity"),
+        ("reflectivity", "reflectivity"),
+        ("photons", "intensity"),
+        ("uint8_linear", "intensity"),
+    ],
+)
+def test_of_two_intensities_the_one_of_the_sensors_unit_is_taken(tmp_path: Path, unit: str, taken: str) -> None:
+    names = ("x", "y", "z", "intensity", "t", "reflectivity", "ring")
+    write_points(tmp_path / "a.pcd", torch.tensor([[20.0, 0, 0, 220, 0, 20, 3]]), columns=names)
+    found = read_points(tmp_path / "a.pcd", intensity_unit=unit)
+    assert found.columns[3] == taken
+    assert found.points[0, 3] == (20 if taken == "reflectivity" else 220)
+    write_points(tmp_path / "b.pcd", found)
+    assert (tmp_path / "b.pcd").read_bytes() == (tmp_path / "a.pcd").read_bytes()
+
+
+def test_of_two_intensities_and_no_unit_the_choice_is_warned_of(tmp_path: Path) -> None:
+    names = ("x", "y", "z", "intensity", "reflectivity")
+    write_points(tmp_path / "a.pcd", torch.tensor([[20.0, 0, 0, 220, 20]]), columns=names)
+    with pytest.warns(TorchweatherWarning, match="intensity and reflectivity; intensity is taken"):
+        assert read_points(tmp_path / "a.pcd").columns[3] == "intensity"
+    assert read_points(tmp_path / "a.pcd", intensity="reflectivity").columns[3] == "reflectivity"  # no warning

@@ -23,7 +23,9 @@ from torch import Tensor
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError, check_between, check_finite
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
+from torchweather.io.row_layout import looks_semantic
 from torchweather.physics.radar_equation import received_power_dbm
+from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.sensor import Radar
 
 __all__ = [
@@ -39,6 +41,11 @@ __all__ = [
     "pose_from_carla",
 ]
 
+# A point of the semantic LiDAR (SemanticLidarDetection in LibCarla).
+_SEMANTIC = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "cos_inc_angle")] + [("object_idx", "<u4"), ("object_tag", "<u4")]
+)
+VALUES_A_ROW = 6  # semantic LiDAR
 FLOATS_A_ROW = 4  # LiDAR: x, y, z, intensity; radar: velocity, azimuth, altitude, depth
 # Mean cross section of a passenger car at 77 GHz: 10.6 dBsm in radar/fmcw/car.py; ISO 15622 tests with 10 m^2.
 CAR_RCS_DBSM = 10.0
@@ -145,9 +152,14 @@ def camera_from_carla(image: Any, **more: Any) -> Camera:
 def points_from_carla(measurement: CarlaMeasurement, reflectivity: float | None = None) -> Tensor:
     """Cloud of a ray-cast LiDAR: ``(N, 4)`` float32, x forward, y left, z up in metres, intensity.
 
+    The semantic LiDAR has 24 bytes a point, of which two are whole numbers. Its cloud is ``(N, 6)``: x, y, z, cosine
+    of the angle of incidence, index of the object, tag of its class.
+
     Args:
-        measurement: with ``raw_data``: float32 x, y, z, intensity of each return.
-        reflectivity: put this into the intensity's column, 1 is Lambertian white; ``None`` leaves CARLA's number.
+        measurement: with ``raw_data``: float32 x, y, z, intensity of each return. A ``SemanticLidarMeasurement``, or
+            24 bytes a point: float32 x, y, z, cosine, uint32 index, uint32 tag.
+        reflectivity: put this into the intensity's column, 1 is Lambertian white; ``None`` leaves CARLA's number. Of
+            the semantic LiDAR it is multiplied by the cosine, as the light that a matt surface sends back.
 
     Note:
         CARLA's intensity is ``exp(-a d)``, ``a`` the sensor's ``atmosphere_attenuation_rate`` and ``d`` the distance:
@@ -163,22 +175,45 @@ def points_from_carla(measurement: CarlaMeasurement, reflectivity: float | None 
         >>> points_from_carla(SimpleNamespace(raw_data=np.float32([10, 2, -1, 0.96]).tobytes()))
         tensor([[10.0000, -2.0000, -1.0000,  0.9600]])
     """
-    points = torch.from_numpy(_rows(measurement, "points_from_carla"))
+    semantic = _is_semantic(measurement)
+    if semantic:
+        points = torch.from_numpy(_semantic_rows(measurement))
+    else:
+        points = torch.from_numpy(_rows(measurement, "points_from_carla"))
     points[:, 1] = 0.0 - points[:, 1]  # 0 stays 0, without a sign
     if reflectivity is not None:
         check_between("reflectivity", reflectivity, 0.0, math.inf, owner="points_from_carla")
-        points[:, 3] = reflectivity
+        points[:, 3] = reflectivity * points[:, 3].abs() if semantic else reflectivity
     return points
 
 
-def points_to_carla(points: Tensor) -> npt.NDArray[np.float32]:
+def points_to_carla(
+    points: Tensor, *, semantic: bool = False, kind: Tensor | None = None
+) -> npt.NDArray[np.float32] | npt.NDArray[np.void]:
     """A cloud ``(N, 4 or more)`` as CARLA's ``(M, 4)`` float32; ``.tobytes()`` is its ``raw_data``.
 
     Rows without a return are left out: CARLA has none.
+
+    Args:
+        points: ``(N, 4 or more)``; of the semantic LiDAR ``(N, 6)``.
+        semantic: give rows of the semantic LiDAR, ``(M,)`` with the fields ``x``, ``y``, ``z``, ``cos_inc_angle``,
+            ``object_idx``, ``object_tag``.
+        kind: ``(N,)`` `PointKind` of each point, ``result.kind`` of a transform; particles get index 0 and tag 0
+            (Unlabeled), where they would keep those of what they hide.
     """
-    rows = _found(points, FLOATS_A_ROW, "points_to_carla")[:, :FLOATS_A_ROW]
+    if not semantic:
+        rows = _found(points, FLOATS_A_ROW, "points_to_carla")[:, :FLOATS_A_ROW]
+        rows[:, 1] = 0.0 - rows[:, 1]
+        return rows.astype(np.float32)
+    if kind is not None and points.ndim == 2 and points.shape[1] >= VALUES_A_ROW:
+        kept = (kind != int(PointKind.PARTICLE)).to(points)[:, None]
+        points = torch.cat([points[:, :4], kept * points[:, 4:6]], dim=1)
+    rows = _found(points, VALUES_A_ROW, "points_to_carla")
     rows[:, 1] = 0.0 - rows[:, 1]
-    return rows.astype(np.float32)
+    found = np.zeros(len(rows), _SEMANTIC)
+    for column, name in enumerate(_SEMANTIC.names or ()):
+        found[name] = rows[:, column]
+    return found
 
 
 # ---- radar ---------------------------------------------------------------------------------------------------------
@@ -284,13 +319,38 @@ def _bgra(image: CarlaImage, owner: str) -> npt.NDArray[np.uint8]:
     return flat.reshape(image.height, image.width, 4)
 
 
+def _is_semantic(measurement: CarlaMeasurement) -> bool:
+    """Whether a measurement is the semantic LiDAR's, by its class or else by its numbers."""
+    return "Semantic" in type(measurement).__name__ or looks_semantic(np.frombuffer(measurement.raw_data, np.uint8))
+
+
+def _semantic_rows(measurement: CarlaMeasurement) -> npt.NDArray[np.float32]:
+    """``(N, 6)`` floats with memory of their own."""
+    size = memoryview(measurement.raw_data).nbytes
+    if size % _SEMANTIC.itemsize:
+        raise InputValueError(
+            f"points_from_carla: raw_data of a semantic LiDAR must hold rows of {_SEMANTIC.itemsize} bytes (x, y, z, "
+            f"cosine, index, tag); got {size} bytes."
+        )
+    rows = np.frombuffer(measurement.raw_data, _SEMANTIC)
+    found: npt.NDArray[np.float32] = np.stack([rows[name].astype(np.float32) for name in _SEMANTIC.names or ()], axis=1)
+    if not bool(np.isfinite(found).all()):
+        raise InputValueError("points_from_carla: raw_data must hold finite numbers; got NaN or infinity.")
+    if bool((rows["object_idx"] > 1 << 24).any()):
+        raise InputValueError(
+            f"points_from_carla: indices of objects must be {1 << 24} or less, which float32 holds exactly; got "
+            f"{int(rows['object_idx'].max())}."
+        )
+    return found
+
+
 def _rows(measurement: CarlaMeasurement, owner: str) -> npt.NDArray[np.float32]:
     """``(N, 4)`` floats with memory of their own: CARLA takes the buffer back after the callback."""
     size = memoryview(measurement.raw_data).nbytes
     if size % (4 * FLOATS_A_ROW):
         raise InputValueError(
             f"{owner}: raw_data must hold rows of four 32-bit floats, a multiple of 16 bytes; got {size} bytes. Is it "
-            "the buffer of another sensor (a semantic LiDAR has six values a point)?"
+            "the buffer of another sensor? A semantic LiDAR's has 24 bytes a point."
         )
     floats: npt.NDArray[np.float32] = np.frombuffer(measurement.raw_data, "<f4").astype(np.float32)
     if not bool(np.isfinite(floats).all()):

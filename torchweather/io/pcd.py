@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,6 @@ from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.io.lzf import LZF_MAX_RATIO, lzf_compress, lzf_decompress
 from torchweather.io.number_text import column_text, parse_columns
 from torchweather.io.stored_points import (
-    PADDING,
     PointField,
     PointLayout,
     StoredPoints,
@@ -49,8 +49,8 @@ class _Header:
 def read_pcd(path: str | os.PathLike[str]) -> StoredPoints:
     """The fields of a PCD file.
 
-    Fields may have any name, type and count; fields named ``_`` are padding. ``HEIGHT`` above 1 makes an organised
-    cloud. The viewpoint is kept for writing back, not applied.
+    Fields may have any name, type and count; fields named ``_`` are padding, fields of count 0 take no bytes.
+    ``HEIGHT`` above 1 makes an organised cloud. The viewpoint is in the layout, not applied.
 
     Raises:
         TorchweatherError: not a PCD file, or one that holds other than its header says.
@@ -77,7 +77,7 @@ def read_pcd(path: str | os.PathLike[str]) -> StoredPoints:
                 arrays = _compressed(file.read(), header, source)
     except OSError as error:
         raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
-    layout = PointLayout("pcd", header.fields, header.data, raw, trailer)
+    layout = PointLayout("pcd", header.fields, header.data, raw, trailer, viewpoint=_viewpoint(raw, source))
     grid = (header.height, header.width) if header.height > 1 else None
     return StoredPoints(layout, arrays, grid)
 
@@ -92,7 +92,7 @@ def write_pcd(path: str | os.PathLike[str], stored: StoredPoints) -> None:
     check_one_of("encoding", stored.layout.encoding, PCD_ENCODINGS, owner="write_pcd")
     height, width = stored.grid or (1, stored.rows)
     header = _Header(stored.layout.fields, width, height, stored.rows, stored.layout.encoding)
-    raw = _header_bytes(header, stored.layout.header, path)
+    raw = _header_bytes(header, stored.layout, path)
     with atomic_write(path) as unfinished, unfinished.open("wb") as file:
         file.write(raw)
         if header.data == "ascii":
@@ -158,9 +158,9 @@ def _parsed(raw: bytes, source: Path) -> _Header:
         )
     fields = []
     for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
-        if size not in _SIZES.get(letter, ()) or count < 1:
+        if size not in _SIZES.get(letter, ()) or count < 0:
             raise TorchweatherError(
-                f"{source}: field {name!r}: wanted TYPE F with SIZE 4 or 8, or I or U with 1, 2, 4 or 8, and COUNT 1 "
+                f"{source}: field {name!r}: wanted TYPE F with SIZE 4 or 8, or I or U with 1, 2, 4 or 8, and COUNT 0 "
                 f"or more; got TYPE {letter}, SIZE {size}, COUNT {count}."
             )
         fields.append(PointField(name, f"<{_KIND[letter]}{size}" if size > 1 else f"|{_KIND[letter]}1", count))
@@ -227,14 +227,36 @@ def _compressed(body: bytes, header: _Header, source: Path) -> tuple[Any, ...]:
         numbers = header.points * one.count
         array = np.frombuffer(plain, one.dtype, numbers, offset)
         offset += array.nbytes
-        arrays.append(None if one.name == PADDING else array if one.count == 1 else array.reshape(-1, one.count))
+        arrays.append(None if one.is_padding else array if one.count == 1 else array.reshape(-1, one.count))
     return tuple(arrays)
 
 
-def _header_bytes(header: _Header, before: bytes, path: str | os.PathLike[str]) -> bytes:
+def _viewpoint(raw: bytes, source: Path) -> tuple[float, ...]:
+    """Place and quaternion of a sensor that is not in the origin of the points; empty for one that is."""
+    lines = [line.split(b"#", 1)[0].split() for line in raw.splitlines()]
+    words = next((line[1:] for line in lines if line[:1] and line[0].upper() == b"VIEWPOINT"), [])
+    if not words:
+        return ()
+    try:
+        numbers = tuple(float(word) for word in words)
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 7 or not all(math.isfinite(number) for number in numbers):
+        raise TorchweatherError(
+            f"{source}: wanted VIEWPOINT x y z w x y z, a place in metres and a quaternion; got "
+            f"{b' '.join(words[:12]).decode('latin-1')!r}. Of a sensor in the origin it is {_VIEWPOINT!r}."
+        )
+    *place, w, x, y, z = numbers
+    if not any((w, x, y, z)):  # some writers leave the quaternion out
+        w = 1.0
+    return (*place, w, x, y, z) if any(place) or any((x, y, z)) else ()
+
+
+def _header_bytes(header: _Header, layout: PointLayout, path: str | os.PathLike[str]) -> bytes:
     """The header as the file had it, if it still says the truth, else a new one."""
-    source = Path(path)
-    comments, viewpoint = [b"# .PCD v0.7 - Point Cloud Data file format"], _VIEWPOINT
+    source, before = Path(path), layout.header
+    viewpoint = " ".join(f"{number:.17g}" for number in layout.viewpoint) or _VIEWPOINT
+    comments = [b"# .PCD v0.7 - Point Cloud Data file format"]
     if before:
         if _parsed(before, source) == header:
             return before

@@ -48,7 +48,13 @@ class _Element:
 
     @property
     def fields(self) -> tuple[PointField, ...]:
-        return tuple(PointField(one.name, one.dtype) for one in self.properties)
+        """Properties that are single numbers."""
+        return tuple(PointField(one.name, one.dtype) for one in self.properties if not one.count_dtype)
+
+    @property
+    def smallest_bytes(self) -> int:
+        """Bytes of a row whose lists are empty."""
+        return sum(np.dtype(one.count_dtype or one.dtype).itemsize for one in self.properties)
 
     @property
     def has_lists(self) -> bool:
@@ -62,10 +68,10 @@ class _Header:
 
 
 def read_ply(path: str | os.PathLike[str]) -> StoredPoints:
-    """The properties of the element ``vertex``; other elements are skipped and not kept.
+    """The numbers of the element ``vertex``; lists in it and other elements are skipped and not kept.
 
     Raises:
-        TorchweatherError: not a PLY file, one that holds less than its header says, or vertices with lists.
+        TorchweatherError: not a PLY file, one that holds less than its header says, or vertices without numbers.
 
     References:
         G. Turk, The PLY Polygon File Format, 1994.
@@ -83,8 +89,12 @@ def read_ply(path: str | os.PathLike[str]) -> StoredPoints:
                     _skip(file, element, source)
                 available = os.fstat(file.fileno()).st_size - file.tell()
                 dtype = row_dtype(vertex.fields)
-                check_rows_fit(source, vertex.count, dtype.itemsize, available)
-                arrays = unpacked(np.fromfile(file, dtype, vertex.count), vertex.fields)
+                check_rows_fit(source, vertex.count, vertex.smallest_bytes, available)
+                if vertex.has_lists:
+                    rows = np.frombuffer(_without_lists(file.read(), vertex, source), dtype)
+                else:
+                    rows = np.fromfile(file, dtype, vertex.count)
+                arrays = unpacked(rows, vertex.fields)
     except OSError as error:
         raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
     return StoredPoints(PointLayout("ply", vertex.fields, header.encoding, raw), arrays)
@@ -180,7 +190,7 @@ def _vertex(header: _Header, source: Path) -> tuple[tuple[_Element, ...], _Eleme
         raise TorchweatherError(f"{source}: wanted an element vertex; got {', '.join(names) or 'no element'}.")
     index = names.index("vertex")
     vertex = header.elements[index]
-    if vertex.has_lists or not vertex.properties:
+    if not vertex.fields:
         raise TorchweatherError(f"{source}: wanted vertices with single numbers; got lists or no property.")
     if min(element.count for element in header.elements[: index + 1]) < 0:
         raise TorchweatherError(f"{source}: wanted counts of 0 or more in the PLY header; got a negative one.")
@@ -191,7 +201,7 @@ def _skip(file: Any, element: _Element, source: Path) -> None:
     """Step over an element that stands before the vertices."""
     end = os.fstat(file.fileno()).st_size
     # Refused before a walk of hours; an element without properties takes no room and no time.
-    smallest = sum(np.dtype(one.count_dtype or one.dtype).itemsize for one in element.properties)
+    smallest = element.smallest_bytes
     check_rows_fit(source, element.count, smallest, end - file.tell(), f"rows of {element.name}")
     if not element.has_lists:
         file.seek(element.count * smallest, os.SEEK_CUR)
@@ -217,14 +227,99 @@ def _ascii(body: bytes, before: tuple[_Element, ...], vertex: _Element, raw: byt
     skipped = sum(element.count for element in before)
     check_rows_fit(source, vertex.count, 2 * columns, len(body) + 1)
     lines = [line for line in body.decode("latin-1").split("\n") if line and not line.isspace()]
+    first_line = raw.count(b"\n") + 1 + skipped
+    mine = lines[skipped : skipped + vertex.count]
+    if vertex.has_lists:
+        mine = [_numbers_of(line.split(), vertex, source, first_line + k) for k, line in enumerate(mine)]
     found = parse_columns(
-        lines[skipped : skipped + vertex.count],
-        [np.dtype(one.dtype) for one in vertex.properties],
+        mine,
+        [np.dtype(one.dtype) for one in vertex.fields],
         vertex.count,
         source=source,
-        first_line=raw.count(b"\n") + 1 + skipped,
+        first_line=first_line,
     )
     return tuple(found)
+
+
+def _numbers_of(words: list[str], vertex: _Element, source: Path, line: int) -> str:
+    """A row of text without its lists."""
+    kept: list[str] = []
+    place = 0
+    for one in vertex.properties:
+        if not one.count_dtype:
+            kept.append(words[place] if place < len(words) else "")
+            place += 1
+            continue
+        length = words[place] if place < len(words) else ""
+        if not length.isdecimal():
+            raise TorchweatherError(
+                f"{source}: line {line}: wanted the length of the list {one.name!r}, 0 or more; got {length!r}."
+            )
+        place += 1 + int(length)
+    if place != len(words):
+        raise TorchweatherError(f"{source}: line {line}: wanted {place} numbers in a vertex; got {len(words)}.")
+    return " ".join(kept)
+
+
+def _without_lists(body: bytes, vertex: _Element, source: Path) -> bytes:
+    """Rows of single numbers, packed, from rows with lists between them."""
+    even = _rows_of_one_length(body, vertex)
+    if even is not None:
+        return even
+    kept: list[bytes] = []
+    place = 0
+    sizes = [
+        (np.dtype(one.dtype).itemsize, np.dtype(one.count_dtype) if one.count_dtype else None)
+        for one in vertex.properties
+    ]
+    for _ in range(vertex.count):
+        for size, length_dtype in sizes:
+            if length_dtype is None:
+                kept.append(body[place : place + size])
+                place += size
+            elif place + length_dtype.itemsize <= len(body):
+                length = int(np.frombuffer(body, length_dtype, 1, place)[0])
+                if length < 0:
+                    raise TorchweatherError(f"{source}: wanted lists of 0 or more numbers in a vertex; got {length}.")
+                place += length_dtype.itemsize + length * size
+            else:
+                place = len(body) + 1
+        if place > len(body):
+            raise TorchweatherError(
+                f"{source}: wanted {vertex.count} vertices, as its header says; the file ends within them."
+            )
+    return b"".join(kept)
+
+
+def _rows_of_one_length(body: bytes, vertex: _Element) -> bytes | None:
+    """The same where the lists of all vertices are as long as those of the first, which is usual; else ``None``."""
+    parts: list[tuple[str, Any] | tuple[str, Any, tuple[int]]] = []
+    place = 0
+    for number, one in enumerate(vertex.properties):
+        dtype = np.dtype(one.dtype)
+        if not one.count_dtype:
+            parts.append((f"f{number}", dtype))
+            place += dtype.itemsize
+            continue
+        length_dtype = np.dtype(one.count_dtype)
+        if place + length_dtype.itemsize > len(body):
+            return None
+        length = int(np.frombuffer(body, length_dtype, 1, place)[0])
+        place += length_dtype.itemsize + max(length, 0) * dtype.itemsize
+        if length < 0 or place > len(body):
+            return None
+        parts += [(f"n{number}", length_dtype), (f"l{number}", dtype, (length,))]
+    if vertex.count * place > len(body):
+        return None
+    rows = np.frombuffer(body, np.dtype(parts), vertex.count)
+    lists = [number for number, one in enumerate(vertex.properties) if one.count_dtype]
+    if any(bool((rows[f"n{number}"] != rows[f"l{number}"].shape[1]).any()) for number in lists):
+        return None
+    kept = np.zeros(vertex.count, row_dtype(vertex.fields))
+    numbers = [number for number, one in enumerate(vertex.properties) if not one.count_dtype]
+    for place, number in enumerate(numbers):
+        kept[f"f{place}"] = rows[f"f{number}"]
+    return kept.tobytes()
 
 
 def _header_bytes(header: _Header, before: bytes, source: Path) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,13 +13,26 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, nearest_name
 from torchweather.io.stored_points import PointLayout, StoredPoints
+from torchweather.io.viewpoint import points_to_sensor
 
 __all__ = ["INTENSITY_NAMES", "PointCloud", "cloud_from_stored", "exact_dtype", "flat_columns"]
 
 # Names under which files keep the strength of a return, in the order in which they are sought; case does not matter.
 INTENSITY_NAMES = ("intensity", "reflectivity", "reflectance", "i", "signal")
+# Of a file that has several, those that fit the sensor's unit come first: Ouster's driver has the photons of a return
+# in ``intensity`` (or ``signal``) and the calibrated value in ``reflectivity``.
+_CALIBRATED = ("reflectivity", "reflectance", "intensity", "i", "signal")
+_COUNTED = ("signal", "intensity", "i", "reflectivity", "reflectance")
+_OF_UNIT = {
+    "reflectivity": _CALIBRATED,
+    "reflectivity_percent": _CALIBRATED,
+    "uint8_calibrated": _CALIBRATED,
+    "uint8_linear": INTENSITY_NAMES,
+    "photons": _COUNTED,
+    "none": INTENSITY_NAMES,
+}
 # The largest range of whole numbers that float64 holds without a gap.
 _FLOAT64_WHOLE = 2**53
 
@@ -31,9 +45,11 @@ class PointCloud:
         points: ``(N, C)`` float32 or float64: x, y, z in metres, intensity (where there is one), then the others.
         columns: their C names, as the file has them.
         grid: ``(H, W)`` of an organised cloud, row-major: row i of ``points`` is cell ``(i // W, i % W)``.
-        missing: ``(N, C)``, true where the file holds NaN for a beam without a return (the row of ``points`` has
-            x = y = z = 0 there); ``None`` where it holds none.
+        missing: ``(N, C)``, true where the file holds NaN or infinity for a beam without a return (the row of
+            ``points`` has x = y = z = 0 there); ``None`` where it holds none.
         layout: fields, dtypes and variant of the file; ``None`` for a cloud that came from none.
+        viewpoint: of a PCD file whose sensor is not in the origin: x, y, z, metres, and quaternion w, x, y, z of the
+            sensor in the file's frame. ``points`` are in the sensor's frame, and are written in the file's.
 
     Example:
         >>> cloud = PointCloud(torch.tensor([[1.0, 2.0, 3.0, 0.5]]), ("x", "y", "z", "intensity"))
@@ -46,6 +62,7 @@ class PointCloud:
     grid: tuple[int, int] | None = None
     missing: Tensor | None = field(default=None, repr=False)
     layout: PointLayout | None = field(default=None, repr=False)
+    viewpoint: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", tuple(self.columns))
@@ -72,7 +89,7 @@ class PointCloud:
 
     @property
     def nan_rows(self) -> int:
-        """Number of rows that the file holds as NaN: beams without a return."""
+        """Number of rows that the file holds as NaN or infinity: beams without a return."""
         return 0 if self.missing is None else int(self.missing[:, :3].any(dim=1).sum())
 
     def column(self, name: str) -> Tensor:
@@ -100,6 +117,8 @@ def cloud_from_stored(
     intensity: str = "auto",
     columns: Sequence[str] | None = None,
     dtype: torch.dtype | None = None,
+    intensity_unit: str | None = None,
+    viewpoint: str = "apply",
 ) -> PointCloud:
     """The content of a file as one tensor; the arguments are those of `read_points`."""
     found = flat_columns(stored, source)
@@ -111,20 +130,31 @@ def cloud_from_stored(
                 f"{', '.join(absent)}.{nearest_name(absent[0], found)}"
             )
         found = {name: found[name] for name in found if name in columns}
-    first = _leading(tuple(found), intensity, source)
+    first = _leading(tuple(found), intensity, intensity_unit, source)
     order = (*first, *(name for name in found if name not in first))
     kind = exact_dtype(found, dtype, source)
+    seen_from = stored.layout.viewpoint if viewpoint == "apply" else ()
+    if seen_from and dtype is None:
+        kind = np.float64  # a difference of float32 numbers, which must add up to them again
     table = np.empty((stored.rows, len(order)), kind)
     with np.errstate(over="ignore", invalid="ignore"):  # of a dtype that was asked for; found below
         for index, name in enumerate(order):
             table[:, index] = found[name]
-    missing = _no_returns(table, len(first), order, source)
+    missing, mark = _no_returns(table, len(first), order, source)
+    zero_rows = bool(seen_from) and bool((table[:, :3] == 0).all(axis=1).any())
+    if seen_from:
+        wide = np.stack([found[name].astype(np.float64) for name in order[:3]], axis=1)
+        lost = (table[:, :3] == 0).all(axis=1)
+        wide[lost] = seen_from[:3]
+        table[:, :3] = points_to_sensor(wide, seen_from, source)
+        table[lost, :3] = 0.0
     return PointCloud(
         torch.from_numpy(table),
         order,
         stored.grid,
         None if missing is None else torch.from_numpy(missing),
-        stored.layout,
+        replace(stored.layout, no_return=mark, zero_rows=zero_rows),
+        seen_from,
     )
 
 
@@ -141,7 +171,7 @@ def flat_columns(stored: StoredPoints, source: Path) -> dict[str, npt.NDArray[An
     return found
 
 
-def _leading(names: tuple[str, ...], intensity: str, source: Path) -> tuple[str, ...]:
+def _leading(names: tuple[str, ...], intensity: str, unit: str | None, source: Path) -> tuple[str, ...]:
     """Names of x, y, z and intensity as the file has them."""
     lower = {name.lower(): name for name in reversed(names)}
     shown = ", ".join(names) or "none"
@@ -151,11 +181,19 @@ def _leading(names: tuple[str, ...], intensity: str, source: Path) -> tuple[str,
     if intensity == "none":
         return position
     if intensity == "auto":
-        known = [name for name in INTENSITY_NAMES if name in lower]
+        known = [name for name in _OF_UNIT.get(unit or "", INTENSITY_NAMES) if name in lower]
         if not known:
             raise TorchweatherError(
                 f"{source}: wanted an intensity, a column named {', '.join(INTENSITY_NAMES)}; got {shown}. Name the "
                 "column with intensity='...', or read without one (intensity='none')."
+            )
+        if unit is None and len(known) > 1:
+            warnings.warn(
+                f"{source}: the strength of a return stands in {' and '.join(lower[name] for name in known)}; "
+                f"{lower[known[0]]} is taken. Name the right one with intensity='...', or the sensor's unit with "
+                "intensity_unit='...'.",
+                TorchweatherWarning,
+                stacklevel=4,
             )
         return (*position, lower[known[0]])
     if intensity not in names or intensity in position:
@@ -196,21 +234,23 @@ def _fits_float32(array: npt.NDArray[Any]) -> bool:
 
 def _no_returns(
     table: npt.NDArray[Any], n_leading: int, order: tuple[str, ...], source: Path
-) -> npt.NDArray[np.bool_] | None:
-    """NaN rows become range 0, in place; where they were."""
+) -> tuple[npt.NDArray[np.bool_] | None, str]:
+    """Rows of NaN or infinity become range 0, in place; where they were, and what marked them."""
     leading = table[:, :n_leading]
-    if bool(np.isfinite(leading).all()):
-        return None
-    nan: npt.NDArray[np.bool_] = np.isnan(table)
-    lost = np.asarray(nan[:, :3].all(axis=1))
-    wrong = ~np.isfinite(leading) & ~(nan[:, :n_leading] & lost[:, None])
+    finite = np.isfinite(leading)
+    if bool(finite.all()):
+        return None, ""
+    lost = np.asarray(~finite[:, :3].any(axis=1))
+    wrong = ~finite & ~lost[:, None]
     if bool(wrong.any()):
         row, column = (int(index[0]) for index in np.nonzero(wrong))
         raise TorchweatherError(
-            f"{source}: wanted finite numbers, or x, y and z all NaN for a beam without a return; got "
+            f"{source}: wanted finite numbers, or x, y and z all NaN or infinite for a beam without a return; got "
             f"{order[column]} = {table[row, column]} in point {row}. Other columns or another byte order, perhaps?"
         )
-    leading[lost[:, None] & nan[:, :n_leading]] = 0.0
-    nan[~lost] = False
-    nan[:, n_leading:] = False  # other columns keep their NaN
-    return nan
+    mark = f"{leading[lost][0, 0]:g}"
+    gone: npt.NDArray[np.bool_] = ~np.isfinite(table)
+    leading[lost[:, None] & ~finite] = 0.0
+    gone[~lost] = False
+    gone[:, n_leading:] = False  # other columns keep their NaN
+    return gone, mark

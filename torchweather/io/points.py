@@ -18,8 +18,17 @@ from torchweather.io.npz_points import read_npz_points, write_npz_points
 from torchweather.io.pcd import read_pcd, write_pcd
 from torchweather.io.ply import read_ply, write_ply
 from torchweather.io.point_cloud import PointCloud, cloud_from_stored
-from torchweather.io.point_files import FLOAT32_ROWS, read_float32_file, write_float32_file
-from torchweather.io.stored_points import PADDING, PointField, PointLayout, StoredPoints
+from torchweather.io.point_files import (
+    FLOAT32_ROWS,
+    ROWS,
+    read_float32_file,
+    read_rows_file,
+    write_float32_file,
+    write_rows_file,
+)
+from torchweather.io.row_layout import stated_fields
+from torchweather.io.stored_points import PointField, PointLayout, StoredPoints
+from torchweather.io.viewpoint import VIEWPOINTS, points_to_file
 
 __all__ = ["POINT_FORMATS", "POINT_SUFFIXES", "read_points", "write_points"]
 
@@ -44,6 +53,7 @@ _READERS: dict[str, Callable[[Path], StoredPoints]] = {
 _WRITERS: dict[str, Callable[[Path, StoredPoints], None]] = {
     "kitti": write_float32_file,
     "nuscenes": write_float32_file,
+    ROWS: write_rows_file,
     "pcd": write_pcd,
     "ply": write_ply,
     "npz": write_npz_points,
@@ -60,28 +70,43 @@ def read_points(
     intensity: str = "auto",
     columns: Sequence[str] | None = None,
     dtype: torch.dtype | None = None,
+    bin_columns: str | Sequence[str] | None = None,
+    bin_dtype: str = "float32",
+    intensity_unit: str | None = None,
+    viewpoint: str = "apply",
 ) -> PointCloud:
     """A point cloud with named columns.
 
     x, y, z and the intensity come first, the other columns follow in the file's order. Rows whose x, y and z are NaN
-    (beams without a return, in PCD, PLY, NPZ and CSV) get x = y = z = 0, are marked in ``missing`` and are written
-    back as NaN. Frames are those of the file: nuScenes stores x right, y forward.
+    or infinite (beams without a return) get x = y = z = 0, are marked in ``missing`` and are written back as they
+    were. Frames are those of the file: nuScenes stores x right, y forward.
+
+    A ``.bin`` has no header. Numbers that do not look like the format's columns are refused, with the likely layout;
+    ``bin_columns`` states another one.
 
     Args:
         path: ``.bin`` (KITTI, SemanticKITTI, WADS: four float32), ``.pcd.bin`` (nuScenes: five float32), ``.pcd``,
             ``.ply``, ``.npz`` or ``.csv``.
         format: one of `POINT_FORMATS`, where the suffix does not tell or lies.
         intensity: name of the intensity column; ``auto`` takes the first of `INTENSITY_NAMES` that is there, ``none``
-            reads without.
+            reads without. Of several, ``auto`` takes the one that fits ``intensity_unit``, or warns of the choice.
         columns: names of the columns to read; all by default.
         dtype: ``torch.float32`` or ``torch.float64``. By default float32 where it holds every number of the file
             exactly, else float64 (time stamps as uint32 or double): no bit is lost silently.
+        bin_columns: columns of a file of rows without a header, in its order: ``"x,y,z,intensity,ring"``, or a
+            sequence of names. ``name:uint16`` has a type of its own, ``_:uint8`` is padding. ``format`` is not used.
+        bin_dtype: type of the columns of ``bin_columns`` without one, ``float32`` or ``float64``.
+        intensity_unit: of the sensor, ``Lidar.intensity_unit``: a calibrated unit takes ``reflectivity`` before
+            ``intensity``, ``photons`` takes ``signal`` and ``intensity`` before it.
+        viewpoint: of a PCD file that was taken from elsewhere than the origin of its points. ``apply`` gives the points
+            in the sensor's frame, float64, and `write_points` puts them back. ``ignore`` leaves them as they are; the
+            sensor's place is then ``Lidar.origin_m``. Columns other than x, y, z stay in the file's frame.
 
     Raises:
-        TorchweatherError: the file is missing, truncated, lies about its size, or lacks a column; NaN in part of a
-            position, infinity, NaN in a format that has no mark for a lost beam (KITTI, nuScenes). Files without a
-            header (KITTI, nuScenes, csv without names) must hold a point: nothing tells an empty cloud from a broken
-            file. PCD, PLY, NPZ and csv with names may hold none.
+        TorchweatherError: the file is missing, truncated, lies about its size, lacks a column, or holds numbers of
+            another layout; NaN or infinity in part of a position. Files without a header (KITTI, nuScenes, csv without
+            names) must hold a point: nothing tells an empty cloud from a broken file. PCD, PLY, NPZ and csv with names
+            may hold none.
 
     Example:
         >>> import tempfile
@@ -91,8 +116,20 @@ def read_points(
         tensor([[10.0000,  2.0000, -1.5000,  0.2500]])
     """
     source = Path(path)
-    stored = _READERS[_format(source, format, "read_points")](source)
-    return cloud_from_stored(stored, source, intensity=intensity, columns=columns, dtype=dtype)
+    if bin_columns is not None:
+        stored = read_rows_file(source, stated_fields(bin_columns, bin_dtype))
+    else:
+        stored = _READERS[_format(source, format, "read_points")](source)
+    check_one_of("viewpoint", viewpoint, VIEWPOINTS, owner="read_points")
+    return cloud_from_stored(
+        stored,
+        source,
+        intensity=intensity,
+        columns=columns,
+        dtype=dtype,
+        intensity_unit=intensity_unit,
+        viewpoint=viewpoint,
+    )
 
 
 def write_points(
@@ -127,10 +164,16 @@ def write_points(
     """
     target = Path(path)
     kind = _format(target, format, "write_points")
+    if format is None and kind in FLOAT32_ROWS and _layout_format(cloud) == ROWS:
+        kind = ROWS
     if encoding is not None and kind not in _ENCODINGS:
         raise InputValueError(f"write_points: encoding must be None for {kind}; got {encoding!r}.")
     chosen = _chosen(cloud, columns)
     _WRITERS[kind](target, _stored(chosen, kind, encoding, target))
+
+
+def _layout_format(cloud: PointCloud | Tensor) -> str:
+    return "" if isinstance(cloud, Tensor) or cloud.layout is None else cloud.layout.format
 
 
 def _format(path: Path, format: str | None, owner: str) -> str:
@@ -165,17 +208,17 @@ def _chosen(cloud: PointCloud | Tensor, columns: Sequence[str] | None) -> PointC
             f"write_points: columns must be among {', '.join(cloud.columns)}; got {', '.join(columns)}."
         )
     missing = None if cloud.missing is None else cloud.missing[:, indices]
-    return PointCloud(cloud.points[:, indices], tuple(columns), cloud.grid, missing, cloud.layout)
+    return PointCloud(cloud.points[:, indices], tuple(columns), cloud.grid, missing, cloud.layout, cloud.viewpoint)
 
 
 def _stored(cloud: PointCloud, kind: str, encoding: str | None, target: Path) -> StoredPoints:
     """The cloud's columns in the fields of the file to be."""
-    values = _values(cloud)
+    values = _values(cloud, target)
     before = cloud.layout if cloud.layout is not None and cloud.layout.format == kind else None
     fields = list(_fields(cloud, kind, before, values.dtype))
     arrays: list[npt.NDArray[Any] | None] = []
     for one in fields:
-        if one.name == PADDING:
+        if one.is_padding:
             arrays.append(None)
             continue
         indices = [cloud.columns.index(name) for name in one.columns]
@@ -183,21 +226,36 @@ def _stored(cloud: PointCloud, kind: str, encoding: str | None, target: Path) ->
         arrays.append(mine[:, 0] if one.count == 1 else mine)
     old = before or PointLayout(kind, ())
     layout = PointLayout(
-        kind, tuple(fields), encoding or old.encoding or _ENCODINGS.get(kind, ""), old.header, old.trailer
+        kind,
+        tuple(fields),
+        encoding or old.encoding or _ENCODINGS.get(kind, ""),
+        old.header,
+        old.trailer,
+        old.no_return,
+        cloud.viewpoint or old.viewpoint,
     )
     return StoredPoints(layout, tuple(arrays), cloud.grid)
 
 
-def _values(cloud: PointCloud) -> npt.NDArray[Any]:
-    """The numbers, with NaN again where a beam had no return and still has none."""
+def _values(cloud: PointCloud, target: Path) -> npt.NDArray[Any]:
+    """The numbers, with NaN or infinity again where a beam had no return and still has none."""
     points = cloud.points.detach().cpu()
     if points.dtype not in (torch.float32, torch.float64):
         points = points.float()
     values: npt.NDArray[Any] = points.numpy()
+    positions = [k for k, name in enumerate(cloud.columns) if name.lower() in ("x", "y", "z")]
+    if bool(np.isinf(values[:, positions]).any()):
+        raise TorchweatherError(f"{target}: wanted finite x, y and z in metres, or NaN for no return; got infinity.")
+    lost = (values[:, positions] == 0).all(axis=1)
+    if cloud.viewpoint and len(positions) == 3:
+        order = sorted(positions, key=lambda k: cloud.columns[k].lower())
+        values = values.astype(np.float64)
+        values[:, order] = points_to_file(values[:, order], cloud.viewpoint)
+        if cloud.layout is not None and cloud.layout.zero_rows:
+            values[np.ix_(lost, order)] = 0.0
     if cloud.missing is not None:
-        positions = [k for k, name in enumerate(cloud.columns) if name.lower() in ("x", "y", "z")]
-        still = (values[:, positions] == 0).all(axis=1)
-        values = np.where(cloud.missing.cpu().numpy() & still[:, None], values.dtype.type(np.nan), values)
+        mark = values.dtype.type((cloud.layout.no_return if cloud.layout else "") or "nan")
+        values = np.where(cloud.missing.cpu().numpy() & lost[:, None], mark, values)
     return values
 
 
@@ -234,6 +292,6 @@ def _cast(values: npt.NDArray[Any], dtype: np.dtype[Any], one: PointField, targe
         return wide.astype(dtype)
     with np.errstate(over="ignore"):
         cast = values.astype(dtype, copy=False)
-    if one.name.lower() in ("x", "y", "z") and bool(np.isinf(cast).any()):
+    if one.name.lower() in ("x", "y", "z") and bool((np.isinf(cast) & np.isfinite(values)).any()):
         raise TorchweatherError(f"{target}: wanted finite {one.name} in metres, or NaN for no return; got infinity.")
     return cast

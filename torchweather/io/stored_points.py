@@ -24,7 +24,7 @@ class PointField:
     Args:
         name: as the file has it; ``_`` is padding.
         dtype: numpy's name with byte order, ``<f4``.
-        count: numbers per point; a field of several becomes the columns ``name_0``, ``name_1``, ...
+        count: numbers per point; a field of several becomes the columns ``name_0``, ``name_1``, ..., one of 0 none.
     """
 
     name: str
@@ -32,9 +32,14 @@ class PointField:
     count: int = 1
 
     @property
+    def is_padding(self) -> bool:
+        """Whether the field holds no numbers."""
+        return self.name == PADDING or self.count == 0
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that the field becomes; none for padding."""
-        if self.name == PADDING:
+        if self.is_padding:
             return ()
         return (self.name,) if self.count == 1 else tuple(f"{self.name}_{k}" for k in range(self.count))
 
@@ -44,11 +49,16 @@ class PointLayout:
     """How a file held its points, kept so that it can be written back as it was.
 
     Args:
-        format: ``kitti``, ``nuscenes``, ``pcd``, ``ply``, ``npz`` or ``csv``.
+        format: ``kitti``, ``nuscenes``, ``rows``, ``pcd``, ``ply``, ``npz``, ``csv`` or ``las``.
         fields: in the order of the file.
         encoding: variant within the format, such as ``ascii`` or ``binary_compressed``.
         header: the header's own bytes, used again where nothing in it changed.
         trailer: bytes behind the last point that stand for nothing (a line feed in nuScenes' radar files).
+        viewpoint: of a PCD file whose sensor is not in the origin, x, y, z, metres, and the quaternion w, x, y, z of
+            its axes in the file's frame.
+        zero_rows: whether a file with a viewpoint has rows of x = y = z = 0, which hold no return there.
+        no_return: what the file has for the position of a beam without a return: ``nan``, ``inf`` or ``-inf``; empty
+            where it has none.
     """
 
     format: str
@@ -56,6 +66,9 @@ class PointLayout:
     encoding: str = ""
     header: bytes = field(default=b"", repr=False)
     trailer: bytes = field(default=b"", repr=False)
+    no_return: str = ""
+    viewpoint: tuple[float, ...] = ()
+    zero_rows: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +107,13 @@ class StoredPoints:
 def row_dtype(fields: tuple[PointField, ...]) -> np.dtype[Any]:
     """A packed row; field number k is named ``f<k>``, because files may repeat a name."""
     return np.dtype(
-        [(f"f{k}", one.dtype, (one.count,)) if one.count > 1 else (f"f{k}", one.dtype) for k, one in enumerate(fields)]
+        [(f"f{k}", one.dtype, (one.count,)) if one.count != 1 else (f"f{k}", one.dtype) for k, one in enumerate(fields)]
     )
 
 
 def unpacked(rows: npt.NDArray[Any], fields: tuple[PointField, ...]) -> tuple[npt.NDArray[Any] | None, ...]:
     """The fields of packed rows; padding is ``None``."""
-    return tuple(None if one.name == PADDING else rows[f"f{k}"] for k, one in enumerate(fields))
+    return tuple(None if one.is_padding else rows[f"f{k}"] for k, one in enumerate(fields))
 
 
 def spread(columns: list[npt.NDArray[Any]], fields: tuple[PointField, ...]) -> tuple[npt.NDArray[Any] | None, ...]:
@@ -110,7 +123,7 @@ def spread(columns: list[npt.NDArray[Any]], fields: tuple[PointField, ...]) -> t
     for one in fields:
         mine = columns[position : position + one.count]
         position += one.count
-        if one.name == PADDING:
+        if one.is_padding:
             arrays.append(None)
         else:
             arrays.append(mine[0] if one.count == 1 else np.stack(mine, axis=1))
