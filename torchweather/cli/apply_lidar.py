@@ -73,7 +73,7 @@ def process(
     total = None if any(file.suffix.lower() == ".pcap" for file in files) else len(files)
     with tqdm(total=total, unit="frame", file=sys.stderr, disable=quiet) as bar:
         for file in files:
-            for frame in clouds_in(file, args):
+            for frame in clouds_in(file, args, sensor):
                 done.append(work.process(frame))
                 bar.update()
     return done

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.cli.clouds import add_reading, reading_of
 from torchweather.cli.output import note
 from torchweather.core.exceptions import InputValueError
 
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the car that carries the LiDAR: drive, from at most 50 sweeps of each folder or nuScenes log (default "
         "where the recipe completes sweeps and 5 or more differ); FILE, a mask (.npz); none: in each sweep by itself",
     )
+    add_reading(parser)
     parser.add_argument("--engine", choices=ENGINES, default="local", help="ray: on a Ray cluster (extra scale)")
     parser.add_argument("--restart", action="store_true", help="delete what an earlier run wrote to DST, begin again")
     parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
@@ -81,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
             depth_encoding=args.depth_encoding,
             formats=_formats(args.format),
             own_vehicle=args.own_vehicle,
+            reading=reading_of(args),
             engine=args.engine,
             restart=args.restart,
             dry_run=args.dry_run,

@@ -14,7 +14,7 @@ from torchweather.core.file_names import stem
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from torchweather.io import PointCloud
+    from torchweather.io import PointCloud, PointReading
     from torchweather.lidar.sensor import Lidar
 
 __all__ = [
@@ -24,9 +24,11 @@ __all__ = [
     "CloudFrame",
     "add_lidar_arguments",
     "add_lidar_fields",
+    "add_reading",
     "clouds_in",
     "gathered_clouds",
     "lidar_fields",
+    "reading_of",
     "stem",
     "with_ones",
 ]
@@ -44,6 +46,7 @@ LIDAR_FIELDS = (
     "sensor_origin",
     "sensor_pose",
 )
+READING = ("bin_columns", "bin_dtype", "viewpoint")
 LIDAR_ARGUMENTS = (
     *LIDAR_FIELDS,
     "intensity",
@@ -54,6 +57,7 @@ LIDAR_ARGUMENTS = (
     "labels_in",
     "meta",
     "force",
+    *READING,
 )
 
 
@@ -70,11 +74,14 @@ def add_force(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
 
 
 def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.Namespace, owner: str) -> None:
-    """Raise where more than nine tenths of a cloud's points lie below the sensor's own floor, unless forced."""
+    """Raise where a cloud's points lie out of the sensor's reach, or nine tenths below its own floor, unless forced."""
     from torchweather.core.errors import TorchweatherError
     from torchweather.lidar.clouds import below_floor
-    from torchweather.lidar.frame_check import frame_note
+    from torchweather.lidar.frame_check import far_note, frame_note
 
+    far = "" if getattr(args, "force", False) else far_note(points, sensor)
+    if far:
+        raise TorchweatherError(f"{owner}: {name}: {far} --force goes on as it is.")
     floored, returns = below_floor(points, sensor)
     if not getattr(args, "force", False) and floored > NEARLY_ALL * returns:
         apart = frame_note(points, sensor)  # farther from the cloud's origin than from the sensor
@@ -95,6 +102,7 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(group)
     add_complete_scan(group)
+    add_reading(group)
     add_force(group)
     group.add_argument(
         "--lost",
@@ -109,6 +117,37 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--labels-in", type=Path, metavar="DIR", help="folder of the clear clouds' .label, to carry on")
     group.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
+
+
+def add_reading(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
+    """The arguments of files that do not say how they are to be read."""
+    group.add_argument(
+        "--bin-columns",
+        metavar="NAMES",
+        help="columns of a .bin that is not KITTI's x,y,z,intensity: such as x,y,z,intensity,ring:uint16; _ is padding",
+    )
+    group.add_argument(
+        "--bin-dtype", metavar="TYPE", help="of --bin-columns without a type: float32 (default), float64"
+    )
+    group.add_argument(
+        "--viewpoint",
+        choices=("apply", "ignore"),
+        help="of a .pcd whose VIEWPOINT is not its origin; default apply, and ignore with --sensor-origin or -pose",
+    )
+
+
+def reading_of(args: argparse.Namespace) -> PointReading:
+    """How point files are to be read, from the arguments."""
+    from torchweather.io import PointReading
+
+    if getattr(args, "bin_dtype", None) and not getattr(args, "bin_columns", None):
+        raise InputValueError("--bin-dtype is the type of --bin-columns; give --bin-columns too.")
+    return PointReading(
+        intensity=getattr(args, "intensity", None) or "auto",
+        bin_columns=getattr(args, "bin_columns", None),
+        bin_dtype=getattr(args, "bin_dtype", None) or "float32",
+        viewpoint=getattr(args, "viewpoint", None),
+    )
 
 
 def add_lidar_fields(group: argparse._ArgumentGroup) -> None:
@@ -227,12 +266,18 @@ def gathered_clouds(inputs: list[Path]) -> list[Path]:
     return found
 
 
-def clouds_in(path: Path, args: argparse.Namespace) -> Iterator[CloudFrame]:
-    """The clouds of a file, one after another."""
-    from torchweather.io import read_ouster, read_points
+def clouds_in(path: Path, args: argparse.Namespace, sensor: Lidar | None = None) -> Iterator[CloudFrame]:
+    """The clouds of a file, one after another; the sensor's unit chooses among several intensities."""
+    from torchweather.io import read_ouster, read_points, read_sensor_points
 
     if path.suffix.lower() != PCAP:
-        yield CloudFrame(path, None, read_points(path, intensity=args.intensity or "auto"))
+        reading = reading_of(args)
+        cloud = (
+            read_points(path, **{**vars(reading), "viewpoint": reading.viewpoint or "apply"})
+            if sensor is None
+            else read_sensor_points(path, sensor, reading)
+        )
+        yield CloudFrame(path, None, cloud)
         return
     frames = read_ouster(path, args.meta, intensity=args.intensity or "reflectivity")
     for number, frame in enumerate(frames):

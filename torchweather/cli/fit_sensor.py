@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.cli.clouds import add_reading
 from torchweather.cli.sensor_text import preset_named
 from torchweather.core.exceptions import InputValueError
 
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--min-range-m", type=float, help="nearer points are no returns; default the preset's")
     parser.add_argument("--intensity", metavar="COLUMN", help="see torchweather apply; not needed for the pattern")
     parser.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
+    add_reading(parser)
     parser.add_argument("--quiet", action="store_true", help="no notes about what the sweeps cannot tell")
 
 

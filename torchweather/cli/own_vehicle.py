@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchweather.cli.clouds import with_ones
+from torchweather.cli.clouds import reading_of, with_ones
 from torchweather.cli.output import note
 from torchweather.core.exceptions import InputValueError
 
@@ -61,7 +61,7 @@ def own_vehicle_of(
     sweeps = evenly_chosen([file for file in files if file.suffix.lower() != ".pcap"])
     if chosen is None and len(sweeps) < FEWEST_VIEWS:
         return None
-    clouds = _clouds(sweeps, args)
+    clouds = _clouds(sweeps, args, sensor)
     first = next(clouds, None)
     try:
         if first is None:
@@ -84,12 +84,12 @@ def words_of(mask: OwnVehicleMask) -> dict[str, Any]:
     return {"beams": mask.beams, "sweeps": mask.sweeps, "views": mask.views}
 
 
-def _clouds(files: Sequence[Path], args: argparse.Namespace) -> Iterator[PointCloud]:
+def _clouds(files: Sequence[Path], args: argparse.Namespace, sensor: Lidar) -> Iterator[PointCloud]:
     """The clouds of files, one after another, with a column of intensities."""
-    from torchweather.io import read_points
+    from torchweather.io import read_sensor_points
 
     for file in files:
-        cloud = read_points(file, intensity=args.intensity or "auto")
+        cloud = read_sensor_points(file, sensor, reading_of(args))
         yield with_ones(cloud) if args.intensity == "none" else cloud
 
 

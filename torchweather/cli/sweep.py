@@ -7,7 +7,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchweather.cli.clouds import LIDAR_FIELDS, add_complete_scan, add_force, add_lidar_fields
+from torchweather.cli.clouds import (
+    LIDAR_FIELDS,
+    READING,
+    add_complete_scan,
+    add_force,
+    add_lidar_fields,
+    add_reading,
+)
 from torchweather.cli.detections import RADAR_FIELDS, add_radar_fields
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.cli.regions import REGION_HELP
@@ -29,7 +36,7 @@ KINDS = ("camera", "lidar", "radar")
 # By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
 ARGUMENTS = {
     "camera": (*CAMERA_ARGUMENTS, "size"),
-    "lidar": (*LIDAR_FIELDS, "intensity", "complete_scan", "sky_only", "meta", "region", "force"),
+    "lidar": (*LIDAR_FIELDS, "intensity", "complete_scan", "sky_only", "meta", "region", "force", *READING),
     "radar": (*RADAR_FIELDS, "speed", "gain", "region"),
 }
 
@@ -72,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_through_mosaic(parser)
     lidar = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(lidar)
+    add_reading(lidar)
     add_complete_scan(lidar)
     add_force(lidar)
     lidar.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")

@@ -183,7 +183,7 @@ class _Lidar(Maker):
         )
 
     def _of_file(self, file: Path, scene: str) -> Iterator[Subject]:
-        for frame in clouds_in(file, self.args):
+        for frame in clouds_in(file, self.args, self.lidar):
             cloud = with_ones(frame.cloud) if self.args.intensity == "none" else frame.cloud
             refuse_other_product(str(frame.name), frame.product, self.lidar, self.args, "sweep")
             refuse_wrong_unit(str(frame.name), cloud.points, self.lidar, self.args, "sweep")

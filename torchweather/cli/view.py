@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchweather.cli.clouds import add_complete_scan, add_lidar_fields
+from torchweather.cli.clouds import add_complete_scan, add_lidar_fields, add_reading
 from torchweather.cli.sensor_text import preset_named
 from torchweather.core.exceptions import InputTypeError, InputValueError
 
@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(group)
+    add_reading(group)
     add_complete_scan(group)
     group.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
     parser.set_defaults(lost=None)
@@ -148,7 +149,7 @@ def _prepared(args: argparse.Namespace, weather: Any) -> tuple[CloudFrame, Any, 
         raise InputValueError(f"view: {args.input} is a folder; give one point cloud.")
     (path,) = gathered_clouds([args.input])
     sensor, build = builder(args, weather, None, preset)
-    frame = next(islice(clouds_in(path, args), args.frame, None), None)
+    frame = next(islice(clouds_in(path, args, sensor), args.frame, None), None)
     if frame is None or (args.frame and frame.number is None):
         raise TorchweatherError(f"{path}: has no frame {args.frame}. Give a smaller --frame.")
     refuse_other_product(frame.name, frame.product, sensor, args, "view")

@@ -30,6 +30,7 @@ from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, write_points
 from torchweather.io.power_maps import MAP_SUFFIXES, MapRecord, read_power_map, write_power_map
 from torchweather.io.radar_points import RADAR_COLUMNS, RADAR_FORMATS, RadarPoints, read_radar, write_radar
+from torchweather.io.sensor_points import PointReading, read_sensor_points
 from torchweather.io.sensor_pose import read_sensor_pose
 from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
 
@@ -63,6 +64,7 @@ __all__ = [
     "OusterFrame",
     "PointCloud",
     "PointLabels",
+    "PointReading",
     "RadarPoints",
     "atomic_folder",
     "atomic_write",
@@ -81,6 +83,7 @@ __all__ = [
     "read_points",
     "read_power_map",
     "read_radar",
+    "read_sensor_points",
     "read_sensor_pose",
     "read_table",
     "spectrum_from_counts",

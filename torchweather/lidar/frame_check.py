@@ -1,4 +1,4 @@
-"""Notice a cloud that lies in another frame than the sensor's, once for each sensor."""
+"""Notice a cloud that lies in another frame than the sensor's: out of its reach, or, once a sensor, by its rings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherWarning, owner_name
@@ -14,10 +15,15 @@ from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.sensor_origin import estimate_origin
 from torchweather.pipeline.tiling import is_exporting
 
-__all__ = ["frame_note", "warn_of_frame"]
+__all__ = ["far_note", "frame_note", "warn_of_frame"]
 
 # A cloud with fewer rows is no sweep.
 FEWEST_ROWS = 5000
+# Returns of a sensor may lie somewhat beyond its nominal reach.
+_BEYOND = 1.5
+# What no sensor on a vehicle sees: so many returns in a part of the turn, at many ranges, and hardly one nearer.
+_FEWEST_RETURNS, _NEAREST_M, _NEAREST_SHARE, _SPREAD, _ASIDE_DEG = 1000, 30.0, 0.01, 1.3, 150.0
+_SAMPLE = 100_000
 # Sensors whose first cloud was looked at: the fit takes 0.3 s.
 _SEEN: set[Lidar] = set()
 
@@ -42,6 +48,53 @@ def frame_note(points: Tensor, sensor: Lidar) -> str:
     return where.replace("the cloud's origin", f"{sensor.origin_m} as given", 1) if any(sensor.origin_m) else where
 
 
+def far_note(points: Tensor, sensor: Lidar) -> str:
+    """Evidence that the sensor cannot see a cloud from where it stands; empty where there is none.
+
+    Args:
+        points: ``(..., N, 3 or more)``, metres.
+        sensor: with ``origin_m`` and ``rotation`` as far as they are known.
+
+    Example:
+        >>> far_note(torch.tensor([[110.0, 200.0, 1.7], [130.0, 200.0, 1.7]]), Lidar(905.0, max_range_m=120.0))[:40]
+        '2 of 2 returns lie farther than 1.5 time'
+    """
+    local = points_in_sensor_frame(points.detach()[..., :3], sensor).reshape(-1, 3).double()
+    local = local[:: max(1, len(local) // _SAMPLE)]
+    range_m = local.norm(dim=-1)
+    local, range_m = local[range_m > 0], range_m[range_m > 0]
+    if len(range_m) < 2:  # one point is no evidence
+        return ""
+    beyond = int((range_m > _BEYOND * sensor.max_range_m).sum())
+    nearest_m, farthest_m = (float(torch.quantile(range_m, share)) for share in (_NEAREST_SHARE, 1.0 - _NEAREST_SHARE))
+    if 2 * beyond > len(range_m):
+        evidence = (
+            f"{beyond} of {len(range_m)} returns lie farther than {_BEYOND:g} times the sensor's reach, "
+            f"{sensor.max_range_m:g} m"
+        )
+    elif (
+        len(range_m) >= _FEWEST_RETURNS
+        and nearest_m > _NEAREST_M
+        and farthest_m > _SPREAD * nearest_m
+        and _azimuths_deg(local) < _ASIDE_DEG
+    ):
+        evidence = f"{len(range_m)} returns lie aside, all but a hundredth of them more than {nearest_m:.0f} m away"
+    else:
+        return ""
+    return (
+        f"{evidence}; half of them are {float(range_m.median()):.0f} m away or more. The cloud is in another frame (of "
+        "a map, of the vehicle), or not in metres. Say where the sensor stands in it with Lidar(origin_m=(x, y, z)) or "
+        "Lidar.with_pose (command line: --sensor-origin X Y Z, --sensor-pose FILE), or give max_range_m."
+    )
+
+
+def _azimuths_deg(local: Tensor) -> float:
+    """Angle that the azimuths of points cover, but for their largest gap, degrees."""
+    azimuth = torch.rad2deg(torch.atan2(local[:, 1], local[:, 0])).sort().values
+    gaps = torch.cat([azimuth.diff(), (azimuth[0] + 360.0 - azimuth[-1])[None]])
+    return 360.0 - float(gaps.max())
+
+
 def warn_of_frame(points: Tensor, sensor: Lidar, owner: object) -> None:
     """Warn where the first cloud of a sensor lies in another frame.
 
@@ -50,7 +103,13 @@ def warn_of_frame(points: Tensor, sensor: Lidar, owner: object) -> None:
         sensor: see `frame_note`.
         owner: for the message.
     """
-    if is_exporting() or points.shape[-2] < FEWEST_ROWS or not points.numel() or sensor in _SEEN:
+    if is_exporting():
+        return
+    far = far_note(points, sensor) if points.numel() else ""
+    if far:
+        warnings.warn(f"{owner_name(owner)}: {far}", TorchweatherWarning, stacklevel=5)
+        return
+    if points.shape[-2] < FEWEST_ROWS or not points.numel() or sensor in _SEEN:
         return
     _SEEN.add(sensor)
     note = frame_note(points.reshape(-1, *points.shape[-2:])[0], sensor)

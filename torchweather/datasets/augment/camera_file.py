@@ -78,7 +78,7 @@ class CameraFile(FrameFile):
         """Depth of the image; ``None`` leaves it to the recipe's own source."""
         file, chosen = self.file, self.job.depth
         if file.depth_cloud is not None:
-            cloud = read_points(self.paths.source(file.depth_cloud)).points
+            cloud = read_points(self.paths.source(file.depth_cloud), intensity="none", **self._columns()).points
             from_lidar: Any = file.camera_from_lidar
             if from_lidar is None:
                 if self.frame.calibration is None:
@@ -96,6 +96,11 @@ class CameraFile(FrameFile):
                 return None
             chosen = AUTO if rgb else GROUND
         return depth_source(chosen, self.job.depth_encoding, path)
+
+    def _columns(self) -> dict[str, Any]:
+        """Columns of the clouds, where they are stated."""
+        how = self.job.reading
+        return {"bin_columns": how.bin_columns, "bin_dtype": how.bin_dtype}
 
     def sample(self) -> Iterator[tuple[str, Tensor | SceneDepth]]:
         """The image, and its depth where it is not left to the recipe."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from torchweather.datasets.augment.paths import inside
-from torchweather.io import atomic_write
+from torchweather.io import PointReading, atomic_write
 from torchweather.lidar import OwnVehicleMask
 
 __all__ = ["FramePaths", "Job"]
@@ -27,6 +27,7 @@ class Job:
             LiDAR where the layout has one, else what the recipe says, else ``ground``.
         depth_encoding: of integer depth maps.
         own_vehicle: drive to the mask of its vehicle (`drive_of`).
+        reading: how point files are to be read.
     """
 
     source: str
@@ -36,6 +37,7 @@ class Job:
     depth: str | None = None
     depth_encoding: str | None = None
     own_vehicle: Mapping[str, OwnVehicleMask] = field(default_factory=dict, repr=False)
+    reading: PointReading = field(default_factory=PointReading)
 
 
 class FramePaths:

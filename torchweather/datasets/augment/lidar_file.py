@@ -29,7 +29,7 @@ from torchweather.io import (
     PointCloud,
     merge_kind,
     read_labels,
-    read_points,
+    read_sensor_points,
     write_labels,
     write_points,
 )
@@ -68,6 +68,7 @@ class LidarFile(FrameFile):
     kind: ClassVar[str] = "lidar"
     suffixes: ClassVar[tuple[str, ...]] = tuple(POINT_SUFFIXES)
     takes_labels: ClassVar[bool] = True
+    spec: TransformSpec[Lidar]
 
     @classmethod
     def prepared(
@@ -82,12 +83,12 @@ class LidarFile(FrameFile):
         masks = masks_from_text(before.get(MASKS, ""))
         if not before:
             sweeps = [file.path for frame in frames for file in frame.files if file.kind == cls.kind]
-            masks = drive_masks(settings["own_vehicle"] or None, sweeps, Path(job.source), spec)
+            masks = drive_masks(settings["own_vehicle"] or None, sweeps, Path(job.source), spec, job.reading)
         settings[MASKS] = masks_to_text(masks)
         return replace(job, own_vehicle=masks)
 
     def _read(self, path: Path) -> None:
-        self.cloud = read_points(path)
+        self.cloud = read_sensor_points(path, self.spec.sensor, self.job.reading)
         self.data = self.cloud.points
         drive = drive_of(self.file.path)
         mask = self.job.own_vehicle.get(drive)

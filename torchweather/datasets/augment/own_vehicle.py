@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from torchweather.compose.transform_spec import TransformSpec
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.augment.paths import inside
-from torchweather.io import read_points
+from torchweather.io import PointReading, read_sensor_points
 from torchweather.lidar import OwnVehicleMask, own_vehicle_mask
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.drive_sweeps import evenly_chosen
@@ -39,7 +39,7 @@ def drive_of(path: str) -> str:
 
 
 def drive_masks(
-    chosen: str | None, sweeps: Sequence[str], source: Path, spec: TransformSpec[Lidar]
+    chosen: str | None, sweeps: Sequence[str], source: Path, spec: TransformSpec[Lidar], reading: PointReading
 ) -> dict[str, OwnVehicleMask]:
     """Drive to its mask.
 
@@ -49,6 +49,7 @@ def drive_masks(
         sweeps: paths of the data set's clouds; at most 50 of a drive are read, evenly chosen by name.
         source: root of the data set.
         spec: of the recipe's LiDAR.
+        reading: how the clouds are to be read.
 
     Returns:
         Drives with fewer than 5 sweeps that differ have none: each of their sweeps is looked at by itself.
@@ -69,7 +70,7 @@ def drive_masks(
     why = "there are no sweeps"
     for drive, paths in drives.items():
         try:
-            mask = own_vehicle_mask(_clouds(evenly_chosen(paths), source), spec.sensor)
+            mask = own_vehicle_mask(_clouds(evenly_chosen(paths), source, spec.sensor, reading), spec.sensor)
         except (ValueError, IndexError) as error:
             why = str(error)
             continue
@@ -99,10 +100,10 @@ def masks_from_text(text: str) -> dict[str, OwnVehicleMask]:
     }
 
 
-def _clouds(paths: Sequence[str], source: Path) -> Iterator[Tensor]:
+def _clouds(paths: Sequence[str], source: Path, sensor: Lidar, reading: PointReading) -> Iterator[Tensor]:
     """The sweeps that can be read; a broken one is reported when its turn comes."""
     for path in paths:
         try:
-            yield read_points(inside(source, path, "augment")).points
+            yield read_sensor_points(inside(source, path, "augment"), sensor, reading).points
         except (ValueError, OSError, TorchweatherError):
             continue

@@ -26,6 +26,7 @@ from torchweather.datasets.augment.manifest import NAME as MANIFEST
 from torchweather.datasets.augment.nuscenes import write_points_left
 from torchweather.datasets.augment.paths import check_folders, inside
 from torchweather.datasets.augment.work import ATTEMPTS, FULL, file_sha256, no_room
+from torchweather.io import PointReading
 from torchweather.recipes.files import find
 
 __all__ = ["ENGINES", "Progress", "Summary", "augment"]
@@ -35,6 +36,7 @@ ENGINES = ("local", "ray")
 UNFINISHED = re.compile(r"^\..*\.[0-9a-f]{32}(\.[^.]*)?$")
 # What must be the same for a run to go on where another ended, and its option on the command line.
 SAME = {"recipe_sha256": "--recipe", "seed": "--seed", "layout": "--layout", "depth": "--depth"}
+SAME |= {"bin_columns": "--bin-columns", "bin_dtype": "--bin-dtype", "viewpoint": "--viewpoint"}
 SAME |= {"depth_encoding": "--depth-encoding", "formats": "--format", "own_vehicle": "--own-vehicle"}
 
 
@@ -103,6 +105,7 @@ def augment(
     depth_encoding: str | None = None,
     formats: Mapping[str, str] | None = None,
     own_vehicle: str | None = None,
+    reading: PointReading | None = None,
     engine: str = "local",
     restart: bool = False,
     dry_run: bool = False,
@@ -125,6 +128,7 @@ def augment(
         own_vehicle: ``drive``: a mask of the vehicle over at most 50 sweeps of each drive (a folder, or a log of
             nuScenes); a file of such a mask; ``none``. ``None`` is ``drive`` where the recipe completes sweeps and a
             drive has 5 or more that differ. The manifest keeps the masks, so that a run goes on with the same.
+        reading: how point files are to be read: columns of a ``.bin``, the viewpoint of PCD.
         engine: ``local`` or ``ray``.
         restart: forget what an earlier run did, and delete its files.
         dry_run: only count.
@@ -139,6 +143,7 @@ def augment(
         KeyboardInterrupt: after the frames that were under way.
     """
     started = time.perf_counter()
+    how = reading or PointReading()
     check_folders(source, target)
     check_at_least("workers", workers, 0, owner="augment")
     check_one_of("engine", engine, ENGINES, owner="augment")
@@ -157,11 +162,12 @@ def augment(
         "depth": depth or "",
         "depth_encoding": depth_encoding or "",
         "own_vehicle": own_vehicle or "",
+        **_reading_settings(how),
         "formats": json.dumps(dict(formats or {}), sort_keys=True),
         "version": torchweather.__version__,
         "draws": DRAWS,
     }
-    job = Job(str(source.resolve()), str(target.resolve()), text, int(seed), depth, depth_encoding)
+    job = Job(str(source.resolve()), str(target.resolve()), text, int(seed), depth, depth_encoding, reading=how)
     _check_target(target)
     if dry_run and not (target / MANIFEST).exists():
         return _summary(data, target, list(data.frames), started)
@@ -188,6 +194,16 @@ def augment(
             _clean(target)
     summary.seconds = time.perf_counter() - started
     return summary
+
+
+def _reading_settings(reading: PointReading) -> dict[str, str]:
+    """How point files are read, as text; empty where nothing is stated, as in manifests without these entries."""
+    columns = reading.bin_columns or ""
+    return {
+        "bin_columns": columns if isinstance(columns, str) else ",".join(columns),
+        "bin_dtype": "" if reading.bin_dtype == PointReading.bin_dtype else reading.bin_dtype,
+        "viewpoint": reading.viewpoint or "",
+    }
 
 
 def _do(
