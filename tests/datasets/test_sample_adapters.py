@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 
 from torchweather.atmosphere.weather import Fog
+from torchweather.compose import Compose
 from torchweather.datasets.adapters import HuggingFaceAdapter, Mmdet3dAdapter, OpenPcdetAdapter
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import AsBayer, BayerFog, LidarFog
@@ -144,6 +145,42 @@ def test_mmdet3d_refuses_labels_of_points_and_lists_of_views() -> None:
         Mmdet3dAdapter(Weather())({"points": points, "pts_semantic_mask": np.zeros(50)})
     with pytest.raises(TypeError, match="Views of several cameras"):
         Mmdet3dAdapter(Weather(), clouds=(), images=("img",))({"img": [picture(), picture()]})
+
+
+@pytest.mark.parametrize("drop_lost", [True, False])
+@pytest.mark.parametrize("as_array", [True, False])
+def test_mmdet3d_labels_follow_the_points(drop_lost: bool, as_array: bool) -> None:
+    points = torch.from_numpy(cloud())
+    semantic, instance = np.arange(50) % 16, np.arange(50) + 1000
+    if not as_array:
+        semantic, instance = torch.from_numpy(semantic), torch.from_numpy(instance)
+    lidar = LidarFog(Fog(mor_m=300.0), Lidar.preset("velodyne-hdl-64e", intensity_unit="reflectivity"))
+    compose = Compose({"points": lidar}, seed=3, sample_key="sample_idx")
+    results = {
+        "points": Points(points, 4),
+        "sample_idx": 5,
+        "pts_semantic_mask": semantic,
+        "pts_instance_mask": instance,
+    }
+    results["eval_ann_info"] = {"pts_semantic_mask": semantic, "other": 1}
+    adapter = Mmdet3dAdapter(compose, drop_lost=drop_lost, particle_class=30, lost_class=31)
+    found = adapter(results)
+    _, what = compose.run({**results, "points": points})
+    kind, source = what["points"].kind, what["points"].source
+    assert set(kind.tolist()) == {0, 1, 2}, kind.bincount()
+    kept = torch.ones(50, dtype=torch.bool) if not drop_lost else kind != 2
+    wanted = torch.where(kind == 1, 30, torch.where(kind == 2, 31, source % 16))[kept].tolist()
+    assert found["pts_semantic_mask"].tolist() == wanted
+    assert found["pts_instance_mask"].tolist() == torch.where(kind == 0, source + 1000, 0)[kept].tolist()
+    assert len(found["points"].tensor) == len(wanted)
+    assert found["eval_ann_info"]["pts_semantic_mask"].tolist() == wanted
+    assert found["eval_ann_info"]["other"] == 1
+    assert type(found["pts_semantic_mask"]) is type(semantic)
+    assert semantic.tolist() == results["eval_ann_info"]["pts_semantic_mask"].tolist() == (np.arange(50) % 16).tolist()
+    clear = Mmdet3dAdapter(Compose({"points": lidar}, p=0.0), drop_lost=drop_lost, particle_class=30)(results)
+    assert clear["pts_semantic_mask"].tolist() == [k % 16 for k in range(50) if not drop_lost or k != 7]
+    with pytest.raises(ValueError, match="must label 50 points; got 49"):
+        adapter({**results, "pts_semantic_mask": semantic[:49]})
 
 
 def test_hugging_face_rows_are_pictures_arrays_and_nested_lists() -> None:

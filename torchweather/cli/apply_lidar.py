@@ -32,7 +32,7 @@ from torchweather.cli.own_vehicle import own_vehicle_of, words_of
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.explain import explain
-from torchweather.io import PointCloud
+from torchweather.io import PointCloud, with_labels_of
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult, LidarWeather
 from torchweather.pipeline.point_kind import PointKind
@@ -190,6 +190,7 @@ class _Work:
         """A result in the columns of its input; a file that marks lost beams by NaN gets the new ones so too."""
         if without_intensity:
             points = torch.cat([points[:, :3], points[:, 4:]], -1)
+        points = with_labels_of(cloud, points, kind)
         found = cloud.with_points(points)
         if found.missing is not None and self.args.lost is None and self.transform.lost == "zero":
             lost = (kind == PointKind.LOST)[:, None] & found.missing.any(0)

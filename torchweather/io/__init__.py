@@ -10,11 +10,15 @@ from torchweather.io.disdrometer import read_disdrometer
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts, spectrum_from_drops
 from torchweather.io.exif import ExifFocal, read_exif_focal
 from torchweather.io.images import IMAGE_SUFFIXES, ImageInfo, read_image, write_image
+from torchweather.io.label_columns import label_columns, with_labels_of
 from torchweather.io.labels import (
     FALLING_SNOW,
+    LABEL_FORMATS,
     LYING_SNOW,
     UNLABELLED,
+    LabelFormat,
     PointLabels,
+    label_format,
     merge_kind,
     read_labels,
     write_labels,
@@ -41,6 +45,7 @@ __all__ = [
     "FALLING_SNOW",
     "IMAGE_SUFFIXES",
     "INTENSITY_NAMES",
+    "LABEL_FORMATS",
     "LYING_SNOW",
     "MAP_LAYOUTS",
     "MAP_SUFFIXES",
@@ -59,6 +64,7 @@ __all__ = [
     "DropSpectrum",
     "ExifFocal",
     "ImageInfo",
+    "LabelFormat",
     "MapLayout",
     "MapRecord",
     "OusterFrame",
@@ -68,6 +74,8 @@ __all__ = [
     "RadarPoints",
     "atomic_folder",
     "atomic_write",
+    "label_columns",
+    "label_format",
     "map_layout",
     "merge_kind",
     "parsivel_area_mm2",
@@ -88,6 +96,7 @@ __all__ = [
     "read_table",
     "spectrum_from_counts",
     "spectrum_from_drops",
+    "with_labels_of",
     "write_adc",
     "write_image",
     "write_labels",

@@ -1,4 +1,4 @@
-"""SemanticKITTI's label files (also WADS'): class and instance of every point, and what weather does to labels."""
+"""Label files of SemanticKITTI, WADS and nuScenes: class and instance of every point, and what weather does to them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_between
+from torchweather.io.arrays import read_archive
 from torchweather.pipeline.point_kind import PointKind
 
 __all__ = [
     "FALLING_SNOW",
+    "LABEL_FORMATS",
     "LYING_SNOW",
     "UNLABELLED",
+    "LabelFormat",
     "PointLabels",
+    "label_format",
     "merge_kind",
     "read_labels",
     "write_labels",
@@ -29,6 +33,7 @@ UNLABELLED = 0
 FALLING_SNOW = 110
 LYING_SNOW = 111
 _HIGHEST = 0xFFFF
+_PANOPTIC = 1000  # nuScenes: 1000 times the class plus the instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,43 +60,124 @@ class PointLabels:
             check_between(name, values.long(), 0, _HIGHEST, owner=self) if values.numel() else None
 
 
+@dataclass(frozen=True)
+class LabelFormat:
+    """A kind of label files.
+
+    Args:
+        ending: of their names.
+        particle_class: of a point that is a drop, a flake or fog.
+        particle_name: of that class.
+        item_bytes: of one label; 0 in an archive.
+        highest_class: that a file can hold.
+    """
+
+    ending: str
+    particle_class: int
+    particle_name: str
+    item_bytes: int
+    highest_class: int
+
+    @property
+    def words(self) -> str:
+        """Classes of what the weather made, for a record."""
+        return f"particles are class {self.particle_class} ({self.particle_name}), lost points class {UNLABELLED}"
+
+
+# nuScenes' class 0, noise, is "any return that does not correspond to a physical object, such as dust, vapor, noise,
+# fog, raindrops, smoke and reflections".
+LABEL_FORMATS = (
+    LabelFormat("_lidarseg.bin", 0, "noise", 1, 0xFF),
+    LabelFormat("_panoptic.npz", 0, "noise", 0, 0xFFFF // _PANOPTIC),
+    LabelFormat(".label", FALLING_SNOW, "falling snow", 4, _HIGHEST),
+)
+
+
+def label_format(path: str | os.PathLike[str]) -> LabelFormat:
+    """The format of a label file, by the ending of its name; SemanticKITTI's where it has none of those."""
+    name = Path(path).name.lower()
+    return next((one for one in LABEL_FORMATS if name.endswith(one.ending)), LABEL_FORMATS[-1])
+
+
 def read_labels(path: str | os.PathLike[str], n_points: int | None = None) -> PointLabels:
     """The labels of a cloud.
 
+    ===================  ========================================================================================
+    name                 content
+    ===================  ========================================================================================
+    ``*.label``          SemanticKITTI, WADS: uint32 for each point, class in the lower 16 bits, instance above
+    ``*_lidarseg.bin``   nuScenes: uint8 for each point, the class
+    ``*_panoptic.npz``   nuScenes: uint16 ``data`` for each point, 1000 times the class plus the instance
+    ===================  ========================================================================================
+
     Args:
-        path: ``labels/*.label``: uint32 for each point, class in the lower 16 bits, instance in the upper.
+        path: a file of one of these names; any other name is taken for SemanticKITTI's.
         n_points: rows of the cloud that they belong to; checked.
 
     Raises:
         TorchweatherError: the file is missing, truncated, or has another number of labels. An empty file is refused
             unless ``n_points`` is 0.
     """
-    source = Path(path)
+    source, kind = Path(path), label_format(path)
+    if not kind.item_bytes:
+        return _read_panoptic(source, n_points)
+    dtype = np.dtype(f"<u{kind.item_bytes}")
     try:
         size = source.stat().st_size
-        packed = np.fromfile(source, "<u4") if size % 4 == 0 else np.zeros(0, "<u4")
+        packed = np.fromfile(source, dtype) if size % dtype.itemsize == 0 else np.zeros(0, dtype)
     except OSError as error:
         raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
-    if size % 4 or (n_points is None and not size) or (n_points is not None and n_points * 4 != size):
+    wrong = size % dtype.itemsize or (n_points is not None and n_points * dtype.itemsize != size)
+    if wrong or (n_points is None and not size):
         wanted = "at least one" if n_points is None else str(n_points)
+        what = "4 bytes (class and instance, 16 bits each)" if dtype.itemsize == 4 else "1 byte (class)"
         raise TorchweatherError(
-            f"{source}: wanted {wanted} labels of 4 bytes (class and instance, 16 bits each); got {size} bytes. The "
-            "file is truncated or belongs to another cloud."
+            f"{source}: wanted {wanted} labels of {what}; got {size} bytes. The file is truncated or belongs to "
+            "another cloud."
         )
     labels = torch.from_numpy(packed.astype(np.int64))
     return PointLabels(labels & _HIGHEST, labels >> 16)
 
 
 def write_labels(path: str | os.PathLike[str], labels: PointLabels) -> None:
-    """Write the labels of one cloud, ``(N,)``; the inverse of `read_labels`, bit for bit."""
+    """Write the labels of one cloud, ``(N,)``, in the format of the name; the inverse of `read_labels`.
+
+    Raises:
+        ValueError: labels of a batch.
+        TorchweatherError: a class or an instance that the format cannot hold.
+    """
     if labels.classes.ndim != 1:
         raise InputValueError(
             f"write_labels: labels must be of one cloud, shape (N,); got {tuple(labels.classes.shape)}. Write each "
             "sample of a batch to its own file."
         )
-    packed = labels.classes.long().cpu() | (labels.instances.long().cpu() << 16)
+    kind = label_format(path)
+    classes, instances = labels.classes.long().cpu(), labels.instances.long().cpu()
+    instance_limit = {1: 0, 0: _PANOPTIC - 1}.get(kind.item_bytes, _HIGHEST)
+    for name, values, limit in (("class", classes, kind.highest_class), ("instance", instances, instance_limit)):
+        if values.numel() and int(values.max()) > limit:
+            raise TorchweatherError(
+                f"{path}: *{kind.ending} holds a value of {name} of at most {limit}; got {int(values.max())}."
+            )
     with atomic_write(path) as unfinished:
-        packed.numpy().astype("<u4").tofile(unfinished)
+        if not kind.item_bytes:
+            np.savez_compressed(unfinished, data=(classes * _PANOPTIC + instances).numpy().astype(np.uint16))
+        else:
+            (classes | (instances << 16)).numpy().astype(f"<u{kind.item_bytes}").tofile(unfinished)
+
+
+def _read_panoptic(source: Path, n_points: int | None) -> PointLabels:
+    arrays, _ = read_archive(source)
+    data = arrays.get("data")
+    if data is None or data.ndim != 1 or data.dtype.kind not in "iu" or n_points not in (None, len(data)):
+        got = "no array data" if data is None else f"data {data.dtype} {data.shape}"
+        wanted = "one whole number" if n_points is None else f"{n_points} whole numbers"
+        raise TorchweatherError(
+            f"{source}: wanted {wanted} in data, (N,), 1000 times the class plus the instance; got {got}. The file is "
+            "damaged or belongs to another cloud."
+        )
+    labels = torch.from_numpy(data.astype(np.int64))
+    return PointLabels(labels // _PANOPTIC, labels % _PANOPTIC)
 
 
 def merge_kind(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchweather.core.errors import InputTypeError, InputValueError, nearest_name, owner_name
 
-__all__ = ["Adapter", "array_from_image", "cloud_tensor", "depth_tensor", "image_tensor", "without_lost"]
+__all__ = ["Adapter", "array_from_image", "cloud_tensor", "depth_tensor", "image_tensor", "is_return", "without_lost"]
 
 Sample = Mapping[str, Any]
 Array = npt.NDArray[Any]
@@ -71,8 +71,13 @@ def without_lost(cloud: Tensor) -> Tensor:
         >>> without_lost(torch.tensor([[0.0, 0, 0, 7], [1, 0, 0, 7]]))
         tensor([[1., 0., 0., 7.]])
     """
+    return cloud[is_return(cloud)]
+
+
+def is_return(cloud: Tensor) -> Tensor:
+    """Which rows of a cloud ``(N, 3 or more)`` are returns, ``(N,)`` bool."""
     xyz = cloud[:, :3]
-    return cloud[(xyz != 0).any(1) & torch.isfinite(xyz).all(1)]
+    return (xyz != 0).any(1) & torch.isfinite(xyz).all(1)
 
 
 def image_tensor(value: object, *, bgr: bool = False, float_white: float = 1.0) -> Tensor:

@@ -41,7 +41,7 @@ def sensor_frames(paths: Sequence[str], keys: Mapping[str, str], formats: Mappin
             continue
         # A sample of several sensors is found by the name that its files share, whatever folders they stand in.
         name = path if len(keys) == 1 else stem(path)[0]
-        labels = _labels_of(path, there) if FRAME_FILES[kind].takes_labels else None
+        labels = _labels_of(path, there) if FRAME_FILES[kind].takes_labels else ()
         grouped[name].append(SensorFile(keys[kind], kind, path, renamed(path, kind, formats), labels))
     for name, files in grouped.items():
         for kind in keys:
@@ -57,7 +57,7 @@ def sensor_frames(paths: Sequence[str], keys: Mapping[str, str], formats: Mappin
 def carried(paths: Sequence[str], frames: Sequence[Frame]) -> list[Frame]:
     """What no frame writes, to be copied as it is: one frame a file."""
     written = {one.path for frame in frames for one in frame.files}
-    written |= {one.labels for frame in frames for one in frame.files if one.labels is not None}
+    written |= {path for frame in frames for one in frame.files for path in one.labels}
     written |= {one.target for frame in frames for one in frame.files}
     return [Frame(path, (SensorFile(COPY, COPY, path, path),), path) for path in paths if path not in written]
 
@@ -72,9 +72,9 @@ def name_without_ending(path: str) -> str:
     return path[: len(path) - len(stem(path)[1])]
 
 
-def _labels_of(path: str, there: Collection[str]) -> str | None:
+def _labels_of(path: str, there: Collection[str]) -> tuple[str, ...]:
     """The ``.label`` of a cloud: beside it, or as SemanticKITTI has it, ``velodyne`` and ``labels`` side by side."""
     beside = f"{name_without_ending(path)}.label"
     parts = beside.split("/")
     other = "/".join([*parts[:-2], "labels", parts[-1]]) if len(parts) > 1 else beside
-    return next((one for one in (beside, other) if one in there), None)
+    return next(((one,) for one in (beside, other) if one in there), ())

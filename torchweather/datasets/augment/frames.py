@@ -21,7 +21,7 @@ class SensorFile:
         kind: ``camera``, ``lidar``, ``radar``, or ``copy`` for what is carried along as it is.
         path: below the root of the data set, with ``/``.
         target: below the root of the result; the same path unless another format was asked for.
-        labels: of a cloud, the path of its ``.label``, where there is one.
+        labels: of a cloud, paths of the files that label its points.
         camera_matrix: ``(3, 3)`` in pixels, where the data set's tables have it.
         camera_from_lidar: ``(4, 4)`` into this camera from the cloud that gives its depth.
         depth_cloud: path of that cloud.
@@ -31,7 +31,7 @@ class SensorFile:
     kind: str
     path: str
     target: str
-    labels: str | None = None
+    labels: tuple[str, ...] = ()
     camera_matrix: tuple[tuple[float, ...], ...] | None = None
     camera_from_lidar: tuple[tuple[float, ...], ...] | None = None
     depth_cloud: str | None = None
@@ -65,7 +65,8 @@ class Frame:
     def reads(self) -> tuple[str, ...]:
         """Paths of all files that the result depends on, in order, each once."""
         found = [one.path for one in self.files]
-        found += [path for one in self.files for path in (one.labels, one.depth_cloud) if path is not None]
+        for one in self.files:
+            found += [*one.labels, *((one.depth_cloud,) if one.depth_cloud is not None else ())]
         found += [path for path in (self.calibration, self.boxes) if path is not None]
         return tuple(dict.fromkeys(found))
 

@@ -45,7 +45,7 @@ def kitti_frames(paths: Sequence[str], keys: Mapping[str, str], *, depth_from_li
             kind = FOLDERS[folder]
             if folder in there and kind in keys:
                 sensor = FRAME_FILES[kind]
-                labels = there.get(LABELS) if sensor.takes_labels else None
+                labels = (there[LABELS],) if sensor.takes_labels and LABELS in there else ()
                 cloud = there.get(LIDAR) if sensor.takes_depth and depth_from_lidar else None
                 files.append(SensorFile(keys[kind], kind, there[folder], there[folder], labels, depth_cloud=cloud))
         if not files:

@@ -27,9 +27,12 @@ from torchweather.datasets.augment.own_vehicle import drive_masks, drive_of, mas
 from torchweather.io import (
     POINT_SUFFIXES,
     PointCloud,
+    label_columns,
+    label_format,
     merge_kind,
     read_labels,
     read_sensor_points,
+    with_labels_of,
     write_labels,
     write_points,
 )
@@ -103,12 +106,14 @@ class LidarFile(FrameFile):
         target, labels = self.file.target, self.file.labels
         seconds = isinstance(result.second, Tensor)
         name, ending = stem(target)
-        if labels is not None:
-            before = read_labels(self.paths.source(labels), len(self.data))
-            write_labels(self.paths.new(labels), merge_kind(before, result.kind, result.source))
+        for path in labels:
+            particle_class, form = label_format(path).particle_class, label_format(path).ending
+            before = read_labels(self.paths.source(path), len(self.data))
+            merged = merge_kind(before, result.kind, result.source, particle_class=particle_class)
+            write_labels(self.paths.new(path), merged)
             if seconds:
-                merged = merge_kind(before, result.second_kind, result.second_source)
-                write_labels(self.paths.new(Path(labels).with_name(f"{name}_second.label").as_posix()), merged)
+                merged = merge_kind(before, result.second_kind, result.second_source, particle_class=particle_class)
+                write_labels(self.paths.new(f"{path[: len(path) - len(form)]}_second{form}"), merged)
         if seconds:
             other = target[: len(target) - len(name) - len(ending)] + f"{name}_second{ending}"
             write_points(self.paths.new(other), outgoing(self.cloud, result.second, result.second_kind))
@@ -116,8 +121,8 @@ class LidarFile(FrameFile):
 
     def write_clear(self) -> None:
         """Write cloud and labels as they are."""
-        if self.file.labels is not None:
-            self.paths.copy(self.file.labels, self.file.labels)
+        for path in self.file.labels:
+            self.paths.copy(path, path)
         super().write_clear()
 
     def note(self, result: Any) -> str:
@@ -126,7 +131,10 @@ class LidarFile(FrameFile):
         named = (
             f"{kinds[PointKind.OBJECT]} objects, {kinds[PointKind.PARTICLE]} particles, {kinds[PointKind.LOST]} lost"
         )
-        return f"{COUNTED} {len(result.kind)} rows: {named}; {result.scan}"
+        columns = ", ".join(f"column {name} {value}" for name, value in label_columns(self.cloud).items())
+        classes = [f"labels *{label_format(path).ending}: {label_format(path).words}" for path in self.file.labels]
+        classes += [f"labels of particles: {columns}"] if columns else []
+        return "; ".join((f"{COUNTED} {len(result.kind)} rows: {named}", str(result.scan), *classes))
 
     def boxes(self, result: Any) -> list[dict[str, Any]] | None:
         """Points and transmission that the weather left of each box; ``None`` where its place is not known."""
@@ -148,7 +156,7 @@ class LidarFile(FrameFile):
 
 def outgoing(cloud: PointCloud, points: Tensor, kind: Tensor) -> PointCloud:
     """A result in the columns of its input; a file that marks lost beams by NaN gets the new ones so too."""
-    found = cloud.with_points(points)
+    found = cloud.with_points(with_labels_of(cloud, points, kind))
     if found.missing is not None:
         lost = (kind == PointKind.LOST)[:, None] & found.missing.any(0)
         found = replace(found, missing=found.missing | lost)

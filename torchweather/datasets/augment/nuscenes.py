@@ -23,6 +23,8 @@ __all__ = ["annotation_tables", "is_nuscenes", "nuscenes_frames", "write_points_
 
 TABLES = re.compile(r"^(?P<folder>v1\.0-[^/]+)/sample_data\.json$")
 LIDAR = "LIDAR_TOP"
+# Of lidarseg and panoptic: table and folder, and the ending of the files.
+LABELS = {"lidarseg": "_lidarseg.bin", "panoptic": "_panoptic.npz"}
 Matrix = npt.NDArray[np.float64]
 
 
@@ -88,6 +90,18 @@ class _Tables:
             for row in self._rows("sample_annotation", ("token", "sample_token", "translation", "size", "rotation")):
                 self.boxes[row["sample_token"]].append(row)
 
+        self.labels = {task: self._label_table(task) for task in LABELS}
+
+    def _label_table(self, task: str) -> dict[str, str]:
+        """Token of a sweep to the file with its labels."""
+        path = self.folder / f"{task}.json"
+        if not path.is_file():
+            return {}
+        rows = self._rows(task, ("sample_data_token", "filename"))
+        for row in rows:
+            check_relative(self.root, row["filename"], str(path))
+        return {row["sample_data_token"]: row["filename"] for row in rows}
+
     def frames(self, there: set[str], keys: Mapping[str, str], *, depth_from_lidar: bool) -> list[Frame]:
         """The frames whose files are there."""
         lidars = {
@@ -134,14 +148,25 @@ class _Tables:
         # A sweep has the weather of its sample but drops of its own.
         key = _channel(path) if row["is_key_frame"] else path
         if not FRAME_FILES[kind].takes_depth:
-            return SensorFile(key, kind, path, path)
+            labels = self._labels_of(row, there) if FRAME_FILES[kind].takes_labels else ()
+            return SensorFile(key, kind, path, path, labels)
         matrix = self.sensors[row["calibrated_sensor_token"]].get("camera_intrinsic") or None
         cloud = lidar["filename"] if depth_from_lidar and lidar and lidar["filename"] in there else None
         from_lidar = None
         if cloud is not None and lidar is not None:
             from_lidar = _plain(np.linalg.inv(self._global_from_sensor(row)) @ self._global_from_sensor(lidar))
         plain = None if matrix is None else tuple(tuple(float(value) for value in line) for line in matrix)
-        return SensorFile(key, kind, path, path, None, plain, from_lidar, cloud)
+        return SensorFile(key, kind, path, path, (), plain, from_lidar, cloud)
+
+    def _labels_of(self, row: Mapping[str, Any], there: set[str]) -> tuple[str, ...]:
+        """Files of lidarseg and panoptic that label the points of a sweep: by their tables, else by their names."""
+        found = []
+        for task, ending in LABELS.items():
+            named = f"{task}/{self.folder.name}/{row['token']}{ending}"
+            path = self.labels[task].get(row["token"], named)
+            if path in there:
+                found.append(path)
+        return tuple(found)
 
     def _global_from_sensor(self, row: Mapping[str, Any]) -> Matrix:
         try:
