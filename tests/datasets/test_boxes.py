@@ -50,7 +50,7 @@ def test_kitti_boxes_stand_on_their_bottom_and_head_where_they_look(tmp_path: Pa
 
 
 def test_kitti_labels_are_written_back_byte_for_byte_with_the_real_mounting(tmp_path: Path) -> None:
-    (tmp_path / "calib.txt").write_text("P2: " + "721.5 0 609.6 44.9 0 721.5 172.9 0.2 0 0 1 0.003")
+    (tmp_path / "calib.txt").write_text("721.5 0 609.6 44.9 0 721.5 172.9 0.2 0 0 1 0.003")
     mounting = read_kitti_rectified_from_lidar(tmp_path / "calib.txt")
     boxes = read_kitti_boxes(label(tmp_path), mounting)
     assert boxes.names == ("Car", "Pedestrian", "Cyclist")

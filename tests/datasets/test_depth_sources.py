@@ -219,7 +219,7 @@ def test_a_cloud_with_its_calibration_is_completed(folder: Path) -> None:
     np.savez(folder / "velodyne" / "0002.npz", points=cloud_of_ground().numpy())
     as_npz = depth_source(str(folder / "velodyne"), None, Path("0002.png"), calibration=calibration)
     assert isinstance(as_npz, CompletedDepth)
-    calibration.write_text(KITTI.splitlines()[0])
+    calibration.write_text(KITTI.splitlines()[0].removeprefix("P2: "))
     assert "recording day" in named("--depth", cloud, "--calib", calibration).assumption
 
 

@@ -69,7 +69,7 @@ def test_labels_are_placed_in_the_rectified_frame_of_camera_0(tmp_path: Path) ->
     # P2's own offset: K^-1 p.
     seen = read_kitti_calibration(tmp_path / "c.txt").T_camera_from_lidar @ point
     assert (seen - placed)[2].item() == pytest.approx(0.002745884)
-    (tmp_path / "d.txt").write_text("Tr_velo_to_cam: 1 2 3")
+    (tmp_path / "d.txt").write_text("R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 1 2 3")
     with pytest.raises(TorchweatherError, match="12 in Tr_velo_to_cam"):
         read_kitti_rectified_from_lidar(tmp_path / "d.txt")
 
@@ -91,7 +91,7 @@ def test_bare_projection_says_what_it_assumes(tmp_path: Path) -> None:
         ("", "no numbers"),
         ("P2: 1 2 3", r"P2 \(3 numbers\)"),
         ("hello world", "hello"),
-        (f"P2: {P2}\nR0_rect: 1 0 0", "9 numbers in R0_rect"),
+        (f"P2: {P2}\nR0_rect: 1 0 0\nTr_velo_to_cam: 1 0 0", "9 numbers in R0_rect"),
         ("P2: 0 0 0 0 0 0 0 0 0 0 0 0", "invertible"),
     ],
 )
@@ -99,6 +99,66 @@ def test_broken_calibration_is_named(tmp_path: Path, text: str, message: str) ->
     (tmp_path / "c.txt").write_text(text)
     with pytest.raises(TorchweatherError, match=message):
         read_kitti_calibration(tmp_path / "c.txt")
+
+
+RECT = "0.8 -0.6 0 0.6 0.8 0 0 0 1"  # far from the identity: used where it does not belong, it would show
+VELO = "0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "rectified"),
+    [
+        ("000001.txt", f"P2: {P2}\nR0_rect: {RECT}\nTr_velo_to_cam: {VELO}\nTr_imu_to_velo: {VELO}\n", True),
+        ("0001.txt", f"P2: {P2}\nR_rect {RECT}\nTr_velo_cam {VELO}\nTr_imu_velo {VELO}\n", True),
+        ("calib.txt", f"P0: {P2}\nP2: {P2}\nTr: {VELO}\n", False),
+        ("calib_cam_to_cam.txt", f"calib_time: 09-Jan-2012 13:57:47\nP_rect_02: {P2}\nR_rect_00: {RECT}\n", True),
+        ("calib_velo_to_cam.txt", "", True),
+    ],
+)
+def test_every_kit_has_its_own_way_from_the_velodyne(tmp_path: Path, name: str, text: str, rectified: bool) -> None:
+    if "cam" in name:
+        content = f"calib_time: 09-Jan-2012 13:57:47\nP_rect_02: {P2}\nR_rect_00: {RECT}\n"
+        (tmp_path / "calib_cam_to_cam.txt").write_text(content)
+        velodyne = "calib_time: 15-Mar-2012 11:37:16\nR: 0 -1 0 0 0 -1 1 0 0\nT: 0.1 -0.2 -0.3\n"
+        (tmp_path / "calib_velo_to_cam.txt").write_text(velodyne)
+    else:
+        (tmp_path / name).write_text(text)
+    found = read_kitti_calibration(tmp_path / name)
+    assert found.assumption == ""
+    placed = read_kitti_rectified_from_lidar(tmp_path / name) @ torch.tensor([30.0, 5, 0, 1], dtype=torch.float64)
+    # By hand: (-5 + 0.1, -0.2, 30 - 0.3) in the camera, turned by RECT where the kit has one.
+    x, y, z = -4.9, -0.2, 29.7
+    wanted = [0.8 * x - 0.6 * y, 0.6 * x + 0.8 * y, z] if rectified else [x, y, z]
+    assert placed[:3].tolist() == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"P2: {P2}\n", "no R0_rect and no Tr_velo_to_cam"),
+        (f"P2: {P2}\nR0_rect: {RECT}\n", "no Tr_velo_to_cam. Another day's"),
+        (f"P2: {P2}\nTr_velo_to_cam: {VELO}\n", "no R0_rect. Another day's"),
+        (f"P2: {P2}\nR0_rect: {RECT}\nTr_velo_to_cam: {VELO}\nTr: {VELO}\n", "wanted either Tr"),
+        (f"P2: {P2}\nR0_rect: {RECT}\nTr: {VELO}\n", "wanted either Tr"),
+        (f"P2: {P2}\nTr: 1 1 0 0 0 0 -1 0 1 0 0 0\n", "wanted a rotation in Tr"),
+        (f"P2: {P2}\nTr: 0 1 0 0 0 0 -1 0 1 0 0 0\n", "right-handed"),
+        (f"P2: {P2}\nTr: {VELO} 1\n", "12 in Tr"),
+        (f"P2: {P2}\nP2: {P2}\nTr: {VELO}\n", r"P2 \(24 numbers\)"),
+    ],
+)
+def test_no_transform_of_another_day_or_kit_is_taken(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "c.txt").write_text(text)
+    with pytest.raises(TorchweatherError, match=message):
+        read_kitti_calibration(tmp_path / "c.txt")
+
+
+def test_the_raw_kit_needs_both_files(tmp_path: Path) -> None:
+    (tmp_path / "calib_cam_to_cam.txt").write_text(f"P_rect_02: {P2}\nR_rect_00: {RECT}\n")
+    with pytest.raises(TorchweatherError, match=r"keep calib_velo_to_cam\.txt beside"):
+        read_kitti_calibration(tmp_path / "calib_cam_to_cam.txt")
+    (tmp_path / "calib_velo_to_cam.txt").write_text("R: 1 2 3\n")
+    with pytest.raises(TorchweatherError, match="9 numbers in R and 3 in T"):
+        read_kitti_calibration(tmp_path / "calib_cam_to_cam.txt")
 
 
 @pytest.mark.real_data

@@ -21,7 +21,9 @@ _PLANE = torch.tensor([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]], dtype=torch.float64
 _NUMBERS = 14  # truncation, occlusion, alpha, 4 of the image box, 3 of size, 3 of place, rotation_y; then the score
 
 
-def read_kitti_boxes(path: str | os.PathLike[str], T_rectified_from_lidar: Tensor) -> Boxes:
+def read_kitti_boxes(
+    path: str | os.PathLike[str], T_rectified_from_lidar: Tensor, *, frame: int | None = None
+) -> Boxes:
     """Boxes of a KITTI label file, in the frame of the Velodyne.
 
     The file has the centre of the bottom in the rectified frame of camera 0, height, width, length, and the heading
@@ -29,13 +31,15 @@ def read_kitti_boxes(path: str | os.PathLike[str], T_rectified_from_lidar: Tenso
     two (half a degree) is dropped.
 
     Args:
-        path: ``label_2/*.txt``, or a result with a score.
+        path: ``label_2/*.txt``, or a result with a score; of the tracking kit ``label_02/SEQUENCE.txt``, whose lines
+            begin with the number of a frame and that of a track.
         T_rectified_from_lidar: ``(4, 4)``, `read_kitti_rectified_from_lidar`. Not ``T_camera_from_lidar``, which goes
             on to camera 2, 6 cm beside.
+        frame: whose lines are taken, of a file of the tracking kit.
 
     Returns:
         The boxes, float64. Each record holds ``truncation``, ``occlusion``, ``alpha``, ``bbox`` and, of a result,
-        ``score``. Lines without a place (DontCare) are in ``unplaced``.
+        ``score``; of the tracking kit ``track_id``. Lines without a place (DontCare) are in ``unplaced``.
 
     Raises:
         TorchweatherError: the file is missing or no KITTI label.
@@ -57,6 +61,21 @@ def read_kitti_boxes(path: str | os.PathLike[str], T_rectified_from_lidar: Tenso
         words = line.split()
         if not words:
             continue
+        track: dict[str, Any] = {}
+        if words[0].lstrip("-").isdecimal() and len(words) > 2 and words[1].lstrip("-").isdecimal():
+            if frame is None:
+                raise TorchweatherError(
+                    f"{source}: line {number}: labels of the tracking kit, all frames of a sequence in one file; say "
+                    "which with frame=0, 1, ..."
+                )
+            if int(words[0]) != frame:
+                continue
+            track, words = {"track_id": int(words[1])}, words[2:]
+        elif frame is not None:
+            raise TorchweatherError(
+                f"{source}: line {number}: wanted labels of the tracking kit, frame and track first; got {words[0]!r}. "
+                "Leave frame out."
+            )
         try:
             values = [float(word) for word in words[1:]]
             if len(values) not in (_NUMBERS, _NUMBERS + 1):
@@ -66,6 +85,7 @@ def read_kitti_boxes(path: str | os.PathLike[str], T_rectified_from_lidar: Tenso
                 "occlusion": int(values[1]),
                 "alpha": values[2],
                 "bbox": values[3:7],
+                **track,
             }
         except (ValueError, OverflowError) as error:
             raise TorchweatherError(

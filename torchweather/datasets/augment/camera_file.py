@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +14,14 @@ from torch import Tensor
 from torchweather.camera.depth import AUTO, CompletedDepth, DepthSource, SceneDepth
 from torchweather.camera.sensor import Camera
 from torchweather.compose.transform_spec import TransformSpec
-from torchweather.core.errors import InputValueError, TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning
 from torchweather.core.file_names import stem
 from torchweather.datasets import read_kitti_calibration
 from torchweather.datasets.augment.frame_file import FrameFile
 from torchweather.datasets.augment.frame_recipe import SensorUse
 from torchweather.datasets.augment.frames import FROM_LIDAR
 from torchweather.datasets.depth_sources import GROUND, depth_source
+from torchweather.datasets.kitti import kitti_camera_matrix
 from torchweather.io import IMAGE_SUFFIXES, read_image, read_points, write_image
 
 __all__ = ["CameraFile"]
@@ -68,7 +70,7 @@ class CameraFile(FrameFile):
         camera = self.spec.sensor
         matrix: Any = self.file.camera_matrix
         if matrix is None and self.frame.calibration is not None:
-            matrix = read_kitti_calibration(self.paths.source(self.frame.calibration)).camera_matrix.tolist()
+            matrix = kitti_camera_matrix(self.paths.source(self.frame.calibration)).tolist()
         if matrix is not None:
             fx, fy, cx, cy = matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]
             return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
@@ -83,11 +85,18 @@ class CameraFile(FrameFile):
             if from_lidar is None:
                 if self.frame.calibration is None:
                     raise TorchweatherError(
-                        f"{path}: depth from the LiDAR needs its calibration, calib/{stem(file.path)[0]}.txt; there is "
-                        "none. Or give --depth."
+                        f"{path}: depth from the LiDAR needs its calibration: calib/{stem(file.path)[0]}.txt, "
+                        "calib.txt of the sequence (odometry), calib/SEQUENCE.txt (tracking) or "
+                        "calib_cam_to_cam.txt of the day (raw); there is none. Or give --depth."
                     )
                 calibration = read_kitti_calibration(self.paths.source(self.frame.calibration))
                 from_lidar = calibration.T_camera_from_lidar
+                if calibration.assumption:
+                    warnings.warn(
+                        f"the calibration lacks the LiDAR's place; assumed: {calibration.assumption}",
+                        TorchweatherWarning,
+                        stacklevel=2,
+                    )
             return CompletedDepth(cloud, torch.as_tensor(from_lidar, dtype=torch.float64))
         if chosen == FROM_LIDAR:
             raise TorchweatherError(f"{path}: there is no cloud of its number, for --depth lidar.")

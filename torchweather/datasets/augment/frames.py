@@ -47,6 +47,8 @@ class Frame:
         seed_name: what its seed is made of; frames of one sample share it.
         calibration: path of a KITTI calibration.
         boxes: path of a KITTI label file, whose boxes are looked for in the cloud.
+        box_frame: number of the frame in a label file of the tracking kit, which has a whole sequence.
+        beside_calibration: the second calibration file of the raw kit.
         annotations: of nuScenes, boxes of the cloud ``lidar_key``, in the global frame.
         lidar_from_global: ``(4, 4)`` for them.
         lidar_key: of the cloud that the boxes are counted in.
@@ -60,6 +62,8 @@ class Frame:
     annotations: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
     lidar_from_global: tuple[tuple[float, ...], ...] | None = None
     lidar_key: str | None = None
+    box_frame: int | None = None
+    beside_calibration: str | None = None
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -67,7 +71,7 @@ class Frame:
         found = [one.path for one in self.files]
         for one in self.files:
             found += [*one.labels, *((one.depth_cloud,) if one.depth_cloud is not None else ())]
-        found += [path for path in (self.calibration, self.boxes) if path is not None]
+        found += [path for path in (self.calibration, self.beside_calibration, self.boxes) if path]
         return tuple(dict.fromkeys(found))
 
     @property

@@ -145,7 +145,7 @@ class LidarFile(FrameFile):
             if frame.calibration is None:
                 return None  # where its boxes stand in the cloud is not known
             from_lidar = read_kitti_rectified_from_lidar(self.paths.source(frame.calibration))
-            boxes = read_kitti_boxes(self.paths.source(frame.boxes), from_lidar)
+            boxes = read_kitti_boxes(self.paths.source(frame.boxes), from_lidar, frame=frame.box_frame)
         elif frame.annotations:
             boxes = boxes_from_nuscenes(frame.annotations, torch.tensor(frame.lidar_from_global, dtype=torch.float64))
         else:
