@@ -40,6 +40,7 @@ CONFINED: dict[str, set[str]] = {
     "jinja2": {"report"},
     "kornia": {"camera", "metrics"},
     "av": {"io"},
+    "laspy": {"io"},
     "pyarrow": {"io"},
     "pycocotools": {"metrics"},
     "torchvision": set(),

@@ -22,7 +22,7 @@ NAME = "apply"
 SUMMARY = "weather on files of images, point clouds and radar detections"
 DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
 pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin, nuScenes
-.pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
+.pcd.bin, .pcd, .ply, .npz, .csv, .las, .laz, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
 (nuScenes' or one's own), .npz, .csv or View-of-Delft's .bin; power maps of a radar polar .png, .npy or .npz.
 In a video, and in a folder with --sequence, the particles move from frame to frame. Each output keeps the
 name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. Sample
@@ -32,7 +32,7 @@ with both."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.
-CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".pcap")
+CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".las", ".laz", ".pcap")
 KINDS = ("camera", "lidar", "radar")
 Work = tuple[Callable[..., list[dict[str, Any]]], Callable[[dict[str, Any]], str]]
 """What processes the inputs, and what describes one result in a line."""

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.io.csv_points import read_csv_points, write_csv_points
+from torchweather.io.las import read_las, write_las
 from torchweather.io.npz_points import read_npz_points, write_npz_points
 from torchweather.io.pcd import read_pcd, write_pcd
 from torchweather.io.ply import read_ply, write_ply
@@ -40,6 +41,8 @@ POINT_SUFFIXES = {
     ".ply": "ply",
     ".npz": "npz",
     ".csv": "csv",
+    ".las": "las",
+    ".laz": "las",
 }
 POINT_FORMATS = tuple(dict.fromkeys(POINT_SUFFIXES.values()))
 _READERS: dict[str, Callable[[Path], StoredPoints]] = {
@@ -49,6 +52,7 @@ _READERS: dict[str, Callable[[Path], StoredPoints]] = {
     "ply": read_ply,
     "npz": read_npz_points,
     "csv": read_csv_points,
+    "las": read_las,
 }
 _WRITERS: dict[str, Callable[[Path, StoredPoints], None]] = {
     "kitti": write_float32_file,
@@ -58,9 +62,10 @@ _WRITERS: dict[str, Callable[[Path, StoredPoints], None]] = {
     "ply": write_ply,
     "npz": write_npz_points,
     "csv": write_csv_points,
+    "las": write_las,
 }
 # What is written where nobody says otherwise.
-_ENCODINGS = {"pcd": "binary", "ply": "binary_little_endian", "npz": "table"}
+_ENCODINGS = {"pcd": "binary", "ply": "binary_little_endian", "npz": "table", "las": "las"}
 
 
 def read_points(
@@ -86,7 +91,7 @@ def read_points(
 
     Args:
         path: ``.bin`` (KITTI, SemanticKITTI, WADS: four float32), ``.pcd.bin`` (nuScenes: five float32), ``.pcd``,
-            ``.ply``, ``.npz`` or ``.csv``.
+            ``.ply``, ``.npz``, ``.csv``, ``.las`` or ``.laz`` (extra ``las``).
         format: one of `POINT_FORMATS`, where the suffix does not tell or lies.
         intensity: name of the intensity column; ``auto`` takes the first of `INTENSITY_NAMES` that is there, ``none``
             reads without. Of several, ``auto`` takes the one that fits ``intensity_unit``, or warns of the choice.
@@ -272,6 +277,8 @@ def _fields(cloud: PointCloud, kind: str, before: PointLayout | None, dtype: np.
             code = wanted.str[1:]
             if (kind in ("pcd", "ply") and code == "f2") or (kind == "ply" and code in ("i8", "u8")):
                 wanted = np.dtype(np.float32 if code == "f2" else np.float64)
+            if kind == "las" and name.lower() == "intensity":  # the standard's
+                wanted = np.dtype(np.uint16)
             kept.append(PointField(name, wanted.newbyteorder("<").str))
     return kept
 
