@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 NAME = "augment"
 SUMMARY = "weather on a whole data set, with a manifest; goes on where it was stopped"
 DESCRIPTION = """Puts a weather on every image and cloud of SRC and writes them to DST, each under its own path; all
-other files are carried along. Layouts: a folder of any depth; KITTI's object, odometry (SemanticKITTI), tracking and raw
-data, by their folders; nuScenes (samples, sweeps, v1.0-*). The seed of a frame follows from --seed and its name, so the result is
-the same for any number of workers. DST/torchweather-manifest.sqlite says what was made of what. Stopped or killed at
-any moment, the same command goes on. A broken file is reported and left out. Exit code 0: all is done; 1: done, but
-for broken files; 2: a mistake in what was asked; 3: stopped, the disk is full; 130: interrupted."""
+other files are carried along. Layouts: a folder of any depth; KITTI's object, odometry (SemanticKITTI), tracking
+and raw data, by their folders; nuScenes (samples, sweeps, v1.0-*). The seed of a frame follows from --seed and its
+name, so the result is the same for any number of workers. DST/torchweather-manifest.sqlite says what was made of
+what. Stopped or killed at any moment, the same command goes on. A broken file is reported and left out. Exit code 0:
+all is done; 1: done, but for broken files; 2: a mistake in what was asked; 3: stopped, the disk is full;
+130: interrupted."""
 
 BROKEN, STOPPED = 1, 3
 EVERY_S = 30.0  # between lines of progress, where there is no terminal

@@ -231,12 +231,12 @@ def _compressed(body: bytes, header: _Header, source: Path) -> tuple[Any, ...]:
     return tuple(arrays)
 
 
-def _viewpoint(raw: bytes, source: Path) -> tuple[float, ...]:
-    """Place and quaternion of a sensor that is not in the origin of the points; empty for one that is."""
+def _viewpoint(raw: bytes, source: Path) -> tuple[float, ...] | None:
+    """Place and quaternion of a sensor that is not in the origin of the points; ``None`` for one that is."""
     lines = [line.split(b"#", 1)[0].split() for line in raw.splitlines()]
     words = next((line[1:] for line in lines if line[:1] and line[0].upper() == b"VIEWPOINT"), [])
     if not words:
-        return ()
+        return None
     try:
         numbers = tuple(float(word) for word in words)
     except ValueError:
@@ -249,13 +249,13 @@ def _viewpoint(raw: bytes, source: Path) -> tuple[float, ...]:
     *place, w, x, y, z = numbers
     if not any((w, x, y, z)):  # some writers leave the quaternion out
         w = 1.0
-    return (*place, w, x, y, z) if any(place) or any((x, y, z)) else ()
+    return (*place, w, x, y, z) if any(place) or any((x, y, z)) else None
 
 
 def _header_bytes(header: _Header, layout: PointLayout, path: str | os.PathLike[str]) -> bytes:
     """The header as the file had it, if it still says the truth, else a new one."""
     source, before = Path(path), layout.header
-    viewpoint = " ".join(f"{number:.17g}" for number in layout.viewpoint) or _VIEWPOINT
+    viewpoint = " ".join(f"{number:.17g}" for number in layout.viewpoint or ()) or _VIEWPOINT
     comments = [b"# .PCD v0.7 - Point Cloud Data file format"]
     if before:
         if _parsed(before, source) == header:

@@ -62,7 +62,7 @@ class PointCloud:
     grid: tuple[int, int] | None = None
     missing: Tensor | None = field(default=None, repr=False)
     layout: PointLayout | None = field(default=None, repr=False)
-    viewpoint: tuple[float, ...] = ()
+    viewpoint: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", tuple(self.columns))
@@ -133,7 +133,7 @@ def cloud_from_stored(
     first = _leading(tuple(found), intensity, intensity_unit, source)
     order = (*first, *(name for name in found if name not in first))
     kind = exact_dtype(found, dtype, source)
-    seen_from = stored.layout.viewpoint if viewpoint == "apply" else ()
+    seen_from = stored.layout.viewpoint if viewpoint == "apply" else None
     if seen_from and dtype is None:
         kind = np.float64  # a difference of float32 numbers, which must add up to them again
     table = np.empty((stored.rows, len(order)), kind)
@@ -141,7 +141,7 @@ def cloud_from_stored(
         for index, name in enumerate(order):
             table[:, index] = found[name]
     missing, mark = _no_returns(table, len(first), order, source)
-    zero_rows = bool(seen_from) and bool((table[:, :3] == 0).all(axis=1).any())
+    zero_rows = bool((table[:, :3] == 0).all(axis=1).any()) if seen_from else None
     if seen_from:
         wide = np.stack([found[name].astype(np.float64) for name in order[:3]], axis=1)
         lost = (table[:, :3] == 0).all(axis=1)
@@ -234,12 +234,12 @@ def _fits_float32(array: npt.NDArray[Any]) -> bool:
 
 def _no_returns(
     table: npt.NDArray[Any], n_leading: int, order: tuple[str, ...], source: Path
-) -> tuple[npt.NDArray[np.bool_] | None, str]:
+) -> tuple[npt.NDArray[np.bool_] | None, str | None]:
     """Rows of NaN or infinity become range 0, in place; where they were, and what marked them."""
     leading = table[:, :n_leading]
     finite = np.isfinite(leading)
     if bool(finite.all()):
-        return None, ""
+        return None, None
     lost = np.asarray(~finite[:, :3].any(axis=1))
     wrong = ~finite & ~lost[:, None]
     if bool(wrong.any()):

@@ -56,9 +56,10 @@ class PointLayout:
         trailer: bytes behind the last point that stand for nothing (a line feed in nuScenes' radar files).
         viewpoint: of a PCD file whose sensor is not in the origin, x, y, z, metres, and the quaternion w, x, y, z of
             its axes in the file's frame.
-        zero_rows: whether a file with a viewpoint has rows of x = y = z = 0, which hold no return there.
-        no_return: what the file has for the position of a beam without a return: ``nan``, ``inf`` or ``-inf``; empty
-            where it has none.
+        zero_rows: whether a file with a viewpoint has rows of x = y = z = 0, which hold no return there;
+            ``None`` without one.
+        no_return: what the file has for the position of a beam without a return: ``nan``, ``inf`` or ``-inf``;
+            ``None`` where it has none.
     """
 
     format: str
@@ -66,9 +67,9 @@ class PointLayout:
     encoding: str = ""
     header: bytes = field(default=b"", repr=False)
     trailer: bytes = field(default=b"", repr=False)
-    no_return: str = ""
-    viewpoint: tuple[float, ...] = ()
-    zero_rows: bool = False
+    no_return: str | None = None
+    viewpoint: tuple[float, ...] | None = None
+    zero_rows: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)

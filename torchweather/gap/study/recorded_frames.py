@@ -21,7 +21,7 @@ from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.gap.study.checks import numbers
 from torchweather.gap.study.frames import Frame
 from torchweather.gap.study.scan_grid import DirectionMean, organised_frame, scan_frame
-from torchweather.io import read_image, read_points
+from torchweather.io import read_image, read_sensor_points
 from torchweather.io.depth_maps import map_source
 from torchweather.lidar.scan import scan_directions
 from torchweather.lidar.sensor import Lidar
@@ -38,7 +38,7 @@ class CloudFile:
 
     def __call__(self) -> Frame:
         """``range_m`` and ``intensity`` of each beam."""
-        cloud = read_points(self.path)
+        cloud = read_sensor_points(self.path, self.lidar)
         if cloud.grid is not None:
             return organised_frame(cloud, self.lidar)
         return scan_frame(cloud, self.lidar, str(self.path))[0]
@@ -119,7 +119,7 @@ def beam_directions(
     lost = total = 0
     mean: DirectionMean | None = None
     for place, path in enumerate(files):
-        cloud = read_points(path)
+        cloud = read_sensor_points(path, lidar)
         if place and cloud.grid != first:
             raise TorchweatherError(
                 f"{path}: all clouds must have one grid, {first or 'none (unorganised)'} as {files[0]}; "
