@@ -48,4 +48,28 @@ MUTANTS = (
         "if False:",
         ("tests/datasets/augment/test_layouts.py::test_two_files_are_never_written_to_one",),
     ),
+    Mutant(
+        "nuscenes_labels_carried_along",
+        "nuScenes' labels of points follow the points",
+        "torchweather.datasets.augment.nuscenes",
+        "            if path in there:\n                found.append(path)",
+        "            pass",
+        ("tests/datasets/augment/test_point_labels.py::test_nuscenes_labels_are_written_anew",),
+    ),
+    Mutant(
+        "tracking_boxes_of_the_first_frame",
+        "boxes of the tracking kit are those of the frame",
+        "torchweather.datasets.augment.kitti",
+        "box_frame=int(number) if",
+        "box_frame=0 if",
+        ("tests/datasets/augment/test_kitti_layouts.py::test_boxes_of_a_tracking_sequence_are_counted_frame_by_frame",),
+    ),
+    Mutant(
+        "calibration_of_the_first_sequence",
+        "each sequence of the tracking kit has a calibration of its own",
+        "torchweather.datasets.augment.kitti",
+        'found = [f"{self.split}{CALIBRATION}/{self.sequence}.txt"]',
+        'found = [f"{self.split}{CALIBRATION}/0001.txt"]',
+        ("tests/datasets/augment/test_kitti_layouts.py::test_a_kit_is_done_with_its_own_calibration",),
+    ),
 )

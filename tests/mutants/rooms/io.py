@@ -7,6 +7,8 @@ from tests.mutants.mutant import Mutant
 CARLA = "torchweather.datasets.carla"
 LABELS = "torchweather.io.labels"
 ARRAYS = "torchweather.io.arrays"
+ROWS = "torchweather.io.row_layout"
+TEST_ROWS = "tests/io/test_row_layout.py"
 
 MUTANTS = (
     Mutant(
@@ -128,5 +130,101 @@ MUTANTS = (
         "        yield unfinished\n        unfinished.replace(target)",
         "        yield target",
         ("tests/io/test_images.py::test_failed_write_of_a_new_file_leaves_none",),
+    ),
+    Mutant(
+        "rows_of_another_width_accepted",
+        "rows without a header fit their layout",
+        ROWS,
+        "if explained - own > _MORE + _MORE_A_CLASS * other / count and explained > most + 0.02:",
+        "if False:",
+        (f"{TEST_ROWS}::test_rows_of_another_layout_are_refused_by_name_and_read_as_stated",),
+    ),
+    Mutant(
+        "two_rows_of_a_point_accepted",
+        "a point of eight columns is no two points of four",
+        ROWS,
+        "if explained - own > _TWICE and _halves_differ(numbers, columns):",
+        "if False:",
+        (f"{TEST_ROWS}::test_rows_of_another_layout_are_refused_by_name_and_read_as_stated",),
+    ),
+    Mutant(
+        "odd_numbers_accepted",
+        "bytes, labels and halves of float64 are no metres",
+        ROWS,
+        "odd = ((size > _LARGEST) | ((size > 0) & (size < _SMALLEST))).any(axis=1)",
+        "odd = (size > 1e300).any(axis=1)",
+        (f"{TEST_ROWS}::test_content_that_is_no_cloud_is_refused_with_the_evidence",),
+    ),
+    Mutant(
+        "infinity_comes_back_as_nan",
+        "a beam without a return is written with the file's own mark",
+        "torchweather.io.points",
+        'mark = values.dtype.type((cloud.layout.no_return if cloud.layout else "") or "nan")',
+        'mark = values.dtype.type("nan")',
+        (f"{TEST_ROWS}::test_beams_without_a_return_may_be_nan_or_infinite_and_come_back_so",),
+    ),
+    Mutant(
+        "viewpoint_turned_the_wrong_way",
+        "a point in the sensor's frame is turned by the inverse of its pose",
+        "torchweather.io.viewpoint",
+        "moved: Array = (xyz - place) @ rotation\n",
+        "moved: Array = (xyz - place) @ rotation.T\n",
+        ("tests/io/test_pcd.py::test_a_viewpoint_is_applied_and_restored",),
+    ),
+    Mutant(
+        "points_stay_in_the_sensors_frame",
+        "a cloud is written in the frame of its file",
+        "torchweather.io.points",
+        "values[:, order] = points_to_file(values[:, order], cloud.viewpoint)",
+        "pass",
+        ("tests/io/test_pcd.py::test_a_viewpoint_is_applied_and_restored",),
+    ),
+    Mutant(
+        "count_0_read_as_1",
+        "a PCD field of count 0 takes no bytes",
+        "torchweather.io.pcd",
+        'f"<{_KIND[letter]}{size}" if size > 1 else f"|{_KIND[letter]}1", count))',
+        'f"<{_KIND[letter]}{size}" if size > 1 else f"|{_KIND[letter]}1", max(count, 1)))',
+        ("tests/io/test_pcd.py::test_a_field_of_count_0_takes_no_bytes_and_is_no_column",),
+    ),
+    Mutant(
+        "photons_taken_for_a_calibrated_unit",
+        "of two intensities the one of the sensor's unit is taken",
+        "torchweather.io.point_cloud",
+        '    "uint8_calibrated": _CALIBRATED,',
+        '    "uint8_calibrated": INTENSITY_NAMES,',
+        ("tests/io/test_points.py::test_of_two_intensities_the_one_of_the_sensors_unit_is_taken",),
+    ),
+    Mutant(
+        "semantic_lidar_read_as_floats",
+        "CARLA's semantic LiDAR has 24 bytes a point",
+        ROWS,
+        "if not content.size or content.size % 24:",
+        "if True:",
+        ("tests/datasets/test_carla.py::test_a_semantic_lidar_has_24_bytes_a_point",),
+    ),
+    Mutant(
+        "odometry_rectified_twice",
+        "the odometry kit's transform goes to the rectified camera",
+        "torchweather.datasets.kitti",
+        "rotation: Sequence[float] = _IDENTITY",
+        "rotation: Sequence[float] = _R0_RECT",
+        ("tests/datasets/test_kitti.py::test_every_kit_has_its_own_way_from_the_velodyne",),
+    ),
+    Mutant(
+        "transform_of_another_day_taken",
+        "a calibration without the Velodyne is refused",
+        "torchweather.datasets.kitti",
+        "if missing and not _is_bare(source):",
+        "if False:",
+        ("tests/datasets/test_kitti.py::test_no_transform_of_another_day_or_kit_is_taken",),
+    ),
+    Mutant(
+        "particles_keep_label_columns",
+        "a particle does not keep the label of what it hides",
+        "torchweather.io.label_columns",
+        "found[particle, column] = float(value)",
+        "pass",
+        ("tests/datasets/augment/test_point_labels.py::test_columns_that_label_points_follow_too",),
     ),
 )

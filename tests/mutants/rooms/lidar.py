@@ -275,4 +275,12 @@ MUTANTS = (
         "long = end - start >= 1",
         ("tests/lidar/sweep/test_beam_ends.py::test_long_runs_are_a_morphological_opening",),
     ),
+    Mutant(
+        "cloud_of_a_map_unnoticed",
+        "a cloud out of the sensor's reach is noticed",
+        "torchweather.lidar.frame_check",
+        "if 2 * beyond > len(range_m):",
+        "if False:",
+        ("tests/cli/test_cli_point_files.py::test_a_cloud_of_a_map_is_noticed",),
+    ),
 )
