@@ -145,3 +145,14 @@ def test_a_cloud_aside_of_its_origin_is_warned_of() -> None:
     for vehicle in (torch.tensor([90.0, 20.0, 0, 0]), torch.tensor([0.0, -85.0, 3.0, 0])):
         with pytest.warns(TorchweatherWarning, match="2000 returns lie aside"):
             fog(sweep + vehicle, seed=1)
+
+
+def test_metrics_take_the_columns_as_stated(run: Any, tmp_path: Path) -> None:
+    five_columns(tmp_path / "a.bin")
+    asked = ("metrics", tmp_path / "a.bin", tmp_path / "a.bin", "--metrics", "rmse", "--json")
+    code, _, said = run(*asked)
+    assert code == 2
+    assert f"--bin-columns {COLUMNS}" in said
+    code, out, _ = run(*asked, "--bin-columns", COLUMNS)
+    assert code == 0
+    assert "0.0" in out

@@ -325,3 +325,30 @@ def test_clouds_of_kitti_and_nuscenes_are_found_by_name_and_meet_their_points() 
     assert isinstance(found, CompletedDepth)
     (cloud,) = (demo / "nuscenes").glob("*.pcd.bin")
     assert len(found.points_xyz) == len(read_points(cloud).points)
+
+
+@pytest.mark.parametrize(
+    ("files", "frame", "found"),
+    [
+        (("000001.txt", "000002.txt"), "image_2/000002.png", "000002.txt"),
+        (("0000.txt", "0001.txt"), "image_02/0001/000000.png", "0001.txt"),
+        (("calib.txt", "times.txt", "poses.txt"), "sequences/00/image_2/000000.png", "calib.txt"),
+        (
+            ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"),
+            "drive/image_02/data/0000000000.png",
+            "calib_cam_to_cam.txt",
+        ),
+        (("rig.txt",), "image_2/000002.png", "rig.txt"),
+        (("000001.txt",), "image_2/000002.png", None),
+    ],
+)
+def test_a_frame_takes_no_calibration_of_another(
+    tmp_path: Path, files: tuple[str, ...], frame: str, found: str | None
+) -> None:
+    for name in files:
+        (tmp_path / name).write_text("")
+    if found is None:
+        with pytest.raises(ValueError, match="no calibration for 000002"):
+            calibration_file(tmp_path, Path(frame))
+    else:
+        assert calibration_file(tmp_path, Path(frame)) == tmp_path / found

@@ -16,7 +16,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.io import NUSCENES_RADAR_STATES, RADAR_COLUMNS, RadarPoints, read_radar, write_radar
 from torchweather.sensors import Radar
 
@@ -381,3 +381,12 @@ def test_a_broken_file_is_refused_or_read_but_never_crashes(tmp_path: Path, name
         assert name in str(error)  # noqa: PT017
     else:
         assert bool(found.points[:, :6].isfinite().all())
+
+
+def test_a_viewpoint_of_detections_is_warned_of(tmp_path: Path) -> None:
+    columns = ("x_m", "y_m", "z_m", "speed_m_per_s", "power_dbm", "rcs_dbsm")
+    write_radar(tmp_path / "a.pcd", torch.tensor([[10.0, 0, 0, -3, -80, 10]]), columns=columns)
+    content = (tmp_path / "a.pcd").read_bytes().replace(b"VIEWPOINT 0 0 0", b"VIEWPOINT 2 0 0")
+    (tmp_path / "a.pcd").write_bytes(content)
+    with pytest.warns(TorchweatherWarning, match="VIEWPOINT, 2 0 0 1 0 0 0, is not applied"):
+        assert read_radar(tmp_path / "a.pcd").points[0, 0] == 10

@@ -23,6 +23,7 @@ __all__ = [
     "LIDAR_ARGUMENTS",
     "CloudFrame",
     "add_lidar_arguments",
+    "add_bin_columns",
     "add_lidar_fields",
     "add_reading",
     "clouds_in",
@@ -121,6 +122,16 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_reading(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
     """The arguments of files that do not say how they are to be read."""
+    add_bin_columns(group)
+    group.add_argument(
+        "--viewpoint",
+        choices=("apply", "ignore"),
+        help="of a .pcd whose VIEWPOINT is not its origin; default apply, and ignore with --sensor-origin or -pose",
+    )
+
+
+def add_bin_columns(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> None:
+    """The arguments of files without a header."""
     group.add_argument(
         "--bin-columns",
         metavar="NAMES",
@@ -128,11 +139,6 @@ def add_reading(group: argparse._ArgumentGroup | argparse.ArgumentParser) -> Non
     )
     group.add_argument(
         "--bin-dtype", metavar="TYPE", help="of --bin-columns without a type: float32 (default), float64"
-    )
-    group.add_argument(
-        "--viewpoint",
-        choices=("apply", "ignore"),
-        help="of a .pcd whose VIEWPOINT is not its origin; default apply, and ignore with --sensor-origin or -pose",
     )
 
 

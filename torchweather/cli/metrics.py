@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from torchweather.cli.clouds import add_bin_columns
 from torchweather.cli.mistakes import is_mistake, one_line
 from torchweather.cli.regions import REGION_HELP
 from torchweather.core.exceptions import InputTypeError, InputValueError
@@ -24,7 +25,7 @@ that cannot be scored is named, the others are scored, and the exit code is 2.""
 
 FAILED = 2
 IMAGES_ONLY = ("bayer", "pattern", "bit_depth", "black_level", "white_level", "gains", "encoding")
-CLOUDS_ONLY = ("region", "rmse")
+CLOUDS_ONLY = ("region", "rmse", "bin_columns", "bin_dtype")
 Row = dict[str, Any]
 
 
@@ -72,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     clouds = parser.add_argument_group("point clouds")
     clouds.add_argument("--region", help=REGION_HELP)
+    add_bin_columns(clouds)
     clouds.add_argument(
         "--rmse", choices=("nearest", "index"), help="distance to the nearest point (default), or row i to row i"
     )

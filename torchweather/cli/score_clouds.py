@@ -7,6 +7,7 @@ from pathlib import Path
 
 from torch import Tensor
 
+from torchweather.cli.clouds import reading_of
 from torchweather.cli.pairs_of_files import DETECTIONS
 from torchweather.cli.regions import parse_region
 from torchweather.core.errors import TorchweatherError, check_one_of
@@ -36,6 +37,7 @@ class CloudScores:
         self.columns = self.names
         self.correspondence = args.rmse or "nearest"
         self.region = None if args.region is None else parse_region(args.region)
+        self.reading = reading_of(args)
         self.radar: Radar | None = None
         self.detections = kind == DETECTIONS
         preset = (args.sensor or "").partition(":")[2]
@@ -62,4 +64,5 @@ class CloudScores:
     def _points(self, path: Path) -> Tensor:
         if self.detections:
             return read_radar(path, self.radar).points[:, :3]
-        return read_points(path, intensity="none").points[:, :3]
+        how = self.reading
+        return read_points(path, intensity="none", bin_columns=how.bin_columns, bin_dtype=how.bin_dtype).points[:, :3]

@@ -25,6 +25,8 @@ _CALIBRATIONS = (".txt", ".json")
 # nuScenes names files LOG__SENSOR__MICROSECONDS; its LiDAR turns 20 times a second.
 _NUSCENES = re.compile(r"(?P<log>.+?)__(?P<sensor>[A-Z][A-Z_]*)__(?P<stamp>\d+)$")
 _SAME_MOMENT_US = 50_000
+_SEQUENCE = re.compile(r"\d{4}")  # of KITTI's tracking kit
+_OF_A_SEQUENCE = ["calib", "calib_cam_to_cam"]  # of KITTI's odometry kit; of the raw kit
 
 
 def is_cloud(path: Path, *, calibrated: bool) -> bool:
@@ -57,8 +59,9 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
     """The calibration of a frame.
 
     Args:
-        calibration: a file, or a folder with one of the frame's name (KITTI), of its log's name followed by ``_calib``
-            (nuScenes), or with a single file.
+        calibration: a file, or a folder with one of the frame's name (KITTI's objects), of its folder's name (KITTI's
+            tracking), of its log's name followed by ``_calib`` (nuScenes), with ``calib.txt`` (KITTI's odometry) or
+            ``calib_cam_to_cam.txt`` (raw), or with a single file that has not the number of another frame.
         frame: path of the image.
     """
     if calibration.is_file():
@@ -68,6 +71,8 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
     stems = [frame.stem]
     taken = _NUSCENES.match(frame.stem)
     stems += [taken["log"], f"{taken['log']}_calib"] if taken else []
+    stems += [frame.parent.name] if _SEQUENCE.fullmatch(frame.parent.name) else []
+    stems += _OF_A_SEQUENCE
     for stem in stems:
         for suffix in _CALIBRATIONS:
             found = calibration / (stem + suffix)
@@ -75,7 +80,9 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
                 return found
     alone = [path for path in calibration.iterdir() if path.suffix.lower() in _CALIBRATIONS]
     if len(alone) == 1:
-        return alone[0]
+        numbered = alone[0].stem.isdecimal() and frame.stem.isdecimal() and len(alone[0].stem) == len(frame.stem)
+        if not numbered:
+            return alone[0]
     raise InputValueError(
         f"{calibration}: no calibration for {frame.name}; wanted {frame.stem} with {' or '.join(_CALIBRATIONS)}, or a "
         "single file for all frames."

@@ -5,6 +5,7 @@ equation.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, check_one_of, nearest_name
 from torchweather.io.csv_points import read_csv_points
 from torchweather.io.npz_points import read_npz_points
 from torchweather.io.nuscenes_radar import empty_sweep, is_nuscenes_radar
@@ -154,6 +155,14 @@ def read_radar(
     stored = _READERS[_format(source, format, "read_radar")](source)
     if stored.grid is not None:
         raise TorchweatherError(f"{source}: wanted a list of detections (N,); got a grid {stored.grid}.")
+    if stored.layout.viewpoint is not None:
+        shown = " ".join(f"{number:g}" for number in stored.layout.viewpoint)
+        warnings.warn(
+            f"{source}: its VIEWPOINT, {shown}, is not applied: positions and speeds are taken as seen from the "
+            "origin. Where they are not, move them to the radar's frame and write VIEWPOINT 0 0 0 1 0 0 0.",
+            TorchweatherWarning,
+            stacklevel=2,
+        )
     found = flat_columns(stored, source)
     if stored.layout.format == "csv" and not stored.layout.header:
         raise TorchweatherError(f"{source}: wanted a line of names, such as {','.join(RADAR_COLUMNS)}; there is none.")
