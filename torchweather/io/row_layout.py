@@ -29,7 +29,7 @@ _BRIGHTEST = 1e6
 # Share of rows that may hold such a number: marks of no return, single bits.
 _FEW = 0.01
 # Numbers that are compared, and those in a piece that is taken whole; columns repeat within a piece.
-_SAMPLE, _PIECE = 19_200, 1_200
+_SAMPLE, _PIECE = 9_600, 1_200
 # Another width must explain this much more of the numbers' kinds: by itself, and for each class that chance can use.
 _MORE, _MORE_A_CLASS = 0.1, 8.0
 _FEWEST_ROWS = 16
@@ -171,25 +171,38 @@ def _table(content: Bytes, fields: tuple[PointField, ...], rows: Any = None) -> 
 
 def _odd_numbers(content: Bytes, fields: tuple[PointField, ...]) -> str:
     """Evidence that the numbers are not positions and intensities; empty where they may be."""
-    if all(one.dtype == "<f4" for one in fields):
+    plain = all(one.dtype == "<f4" for one in fields)
+    usual = False
+    if plain:  # one look at the numbers as they are shows that there is nothing to look for
         words = content.view("<f4").reshape(-1, len(fields))
-        total = float(np.abs(words).sum(dtype=np.float64)) if words.size else 0.0  # the usual file: one look is enough
-        usual = np.isfinite(total) and not bool((words[:, 3:4] < 0).any())
-    else:
-        usual = False
-    table = _table(content, fields)
+        with np.errstate(invalid="ignore"):  # NaN
+            size = np.abs(words)
+            usual = bool(size.max(initial=0.0) <= _BRIGHTEST) and not bool((words[:, 3:4] < 0).any())
+            usual = usual and not bool(((size > 0) & (size < _SMALLEST)).any())
     if not usual:
-        finite = np.isfinite(table)
-        returns = finite[:, :3].any(axis=1)
-        if not bool(returns.any()):
-            return "no row holds finite numbers for x, y and z"
-        broken = returns & ~finite.all(axis=1)
-        if _many(broken):
-            return f"{int(broken.sum())} of {len(table)} rows hold NaN or infinity beside numbers"
-        if len(fields) > 3:
-            negative = returns & (table[:, 3] < 0)
-            if _many(negative):
-                return f"{int(negative.sum())} of {len(table)} rows have a negative intensity"
+        evidence = _odd_rows(content, fields)
+        if evidence:
+            return evidence
+    flat = content.view("<f4") if plain and content.size >= 4 * len(fields) * _FEWEST_ROWS else np.zeros(0, np.float32)
+    if flat.size and not flat[0::2].any() and flat[1::2].any() and _float64_fits(content):
+        return "every other number is 0, as the lower halves of float64 are"
+    return ""
+
+
+def _odd_rows(content: Bytes, fields: tuple[PointField, ...]) -> str:
+    """The same, row by row."""
+    table = _table(content, fields)
+    finite = np.isfinite(table)
+    returns = finite[:, :3].any(axis=1)
+    if not bool(returns.any()):
+        return "no row holds finite numbers for x, y and z"
+    broken = returns & ~finite.all(axis=1)
+    if _many(broken):
+        return f"{int(broken.sum())} of {len(table)} rows hold NaN or infinity beside numbers"
+    if len(fields) > 3:
+        negative = returns & (table[:, 3] < 0)
+        if _many(negative):
+            return f"{int(negative.sum())} of {len(table)} rows have a negative intensity"
     size = np.abs(np.where(np.isfinite(table), table, 0.0))
     odd = ((size > _LARGEST) | ((size > 0) & (size < _SMALLEST))).any(axis=1)
     if _many(odd):
@@ -197,10 +210,6 @@ def _odd_numbers(content: Bytes, fields: tuple[PointField, ...]) -> str:
         return f"{int(odd.sum())} of {len(table)} rows hold numbers {limits}"
     if len(fields) > 3 and _many(size[:, 3] > _BRIGHTEST):
         return f"{int((size[:, 3] > _BRIGHTEST).sum())} of {len(table)} rows have an intensity above {_BRIGHTEST:g}"
-    wide = len(table) >= _FEWEST_ROWS and all(one.dtype == "<f4" for one in fields)
-    flat = content.view("<f4") if wide else np.zeros(0, np.float32)
-    if wide and not flat[0::2].any() and flat[1::2].any() and _float64_fits(content):
-        return "every other number is 0, as the lower halves of float64 are"
     return ""
 
 
@@ -228,8 +237,8 @@ def _likely(content: Bytes, without: int | None = None) -> _Candidate | None:
                 continue
             if size // (columns * np.dtype(dtype).itemsize) < _FEWEST_ROWS or _odd_numbers(content, one.fields):
                 continue
-            explained, numbers = _explained(content.view(dtype), columns)
-            surplus = explained - _MORE_A_CLASS * columns / max(numbers, 1)
+            sampled = _Sampled.of(content.view(dtype))
+            surplus = sampled.explained(columns) - _MORE_A_CLASS * columns / max(sampled.places.size, 1)
             if surplus > most + (0.02 if best is not None else 0.0):  # a multiple of the width explains no less
                 best, most = one, surplus
     return best
@@ -254,19 +263,20 @@ def _better(content: Bytes, columns: int) -> _Candidate | None:
     numbers: Any = content.view("<f4")
     if numbers.size < columns * _FEWEST_ROWS:
         return None
-    own, count = _explained(numbers, columns)
+    sampled = _Sampled.of(numbers)
+    own, count = sampled.explained(columns), sampled.places.size
     best, most = None, own
     for other, one in _FLOAT32.items():
         if numbers.size % other or other % columns == 0:
             continue
-        explained, _ = _explained(numbers, other)
+        explained = sampled.explained(other)
         if explained - own > _MORE + _MORE_A_CLASS * other / count and explained > most + 0.02:
             if _odd_numbers(content, one.fields):
                 continue
             best, most = one, explained
     double = 2 * columns
     if best is None and double in _FLOAT32 and numbers.size % double == 0:
-        explained, _ = _explained(numbers, double)
+        explained = sampled.explained(double)
         if explained - own > _TWICE and _halves_differ(numbers, columns):
             return _FLOAT32[double]
     return best
@@ -288,15 +298,24 @@ def _kinds(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     return np.stack([(wide == np.rint(wide)).astype(np.float64), np.sign(wide), np.log10(np.clip(size, 1e-3, 1e6))])
 
 
-def _explained(numbers: npt.NDArray[Any], columns: int) -> tuple[float, int]:
-    """Share of the variance of the kinds that the place in a row of so many columns explains, and how many numbers."""
-    places = _sample(numbers)
-    values = numbers[places]
-    known = np.isfinite(values)
-    places, values = places[known], values[known]
-    if not places.size:
-        return 0.0, 0
-    return _share(_kinds(values), places % columns), int(places.size)
+@dataclass(frozen=True)
+class _Sampled:
+    """Numbers that are looked at: their places in the file and their kinds."""
+
+    places: npt.NDArray[np.int64]
+    kinds: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, numbers: npt.NDArray[Any]) -> _Sampled:
+        """Those of a file."""
+        places = _sample(numbers)
+        values = numbers[places]
+        known = np.isfinite(values)
+        return cls(places[known], _kinds(values[known]))
+
+    def explained(self, columns: int) -> float:
+        """Share of the variance of the kinds that the place in a row of so many columns explains."""
+        return _share(self.kinds, self.places % columns) if self.places.size else 0.0
 
 
 def _share(kinds: npt.NDArray[np.float64], classes: npt.NDArray[np.int64]) -> float:
