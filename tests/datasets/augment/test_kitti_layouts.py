@@ -51,7 +51,7 @@ def tracking(root: Path) -> tuple[Path, str]:
     frame(root, "training/image_02/0001/000001.png", "training/velodyne/0001/000001.bin", 2)
     one = f"P0: {P2}\nP1: {P2}\nP2: {P2}\nP3: {P2}\nR_rect {R0}\nTr_velo_cam {SHIFTED}\nTr_imu_velo {SHIFTED}\n"
     text(root, "training/calib/0000.txt", one)
-    text(root, "training/calib/0001.txt", one.replace("0 3 -0.5", "0 9 -0.5"))
+    text(root, "training/calib/0001.txt", one.replace("-1 3 1", "-1 9 1"))
     car = "Car 0 0 -1.57 10 10 20 20 1.60 1.80 4.00 0.00 4.00 19.50 -1.57"
     lines = [f"0 3 {car}", f"0 -1 {BOXES.splitlines()[2]}", f"1 3 {car.replace('19.50', '59.50')}"]
     text(root, "training/label_02/0000.txt", "\n".join(lines) + "\n")
@@ -90,6 +90,8 @@ def test_a_kit_is_done_with_its_own_calibration(tmp_path: Path, kit: Any, monkey
     # A point 10 m ahead of the Velodyne, 3 m below the camera's height.
     seen = used[0] @ torch.tensor([10.0, 0, 0, 1], dtype=torch.float64)
     assert seen[:3].tolist() == pytest.approx([0.0, 3.0, 9.5], abs=1e-6)
+    if kit is tracking:  # the other sequence has its own
+        assert [round(float(one[1, 3])) for one in used] == [3, 3, 9]
     with Manifest(tmp_path / "out") as manifest:
         row = next(row for row in manifest.rows() if row.frame == name)
     assert set(first.reads) == set(row.inputs)
