@@ -147,6 +147,23 @@ def test_a_cloud_aside_of_its_origin_is_warned_of() -> None:
             fog(sweep + vehicle, seed=1)
 
 
+@pytest.mark.parametrize("height_m", [1.7, 2.2])
+def test_a_small_cloud_of_a_vehicle_whose_ground_is_at_the_origin_is_warned_of(height_m: float) -> None:
+    """Half the returns are road, a tenth are walls; the sensor stands above the rear axle's ground."""
+    rng = torch.Generator().manual_seed(0)
+    angle, range_m = 6.28 * torch.rand(2000, generator=rng), 5 + 30 * torch.rand(2000, generator=rng)
+    z = torch.where(torch.arange(2000) % 2 == 0, -height_m, 4 * torch.rand(2000, generator=rng) - height_m)
+    own = torch.stack([range_m * angle.cos(), range_m * angle.sin(), z, torch.full_like(z, 0.4)], dim=1)
+    fog = Fog(mor_m=200.0)
+    LidarFog(fog, Lidar(905.0 + height_m))(own, seed=1)  # in the sensor's frame nothing is said
+    own[:, 2] += height_m
+    with pytest.warns(TorchweatherWarning, match="they look like the ground"):
+        LidarFog(fog, Lidar(903.0 + height_m))(own, seed=1)
+    LidarFog(fog, Lidar(902.0 + height_m, origin_m=(0.0, 0.0, height_m)))(own, seed=1)
+    own[:, 2] = 0.0  # a scanner of one plane
+    LidarFog(fog, Lidar(901.0 + height_m))(own, seed=1)
+
+
 def test_metrics_take_the_columns_as_stated(run: Any, tmp_path: Path) -> None:
     five_columns(tmp_path / "a.bin")
     asked = ("metrics", tmp_path / "a.bin", tmp_path / "a.bin", "--metrics", "rmse", "--json")

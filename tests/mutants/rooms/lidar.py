@@ -283,4 +283,14 @@ MUTANTS = (
         "if False:",
         ("tests/cli/test_cli_point_files.py::test_a_cloud_of_a_map_is_noticed",),
     ),
+    Mutant(
+        "ground_at_the_sensors_height_unnoticed",
+        "a cloud whose ground lies at the origin's height is noticed",
+        "torchweather.lidar.frame_check",
+        "if not _GROUND <= level <= 1.0 - _BELOW or below > _BELOW:",
+        "if True:",
+        (
+            "tests/cli/test_cli_point_files.py::test_a_small_cloud_of_a_vehicle_whose_ground_is_at_the_origin_is_warned_of",
+        ),
+    ),
 )
