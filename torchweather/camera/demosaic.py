@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchweather.camera.bayer import PATTERNS, RCCB_TO_RGB, cfa_colour_index, check_even
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
+from torchweather.core.precision import outside_autocast
 from torchweather.core.threads import side_by_side
 
 __all__ = ["METHODS", "demosaic"]
@@ -53,6 +54,7 @@ _AS_MEASURED = ((0.0,) * 5, (0.0,) * 5, (0.0, 0.0, 8.0, 0.0, 0.0), (0.0,) * 5, (
 _BAND_ROWS = 64
 
 
+@outside_autocast
 def demosaic(
     bayer: Tensor,
     pattern: str,

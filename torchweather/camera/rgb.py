@@ -24,6 +24,7 @@ from torchweather.camera.through_mosaic import (
 )
 from torchweather.camera.transform import BayerWeather, CameraResult
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
+from torchweather.core.precision import outside_autocast
 from torchweather.core.random import sizes_of
 
 __all__ = ["AsBayer", "RgbResult"]
@@ -112,6 +113,7 @@ class AsBayer(nn.Module):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
+    @outside_autocast
     def forward(
         self,
         rgb: Tensor,
@@ -157,6 +159,7 @@ class AsBayer(nn.Module):
         inner = self.transform.at_ego_speed(ego_speed_m_per_s)
         return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
 
+    @outside_autocast
     def run(
         self,
         rgb: Tensor,
@@ -192,6 +195,7 @@ class AsBayer(nn.Module):
             depth_confidence=scene.confidence,
         )
 
+    @outside_autocast
     def draw(
         self,
         rgb: Tensor,
@@ -215,6 +219,7 @@ class AsBayer(nn.Module):
             return self._inner(height, width).draw(frame, None, generator, seed)
         return self.transform.drawn(rgb.shape[:-3], sizes_of(height, width, 3), generator, seed)
 
+    @outside_autocast
     def draw_sequence(
         self,
         rgb: Tensor,

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchweather.camera.bayer import cfa_index, colour_means
 from torchweather.camera.demosaic import demosaic
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
+from torchweather.core.precision import outside_autocast
 
 __all__ = [
     "colour_matrix",
@@ -130,6 +131,7 @@ def grey_world_gains(bayer: Tensor, pattern: str) -> Tensor:
     return torch.where(means > 0, means[..., 1:2] / means.clamp_min(torch.finfo(means.dtype).tiny), 1.0)
 
 
+@outside_autocast
 def colour_matrix(rgb: Tensor, matrix: Tensor | Sequence[Sequence[float]]) -> Tensor:
     """Colours in another set of primaries: ``out_i = sum_j matrix_ij rgb_j`` per pixel.
 
@@ -252,6 +254,7 @@ def expand(raw: Tensor, knots: Sequence[tuple[float, float]]) -> Tensor:
     return _piecewise_linear(raw, [(code, light) for light, code in _checked_knots(knots, "expand")])
 
 
+@outside_autocast
 def develop(
     bayer: Tensor,
     pattern: str,

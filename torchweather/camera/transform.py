@@ -26,6 +26,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.moved import renamed_arguments
+from torchweather.core.precision import outside_autocast
 from torchweather.core.random import sample_seeds, sizes_of
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
@@ -200,6 +201,7 @@ class BayerWeather(WeatherTransform):
         """The camera."""
         return self.camera
 
+    @outside_autocast
     def forward(
         self,
         bayer: Tensor,
@@ -240,6 +242,7 @@ class BayerWeather(WeatherTransform):
     if TYPE_CHECKING:
         __call__ = forward
 
+    @outside_autocast
     def run(
         self,
         bayer: Tensor,
@@ -295,6 +298,7 @@ class BayerWeather(WeatherTransform):
         mask = torch.zeros_like(state.one_plane) if after.image.particle_mask is None else after.image.particle_mask
         return transmission, airlight, mask
 
+    @outside_autocast
     def draw(
         self,
         bayer: Tensor,
@@ -316,6 +320,7 @@ class BayerWeather(WeatherTransform):
         check_bayer(bayer, self.camera, self)
         return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), generator, seed)
 
+    @outside_autocast
     def draw_sequence(
         self,
         bayer: Tensor,

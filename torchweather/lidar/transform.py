@@ -15,6 +15,7 @@ from torch import Tensor
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
 from torchweather.atmosphere.weather import Weather, check_intensities
 from torchweather.core.errors import InputValueError, check_one_of
+from torchweather.core.precision import outside_autocast
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
@@ -255,6 +256,7 @@ class LidarWeather(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
+    @outside_autocast
     def forward(
         self,
         points: Tensor,
@@ -291,6 +293,7 @@ class LidarWeather(WeatherTransform):
     if TYPE_CHECKING:
         __call__ = forward
 
+    @outside_autocast
     def run(
         self,
         points: Tensor,
@@ -345,6 +348,7 @@ class LidarWeather(WeatherTransform):
             own_vehicle_points=None if beams.on_own is None else beams.on_own.sum(-1).reshape(lead),
         )
 
+    @outside_autocast
     def draw(
         self, points: Tensor, generator: torch.Generator | None = None, seed: int | Tensor | None = None
     ) -> dict[str, Tensor]:

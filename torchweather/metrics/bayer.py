@@ -12,6 +12,7 @@ from torchweather.camera.bayer import PATTERNS, cfa_index, check_even, split_pla
 from torchweather.camera.demosaic import demosaic
 from torchweather.camera.tone import srgb_encode
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, check_positive
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
 from torchweather.metrics.pairs import check_pair
 from torchweather.metrics.score import Collected, ScoreFacts
@@ -25,6 +26,7 @@ ENCODINGS = ("srgb", "linear")
 """Values that are scored: as a display gets them, or linear in light."""
 
 
+@outside_autocast
 def bayer_scores(
     distorted: Tensor,
     reference: Tensor,

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, check_finite
+from torchweather.core.precision import outside_autocast
 
 __all__ = ["bev_coverage", "bev_iou", "box_coverage", "box_iou"]
 
@@ -13,6 +14,7 @@ __all__ = ["bev_coverage", "bev_iou", "box_coverage", "box_iou"]
 PORTION = 1 << 20
 
 
+@outside_autocast
 def box_iou(first: Tensor, second: Tensor) -> Tensor:
     """Intersection over union of every box with every other, along the axes of an image.
 
@@ -32,6 +34,7 @@ def box_iou(first: Tensor, second: Tensor) -> Tensor:
     return _over_union(shared, area, other)
 
 
+@outside_autocast
 def box_coverage(first: Tensor, second: Tensor) -> Tensor:
     """Share of every first box that each second box covers, along the axes of an image.
 
@@ -66,6 +69,7 @@ def _shared_in_image(first: Tensor, second: Tensor, owner: str) -> Tensor:
     return (high - low).clamp_min(0).prod(-1)
 
 
+@outside_autocast
 def bev_iou(first: Tensor, second: Tensor) -> Tensor:
     """Intersection over union of turned rectangles on the ground, seen from above (bird's eye).
 
@@ -94,6 +98,7 @@ def bev_iou(first: Tensor, second: Tensor) -> Tensor:
     return _over_union(shared, first[:, 2] * first[:, 3], second[:, 2] * second[:, 3])
 
 
+@outside_autocast
 def bev_coverage(first: Tensor, second: Tensor) -> Tensor:
     """Share of every first rectangle on the ground that each second one covers.
 

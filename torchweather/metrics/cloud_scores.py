@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, owner_name
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import CloudPair, Clouds, Region, cloud_pairs, in_batch_shape
 from torchweather.metrics.filters import root
 from torchweather.metrics.nearest import nearest_distances
@@ -110,6 +111,7 @@ _OF_DISTANCES: dict[str, Callable[[Distances], Tensor]] = {
 }
 
 
+@outside_autocast
 def cloud_scores(
     distorted: Clouds,
     reference: Clouds,

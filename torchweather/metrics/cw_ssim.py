@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.filters import gaussian_weights, root
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.steerable_pyramid import least_size, steerable_bands
@@ -22,6 +23,7 @@ TIE = 1e-4
 ROUNDINGS = 16.0
 
 
+@outside_autocast
 def cw_ssim(
     distorted: Tensor,
     reference: Tensor,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, TorchweatherError, check_between, check_one_of
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.box_overlap import bev_coverage, bev_iou, box_coverage, box_iou
 from torchweather.metrics.detection_curve import INTERPOLATIONS, MatchedBoxes
 from torchweather.metrics.detection_input import ImageBoxes, in_order
@@ -49,6 +50,7 @@ class AveragePrecision:
         return asdict(self)
 
 
+@outside_autocast
 def average_precision(
     detections: Sequence[Mapping[str, Any]],
     truths: Sequence[Mapping[str, Any]],
@@ -124,6 +126,7 @@ def average_precision(
     ]
 
 
+@outside_autocast
 def matched_boxes(
     detections: Sequence[Mapping[str, Any]],
     truths: Sequence[Mapping[str, Any]],

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_one_of
+from torchweather.core.precision import outside_autocast
 
 __all__ = ["CENTRES", "DoubleValidation", "double_validation"]
 
@@ -21,6 +22,7 @@ class DoubleValidation(NamedTuple):
     scatter: Tensor
 
 
+@outside_autocast
 def double_validation(simulated: Tensor, measured: Tensor, *, centre: str = "median") -> DoubleValidation:
     """Bias and scatter of a simulated scalar quantity against a measured one.
 

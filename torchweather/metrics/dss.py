@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.filters import averaged_down, gaussian_weights, root
 from torchweather.metrics.pairs import Pair
 
@@ -27,6 +28,7 @@ WHITE = 255.0
 SIDE_PX = 256
 
 
+@outside_autocast
 def dss(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """DCT sub-band similarity: likeness of local variance in each frequency of 8 x 8 blocks, where it is worst.
 

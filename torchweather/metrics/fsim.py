@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import yiq
 from torchweather.metrics.filters import SCHARR, gradient_magnitude
 from torchweather.metrics.pairs import Pair
@@ -23,6 +24,7 @@ WHITE = 255.0
 SMALLEST = 8
 
 
+@outside_autocast
 def fsim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chromatic: bool = True) -> Tensor:
     """Feature similarity: likeness of phase congruency and gradient, and of colour, where there are features.
 

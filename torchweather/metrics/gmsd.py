@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import luma
 from torchweather.metrics.filters import gradient_magnitude, root
 from torchweather.metrics.pairs import Pair
@@ -21,6 +22,7 @@ STEADY = 170.0 / 255.0**2
 SMALLEST = 5
 
 
+@outside_autocast
 def gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """Gradient magnitude similarity deviation: how unevenly the edges have suffered.
 

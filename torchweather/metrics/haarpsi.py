@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import yiq
 from torchweather.metrics.filters import filtered
 from torchweather.metrics.pairs import Pair
@@ -21,6 +22,7 @@ STEEPNESS = 4.2
 SCALES = 3
 
 
+@outside_autocast
 def haarpsi(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """Haar wavelet-based perceptual similarity index, at half size.
 

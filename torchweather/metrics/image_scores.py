@@ -9,6 +9,7 @@ from types import MappingProxyType
 from torch import Tensor
 
 from torchweather.core.errors import InputTypeError, check_one_of
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.cw_ssim import cw_ssim, cw_ssim_of
 from torchweather.metrics.dss import dss, dss_of
 from torchweather.metrics.fsim import fsim, fsim_of
@@ -69,6 +70,7 @@ OF_PAIR: Mapping[str, Callable[[Pair], Tensor]] = MappingProxyType(
 """The same scores of a pair that they share."""
 
 
+@outside_autocast
 def image_scores(
     distorted: Tensor, reference: Tensor, names: Iterable[str] | None = None, *, data_range: float = 1.0
 ) -> dict[str, Tensor]:

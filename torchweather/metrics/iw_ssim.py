@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import luma
 from torchweather.metrics.filters import filtered, power, side_by_side
 from torchweather.metrics.ms_ssim import MINIMUM_PX, SCALE_WEIGHTS
@@ -128,6 +129,7 @@ def _bits(x: Tensor, bands: Tensor, whitening: Tensor, eigenvalues: Tensor) -> T
     return bits
 
 
+@outside_autocast
 def iw_ssim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """Structural similarity of the luma at five scales, each pixel weighted by the information it carries.
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import mixed
 from torchweather.metrics.filters import automatic_factor, gradient_magnitude, power, root, subsampled
 from torchweather.metrics.gmsd import PREWITT
@@ -29,6 +30,7 @@ POWER = 0.25
 SMALLEST = 3
 
 
+@outside_autocast
 def mdsi(
     distorted: Tensor,
     reference: Tensor,

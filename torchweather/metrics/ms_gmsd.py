@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import luma, yiq
 from torchweather.metrics.filters import root, subsampled
 from torchweather.metrics.gmsd import deviation
@@ -23,6 +24,7 @@ FADE = (0.32, 15.0)
 SMALLEST = 16
 
 
+@outside_autocast
 def ms_gmsd(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chromatic: bool = False) -> Tensor:
     """Multi-scale gradient magnitude similarity deviation: ``M = sqrt(sum_s w_s GMSD_s^2)`` over four scales, with a
     masking term in the similarity.

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.filters import power
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.ssim import WINDOW_PX, lacking
@@ -24,6 +25,7 @@ def halved(image: Tensor) -> Tensor:
     return functional.avg_pool2d(functional.pad(image, (odd, 0, odd, 0), mode="replicate"), 2)
 
 
+@outside_autocast
 def ms_ssim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, luma_only: bool = False) -> Tensor:
     """Structural similarity at five scales, each half as fine as the one before.
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, check_at_least
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import Region, there
 
 __all__ = ["KINDS", "point_counts"]
@@ -14,6 +15,7 @@ __all__ = ["KINDS", "point_counts"]
 KINDS = 3
 
 
+@outside_autocast
 def point_counts(
     points: Tensor,
     kind: Tensor | None = None,

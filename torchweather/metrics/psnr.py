@@ -5,12 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.strips import in_strips
 
 __all__ = ["psnr", "psnr_of"]
 
 
+@outside_autocast
 def psnr(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """Peak signal-to-noise ratio, dB: ``10 log10(data_range^2 / MSE)``.
 

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import Clouds, Region, cloud_pairs, in_batch_shape
 
 __all__ = ["sdm", "shape_signature", "shape_signature_distance", "signature_distance"]
@@ -87,6 +88,7 @@ def signature_distance(first: Tensor, second: Tensor) -> Tensor:
     return torch.where(shaped, 2.0 * apart / torch.where(shaped, whole, 1.0), 0.0)
 
 
+@outside_autocast
 def shape_signature_distance(
     distorted: Clouds,
     reference: Clouds,

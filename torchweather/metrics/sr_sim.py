@@ -7,8 +7,9 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import luma, yiq
-from torchweather.metrics.filters import SCHARR, gaussian_weights, gradient_magnitude, root
+from torchweather.metrics.filters import SCHARR, automatic_factor, averaged_down, gaussian_weights, gradient_magnitude
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.pooling import chroma_likeness, likeness, stretched, weighted_mean
 from torchweather.metrics.resize import cubic_weights, resized
@@ -30,8 +31,13 @@ CHROMA = 200.0
 CHROMA_POWER = 0.03
 # Three pixels are left at a quarter of the size.
 SMALLEST = 12
+# Amplitude below which a frequency counts as absent, for values in 0..255. Rounding images to float32 leaves 1e-4 in a
+# frequency that they lack; the levels of 8 bits leave 1 and more in the others. Whitening divides by the amplitude, so
+# without a floor rounding noise of absent frequencies (a flat row, a periodic pattern) would decide the saliency.
+ABSENT = 1e-3
 
 
+@outside_autocast
 def sr_sim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chromatic: bool = False) -> Tensor:
     """Spectral residual based similarity: likeness of saliency and gradient, where there is saliency.
 
@@ -48,7 +54,9 @@ def sr_sim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chr
 
     Note:
         Images are averaged down to about 256 pixels on the shorter side first. Saliency is stretched to 0..1 in each
-        image; a flat image has none, and where neither image has any, all pixels weigh alike. Symmetric.
+        image; a flat image has none, and where neither image has any, all pixels weigh alike. Symmetric. Saliency is
+        found in float64, and frequencies that an image lacks count with an amplitude of 0.001 (white is 255): the score
+        of float32 images is that of the same images in float64 to 1e-6.
 
     References:
         L. Zhang, H. Li, SR-SIM: a fast and high performance IQA index based on spectral residual, IEEE International
@@ -65,9 +73,12 @@ def sr_sim(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0, chr
 
 def sr_sim_of(pair: Pair, *, chromatic: bool = False) -> Tensor:
     """:func:`sr_sim` of a pair."""
-    x, y = (WHITE * image for image in pair.shrunk)
+    kind = pair.images[0].dtype
+    factor = automatic_factor(*pair.images[0].shape[-2:])
+    x, y = (WHITE * averaged_down(image.double(), factor) for image in pair.images)
     light = luma(x), luma(y)
-    salient = [_saliency(plane) for plane in light]
+    salient = [_saliency(plane).to(kind) for plane in light]
+    x, y, *light = (plane.to(kind) for plane in (x, y, *light))
     slopes = gradient_magnitude(torch.cat(light, 1), *SCHARR).chunk(2, 1)
     local = likeness(salient[0], salient[1], SALIENCY) * likeness(slopes[0], slopes[1], GRADIENT) ** GRADIENT_POWER
     if chromatic and x.shape[1] == 3:
@@ -87,8 +98,7 @@ def _saliency(plane: Tensor) -> Tensor:
     origin = torch.zeros_like(plane[:1, :1, :rows, :columns])
     origin[..., 0, 0] = rows * columns
     spectrum = torch.fft.fft2(resized(plane - flat, *quarter)) + origin * flat
-    amplitude = root(spectrum.real.square() + spectrum.imag.square())
-    logarithm = (amplitude + torch.finfo(plane.dtype).eps).log()
+    logarithm = 0.5 * (spectrum.real.square() + spectrum.imag.square() + ABSENT**2).log()
     whitened = torch.fft.ifft2(spectrum * torch.exp(-box_blur(logarithm, SMOOTH, "replicate")))
     power = whitened.real.square() + whitened.imag.square()
     blob = gaussian_weights(BLOB, BLOB_SIGMA, plane)[None]

@@ -7,6 +7,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.filters import filtered, gaussian_weights
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.strips import in_strips
@@ -52,6 +53,7 @@ def _lacking(x: Tensor, y: Tensor, white: float, brightness: bool) -> Tensor:
     return light + structure - light * structure
 
 
+@outside_autocast
 def ssim(
     distorted: Tensor,
     reference: Tensor,

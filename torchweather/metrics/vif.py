@@ -7,6 +7,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.filters import filtered, gaussian_weights
 from torchweather.metrics.pairs import Pair
 from torchweather.metrics.strips import in_strips
@@ -24,6 +25,7 @@ NOTHING = 1e-8
 SMALLEST = 41
 
 
+@outside_autocast
 def vif(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """Visual information fidelity (pixel domain): what the distorted image tells of the reference, against what the
     reference tells itself through the same eye.

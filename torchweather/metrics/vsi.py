@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.precision import outside_autocast
 from torchweather.metrics.colour import mixed
 from torchweather.metrics.filters import SCHARR, automatic_factor, gradient_magnitude, power, root
 from torchweather.metrics.pairs import Pair
@@ -32,6 +33,7 @@ CIE_EPSILON, CIE_KAPPA = 0.008856, 903.3
 SMALLEST = 3
 
 
+@outside_autocast
 def vsi(distorted: Tensor, reference: Tensor, *, data_range: float = 1.0) -> Tensor:
     """Visual saliency-induced index: likeness of saliency, gradient and colour, where there is saliency.
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
+from torchweather.core.precision import outside_autocast
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
@@ -181,6 +182,7 @@ class RadarMapWeather(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
+    @outside_autocast
     def forward(
         self,
         values: Tensor,
@@ -210,6 +212,7 @@ class RadarMapWeather(WeatherTransform):
     if TYPE_CHECKING:
         __call__ = forward
 
+    @outside_autocast
     def run(
         self,
         values: Tensor,
@@ -258,6 +261,7 @@ class RadarMapWeather(WeatherTransform):
         with torch.no_grad():
             return power_map.with_values(self(power_map.values, self.draw(power_map.values, seed=seed)))
 
+    @outside_autocast
     def draw(
         self, values: Tensor, generator: torch.Generator | None = None, seed: int | Tensor | None = None
     ) -> dict[str, Tensor]:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
+from torchweather.core.precision import outside_autocast
 from torchweather.lidar.clouds import FARTHEST_M
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
@@ -203,6 +204,7 @@ class RadarAttenuation(WeatherTransform):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
+    @outside_autocast
     def forward(
         self,
         points: Tensor,
@@ -237,6 +239,7 @@ class RadarAttenuation(WeatherTransform):
     if TYPE_CHECKING:
         __call__ = forward
 
+    @outside_autocast
     def run(
         self,
         points: Tensor,
@@ -273,6 +276,7 @@ class RadarAttenuation(WeatherTransform):
             floored_points=floored.sum(-1).reshape(points.shape[:-2]),
         )
 
+    @outside_autocast
     def draw(
         self, points: Tensor, generator: torch.Generator | None = None, seed: int | Tensor | None = None
     ) -> dict[str, Tensor]:

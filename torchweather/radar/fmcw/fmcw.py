@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of
 from torchweather.core.noise import flat_noise
+from torchweather.core.precision import outside_autocast
 from torchweather.core.random import Variate, draw_variates, sample_seeds
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.fmcw.beat_signal import beat_signal
@@ -144,6 +145,7 @@ class FmcwRadar(nn.Module):
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
+    @outside_autocast
     def forward(self, scatterers: Scatterers, noise: Mapping[str, Tensor] | None = None) -> Tensor | list[Tensor]:
         """The points of a frame.
 
@@ -160,10 +162,12 @@ class FmcwRadar(nn.Module):
     if TYPE_CHECKING:
         __call__ = forward
 
+    @outside_autocast
     def run(self, scatterers: Scatterers, noise: Mapping[str, Tensor] | None = None) -> FmcwResult:
         """The points of a frame and the map that they come from; arguments as ``forward``."""
         return self.process(self.cube(scatterers, noise))
 
+    @outside_autocast
     def draw(
         self, scatterers: Scatterers, generator: torch.Generator | None = None, seed: int | Tensor | None = None
     ) -> dict[str, Tensor]:
