@@ -169,6 +169,7 @@ class Population(nn.Module):
         self._keep("variance_table", t.haze_variance)
         self._keep("along_table", t.kernel_along)
         self._keep("across_table", t.kernel_across)
+        self.nearest_foot_m_per_px = tuple(math.exp(float(shell.log_footprint[0])) for shell in t.listed)
         for number, shell in enumerate(t.listed):
             # Tables over the footprint, read at the shell's own nodes.
             self._keep(f"footprint_{number}", np.exp(shell.log_footprint))
@@ -183,7 +184,7 @@ class Population(nn.Module):
     def reach_px(self, number: int) -> tuple[float, float]:
         """Margin of a shell, px: half of its longest path with its widest mark."""
         shell = self.tables.listed[number]
-        nearest = math.exp(float(shell.log_footprint[0]))
+        nearest = self.nearest_foot_m_per_px[number]
         across, along, axial = (abs(v) for v in self.reach_drift_m_per_s)
         fastest = shell.length_max_px * nearest / self.optics.exposure_s  # fall speed of the fastest particle, m/s
         radial = axial + fastest * abs(self.down[2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -263,7 +263,14 @@ class ParticleVeil(Stage):
         return total
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
-        """The frame behind its particles."""
+        """The frame behind its particles.
+
+        Under ``torch.compile`` particles are rendered as without it: which of them are seen depends on values, so that
+        a graph would hold all of them. An exported graph does.
+        """
+        if torch.compiler.is_dynamo_compiling():
+            apart: Callable[..., CameraState] = torch.compiler.disable(self._render)
+            return apart(state, noise)
         if is_exporting():
             return self._render(state, noise)
         with one_thread_an_operation():
