@@ -218,6 +218,19 @@ def test_no_optimiser_moves_the_weather_and_no_graph_is_kept(entry: Entry, trans
     assert same_bits(out, kept)
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_a_module_moved_to_16_bits_keeps_its_tables(entry: Entry, dtype: torch.dtype) -> None:
+    given, transform = entry.data(), entry.built()
+    noise = transform.draw(given, seed=1)
+    wanted = transform(given, noise=noise)
+    around = torch.nn.Sequential(entry.built()).to(dtype)
+    assert same_bits(around[0](given, noise=noise), wanted)
+    if torch.float64 in entry.dtypes:
+        small = around[0](given.to(dtype), noise=noise)
+        assert small.dtype == dtype
+        assert bool(torch.isfinite(small).all())
+
+
 def test_one_module_in_double_precision_leaves_the_others_alone(entry: Entry, transform: Any) -> None:
     if torch.float64 not in entry.dtypes:
         pytest.skip("the numbers of a map have one type")

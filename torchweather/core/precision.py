@@ -1,14 +1,15 @@
-"""Arithmetic in the dtype of the arguments, whatever a surrounding ``torch.autocast`` asks for."""
+"""Arithmetic that keeps its precision under ``torch.autocast`` and in modules of half precision."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, Self, TypeVar
 
 import torch
+from torch import Tensor, nn
 
-__all__ = ["outside_autocast"]
+__all__ = ["AtLeastSingle", "outside_autocast"]
 
 # Devices whose autocast a training loop may have entered.
 _DEVICES = ("cuda", "cpu", "mps", "xpu")
@@ -42,3 +43,29 @@ def outside_autocast(function: Callable[_P, _R]) -> Callable[_P, _R]:
         return function(*args, **kwargs)
 
     return exact
+
+
+class AtLeastSingle(nn.Module):
+    """A module whose tables stay float32 when it, or a network around it, is moved to 16 bits.
+
+    Extinctions, distances and logarithms of densities do not fit float16, and bfloat16 has two digits. Data may be of
+    16 bits all the same: they are what a transform takes and gives.
+
+    Example:
+        >>> class Table(AtLeastSingle):
+        ...     def __init__(self):
+        ...         super().__init__()
+        ...         self.register_buffer("values", torch.tensor([1e-9, 1e9]))
+        >>> Table().half().values.dtype, nn.Sequential(Table()).double()[0].values.dtype
+        (torch.float32, torch.float64)
+    """
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        def kept(table: Tensor) -> Tensor:
+            moved = fn(table)
+            if moved.dtype not in (torch.float16, torch.bfloat16) or table.dtype == moved.dtype:
+                return moved
+            return table.to(moved.device)
+
+        applied: Self = super()._apply(kept, recurse)
+        return applied

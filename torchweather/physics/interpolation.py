@@ -6,14 +6,15 @@ import math
 from collections.abc import Callable
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchweather.core.errors import InputValueError, check_positive
+from torchweather.core.precision import AtLeastSingle
 
 __all__ = ["InterpolationTable"]
 
 
-class InterpolationTable(nn.Module):
+class InterpolationTable(AtLeastSingle):
     """Values of a function of the intensity, computed once and then interpolated: a new rate costs no set-up.
 
     The nodes are uniform in ln(intensity). With ``log_values`` the interpolation is linear in (ln intensity, ln value),

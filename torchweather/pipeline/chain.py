@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
+from torchweather.core.precision import AtLeastSingle
 from torchweather.core.random import in_parallel, sample_seeds
 from torchweather.core.schema import check_format, check_value, one_of, refuse_unknown
 from torchweather.core.yaml_file import dump_yaml, parse_yaml
@@ -27,7 +28,7 @@ __all__ = ["Chain"]
 FORMAT = "torchweather-chain/1"
 
 
-class Chain(nn.Module):
+class Chain(AtLeastSingle):
     """Stages applied in order; a missing effect is a stage that is not in it.
 
     Args:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import InputTypeError, InputValueError, check_between
 from torchweather.core.noise import flat_noise
+from torchweather.core.precision import AtLeastSingle
 from torchweather.core.random import sample_seeds
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.at_call import weather_at_call
@@ -32,7 +33,7 @@ class Sizes:
     sizes: dict[str, int]
 
 
-class WeatherTransform(nn.Module):
+class WeatherTransform(AtLeastSingle):
     """A chain of stages made from a weather and a sensor.
 
     A subclass lists the weathers that it ``takes``; a base class takes the others. It may be built from a weather that

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from torchweather.core.precision import AtLeastSingle
 from torchweather.core.random import Variate, draw_variates, sample_seeds
 
 __all__ = ["Stage", "State"]
@@ -30,7 +31,7 @@ class State(Protocol):
 S = TypeVar("S")
 
 
-class Stage(nn.Module):
+class Stage(AtLeastSingle):
     """A physical stage: parameters are buffers, drawing is apart from rendering.
 
     A subclass says which standard variates it needs (``variates``) and computes its output as a deterministic

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of
 from torchweather.core.noise import flat_noise
-from torchweather.core.precision import outside_autocast
+from torchweather.core.precision import AtLeastSingle, outside_autocast
 from torchweather.core.random import Variate, draw_variates, sample_seeds
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.fmcw.beat_signal import beat_signal
@@ -67,7 +67,7 @@ def cfar_for(radar: Radar, kind: str = "ca", window_name: str = "hann", **option
     return found
 
 
-class FmcwRadar(nn.Module):
+class FmcwRadar(AtLeastSingle):
     """An FMCW radar with its weather: beat signal, thermal noise, range-Doppler map, CFAR, points.
 
     Weather enters where it does in nature: attenuation on the way to each scatterer and back, the film on the cover,
