@@ -100,3 +100,12 @@ def test_package_raises_no_plain_value_or_type_error() -> None:
             if isinstance(raised, ast.Name) and raised.id in plain:
                 found.append(f"{path.name}:{node.lineno}: {raised.id}")
     assert not found
+
+
+def test_messages_are_bounded_and_can_be_printed() -> None:
+    shown = str(TorchweatherError(f"a\x1b[2Jb\udcff\n{'x' * 10_000_000}end"))
+    assert shown.startswith("a\\x1b[2Jb\\udcff\nxxx")
+    assert shown.endswith("xend")
+    assert len(shown) < 9000
+    shown.encode()
+    assert str(TorchweatherError("Größe 3 µm\tgot 5")) == "Größe 3 µm\tgot 5"

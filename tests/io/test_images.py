@@ -269,7 +269,7 @@ def test_moving_pictures_are_refused(tmp_path: Path, kind: str) -> None:
     with pytest.raises(TorchweatherError, match=rf"moving one of 3 frames \({kind}\)"):
         read_image(tmp_path / "x.png")
     (tmp_path / "x.png").rename(tmp_path / f"x.{kind.lower()}")
-    if kind != "PNG":
+    if kind == "GIF":
         with pytest.raises(TorchweatherError, match=rf"wanted an image: .*got \.{kind.lower()}"):
             read_image(tmp_path / f"x.{kind.lower()}")
 
@@ -345,7 +345,7 @@ def test_arrays_that_are_no_image_are_refused(tmp_path: Path, array: np.ndarray,
         ("x.png", torch.zeros(1, 4, 4), "Quantise it first"),
         ("x.png", torch.zeros(3, 4, 4, dtype=torch.uint16), "write .npy"),
         ("x.jpg", torch.zeros(1, 4, 4, dtype=torch.uint8), r"holds uint8 \(3, H, W\)"),
-        ("x.bmp", torch.zeros(1, 4, 4, dtype=torch.uint8), "got .bmp"),
+        ("x.gif", torch.zeros(1, 4, 4, dtype=torch.uint8), "got .gif"),
         ("x.npy", torch.zeros(2, 4, 4), r"got \(2, 4, 4\)"),
         ("nowhere/x.npy", torch.zeros(1, 4, 4), "no folder"),
     ],
@@ -404,3 +404,90 @@ def test_pattern_of_the_real_raw_frame_is_grbg(real_data: Callable[[str], Path])
         return float(picture.diff(dim=-1).abs().mean())
 
     assert roughness("GRBG") < 0.5 * roughness("RGGB")
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+@pytest.mark.parametrize(
+    "shape", [(6, 10), (1, 6, 10), (6, 10, 1), (6, 10, 3), (3, 6, 10), (2, 6, 10, 3), (2, 3, 6, 10)]
+)
+def test_arrays_go_back_to_their_layout(tmp_path: Path, suffix: str, shape: tuple[int, ...]) -> None:
+    stored = np.random.default_rng(1).integers(0, 4096, shape, dtype=np.uint16)
+    if suffix == ".npy":
+        np.save(tmp_path / "x.npy", stored)
+    else:
+        np.savez(tmp_path / "x.npz", picture=stored)
+    image, info = read_image(tmp_path / f"x{suffix}")
+    write_image(tmp_path / f"y{suffix}", image, like=info)
+    back = np.load(tmp_path / f"y{suffix}")
+    assert np.array_equal(back["picture"] if suffix == ".npz" else back, stored)
+    write_image(tmp_path / f"z{suffix}", image)  # of its own, channels come first
+    assert torch.equal(read_image(tmp_path / f"z{suffix}")[0], image)
+
+
+@pytest.mark.parametrize(("suffix", "channels"), [(".bmp", 1), (".bmp", 3), (".webp", 3)])
+def test_bmp_and_webp_lose_nothing(tmp_path: Path, suffix: str, channels: int) -> None:
+    image = frame(torch.uint8, channels)
+    write_image(tmp_path / f"x{suffix}", image)
+    back, info = read_image(tmp_path / f"x{suffix}")
+    assert torch.equal(back, image)
+    assert info.kind == ("mosaic" if channels == 1 else "rgb")
+
+
+@pytest.mark.parametrize(("suffix", "dtype", "channels"), [(".bmp", torch.uint16, 1), (".webp", torch.uint8, 1)])
+def test_bmp_and_webp_refuse_what_they_cannot_hold(
+    tmp_path: Path, suffix: str, dtype: torch.dtype, channels: int
+) -> None:
+    with pytest.raises(TorchweatherError, match=r"holds uint8 .*write \.npy"):
+        write_image(tmp_path / f"x{suffix}", frame(dtype, channels))
+
+
+def test_a_moving_webp_is_refused(tmp_path: Path) -> None:
+    pages = [Image.new("RGB", (12, 8), (40 * k, 0, 0)) for k in range(3)]
+    pages[0].save(tmp_path / "x.webp", save_all=True, append_images=pages[1:], lossless=True)
+    with pytest.raises(TorchweatherError, match="moving one of 3 frames"):
+        read_image(tmp_path / "x.webp")
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_every_orientation_is_carried_out_and_told(tmp_path: Path, suffix: str, orientation: int) -> None:
+    upright = np.zeros((48, 64, 3), np.uint8)
+    upright[:20] = (90, 140, 220)
+    upright[30:40, 8:20] = (220, 30, 30)
+    # How a camera stores it that was held so: the inverse of what a viewer does.
+    stored = {
+        1: upright,
+        2: upright[:, ::-1],
+        3: upright[::-1, ::-1],
+        4: upright[::-1],
+        5: upright.swapaxes(0, 1),
+        6: upright.swapaxes(0, 1)[::-1],
+        7: upright[::-1, ::-1].swapaxes(0, 1),
+        8: upright.swapaxes(0, 1)[:, ::-1],
+    }[orientation]
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    options = (
+        {"quality": 100, "subsampling": 0} if suffix == ".jpg" else {"lossless": True} if suffix == ".webp" else {}
+    )
+    Image.fromarray(np.ascontiguousarray(stored)).save(tmp_path / f"x{suffix}", exif=exif, **options)
+    image, info = read_image(tmp_path / f"x{suffix}")
+    assert image.shape == (3, 48, 64)
+    assert (image.int() - torch.from_numpy(upright).movedim(-1, 0).int()).abs().float().mean() < 4
+    assert info.orientation == orientation
+    assert ("upright" in info.note) == (orientation != 1)
+    write_image(tmp_path / f"y{suffix}", image, like=info)
+    with Image.open(tmp_path / f"y{suffix}") as written:
+        assert written.size == (64, 48)
+        assert written.getexif().get(0x0112, 1) == 1
+
+
+def test_a_small_file_of_a_large_picture_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Image.new("I;16", (9000, 4000), 7).save(tmp_path / "x.png")
+    with pytest.raises(TorchweatherError, match=r"inflate from 0\.\d MB to 72 MB.*TORCHWEATHER_MAX_INFLATED_MB=73"):
+        read_image(tmp_path / "x.png")
+    monkeypatch.setenv("TORCHWEATHER_MAX_INFLATED_MB", "73")
+    assert read_image(tmp_path / "x.png")[0].shape == (1, 4000, 9000)
+    monkeypatch.setenv("TORCHWEATHER_MAX_INFLATED_MB", "many")
+    with pytest.raises(TorchweatherError, match="number of megabytes"):
+        read_image(tmp_path / "x.png")

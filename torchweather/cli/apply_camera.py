@@ -92,6 +92,7 @@ class _Work:
         """One file: read, weather, write; what was done, as plain values."""
         started = time.perf_counter()
         image, info = read_image(frame)
+        self._say(info.note)
         seed = self.args.seed + self.samples
         self.samples += image.shape[:-3].numel()
         try:
@@ -99,7 +100,7 @@ class _Work:
         except (InputValueError, InputTypeError) as error:
             raise TorchweatherError(f"{frame}: {error}") from error
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_image(target, result.rgb if info.kind == "rgb" else result.bayer)
+        write_image(target, result.rgb if info.kind == "rgb" else result.bayer, like=info)
         page = self._preview(target, image, transform, scene, seed)
         return {
             "input": str(frame),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,9 +15,9 @@ from typing import Any
 from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.datasets.speeds import read_timestamps
-from torchweather.io import read_image, write_image
+from torchweather.io import ImageInfo, read_image, write_image
 from torchweather.io.video import VideoReader, VideoWriter, write_video
 
 __all__ = ["MANIFEST", "ClipFrames", "FolderFrames", "FolderResult", "Frame", "VideoResult", "file_digest"]
@@ -34,12 +35,14 @@ class Frame:
         image: ``(3, H, W)`` colour or ``(1, H, W)`` mosaic.
         name: of the frame, for results and messages.
         pts: presentation time of a video's frame.
+        info: what its file held beside the pixels; ``None`` of a video.
     """
 
     number: int
     image: Tensor
     name: str
     pts: int | None = None
+    info: ImageInfo | None = None
 
 
 class FolderFrames:
@@ -89,12 +92,14 @@ class FolderFrames:
         return None
 
     def _read(self, number: int) -> Frame:
-        image, _ = read_image(self.paths[number])
+        image, info = read_image(self.paths[number])
         if image.ndim != 3:
             raise TorchweatherError(
                 f"{self.paths[number]}: expected one image a file in a sequence; got a batch {tuple(image.shape)}."
             )
-        return Frame(number, image, self.paths[number].name)
+        if info.note:
+            warnings.warn(info.note, TorchweatherWarning, stacklevel=2)
+        return Frame(number, image, self.paths[number].name, info=info)
 
 
 class ClipFrames:
@@ -175,7 +180,7 @@ class FolderResult:
     def write(self, frame: Frame, after: Tensor) -> None:
         """Write a frame, then its line of the manifest."""
         target = self.folder / frame.name
-        write_image(target, after)
+        write_image(target, after, like=frame.info)
         line = json.dumps({"frame": frame.number, "file": frame.name, "blake2b": file_digest(target)})
         with self.manifest.open("a", encoding="utf-8") as file:
             file.write(line + "\n")

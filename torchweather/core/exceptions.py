@@ -8,6 +8,21 @@ from __future__ import annotations
 
 __all__ = ["InputTypeError", "InputValueError", "MissingExtraError", "TorchweatherError", "TorchweatherWarning"]
 
+_LONGEST = 8000  # characters of a message
+
+
+# Characters that steer a terminal, C0 but tab and line feed, delete and C1: a file may be named so.
+_STEERING = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
+
+
+def _shown(text: str) -> str:
+    """The text without its middle where it is too long to read, and without what a terminal cannot show."""
+    if len(text) > _LONGEST:
+        half = _LONGEST // 2
+        text = f"{text[:half]} ... [{len(text) - 2 * half} characters left out] ... {text[-half:]}"
+    # Bytes of a file's name that are no text are lone surrogates, which cannot be written anywhere.
+    return text.translate(_STEERING).encode("utf-8", "backslashreplace").decode()
+
 
 class TorchweatherError(Exception):
     """A broken file, recipe or study; carries the path and, where one exists, the key.
@@ -17,6 +32,10 @@ class TorchweatherError(Exception):
         Traceback (most recent call last):
         torchweather.core.exceptions.TorchweatherError: depth.npy: not a depth map
     """
+
+    def __init__(self, *args: object) -> None:
+        # A broken file may put itself into its error, at any length and with any characters.
+        super().__init__(*(_shown(arg) if isinstance(arg, str) else arg for arg in args))
 
 
 class InputValueError(TorchweatherError, ValueError):

@@ -18,8 +18,9 @@ from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.inflation import check_inflated, few_names
 
-__all__ = ["array_to_tensor", "read_archive", "read_array", "write_archive"]
+__all__ = ["array_to_tensor", "read_archive", "read_array", "read_named_array", "write_archive"]
 
 _READABLE = (np.uint8, np.uint16, np.int16, np.int32, np.float16, np.float32, np.float64)
 # What numpy and zipfile raise for files that are none of theirs; RuntimeError is an encrypted archive.
@@ -38,10 +39,17 @@ _BROKEN = (
 )
 # Deflate makes at most 1032 bytes out of one (zlib's technical notes).
 _MAX_RATIO = 1032
+# Arrays of an archive; each has a header to be parsed.
+_MOST_MEMBERS = 1000
 
 
 def read_array(path: str | os.PathLike[str], keys: Sequence[str]) -> npt.NDArray[Any]:
     """The array of a ``.npy`` file, or of a ``.npz`` archive: the first of ``keys`` it has, else its only array."""
+    return read_named_array(path, keys)[1]
+
+
+def read_named_array(path: str | os.PathLike[str], keys: Sequence[str]) -> tuple[str, npt.NDArray[Any]]:
+    """The array that `read_array` takes, with its name in the archive; '' of a ``.npy`` file."""
     source = Path(path)
     try:
         with source.open("rb") as file, warnings.catch_warnings():
@@ -49,12 +57,12 @@ def read_array(path: str | os.PathLike[str], keys: Sequence[str]) -> npt.NDArray
             archived = file.read(2) == b"PK"
             file.seek(0)
             if not archived:
-                return _array(file, os.fstat(file.fileno()).st_size, source, "")
+                return "", _array(file, os.fstat(file.fileno()).st_size, source, "")
             with zipfile.ZipFile(file) as archive:
-                members = {member.filename[:-4]: member for member in _members(archive)}
+                members = {member.filename[:-4]: member for member in _members(archive, source)}
                 wanted = [key for key in keys if key in members] or (list(members) if len(members) == 1 else [])
                 if wanted:
-                    return _member(archive, members[wanted[0]], source)
+                    return wanted[0], _member(archive, members[wanted[0]], source)
     except FileNotFoundError as error:
         raise TorchweatherError(f"{source}: no such file.") from error
     except _BROKEN as error:
@@ -62,10 +70,9 @@ def read_array(path: str | os.PathLike[str], keys: Sequence[str]) -> npt.NDArray
             f"{source}: wanted one array as numpy.save or numpy.savez writes it; it cannot be read ({error}). "
             "The file may be truncated or hold pickled objects, which are never loaded."
         ) from error
-    hint = nearest_name(keys[0], members) if keys else ""
+    hint = nearest_name(keys[0], [name for name in members if len(name) < 100]) if keys else ""
     raise TorchweatherError(
-        f"{source}: wanted an array named {' or '.join(keys)}, or a single array; "
-        f"got {', '.join(members) or 'none'}.{hint}"
+        f"{source}: wanted an array named {' or '.join(keys)}, or a single array; got {few_names(members)}.{hint}"
     )
 
 
@@ -74,7 +81,10 @@ def read_archive(source: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
     try:
         with zipfile.ZipFile(source) as archive, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy's, about headers that it repairs or refuses right after
-            members = _members(archive)
+            members = _members(archive, source)
+            check_inflated(
+                source, sum(member.file_size for member in members), sum(member.compress_size for member in members)
+            )
             arrays = {member.filename[:-4]: _member(archive, member, source) for member in members}
             return arrays, any(member.compress_type != zipfile.ZIP_STORED for member in members)
     except _BROKEN as error:
@@ -106,14 +116,20 @@ def array_to_tensor(array: npt.NDArray[Any], path: str | os.PathLike[str], wante
     return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", copy=True))
 
 
-def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
-    return [member for member in archive.infolist() if member.filename.endswith(".npy")]
+def _members(archive: zipfile.ZipFile, source: Path) -> list[zipfile.ZipInfo]:
+    members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+    if len(members) > _MOST_MEMBERS:
+        raise TorchweatherError(
+            f"{source}: wanted at most {_MOST_MEMBERS} arrays; got {len(members):,}. Write what belongs to one frame."
+        )
+    return members
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Path) -> npt.NDArray[Any]:
     with archive.open(member) as file:
         available = min(member.file_size, member.compress_size * _MAX_RATIO)
-        return _array(file, available, source, f" {member.filename[:-4]}")
+        check_inflated(source, available, member.compress_size)
+        return _array(file, available, source, f" {few_names([member.filename[:-4]])}")
 
 
 def _array(file: IO[bytes], available_bytes: int, source: Path, name: str) -> npt.NDArray[Any]:

@@ -1,7 +1,8 @@
 """Camera frames from files and to files: raw mosaics in 8 and 16 bit, colour images, arrays.
 
-``.png``, ``.tif``/``.tiff``, ``.jpg``/``.jpeg``, ``.npy``, ``.npz``. Values and dtype come back as they were stored,
-upright: an EXIF orientation is carried out, so what is written afterwards needs no tag.
+``.png``, ``.tif``/``.tiff``, ``.jpg``/``.jpeg``, ``.bmp``, ``.webp``, ``.npy``, ``.npz``. Values and dtype come back as
+they were stored, upright: an EXIF orientation is carried out, so what is written afterwards needs no tag. Arrays go
+back to the layout they came in.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
-from torchweather.io.arrays import array_to_tensor, read_array
+from torchweather.core.inflation import check_inflated
+from torchweather.io.arrays import array_to_tensor, read_named_array, write_archive
 from torchweather.io.exif import BROKEN_PICTURE, ORIENTATION, exif_tags
 
 if TYPE_CHECKING:
@@ -27,13 +29,38 @@ if TYPE_CHECKING:
 
 __all__ = ["IMAGE_SUFFIXES", "ImageInfo", "read_image", "write_image"]
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".npz")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".webp", ".npy", ".npz")
 """Endings that `read_image` and `write_image` know."""
 
-_PILLOW_FORMATS = {".png": "PNG", ".tif": "TIFF", ".tiff": "TIFF", ".jpg": "JPEG", ".jpeg": "JPEG"}
+_ARRAYS = (".npy", ".npz")
+_PILLOW_FORMATS = {
+    ".png": "PNG",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".bmp": "BMP",
+    ".webp": "WEBP",
+}
+# (dtype, colour) that each format holds without loss; JPEG and WebP would smear a mosaic.
+_HELD = {
+    "PNG": {("uint8", False), ("uint8", True), ("uint16", False)},
+    "TIFF": {("uint8", False), ("uint8", True), ("uint16", False)},
+    "BMP": {("uint8", False), ("uint8", True)},
+    "JPEG": {("uint8", True)},
+    "WEBP": {("uint8", True)},
+}
+_SAVE_OPTIONS: dict[str, dict[str, Any]] = {
+    # Without chroma subsampling: colour edges are what a demosaicing is judged by.
+    "JPEG": {"quality": 95, "subsampling": 0},
+    "WEBP": {"lossless": True},
+}
 # Tags of TIFF 6.0.
 _NEW_SUBFILE_TYPE, _BITS_PER_SAMPLE, _SAMPLES_PER_PIXEL = 254, 258, 277
-_WANTED = "an image: .png, .tif, .tiff, .jpg, .jpeg, .npy or .npz"
+_WANTED = "an image: .png, .tif, .tiff, .jpg, .jpeg, .bmp, .webp, .npy or .npz"
+# Bytes of a decoded pixel by Pillow's mode; every other mode has one.
+_MODE_BYTES = {"I": 4, "F": 4, "RGB": 4, "RGBA": 4, "RGBX": 4, "CMYK": 4, "YCbCr": 4, "LAB": 4, "HSV": 4, "PA": 4}
+LAYOUTS = ("channels_first", "channels_last", "plane")
 
 
 @dataclass(frozen=True)
@@ -45,12 +72,26 @@ class ImageInfo:
         suffix: its ending, lower case.
         kind: ``mosaic`` (one value per pixel, raw or grey) or ``rgb``.
         orientation: EXIF orientation that was carried out, 1 to 8; 1 where the pixels were upright.
+        layout: of an array's axes: ``channels_first``, ``channels_last`` ``(..., H, W, C)``, or ``plane`` ``(H, W)``.
+        array: name of the array in a ``.npz``; '' of any other file.
     """
 
     path: Path
     suffix: str
     kind: str
     orientation: int = 1
+    layout: str = "channels_first"
+    array: str = ""
+
+    @property
+    def note(self) -> str:
+        """Sentence on what labels of the file must know, '' where there is nothing."""
+        if self.orientation == 1:
+            return ""
+        return (
+            f"{self.path.name}: EXIF orientation {self.orientation} is carried out: the result is upright and has no "
+            "tag. Boxes must count in the upright picture, not in the stored pixels."
+        )
 
 
 def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
@@ -60,16 +101,17 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
     is warned of. CMYK and palettes become RGB; transparency is dropped.
 
     Args:
-        path: PNG (8 or 16 bit grey, 8 bit colour), TIFF (8 or 16 bit or float grey, 8 bit colour), JPEG, ``.npy``, or
-            ``.npz`` (the array ``bayer``, else the only one).
+        path: PNG (8 or 16 bit grey, 8 bit colour), TIFF (8 or 16 bit or float grey, 8 bit colour), JPEG, BMP, WebP,
+            ``.npy``, or ``.npz`` (the array ``bayer``, else the only one), channels first or last.
 
     Returns:
         ``(1, H, W)`` for one value per pixel or ``(3, H, W)`` for colour, in the stored dtype; an array may carry
         batch dimensions in front. And what else is known of the file.
 
     Raises:
-        TorchweatherError: the file is missing, truncated, no image, or one that would lose something: several pages
-            or pictures, or colour of more than 8 bits a channel.
+        TorchweatherError: the file is missing, truncated, no image, one that would lose something (several pages or
+            pictures, colour of more than 8 bits a channel), or one that inflates to more than 64 MB and more than 100
+            times its size: ``TORCHWEATHER_MAX_INFLATED_MB`` in the environment lifts that bound.
 
     Example:
         >>> import tempfile
@@ -82,8 +124,10 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
     source = Path(path)
     suffix = source.suffix.lower()
     orientation = 1
-    if suffix in (".npy", ".npz"):
-        image = _channels_first(array_to_tensor(read_array(source, ["bayer"]), source, "an image"), source)
+    layout, name = LAYOUTS[0], ""
+    if suffix in _ARRAYS:
+        name, array = read_named_array(source, ["bayer"])
+        image, layout = _channels_first(array_to_tensor(array, source, "an image"), source)
     elif suffix in _PILLOW_FORMATS:
         pixels, orientation = _decoded(source)
         image = array_to_tensor(pixels[None] if pixels.ndim == 2 else np.moveaxis(pixels, -1, 0), source, "an image")
@@ -99,17 +143,19 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
             TorchweatherWarning,
             stacklevel=2,
         )
-    return image, ImageInfo(source, suffix, kind, orientation)
+    return image, ImageInfo(source, suffix, kind, orientation, layout, name)
 
 
-def write_image(path: str | os.PathLike[str], image: Tensor) -> None:
+def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo | None = None) -> None:
     """Write a frame in the format that the file's ending names, whole or not at all.
 
     Args:
         path: ``.png`` or ``.tif(f)`` for ``uint8`` and ``uint16`` with one value per pixel and ``uint8`` colour,
-            ``.jpg`` for ``uint8`` colour only (it would smear a mosaic), ``.npy`` and ``.npz`` (array ``bayer`` or
-            ``rgb``) for anything.
+            ``.bmp`` the same but ``uint16``, ``.jpg`` and ``.webp`` (lossless) for ``uint8`` colour only (they would
+            smear a mosaic), ``.npy`` and ``.npz`` (array ``bayer`` or ``rgb``) for anything.
         image: ``(H, W)``, ``(1, H, W)`` or ``(3, H, W)``; for ``.npy`` and ``.npz`` also with batch dimensions.
+        like: what `read_image` said of the file that the image comes from: an array is written in its layout, and in a
+            ``.npz`` under its name.
 
     Raises:
         TorchweatherError: the format cannot hold the image, or the folder does not exist.
@@ -125,20 +171,31 @@ def write_image(path: str | os.PathLike[str], image: Tensor) -> None:
             f"{target}: wanted an image of shape (H, W), (1, H, W) or (3, H, W); got {tuple(image.shape)}."
         )
     array = pixels.numpy()
+    if suffix == ".npz":
+        name = "bayer" if array.shape[-3] == 1 else "rgb"
+        write_archive(target, {(like.array if like else "") or name: _laid_out(array, like)})
+        return
     with atomic_write(target) as unfinished:
         if suffix == ".npy":
-            np.save(unfinished, array, allow_pickle=False)
-        elif suffix == ".npz":
-            np.savez(unfinished, **{"bayer" if array.shape[-3] == 1 else "rgb": array})  # type: ignore[arg-type]
+            np.save(unfinished, _laid_out(array, like), allow_pickle=False)
         else:
             _encode(target, suffix, array, unfinished)
+
+
+def _laid_out(array: npt.NDArray[Any], like: ImageInfo | None) -> npt.NDArray[Any]:
+    """Pixels ``(..., C, H, W)`` in the layout of the file that they come from."""
+    if like is not None and like.layout == "channels_last":
+        return np.ascontiguousarray(np.moveaxis(array, -3, -1))
+    if like is not None and like.layout == "plane" and array.shape[0] == 1 and array.ndim == 3:
+        return array[0]
+    return array
 
 
 def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path) -> None:
     from PIL import Image
 
-    colour = array.shape[0] == 3
-    kept = {("uint8", False), ("uint8", True), ("uint16", False)} if suffix[:3] != ".jp" else {("uint8", True)}
+    colour, form = array.shape[0] == 3, _PILLOW_FORMATS[suffix]
+    kept = _HELD[form]
     if array.ndim != 3 or (str(array.dtype), colour) not in kept:
         held = " or ".join(f"{dtype} {'(3, H, W)' if c else '(1, H, W)'}" for dtype, c in sorted(kept))
         raise TorchweatherError(
@@ -146,14 +203,12 @@ def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path
             "(torchweather.image.quantise), or write .npy."
         )
     picture = Image.fromarray(np.ascontiguousarray(np.moveaxis(array, 0, -1)) if colour else array[0])
-    # Without chroma subsampling: colour edges are what a demosaicing is judged by.
-    options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix[:3] == ".jp" else {}
-    picture.save(unfinished, format=_PILLOW_FORMATS[suffix], **options)
+    picture.save(unfinished, format=form, **_SAVE_OPTIONS.get(form, {}))
 
 
 def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:
     """Pixels ``(H, W)`` or ``(H, W, 3)`` of a picture file, upright, in the stored dtype; the orientation undone."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image, UnidentifiedImageError, features
 
     if not source.is_file():
         raise TorchweatherError(f"{source}: no such file.")
@@ -166,11 +221,17 @@ def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:
         with Image.open(source) as picture:
             _check_single(picture, source)
             _check_deep_tiff(picture, source)
+            pixel_bytes = 2 if picture.mode.startswith("I;16") else _MODE_BYTES.get(picture.mode, 1)
+            check_inflated(source, picture.width * picture.height * pixel_bytes, source.stat().st_size)
             orientation = _orientation(picture)
             picture.load()  # this turns a TIFF and takes its tag away, in some versions of Pillow
             upright = _plain(_turned(picture, _orientation(picture)))
             mode, pixels = upright.mode, np.asarray(upright)
     except UnidentifiedImageError as error:
+        if source.suffix.lower() == ".webp" and not features.check("webp"):
+            raise TorchweatherError(
+                f"{source}: this Pillow was built without WebP. Install one with it, or convert the file to .png."
+            ) from error
         raise TorchweatherError(f"{source}: wanted {_WANTED}; the content is none of them.") from error
     except Image.DecompressionBombError as error:
         raise TorchweatherError(f"{source}: wanted {_WANTED}; {error}.") from error
@@ -256,13 +317,14 @@ def _is_deep_colour_png(source: Path) -> bool:
     return len(head) == 26 and head[:8] == b"\x89PNG\r\n\x1a\n" and head[24] == 16 and head[25] in (2, 4, 6)
 
 
-def _channels_first(image: Tensor, source: Path) -> Tensor:
+def _channels_first(image: Tensor, source: Path) -> tuple[Tensor, str]:
+    """The image ``(..., C, H, W)``, and the layout that it had."""
     if image.ndim == 2:
-        return image[None]
+        return image[None], "plane"
     if image.ndim >= 3 and image.shape[-3] in (1, 3):
-        return image
-    if image.ndim == 3 and image.shape[-1] in (1, 3):
-        return torch.movedim(image, -1, 0).contiguous()
+        return image, "channels_first"
+    if image.ndim >= 3 and image.shape[-1] in (1, 3):
+        return torch.movedim(image, -1, -3).contiguous(), "channels_last"
     raise TorchweatherError(
-        f"{source}: wanted an image (H, W), (..., 1, H, W) or (..., 3, H, W); got {tuple(image.shape)}."
+        f"{source}: wanted an image (H, W), (..., C, H, W) or (..., H, W, C) with C = 1 or 3; got {tuple(image.shape)}."
     )

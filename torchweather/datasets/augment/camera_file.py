@@ -54,6 +54,9 @@ class CameraFile(FrameFile):
 
     def _read(self, path: Path) -> None:
         self.data, info = read_image(path)
+        self.info = info
+        if info.note:
+            warnings.warn(info.note, TorchweatherWarning, stacklevel=2)
         if self.data.ndim != 3:
             raise InputValueError(f"{path}: wanted one image a file; got {tuple(self.data.shape)}.")
         camera, rgb = self._camera(), info.kind == "rgb"
@@ -119,7 +122,7 @@ class CameraFile(FrameFile):
 
     def save(self, data: Tensor) -> None:
         """Write an image."""
-        write_image(self.paths.new(self.file.target), data)
+        write_image(self.paths.new(self.file.target), data, like=self.info)
 
     def note(self, result: Any) -> str:
         """How sure the depth is."""
