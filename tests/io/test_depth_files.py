@@ -157,3 +157,41 @@ def test_wrong_encodings_and_shapes_are_refused(tmp_path: Path) -> None:
             read_depth(tmp_path / name, encoding)
     with pytest.raises(ValueError, match="missing_m"):
         read_depth(tmp_path / "float.npy", missing_m=-1.0)
+
+
+@pytest.mark.parametrize("encoding", [None, "metre"])
+@pytest.mark.parametrize("dtype", [np.float32, np.uint16])
+def test_a_street_in_centimetres_is_refused(tmp_path: Path, encoding: str | None, dtype: type) -> None:
+    metres = np.geomspace(3.0, 25.0, 400).reshape(20, 20)
+    metres[0, 0] = 0.4  # a pixel of the bonnet
+    np.save(tmp_path / "d.npy", (100 * metres).astype(dtype))
+    read = encoding if dtype == np.float32 else "metre"
+    with pytest.raises(TorchweatherError, match=r"95% of it is farther than 100 m.*'centimetre' would give a median"):
+        read_depth(tmp_path / "d.npy", read)
+    assert read_depth(tmp_path / "d.npy", "centimetre").median() == pytest.approx(np.median(metres), rel=0.01)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_portable_float_maps(tmp_path: Path, order: str) -> None:
+    metres = np.array([[10.0, 20.0, math.inf], [5.0, 0.0, 40.0]])
+    head = f"Pf\n3 2\n{'-1.0' if order == '<' else '1.0'}\n".encode()
+    (tmp_path / "d.pfm").write_bytes(head + metres[::-1].astype(f"{order}f4").tobytes())
+    depth = read_depth(tmp_path / "d.pfm")
+    assert torch.equal(
+        torch.where(depth.isnan(), -1.0, depth), torch.tensor([[[10.0, 20.0, math.inf], [5.0, -1.0, 40.0]]])
+    )
+    disparity = read_disparity(tmp_path / "d.pfm")
+    assert int(disparity.isnan().sum()) == 2  # 0 and inf, as Middlebury writes what has no match
+    for broken, message in (
+        (b"PF\n3 2\n-1.0\n", r"three channels \(PF\)"),
+        (b"P5\n3 2\n255\n", "no PFM header"),
+        (b"Pf\n3 two\n-1\n", "width, height and scale"),
+        (b"Pf\n3 2\n0\n", "scale other than 0"),
+        (b"Pf\n3 2\n--1\n", "scale other than 0"),
+        (b"Pf\n99999 99999\n-1\n", "truncated"),
+    ):
+        (tmp_path / "d.pfm").write_bytes(broken + metres.astype("<f4").tobytes())
+        with pytest.raises(TorchweatherError, match=message):
+            read_depth(tmp_path / "d.pfm")
+    with pytest.raises(TorchweatherError, match=r"OpenEXR.*\.npy"):
+        read_depth(tmp_path / "d.exr")

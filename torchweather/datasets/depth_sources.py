@@ -15,7 +15,7 @@ from torchweather.io.depth_maps import map_source
 __all__ = ["GROUND", "depth_source"]
 
 GROUND = "ground"
-DEPTH_SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff")
+DEPTH_SUFFIXES = (".npy", ".npz", ".png", ".tif", ".tiff", ".pfm")
 
 
 def depth_source(

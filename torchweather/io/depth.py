@@ -15,6 +15,7 @@ from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.depth_plausible import check_plausible
 from torchweather.io.images import read_image
+from torchweather.io.pfm import read_pfm
 
 __all__ = ["CARLA_FAR_M", "DEPTH_ENCODINGS", "DISPARITY_ENCODINGS", "carla_depth_m", "read_depth", "read_disparity"]
 
@@ -56,7 +57,7 @@ def read_depth(
     """Depth map of a file, metres.
 
     Args:
-        path: ``.npy``, ``.npz`` (array ``depth_m`` or ``depth``, else the only one), ``.png`` or ``.tiff``.
+        path: ``.npy``, ``.npz`` (array ``depth_m`` or ``depth``, else the only one), ``.png``, ``.tiff`` or ``.pfm``.
         encoding: one of `DEPTH_ENCODINGS`. Float data are metres. For integers it must be named, because nothing in
             such a file distinguishes 1 mm from 1/256 m.
         missing_m: depth of pixels without a value: 0, NaN and ``-inf``. Default: NaN, unknown. ``inf`` makes sky of
@@ -157,7 +158,15 @@ def _check_encoding(source: Path, encoding: str | None) -> None:
 
 def _stored(source: Path, keys: tuple[str, ...] = ("depth_m", "depth")) -> Tensor:
     """The file's numbers, ``(..., C, H, W)``."""
-    if source.suffix.lower() in (".npy", ".npz"):
+    suffix = source.suffix.lower()
+    if suffix == ".pfm":
+        return torch.from_numpy(read_pfm(source))[None]
+    if suffix == ".exr":
+        raise TorchweatherError(
+            f"{source}: OpenEXR is not read here. Convert the map to float metres in .npy, e.g. with OpenCV: "
+            "numpy.save('depth.npy', cv2.imread('depth.exr', cv2.IMREAD_UNCHANGED))."
+        )
+    if suffix in (".npy", ".npz"):
         raw = array_to_tensor(read_array(source, list(keys)), source, "a depth map")
         return raw[None] if raw.ndim == 2 else raw
     return read_image(source)[0]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
+from torchweather import BayerFog, Fog
 from torchweather.camera.depth.scene_depth import COMPLETED
 from torchweather.camera.depth.sparse import CompletedDepthMap, along_ray_to_axis, depth_from_disparity
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.sensors import Camera
 
 HEIGHT, WIDTH = 96, 128
@@ -125,3 +128,56 @@ def test_disparity_becomes_depth_and_zero_is_unknown() -> None:
     assert depth_from_disparity(torch.tensor([36]), 720.0, 0.5).tolist() == [10.0]
     with pytest.raises(ValueError, match="baseline_m"):
         depth_from_disparity(torch.ones(1), 720.0, 0.0)
+
+
+def _street(height: int = 96, width: int = 128) -> tuple[Camera, Tensor, Tensor]:
+    """A camera, its frame, and a wall 10 m away below the sky in rows 0 to 29."""
+    camera = Camera.from_intrinsics(fx=1000.0, fy=1000.0, cx=63.5, cy=27.0, width=width, height=height)
+    depth_m = torch.full((1, height, width), 10.0)
+    depth_m[:, :30] = torch.inf
+    return camera, torch.full((1, height, width), 0.3), depth_m
+
+
+@pytest.mark.parametrize("unknown", [0.0, math.nan, -math.inf])
+def test_sparse_depth_gives_the_fog_of_whole_depth(unknown: float) -> None:
+    camera, frame, whole = _street()
+    sparse = torch.full_like(whole, unknown)
+    sparse[:, 30::4, ::4] = 10.0
+    fog = BayerFog(Fog(mor_m=100), camera, airlight=0.7)
+    for given in (sparse, sparse.expand(2, 1, -1, -1)):
+        with pytest.raises(ValueError, match=r"CompletedDepthMap\(depth\)"):
+            fog(frame.expand(*given.shape[:-3], 1, -1, -1), given)
+    with pytest.raises(ValueError, match=r"CompletedDepthMap\(depth\)"):
+        BayerFog(Fog(mor_m=100), camera, airlight=0.7, depth=sparse.numpy())
+    completed = BayerFog(Fog(mor_m=100), camera, airlight=0.7, depth=CompletedDepthMap(sparse)).run(frame)
+    # exp(-3.0 / 100 m x 10 m)
+    assert float(completed.transmission[:, 30:].mean()) == pytest.approx(0.741, abs=0.01)
+    assert float(fog.run(frame, whole).transmission[:, 30:].mean()) == pytest.approx(0.741, abs=0.002)
+
+
+def test_zeros_are_counted_and_sky_on_the_road_is_warned_of() -> None:
+    camera, frame, whole = _street()
+    fog = BayerFog(Fog(mor_m=100), camera, airlight=0.7)
+    sparse = torch.where(torch.arange(128) % 4 == 0, whole, torch.inf)
+    for transform, depth in ((fog, sparse), (BayerFog(Fog(mor_m=100), camera, airlight=0.7, depth=sparse), None)):
+        with pytest.warns(
+            TorchweatherWarning, match=r"82\.8% of the depth map is infinite.*75\.0% of its lowest third"
+        ):
+            transform(frame, depth)
+    holes = whole.clone()
+    holes[:, 90] = 0.0
+    with pytest.raises(ValueError, match=r"got 0 m in 128 of 12288 pixels \(1\.0%\)"):
+        fog(frame, holes)
+    # A camera that looks up sees sky everywhere, and a map of sky alone is meant so.
+    fog(frame, torch.full_like(whole, torch.inf))
+    upward = replace(camera, pitch_rad=0.5)
+    BayerFog(Fog(mor_m=100), upward, airlight=0.7)(frame, sparse)
+
+
+def test_a_map_in_centimetres_is_warned_of() -> None:
+    camera, frame, whole = _street()
+    fog = BayerFog(Fog(mor_m=100), camera, airlight=0.7)
+    sloped = whole * torch.linspace(2.0, 0.5, 96)[:, None]
+    with pytest.warns(TorchweatherWarning, match="nearer than 500 m.*divide centimetres by 100"):
+        fog(frame, 100.0 * sloped)
+    fog(frame, sloped)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.scene_prior import ScenePrior
-from torchweather.camera.depth.source import DepthSource, check_depth
+from torchweather.camera.depth.source import DepthSource, check_depth, warn_of_depth
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least
 
@@ -57,7 +57,8 @@ class DepthMap(DepthSource):
     """Depth that is known already: a stereo result, a renderer's buffer.
 
     Args:
-        depth_m: ``(H, W)`` or ``(..., 1, H, W)``, metres along the optical axis, 0 or more; ``inf`` is sky.
+        depth_m: ``(H, W)`` or ``(..., 1, H, W)``, metres along the optical axis, above 0; ``inf`` is sky.
+            `CompletedDepthMap` takes maps in which 0 or NaN is no value.
 
     Example:
         >>> DepthMap(torch.full((2, 2), 5.0))(Camera.preset("lucid-triton"), 2, 2).shape
@@ -89,6 +90,7 @@ class DepthMap(DepthSource):
                 f"{self.depth_m.shape[-2]} x {self.depth_m.shape[-1]}. Resize it by nearest neighbour: an average "
                 "across an edge is a depth where nothing is."
             )
+        warn_of_depth(self.depth_m, camera, self)
         return self.depth_m.to(device=device, dtype=dtype)
 
 

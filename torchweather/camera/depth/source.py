@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
@@ -10,9 +11,14 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
 from torchweather.camera.sensor import Camera
-from torchweather.core.errors import InputTypeError, InputValueError
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning
 
-__all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of"]
+__all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of", "warn_of_depth"]
+
+# Share of the lowest third that may be sky: puddles and holes of a renderer are less, a sparse map is more.
+_SKY_ON_ROAD = 0.2
+# The road before a vehicle's camera is in the picture's lowest third within 20 m, also through a long lens.
+_NEAREST_M = 100.0
 
 
 class DepthSource(ABC):
@@ -117,9 +123,10 @@ def scene_of(
 
 
 def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = None, *, owner: object) -> None:
-    """Raise ``ValueError`` unless a depth map is ``(..., 1, H, W)`` float, 0 m or more, without NaN; ``inf`` is sky.
+    """Raise ``ValueError`` unless a depth map is ``(..., 1, H, W)`` float, above 0 m, without NaN; ``inf`` is sky.
 
-    The values are not looked at while a graph is traced.
+    Nothing stands 0 m before a lens: 0 is how projected LiDARs write "no value", and would stay clear in any fog. The
+    values are not looked at while a graph is traced.
     """
     name = owner if isinstance(owner, str) else type(owner).__name__
     wanted = f"(..., 1, {'H' if height is None else height}, {'W' if width is None else width})"
@@ -131,9 +138,64 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
     if torch.compiler.is_compiling():
         return
     # One pass without a temporary: the minimum of a map with NaN is NaN.
-    if depth_m.numel() and not bool(depth_m.amin() >= 0):
-        nan, negative = int(depth_m.isnan().sum()), int((depth_m < 0).sum())
+    if depth_m.numel() and not bool(depth_m.amin() > 0):
+        nan, zero, negative = int(depth_m.isnan().sum()), int((depth_m == 0).sum()), int((depth_m < 0).sum())
+        remedy = "Complete maps with unknown pixels: CompletedDepthMap(depth)."
+        if zero and not nan and not negative:
+            raise InputValueError(
+                f"{name}: depth must be above 0 m along the optical axis, inf for sky; got 0 m in {zero} of "
+                f"{depth_m.numel()} pixels ({zero / depth_m.numel():.1%}), which is how sparse maps write no value. "
+                f"{remedy}"
+            )
         raise InputValueError(
             f"{name}: depth must be 0 m or more along the optical axis, inf for sky; got {nan} NaN and {negative} "
-            f"negative of {depth_m.numel()} pixels. Complete maps with unknown pixels: CompletedDepthMap(depth)."
+            f"negative of {depth_m.numel()} pixels. {remedy}"
         )
+
+
+def warn_of_depth(depth_m: Tensor, camera: Camera, owner: object) -> None:
+    """Warn of a map whose sky reaches the road, or that is farther away than any street.
+
+    Args:
+        depth_m: ``(..., 1, H, W)`` metres, ``inf`` is sky; NaN is unknown.
+        camera: gives the horizon.
+        owner: for the message.
+
+    Note:
+        It looks at the lowest third of the picture, for sky where that lies below the horizon. A map that is sky alone
+        is meant so. Values are not looked at while a graph is traced.
+    """
+    if torch.compiler.is_compiling() or not depth_m.numel():
+        return
+    name = owner if isinstance(owner, str) else type(owner).__name__
+    height = depth_m.shape[-2]
+    low = depth_m[..., height * 2 // 3 :, :]
+    infinite = torch.isinf(low)
+    share = float(infinite.float().mean())
+    if share > _SKY_ON_ROAD and _below_horizon(camera, height * 2 // 3 / height):
+        whole = float(torch.isinf(depth_m).float().mean())
+        if whole < 1:
+            warnings.warn(
+                f"{name}: {whole:.1%} of the depth map is infinite and counts as sky, also {share:.1%} of its lowest "
+                "third, which shows the road. If infinity marks pixels without a value, write NaN there and complete "
+                "the map: CompletedDepthMap(depth).",
+                TorchweatherWarning,
+                stacklevel=3,
+            )
+    nearest_m = float(torch.where(infinite | low.isnan(), torch.inf, low).amin())
+    if _NEAREST_M < nearest_m < torch.inf and not bool((low == nearest_m).all()):
+        warnings.warn(
+            f"{name}: nothing in the lowest third of the depth map is nearer than {nearest_m:.4g} m, where a street is "
+            "a few metres away. Depth is metres along the optical axis: divide centimetres by 100, millimetres by "
+            "1000.",
+            TorchweatherWarning,
+            stacklevel=3,
+        )
+
+
+def _below_horizon(camera: Camera, share: float) -> bool:
+    """Whether all rows from this share of the height on lie below the horizon at both edges of the picture."""
+    right, down, forward = camera.down_direction()
+    cx, cy = camera.principal_point_px
+    y = (share * camera.height - cy) / camera.fy
+    return all(right * (u - cx) / camera.fx + down * y + forward > 0 for u in (0.0, camera.width - 1.0))
