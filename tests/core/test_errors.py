@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from torchweather.core.errors import (
     check_positive,
     nearest_name,
 )
+from torchweather.core.extras import install_hint
 
 
 class Gauge:
@@ -109,3 +111,17 @@ def test_messages_are_bounded_and_can_be_printed() -> None:
     assert len(shown) < 9000
     shown.encode()
     assert str(TorchweatherError("Größe 3 µm\tgot 5")) == "Größe 3 µm\tgot 5"
+
+
+def test_hints_of_extras_work_in_a_clone() -> None:
+    package = Path(torchweather.__file__).parent
+    project = tomllib.loads((package.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = set()
+    for file in package.rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        named |= set(re.findall(r"install_hint\(['\"](\w+)['\"]", text))
+        # Every hint comes from the one function.
+        assert "torchweather[" not in text or file.name == "extras.py", file
+    assert named <= set(project["optional-dependencies"])
+    assert {"export", "io", "ouster", "tables", "detection", "scale", "video", "view"} <= named
+    assert install_hint("io").endswith("(in a clone of torchweather: pip install -e '.[io]').")

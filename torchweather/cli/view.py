@@ -207,17 +207,16 @@ def _alerts(points: Any, sensor: Lidar, result: LidarResult) -> list[str]:
 def _rerun() -> Any:
     """The module of rerun-sdk."""
     from torchweather.core.errors import TorchweatherError
+    from torchweather.core.extras import install_hint
 
     try:
         rerun = import_module("rerun")
     except ImportError as error:
-        raise TorchweatherError(
-            "view: --rerun needs rerun-sdk. Install it with pip install 'torchweather[view]'."
-        ) from error
+        raise TorchweatherError(f"view: --rerun needs rerun-sdk. {install_hint('view')}") from error
     if not hasattr(rerun, "Points3D"):
         raise TorchweatherError(
-            "view: --rerun needs rerun-sdk; another package named rerun is installed. Replace it with pip install "
-            "'torchweather[view]'."
+            "view: --rerun needs rerun-sdk; another package named rerun is installed: pip uninstall rerun. "
+            f"{install_hint('view')}"
         )
     return rerun
 

@@ -67,5 +67,5 @@ class AtLeastSingle(nn.Module):
                 return moved
             return table.to(moved.device)
 
-        applied: Self = super()._apply(kept, recurse)
+        applied: Self = super()._apply(kept, recurse)  # type: ignore[no-untyped-call]
         return applied

@@ -16,6 +16,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerWeather
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError, MissingExtraError
+from torchweather.core.extras import install_hint
 from torchweather.export.camera_graph import BAYER_FORM, RGB_FORM
 from torchweather.export.lidar_graph import LIDAR_FORM
 from torchweather.export.metadata import model_properties, set_properties
@@ -165,7 +166,7 @@ def _form(transform: object, height: int, width: int) -> GraphForm:
         import onnx_ir  # noqa: F401  (comes with onnxscript)
         import onnxscript  # noqa: F401  (torch's exporter needs it)
     except ImportError as error:
-        raise MissingExtraError("to_onnx needs onnx and onnxscript: pip install 'torchweather[export]'.") from error
+        raise MissingExtraError(f"to_onnx needs onnx and onnxscript. {install_hint('export')}") from error
     form = next((form for kind, form in FORMS.items() if isinstance(transform, kind)), None)
     if form is None:
         raise InputTypeError(

@@ -187,7 +187,8 @@ def _laid_out(array: npt.NDArray[Any], like: ImageInfo | None) -> npt.NDArray[An
     if like is not None and like.layout == "channels_last":
         return np.ascontiguousarray(np.moveaxis(array, -3, -1))
     if like is not None and like.layout == "plane" and array.shape[0] == 1 and array.ndim == 3:
-        return array[0]
+        plane: npt.NDArray[Any] = array[0]
+        return plane
     return array
 
 

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import MissingExtraError, TorchweatherError, check_one_of
+from torchweather.core.extras import install_hint
 from torchweather.io.point_cloud import PointCloud
 
 __all__ = ["OSF", "OSF_HINT", "OUSTER_INTENSITIES", "OusterFrame", "read_ouster"]
@@ -112,10 +113,7 @@ def _what_to_install(error: ImportError) -> str:
         )
     if name in ("ouster", "ouster.sdk"):
         older = "" if name == "ouster" else "; the package installed as 'ouster' has no ouster.sdk"
-        return (
-            f"read_ouster needs ouster-sdk 1.0 or newer{older}. Install it with: pip install --upgrade "
-            "'torchweather[ouster]'"
-        )
+        return f"read_ouster needs ouster-sdk 1.0 or newer{older}. {install_hint('ouster', '--upgrade')}"
     # An extension cannot be loaded: numpy or a library of the system is missing.
     return f"read_ouster: ouster-sdk is installed but cannot be loaded ({error}). Install it anew with: {anew}"
 

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.extras import install_hint
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts
 from torchweather.physics import rain_fall_speed_m_per_s
 
@@ -89,9 +90,7 @@ def read_parsivel_netcdf(source: Path, fall_speed_tolerance: float) -> DropSpect
         with h5netcdf.File(source, "r") as file:
             return _parsivel_from_variables(source, file.variables, dict(file.attrs), fall_speed_tolerance)
     except ImportError as error:  # also from File(): h5netcdf imports without h5py and fails only then
-        raise TorchweatherError(
-            f"{source}: NetCDF-4 files need h5netcdf and h5py: pip install torchweather[io]"
-        ) from error
+        raise TorchweatherError(f"{source}: NetCDF-4 files need h5netcdf and h5py. {install_hint('io')}") from error
     except (OSError, RuntimeError, KeyError) as error:
         raise TorchweatherError(f"{source}: wanted NetCDF; it is truncated or damaged ({error}).") from error
 

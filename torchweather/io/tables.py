@@ -13,6 +13,7 @@ from typing import Any
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
+from torchweather.core.extras import install_hint
 
 __all__ = ["TABLE_SUFFIXES", "read_table", "write_table"]
 
@@ -131,9 +132,7 @@ def _pyarrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise TorchweatherError(
-            "Parquet files need pyarrow: install torchweather[tables], or use a .csv file."
-        ) from error
+        raise TorchweatherError(f"Parquet files need pyarrow, or use a .csv file. {install_hint('tables')}") from error
     return pyarrow, pyarrow.parquet
 
 

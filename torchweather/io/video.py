@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, MissingExtraError, TorchweatherError, check_positive
+from torchweather.core.extras import install_hint
 
 __all__ = ["VIDEO_SUFFIXES", "WRITTEN_SUFFIXES", "VideoFrame", "VideoReader", "VideoWriter", "write_video"]
 
@@ -286,5 +287,5 @@ def _pyav() -> Any:
         import av
         import av.error
     except ImportError as error:
-        raise MissingExtraError("Videos need PyAV. Install it with: pip install 'torchweather[video]'") from error
+        raise MissingExtraError(f"Videos need PyAV. {install_hint('video')}") from error
     return av

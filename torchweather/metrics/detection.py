@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.core.errors import InputValueError, TorchweatherError, check_between, check_one_of
+from torchweather.core.extras import install_hint
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.box_overlap import bev_coverage, bev_iou, box_coverage, box_iou
 from torchweather.metrics.detection_curve import INTERPOLATIONS, MatchedBoxes
@@ -199,7 +200,7 @@ def _match(*records: Any, **options: Any) -> list[list[list[Mapping[str, Any]]]]
     try:
         from torchweather.metrics.coco_matching import match
     except ImportError as error:
-        raise TorchweatherError("average_precision: needs pycocotools: install torchweather[detection].") from error
+        raise TorchweatherError(f"average_precision: needs pycocotools. {install_hint('detection')}") from error
     return match(*records, **options)
 
 

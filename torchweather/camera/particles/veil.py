@@ -269,7 +269,7 @@ class ParticleVeil(Stage):
         a graph would hold all of them. An exported graph does.
         """
         if torch.compiler.is_dynamo_compiling():
-            apart: Callable[..., CameraState] = torch.compiler.disable(self._render)
+            apart: Callable[..., CameraState] = torch.compiler.disable(self._render)  # type: ignore[no-untyped-call]
             return apart(state, noise)
         if is_exporting():
             return self._render(state, noise)

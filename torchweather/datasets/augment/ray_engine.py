@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from torchweather.core.errors import MissingExtraError
+from torchweather.core.extras import install_hint
 from torchweather.datasets.augment.frames import Frame
 from torchweather.datasets.augment.job import Job
 from torchweather.datasets.augment.local import TRIES, lost_row
@@ -110,5 +111,5 @@ def _ray() -> Any:
         import ray
         import ray.data
     except ImportError as error:
-        raise MissingExtraError("--engine ray needs Ray: pip install 'torchweather[scale]'.") from error
+        raise MissingExtraError(f"--engine ray needs Ray. {install_hint('scale')}") from error
     return ray

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.extras import install_hint
 from torchweather.evaluation.robustness.truth import BoxTruth, LabelTruth
 from torchweather.metrics.detection import matched_boxes
 from torchweather.metrics.detection_curve import MatchedBoxes
@@ -93,7 +94,7 @@ class BoxCounter(Counter):
     def __init__(self, classes: Mapping[int, str], thresholds: Sequence[float]) -> None:
         super().__init__(classes, thresholds)
         if importlib.util.find_spec("pycocotools") is None:  # said now, and not when all frames are done
-            raise TorchweatherError("average precision needs pycocotools: install torchweather[detection].")
+            raise TorchweatherError(f"average precision needs pycocotools. {install_hint('detection')}")
         self.found: list[dict[str, Any]] = []
         self.truths: list[dict[str, Any]] = []
         self._matched: list[MatchedBoxes] | None = None
