@@ -109,6 +109,7 @@ class RobustnessFrames:
             options = {key: value for key, value in self.options.items() if key not in ("depth", "lost")}
             subject = replace(subject, options={**options, **subject.options})
             if self.truths is not None:
+                self.truths[stem].check_size(subject.label_shape, file)
                 yield LabelledFrame(stem, subject, self.truths[stem])
                 continue
             truth = read_label_truth(self.labels, stem, self.declaration.sensor, subject.label_shape)

@@ -133,3 +133,12 @@ def test_labels_are_read_from_images_and_label_files(tmp_path: Path) -> None:
     assert read_label_truth(tmp_path, "c", "lidar", (2,)).classes.tolist() == [0, 1]
     with pytest.raises(TorchweatherError, match=r"no ground truth for b; wanted b with \.label"):
         read_label_truth(tmp_path, "b", "lidar", (2,))
+
+
+def test_boxes_of_an_image_on_its_side_are_refused() -> None:
+    truth = BoxTruth(np.zeros((0, 4)), (), np.zeros(0, bool), (48, 64))
+    truth.check_size((48, 64), "0.jpg")
+    with pytest.raises(TorchweatherError, match=r"0\.jpg: .* of 64 x 48 px; the frame has 48 x 64\. .*EXIF"):
+        truth.check_size((64, 48), "0.jpg")
+    with pytest.raises(TorchweatherError, match="scale the boxes"):
+        truth.check_size((96, 128), "0.jpg")

@@ -6,7 +6,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +32,33 @@ class BoxTruth:
         boxes: ``(M, 4)`` left, top, right, bottom, pixels.
         labels: names of their classes.
         ignore: ``(M,)`` bool: neither missed nor false (COCO's crowds).
+        size_px: height and width of the image in which the boxes count; ``None`` where the file does not say.
     """
 
     boxes: NDArray[np.float64]
     labels: tuple[str, ...]
     ignore: NDArray[np.bool_]
+    size_px: tuple[int, int] | None = None
+
+    def check_size(self, shape: tuple[int, ...], frame: object) -> None:
+        """Raise where the boxes count in an image of another size than the frame ``(H, W)``, such as one on its side.
+
+        Example:
+            >>> BoxTruth(np.zeros((0, 4)), (), np.zeros(0, bool), (480, 640)).check_size((480, 640), "0.jpg")
+        """
+        if self.size_px is None or len(shape) != 2 or self.size_px == tuple(shape):
+            return
+        turned = self.size_px == tuple(shape[::-1])
+        remedy = (
+            "The frame was turned upright by its EXIF orientation: count the boxes in the upright picture, or remove "
+            "the tag."
+            if turned
+            else "Give the images that were annotated, or scale the boxes."
+        )
+        raise TorchweatherError(
+            f"{frame}: the boxes belong to an image of {self.size_px[1]} x {self.size_px[0]} px; the frame has "
+            f"{shape[1]} x {shape[0]}. {remedy}"
+        )
 
 
 @dataclass(frozen=True)
@@ -50,7 +72,8 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
     """Boxes by the stem of the frame's file name.
 
     Args:
-        path: COCO's JSON: ``images`` (``id``, ``file_name``), ``annotations`` (``image_id``, ``category_id``, ``bbox``
+        path: COCO's JSON: ``images`` (``id``, ``file_name``; ``height`` and ``width`` are compared with the frame's),
+            ``annotations`` (``image_id``, ``category_id``, ``bbox``
             left, top, width, height in pixels, ``iscrowd``), ``categories`` (``id``, ``name``).
         classes: of the detector; boxes of other categories are left out.
 
@@ -61,6 +84,7 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
     values = read_json(file, "ground truth, COCO's")
     try:
         images = {each["id"]: Path(each["file_name"]).stem for each in values["images"]}
+        sizes = {Path(each["file_name"]).stem: _size_px(each) for each in values["images"]}
         names = {each["id"]: str(each["name"]) for each in values["categories"]}
         boxes = [
             (images[each["image_id"]], names[each["category_id"]], [float(v) for v in each["bbox"]], each)
@@ -88,7 +112,14 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
         if name in known:
             left, top, width, height = box
             found[stem].append((name, [left, top, left + width, top + height], bool(each.get("iscrowd", 0))))
-    return {stem: _boxes(found[stem]) for stem in images.values()}
+    return {stem: replace(_boxes(found[stem]), size_px=sizes[stem]) for stem in images.values()}
+
+
+def _size_px(image: Mapping[str, Any]) -> tuple[int, int] | None:
+    height, width = image.get("height"), image.get("width")
+    if isinstance(height, int) and isinstance(width, int) and min(height, width) > 0:
+        return height, width
+    return None
 
 
 def _boxes(entries: list[tuple[str, list[float], bool]]) -> BoxTruth:
