@@ -45,7 +45,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|DIR|METRES|ground|lidar",
         help="of images; default: the LiDAR's where the layout has one, else what the recipe says, else ground",
     )
-    parser.add_argument("--depth-encoding", help="of integer maps: millimetre, kitti (1/256 m) or carla")
+    parser.add_argument(
+        "--depth-encoding",
+        help="of depth maps: metre (default of floats), centimetre, millimetre, kitti (1/256 m), carla, disparity "
+        "(pixels) or disparity_kitti (1/256 pixel); 0 and NaN are unknown",
+    )
+    parser.add_argument(
+        "--depth-along",
+        choices=("axis", "ray"),
+        help="direction of a map's metres: along the optical axis (default), or along each pixel's ray",
+    )
+    parser.add_argument("--baseline-m", type=float, help="of a disparity: distance of the two lenses, m")
     parser.add_argument(
         "--format",
         action="append",
@@ -82,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
             layout=args.layout,
             depth=args.depth,
             depth_encoding=args.depth_encoding,
+            depth_along=args.depth_along,
+            baseline_m=args.baseline_m,
             formats=_formats(args.format),
             own_vehicle=args.own_vehicle,
             reading=reading_of(args),

@@ -107,7 +107,8 @@ class CameraFile(FrameFile):
             if self.spec.options.get("depth") is not None:
                 return None
             chosen = AUTO if rgb else GROUND
-        return depth_source(chosen, self.job.depth_encoding, path)
+        job = self.job
+        return depth_source(chosen, job.depth_encoding, path, along=job.depth_along, baseline_m=job.baseline_m)
 
     def _columns(self) -> dict[str, Any]:
         """Columns of the clouds, where they are stated."""

@@ -26,6 +26,8 @@ class Job:
         depth: where a camera's depth comes from: a file, a folder, metres, ``ground`` or ``lidar``; ``None`` is the
             LiDAR where the layout has one, else what the recipe says, else ``ground``.
         depth_encoding: of integer depth maps.
+        depth_along: of depth maps: ``axis`` or ``ray``; ``None`` is ``axis``.
+        baseline_m: of disparity maps: distance of the two lenses, m.
         own_vehicle: drive to the mask of its vehicle (`drive_of`).
         reading: how point files are to be read.
     """
@@ -36,6 +38,8 @@ class Job:
     seed: int
     depth: str | None = None
     depth_encoding: str | None = None
+    depth_along: str | None = None
+    baseline_m: float | None = None
     own_vehicle: Mapping[str, OwnVehicleMask] = field(default_factory=dict, repr=False)
     reading: PointReading = field(default_factory=PointReading)
 

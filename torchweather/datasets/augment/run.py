@@ -37,7 +37,8 @@ UNFINISHED = re.compile(r"^\..*\.[0-9a-f]{32}(\.[^.]*)?$")
 # What must be the same for a run to go on where another ended, and its option on the command line.
 SAME = {"recipe_sha256": "--recipe", "seed": "--seed", "layout": "--layout", "depth": "--depth"}
 SAME |= {"bin_columns": "--bin-columns", "bin_dtype": "--bin-dtype", "viewpoint": "--viewpoint"}
-SAME |= {"depth_encoding": "--depth-encoding", "formats": "--format", "own_vehicle": "--own-vehicle"}
+SAME |= {"depth_encoding": "--depth-encoding", "depth_along": "--depth-along", "baseline_m": "--baseline-m"}
+SAME |= {"formats": "--format", "own_vehicle": "--own-vehicle"}
 
 
 class Engine(Protocol):
@@ -103,6 +104,8 @@ def augment(
     layout: str = "auto",
     depth: str | None = None,
     depth_encoding: str | None = None,
+    depth_along: str | None = None,
+    baseline_m: float | None = None,
     formats: Mapping[str, str] | None = None,
     own_vehicle: str | None = None,
     reading: PointReading | None = None,
@@ -124,6 +127,8 @@ def augment(
         layout: ``auto``, ``folder``, ``kitti`` or ``nuscenes``.
         depth: of cameras: a file, a folder, metres, ``ground``, or ``lidar``; ``None``: what the layout has.
         depth_encoding: of integer depth maps.
+        depth_along: of depth maps: ``axis`` (default) or ``ray``, the direction in which their metres count.
+        baseline_m: of disparity maps: distance of the two lenses, m.
         formats: of a plain folder, kind of sensor to the ending of the results.
         own_vehicle: ``drive``: a mask of the vehicle over at most 50 sweeps of each drive (a folder, or a log of
             nuScenes); a file of such a mask; ``none``. ``None`` is ``drive`` where the recipe completes sweeps and a
@@ -161,13 +166,25 @@ def augment(
         "layout": data.layout,
         "depth": depth or "",
         "depth_encoding": depth_encoding or "",
+        "depth_along": depth_along or "",
+        "baseline_m": "" if baseline_m is None else f"{baseline_m:g}",
         "own_vehicle": own_vehicle or "",
         **_reading_settings(how),
         "formats": json.dumps(dict(formats or {}), sort_keys=True),
         "version": torchweather.__version__,
         "draws": DRAWS,
     }
-    job = Job(str(source.resolve()), str(target.resolve()), text, int(seed), depth, depth_encoding, reading=how)
+    job = Job(
+        str(source.resolve()),
+        str(target.resolve()),
+        text,
+        int(seed),
+        depth,
+        depth_encoding,
+        depth_along,
+        baseline_m,
+        reading=how,
+    )
     _check_target(target)
     if dry_run and not (target / MANIFEST).exists():
         return _summary(data, target, list(data.frames), started)
