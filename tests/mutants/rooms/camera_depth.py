@@ -60,4 +60,12 @@ MUTANTS = (
         "mask[0] = (0.5 * (edge_row - row) + 0.5)",
         ("tests/camera/depth/test_near_mask.py::test_a_bonnet_is_found_within_two_rows",),
     ),
+    Mutant(
+        "sparse_map_stays_clear",
+        "0 m is no depth",
+        "torchweather.camera.depth.source",
+        "not bool(depth_m.amin() > 0)",
+        "not bool(depth_m.amin() >= 0)",
+        ("tests/camera/depth/test_sparse_depth.py::test_zeros_are_counted_and_sky_on_the_road_is_warned_of",),
+    ),
 )

@@ -227,4 +227,20 @@ MUTANTS = (
         "pass",
         ("tests/datasets/augment/test_point_labels.py::test_columns_that_label_points_follow_too",),
     ),
+    Mutant(
+        "layout_of_an_array_lost",
+        "an array with channels last goes back to that layout",
+        "torchweather.io.images",
+        'like.layout == "channels_last"',
+        'like.layout == "channels_lost"',
+        ("tests/io/test_images.py::test_arrays_go_back_to_their_layout",),
+    ),
+    Mutant(
+        "float_map_from_the_top",
+        "the rows of a portable float map go from the bottom to the top",
+        "torchweather.io.pfm",
+        "reshape(height, width)[::-1]",
+        "reshape(height, width)",
+        ("tests/io/test_depth_files.py::test_portable_float_maps",),
+    ),
 )

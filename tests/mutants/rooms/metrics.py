@@ -89,4 +89,20 @@ MUTANTS = (
         "sizes = np.array([each.spearman.value for each in with_value])",
         ("tests/metrics/test_correlation.py::test_metrics_are_ranked_by_the_size_of_rho_with_their_spread",),
     ),
+    Mutant(
+        "sr_sim_whitens_rounding_noise",
+        "a frequency that an image lacks has no part in its saliency",
+        "torchweather.metrics.sr_sim",
+        "ABSENT = 1e-3",
+        "ABSENT = 1e-16",
+        ("tests/metrics/test_sr_sim.py::test_float32_gives_the_float64_value_where_frequencies_are_absent",),
+    ),
+    Mutant(
+        "scores_rounded_by_autocast",
+        "a score is the same inside autocast",
+        "torchweather.core.precision",
+        "with torch.autocast(device, enabled=False):",
+        "with torch.autocast(device, enabled=True):\n                    return function(*args, **kwargs)",
+        ("tests/metrics/test_autocast.py::test_bayer_scores",),
+    ),
 )
