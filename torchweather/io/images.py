@@ -60,7 +60,6 @@ _NEW_SUBFILE_TYPE, _BITS_PER_SAMPLE, _SAMPLES_PER_PIXEL = 254, 258, 277
 _WANTED = "an image: .png, .tif, .tiff, .jpg, .jpeg, .bmp, .webp, .npy or .npz"
 # Bytes of a decoded pixel by Pillow's mode; every other mode has one.
 _MODE_BYTES = {"I": 4, "F": 4, "RGB": 4, "RGBA": 4, "RGBX": 4, "CMYK": 4, "YCbCr": 4, "LAB": 4, "HSV": 4, "PA": 4}
-LAYOUTS = ("channels_first", "channels_last", "plane")
 
 
 @dataclass(frozen=True)
@@ -72,16 +71,17 @@ class ImageInfo:
         suffix: its ending, lower case.
         kind: ``mosaic`` (one value per pixel, raw or grey) or ``rgb``.
         orientation: EXIF orientation that was carried out, 1 to 8; 1 where the pixels were upright.
-        layout: of an array's axes: ``channels_first``, ``channels_last`` ``(..., H, W, C)``, or ``plane`` ``(H, W)``.
-        array: name of the array in a ``.npz``; '' of any other file.
+        layout: of an array's axes, where they are not ``(..., C, H, W)``: ``channels_last`` ``(..., H, W, C)``, or
+            ``plane`` ``(H, W)``.
+        array: name of the array in a ``.npz``.
     """
 
     path: Path
     suffix: str
     kind: str
     orientation: int = 1
-    layout: str = "channels_first"
-    array: str = ""
+    layout: str | None = None
+    array: str | None = None
 
     @property
     def note(self) -> str:
@@ -124,7 +124,8 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
     source = Path(path)
     suffix = source.suffix.lower()
     orientation = 1
-    layout, name = LAYOUTS[0], ""
+    layout: str | None = None
+    name = ""
     if suffix in _ARRAYS:
         name, array = read_named_array(source, ["bayer"])
         image, layout = _channels_first(array_to_tensor(array, source, "an image"), source)
@@ -143,7 +144,7 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
             TorchweatherWarning,
             stacklevel=2,
         )
-    return image, ImageInfo(source, suffix, kind, orientation, layout, name)
+    return image, ImageInfo(source, suffix, kind, orientation, layout, name or None)
 
 
 def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo | None = None) -> None:
@@ -173,7 +174,7 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo 
     array = pixels.numpy()
     if suffix == ".npz":
         name = "bayer" if array.shape[-3] == 1 else "rgb"
-        write_archive(target, {(like.array if like else "") or name: _laid_out(array, like)})
+        write_archive(target, {(like.array if like else None) or name: _laid_out(array, like)})
         return
     with atomic_write(target) as unfinished:
         if suffix == ".npy":
@@ -318,12 +319,12 @@ def _is_deep_colour_png(source: Path) -> bool:
     return len(head) == 26 and head[:8] == b"\x89PNG\r\n\x1a\n" and head[24] == 16 and head[25] in (2, 4, 6)
 
 
-def _channels_first(image: Tensor, source: Path) -> tuple[Tensor, str]:
-    """The image ``(..., C, H, W)``, and the layout that it had."""
+def _channels_first(image: Tensor, source: Path) -> tuple[Tensor, str | None]:
+    """The image ``(..., C, H, W)``, and the layout that it had, where that is another."""
     if image.ndim == 2:
         return image[None], "plane"
     if image.ndim >= 3 and image.shape[-3] in (1, 3):
-        return image, "channels_first"
+        return image, None
     if image.ndim >= 3 and image.shape[-1] in (1, 3):
         return torch.movedim(image, -1, -3).contiguous(), "channels_last"
     raise TorchweatherError(
