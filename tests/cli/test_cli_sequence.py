@@ -235,12 +235,12 @@ def test_a_killed_run_goes_on_and_gives_the_same_bytes(
     assert run(*command, "--out", tmp_path / "whole")[0] == 0
     written = 0
 
-    def killed(path: Path, image: Tensor) -> None:
+    def killed(path: Path, image: Tensor, **options: Any) -> None:
         nonlocal written
         if written == 5:
             raise KeyboardInterrupt
         written += 1
-        write_image(path, image)
+        write_image(path, image, **options)
 
     with monkeypatch.context() as context:
         context.setattr(sequence_frames, "write_image", killed)
