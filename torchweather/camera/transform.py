@@ -15,7 +15,8 @@ from torchweather.atmosphere.density_field import PatchyAir, patchy_air
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, check_intensities
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, scaled_airlight
 from torchweather.camera.bayer import cfa_colour_index
-from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of, warn_of_depth
+from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
+from torchweather.camera.depth.source import warn_of_depth
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.camera.options import RENAMED, CameraOptions

@@ -21,7 +21,7 @@ from torchweather.camera.depth.scene_depth import (
 )
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.sky import Sky, find_sky, sky_mask
-from torchweather.camera.depth.source import DepthSource, check_depth, scene_of, warn_of_depth
+from torchweather.camera.depth.source import DepthSource, check_depth, scene_of
 from torchweather.camera.depth.sparse import CompletedDepthMap, along_ray_to_axis, depth_from_disparity
 
 __all__ = [
@@ -47,7 +47,6 @@ __all__ = [
     "along_ray_to_axis",
     "as_depth_source",
     "check_depth",
-    "warn_of_depth",
     "depth_from_disparity",
     "find_horizon",
     "find_near_mask",
