@@ -526,12 +526,12 @@ def test_debug_shows_where_it_went_wrong() -> None:
 
 def test_a_rate_outside_the_measured_range_warns_in_one_line(run: Any) -> None:
     with warnings.catch_warnings():
-        code, out, err = run("explain", "--weather", "snow:rate=100")
+        code, out, err = run("explain", "--weather", "rain:rate=300")
     assert code == 0
     assert out
     (line,) = err.strip().splitlines()
     assert line.startswith("torchweather: warning: ")
-    assert "0.05..10 mm/h" in line
+    assert "0.1..200 mm/h" in line
 
 
 def test_a_failure_keeps_the_files_that_were_finished_and_names_the_frame(run: Any, tmp_path: Path) -> None:
