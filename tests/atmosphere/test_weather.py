@@ -151,7 +151,6 @@ def test_a_mixture_is_flat_sorted_and_of_different_kinds() -> None:
     ("text", "weather"),
     [
         ("rain:rate=25", Rain(25.0)),
-        ("rain", Rain(0.0)),
         ("snow:rate=1,albedo=0.85", Snow(1.0, albedo=0.85)),
         ("snow:rate=1,melt_fraction=0.3", Snow(1.0, melt_fraction=0.3)),
         ("fog:mor=30", Fog(30.0)),

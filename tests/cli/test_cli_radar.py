@@ -14,6 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.cli.bare import bare
 from torchweather.atmosphere.weather import Rain, parse_weather
 from torchweather.cli import main
 from torchweather.io import (
@@ -47,7 +48,7 @@ SMALL_RADAR = ("--sensor", "radar:awr1843-like")
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Any:
     def call(*argv: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in argv])
+        code = main(bare(argv))
         printed = capsys.readouterr()
         return code, printed.out, printed.err
 
@@ -147,7 +148,7 @@ def test_frames_of_a_folder_take_seed_plus_their_number_and_a_line_each(run: Any
     # Only the rain's own detections are random.
     given = ("--weather", RAIN, "--clutter", "--ego-speed-m-per-s", 8)
     code, text, err = run("apply", *IMAGING, *given, folder, "--out", tmp_path / "out", "--seed", 4)
-    assert (code, err) == (0, "")
+    assert (code, err) == (0, f"torchweather: left out: 1 file or folder of those given: {folder / 'note.txt'}.\n")
     lines = text.strip().splitlines()
     assert [line.split()[0] for line in lines] == [str(folder / "a.pcd"), str(folder / "b.csv")]
     for word in ("rows 60: objects", "particles", "lost", "empty 0", "detection threshold 0", "dB/km", "two way"):
@@ -255,9 +256,9 @@ def test_a_recipe_sets_sensor_and_options_and_arguments_come_first(run: Any, tmp
     code, text, _ = run(*argv, "--recipe", "imaging-rain-10mm-per-h-wet-radome", "--radome-film-db", 0)
     (entry,) = json.loads(text)["files"]
     assert entry["attenuation_db_mean"] == pytest.approx(2 * 0.040 * entry["attenuation_db_per_km"], rel=1e-3)
-    code, text, _ = run(*argv, "--recipe", "imaging-fog-20m", "--weather", "rain:rate=5")
-    assert code == 0
-    assert json.loads(text)["files"][0]["weather"]["kind"] == "rain"
+    code, _, err = run(*argv, "--recipe", "imaging-fog-20m", "--weather", "rain:rate=5")
+    assert code == 2
+    assert "expected --weather or --recipe" in err
 
 
 def test_a_power_column_below_the_sensors_floor_is_said(run: Any, tmp_path: Path) -> None:
@@ -311,7 +312,8 @@ def test_a_mistake_gives_one_line_exit_code_2_and_no_file(run: Any, tmp_path: Pa
         "nothing": here / "nothing.csv", "none": here / "none.pcd", "empty": here / "empty", "here": here, "out": out,
     }  # fmt: skip
     sensor = () if "--sensor" in argv else IMAGING
-    code, text, err = run("apply", *sensor, "--weather", RAIN, *(part.format(**names) for part in argv))
+    weather = () if "--recipe" in argv else ("--weather", RAIN)
+    code, text, err = run("apply", *sensor, *weather, *(part.format(**names) for part in argv))
     assert (code, text) == (2, "")
     (line,) = err.strip().splitlines()
     assert line.startswith("torchweather: error: ")
@@ -497,7 +499,8 @@ def test_a_recipe_sets_the_weather_and_the_models_of_a_scene(run: Any, tmp_path:
 def test_a_mistake_with_a_scene_gives_one_line_exit_code_2_and_no_file(
     run: Any, tmp_path: Path, argv: list[str], said: str
 ) -> None:
-    code, text, err = run("apply", "--weather", RAIN, *argv, "-o", tmp_path / "out")
+    weather = () if "--recipe" in argv else ("--weather", RAIN)
+    code, text, err = run("apply", *weather, *argv, "-o", tmp_path / "out")
     assert (code, text) == (2, "")
     (line,) = err.strip().splitlines()
     assert line.startswith("torchweather: error: apply: ") or "ego_speed" in line

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.cli.bare import bare
 from torchweather.atmosphere.weather import Rain
 from torchweather.cli import main
 from torchweather.io import read_power_map, write_image
@@ -24,7 +25,7 @@ RAIN = ("--weather", "rain:rate=50")
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Any:
     def call(*argv: object) -> tuple[int, str, str]:
-        code = main([str(part) for part in argv])
+        code = main(bare(argv))
         out, err = capsys.readouterr()
         return code, out, err
 

@@ -12,6 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.cli.bare import bare
 from tests.lidar.sweep.test_sensor_origin import WAYMO_M
 from tests.lidar.sweep.test_sensor_origin import cloud as sweep_at
 from torchweather.atmosphere.weather import parse_weather
@@ -29,7 +30,7 @@ POSE = np.array([[0.0, -1.0, 0.0, 1.43], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 2
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Any:
     def call(*argv: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in argv])
+        code = main(bare(argv))
         printed = capsys.readouterr()
         return code, printed.out, printed.err
 

@@ -126,7 +126,7 @@ def test_the_same_particles_move_from_frame_to_frame(
 def test_the_first_frame_is_the_single_frames_draw(run: Any, tmp_path: Path, noises: list[dict[str, Tensor]]) -> None:
     frames = drive(tmp_path / "frames", 2)
     assert run(frames, *SNOW, *SEQUENCE, "--out", tmp_path / "out", "--seed", 3)[0] == 0
-    one = (sorted(frames.iterdir())[0], *SNOW, "--ego-speed-m-per-s", 14)
+    one = (sorted(frames.iterdir())[0], *SNOW, "--ego-speed-m-per-s", 14, "--seed-rule", "added")
     assert run(*one, "--out", tmp_path / "one", "--seed", 3)[0] == 0
     assert (tmp_path / "one" / "0000000000.png").read_bytes() == files(tmp_path / "out")["0000000000.png"]
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.cli.bare import bare
 from torchweather.atmosphere.weather import parse_weather
 from torchweather.cli import main
 from torchweather.image import FlatGround
@@ -27,7 +28,7 @@ RAIN = ("--weather", "rain:rate=5,50")
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Any:
     def call(*argv: object) -> tuple[int, str, str]:
-        code = main(["sweep", *(str(argument) for argument in argv)])
+        code = main(bare(["sweep", *argv]))
         printed = capsys.readouterr()
         return code, printed.out, printed.err
 

@@ -587,6 +587,7 @@ class Mixture(Weather):
 
 
 WEATHERS: dict[str, type[Rain] | type[Fog] | type[Snow]] = {"rain": Rain, "fog": Fog, "snow": Snow}
+EXAMPLES = {"rain": "rain:rate=25", "fog": "fog:mor=100", "snow": "snow:rate=1"}
 # Short names that the command line takes.
 ALIASES = {
     "rate": "rate_mm_per_h",
@@ -638,7 +639,14 @@ def _parse_one(text: str) -> Weather:
                 f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
             )
         values[ALIASES.get(key.strip(), key.strip())] = _plain(value.strip())
-    return WEATHERS[kind].from_dict(values)
+    weather = WEATHERS[kind].from_dict(values)
+    if weather.intensity_name not in values:
+        # The constructors' own value is clear air, which nobody writes this for.
+        wanted = "a visibility in metres" if kind == "fog" else "a rate in mm/h"
+        raise InputValueError(
+            f"torchweather: weather {text.strip()!r}: expected {wanted}; got none. Give e.g. {EXAMPLES[kind]}."
+        )
+    return weather
 
 
 def _plain(text: str) -> str | float | bool | Uniform:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.cli.detections import RADAR_ARGUMENTS, add_radar_arguments
+from torchweather.cli.frame_seeds import add_seed_rule
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.cli.own_vehicle import add_own_vehicle
+from torchweather.cli.run_record import add_no_record
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
-    from torchweather.atmosphere.weather import Weather
     from torchweather.recipes.transform import TransformRecipe
 
 NAME = "apply"
@@ -25,16 +26,18 @@ pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point
 .pcd.bin, .pcd, .ply, .npz, .csv, .las, .laz, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
 (nuScenes' or one's own), .npz, .csv or View-of-Delft's .bin; power maps of a radar polar .png, .npy or .npz.
 In a video, and in a folder with --sequence, the particles move from frame to frame. Each output keeps the
-name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. Sample
-i takes the random numbers of seed + i. With --sensor radar, scene:test-track and scene:fog-tunnel simulate
-the radar's frame of an embedded scene: NAME.npz in the weather, NAME_clear.npz in clear air, and NAME.png
+name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. The
+seed of a frame is hashed from --seed and the name of its file. A broken file is named and left out.
+torchweather-record.json says what was made how. Exit code 0: all is done; 1: done, but for broken files; 2: a
+mistake in what was asked, or no file could be done. With --sensor radar, scene:test-track and scene:fog-tunnel
+simulate the radar's frame of an embedded scene: NAME.npz in the weather, NAME_clear.npz in clear air, and NAME.png
 with both."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.
 CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".las", ".laz", ".pcap")
 KINDS = ("camera", "lidar", "radar")
-Work = tuple[Callable[..., list[dict[str, Any]]], Callable[[dict[str, Any]], str]]
+Work = tuple[Callable[..., None], Callable[[dict[str, Any]], str]]
 """What processes the inputs, and what describes one result in a line."""
 SEQUENCE_ARGUMENTS = ("sequence", "frame_rate_hz")
 # By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
@@ -59,7 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor", help="camera, lidar or radar, with :PRESET; default the recipe's, else camera:lucid-triton"
     )
     parser.add_argument("--seed", type=int, default=0, help="default 0")
+    add_seed_rule(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
+    add_no_record(parser)
     parser.add_argument(
         "--preview",
         action="store_true",
@@ -98,9 +103,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Process the files."""
     from torchweather.atmosphere.weather import parse_weather
-    from torchweather.cli.output import print_json, print_lines
+    from torchweather.cli.outcome import Outcome
+    from torchweather.cli.output import print_json, print_lines, shown
+    from torchweather.cli.run_record import read_runs, record_of, write_run
     from torchweather.recipes import read_recipe
 
+    if args.weather is not None and args.recipe is not None:
+        raise InputValueError(
+            f"apply: expected --weather or --recipe, which has a weather of its own; got --weather {args.weather} and "
+            f"--recipe {args.recipe}. Leave one of them out, or write a recipe with that weather."
+        )
     recipe = None if args.recipe is None else read_recipe(args.recipe, "transform")
     if args.weather is not None:
         weather = parse_weather(args.weather)
@@ -109,21 +121,35 @@ def run(args: argparse.Namespace) -> int:
     else:
         raise InputValueError("apply: give --weather, such as fog:mor=30, or --recipe (see torchweather list).")
     kind, preset = _sensor(args, recipe)
-    done, text = _process(args, weather, recipe, kind, preset)
-    if args.json:
-        print_json({"files": done})
-    else:
-        print_lines(text)
-    return 0
-
-
-def _process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, kind: str, preset: str
-) -> tuple[list[dict[str, Any]], str]:
-    """What was done to every frame, as values and as text."""
     process, line = WORK[kind](args)
-    done = process(args, weather, recipe, preset)
-    return done, "\n".join(line(entry) for entry in done)
+    recorded = not args.no_record and not _is_video(args.out)
+    earlier = read_runs(args.out) if recorded else []
+    outcome = Outcome(quiet=args.quiet)
+    process(args, weather, recipe, preset, outcome)
+    if recorded and outcome.done:
+        found = {
+            "weather": weather.to_dict(),
+            "sensors": outcome.sensors,
+            "seed": args.seed,
+            "seed_rule": args.seed_rule,
+            **outcome.about,
+            "files": outcome.done,
+            "broken": outcome.broken,
+            "left_out": outcome.left_out,
+        }
+        write_run(args.out, record_of(args, NAME, found), earlier)
+    if args.json:
+        print_json({"files": outcome.done, "broken": outcome.broken, "left_out": outcome.left_out})
+    elif outcome.done:
+        print_lines("\n".join(line(shown(entry)) for entry in outcome.done))
+    return outcome.close()
+
+
+def _is_video(path: Path) -> bool:
+    """Whether the results go into one video, which holds its settings itself."""
+    from torchweather.cli.apply_sequence import is_video
+
+    return is_video(path)
 
 
 def _camera_work(args: argparse.Namespace) -> Work:

@@ -18,7 +18,9 @@ from torchweather.camera.depth import AUTO, SceneDepth, scene_of
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
+from torchweather.cli.frame_seeds import FrameSeeds
 from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, gathered
+from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.exceptions import InputTypeError, InputValueError
@@ -40,15 +42,18 @@ class Plan:
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
-) -> list[dict[str, Any]]:
-    """Read, weather and write every frame; what was done, as plain values."""
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, outcome: Outcome
+) -> None:
+    """Read, weather and write every frame."""
     plan = _planned(args, weather, recipe, preset)
     frames = gathered(args.inputs)
     targets = _targets(frames, args.out)
+    outcome.begin(args.inputs, frames)
+    outcome.about |= {"options": dict(plan.options), "depth": plan.depth or f"{AUTO} (colour), {GROUND} (raw)"}
     work = _Work(plan, args)
-    bar = tqdm(frames, unit="frame", file=sys.stderr, disable=args.quiet or not sys.stderr.isatty())
-    return [work.process(frame, targets[frame]) for frame in bar]
+    for frame in tqdm(frames, unit="frame", file=sys.stderr, disable=args.quiet or not sys.stderr.isatty()):
+        with outcome.file(frame):
+            outcome.add(work.process(frame, targets[frame]), work.camera.to_dict())
 
 
 def _planned(args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str) -> Plan:
@@ -79,11 +84,12 @@ def _targets(frames: list[Path], out: Path) -> dict[Path, Path]:
 
 
 class _Work:
-    """Transforms by camera, depth maps by file, and how many samples have been drawn."""
+    """Transforms by camera, depth maps by file, and the seeds."""
 
     def __init__(self, plan: Plan, args: argparse.Namespace) -> None:
         self.plan, self.args = plan, args
-        self.samples = 0
+        self.camera = plan.camera
+        self.seeds = FrameSeeds(args.seed, args.seed_rule)
         self.said: set[str] = set()
         self.transforms: dict[tuple[Camera, bool], Any] = {}
         self.depths: dict[tuple[str, Path | None], Any] = {}
@@ -93,8 +99,7 @@ class _Work:
         started = time.perf_counter()
         image, info = read_image(frame)
         self._say(info.note)
-        seed = self.args.seed + self.samples
-        self.samples += image.shape[:-3].numel()
+        seed = self.seeds.of(frame.name, image.shape[:-3].numel())
         try:
             result, transform, scene = self._weathered(frame, image, info.kind == "rgb", seed)
         except (InputValueError, InputTypeError) as error:
@@ -119,6 +124,7 @@ class _Work:
         """The result, the transform that gave it, and the scene."""
         height, width = image.shape[-2:]
         camera, said = fitted_camera(self.plan.camera, height, width, self.args, frame=frame)
+        self.camera = camera
         self._say(said)
         if not rgb:
             _check_range(image, camera)

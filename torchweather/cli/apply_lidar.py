@@ -26,7 +26,9 @@ from torchweather.cli.clouds import (
     refuse_wrong_unit,
     with_ones,
 )
+from torchweather.cli.frame_seeds import FrameSeeds
 from torchweather.cli.ouster_product import refuse_other_product
+from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.cli.own_vehicle import own_vehicle_of, words_of
 from torchweather.core.errors import TorchweatherError
@@ -48,9 +50,9 @@ MANY_FLOORED = 0.5
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
-) -> list[dict[str, Any]]:
-    """Read, weather and write every cloud; what was done, as plain values."""
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, outcome: Outcome
+) -> None:
+    """Read, weather and write every cloud."""
     if args.labels_in is not None and args.labels != "label":
         raise InputValueError("apply: --labels-in carries labels on into new ones; give --labels label too.")
     sensor, build = builder(args, weather, recipe, preset)
@@ -68,15 +70,16 @@ def process(
         numbers["own_vehicle"] = words_of(mask)
     work = _Work(sensor, build, args, out, numbers)
     quiet = args.quiet or not sys.stderr.isatty()
-    done = []
+    outcome.begin(args.inputs, files)
+    outcome.about["options"] = {name: value for name, value in build.keywords.items() if name != "own_vehicle"}
     # Recordings hold many frames: the bar counts frames, and knows their total where each file is one.
     total = None if any(file.suffix.lower() == ".pcap" for file in files) else len(files)
     with tqdm(total=total, unit="frame", file=sys.stderr, disable=quiet) as bar:
         for file in files:
-            for frame in clouds_in(file, args, sensor):
-                done.append(work.process(frame))
-                bar.update()
-    return done
+            with outcome.file(file):
+                for frame in clouds_in(file, args, sensor):
+                    outcome.add(work.process(frame), sensor.to_dict())
+                    bar.update()
 
 
 def builder(
@@ -97,7 +100,7 @@ def builder(
 
 
 class _Work:
-    """The transform, where the results go, and how many samples have been drawn."""
+    """The transform, where the results go, and the seeds."""
 
     def __init__(
         self,
@@ -109,15 +112,15 @@ class _Work:
     ) -> None:
         self.build, self.args, self.files, self.numbers = build, args, files, numbers
         self.transform = build(sensor)
-        self.samples = 0
+        self.seeds = FrameSeeds(args.seed, args.seed_rule)
         self.by_file_kind: dict[tuple[int | None, bool], LidarWeather] = {}
         self.said: set[str] = set()
 
     def process(self, frame: CloudFrame) -> dict[str, Any]:
         """One cloud: weather and write; what was done, as plain values."""
         started = time.perf_counter()
-        seed = self.args.seed + self.samples
-        self.samples += 1
+        name = frame.path.name if frame.number is None else f"{frame.path.name}/{frame.number}"
+        seed = self.seeds.of(name)
         without_intensity = self.args.intensity == "none"
         clear = with_ones(frame.cloud) if without_intensity else frame.cloud
         hit = has_return(clear.points, self.transform.sensor)

@@ -16,6 +16,8 @@ from tqdm import tqdm
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.cli.detections import gathered_detections, radar_fields, radar_options
+from torchweather.cli.frame_seeds import FrameSeeds
+from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
@@ -38,9 +40,9 @@ SOURCES = {
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
-) -> list[dict[str, Any]]:
-    """Read, weather and write every list of detections; what was done, as plain values."""
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, outcome: Outcome
+) -> None:
+    """Read, weather and write every list of detections."""
     if args.labels == "label":
         raise InputValueError("apply: --labels label is for a lidar; give --labels npz.")
     transform = transform_of(args, weather, recipe, preset)
@@ -54,14 +56,17 @@ def process(
             results.free(_labels_path(args.out, file), str(file), keep=True)
     quiet = args.quiet or not sys.stderr.isatty()
     said: set[str] = set()
-    done = []
-    for number, file in enumerate(tqdm(files, unit="frame", file=sys.stderr, disable=quiet)):
-        done.append(_one(transform, file, args, args.seed + number))
-        for key, text in SOURCES.items():
-            if done[-1][key] != "file" and key not in said:
-                said.add(key)
-                note(text, quiet=args.quiet)
-    return done
+    outcome.begin(args.inputs, files)
+    outcome.about["options"] = radar_options(args)
+    seeds = FrameSeeds(args.seed, args.seed_rule)
+    for file in tqdm(files, unit="frame", file=sys.stderr, disable=quiet):
+        seed = seeds.of(file.name)
+        with outcome.file(file):
+            outcome.add(_one(transform, file, args, seed), transform.sensor.to_dict())
+            for key, text in SOURCES.items():
+                if outcome.done[-1][key] != "file" and key not in said:
+                    said.add(key)
+                    note(text, quiet=args.quiet)
 
 
 def transform_of(

@@ -18,6 +18,8 @@ from tqdm import tqdm
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.cli.detections import radar_fields
+from torchweather.cli.frame_seeds import FrameSeeds
+from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import TorchweatherError
@@ -51,9 +53,9 @@ def has_maps(args: argparse.Namespace) -> bool:
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
-) -> list[dict[str, Any]]:
-    """Read, weather and write every map; what was done, as plain values."""
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, outcome: Outcome
+) -> None:
+    """Read, weather and write every map."""
     for argument, reason in REFUSED.items():
         if getattr(args, argument) not in (None, False):
             raise InputValueError(f"apply: --{argument.replace('_', '-')} has no meaning for a power map: {reason}.")
@@ -75,14 +77,17 @@ def process(
             results.free(path, str(file), keep=True)
     quiet = args.quiet or not sys.stderr.isatty()
     said: set[str] = set()
-    done = []
-    for number, file in enumerate(tqdm(files, unit="frame", file=sys.stderr, disable=quiet)):
-        done.append(plan.one(file, args.seed + number))
-        for text in done[-1]["notes"]:
-            if text not in said:
-                said.add(text)
-                note(f"{text}.", quiet=args.quiet)
-    return done
+    outcome.begin(args.inputs, files)
+    outcome.about["options"] = plan.options
+    seeds = FrameSeeds(args.seed, args.seed_rule)
+    for file in tqdm(files, unit="frame", file=sys.stderr, disable=quiet):
+        seed = seeds.of(file.name)
+        with outcome.file(file):
+            outcome.add(plan.one(file, seed), plan.sensor.to_dict())
+            for text in outcome.done[-1]["notes"]:
+                if text not in said:
+                    said.add(text)
+                    note(f"{text}.", quiet=args.quiet)
 
 
 def line(entry: Mapping[str, Any]) -> str:

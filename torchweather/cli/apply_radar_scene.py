@@ -14,6 +14,8 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.cli.apply_radar import transform_of
 from torchweather.cli.detections import radar_options
+from torchweather.cli.frame_seeds import FrameSeeds
+from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.cli.result_files import ResultFiles
 from torchweather.core.errors import check_one_of
@@ -48,9 +50,14 @@ COLUMNS = (*RADAR_COLUMNS, "kind")
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, names: list[str]
-) -> list[dict[str, Any]]:
-    """Simulate the frames of every scene in clear air and in the weather, and write them; what was done."""
+    args: argparse.Namespace,
+    weather: Weather,
+    recipe: TransformRecipe | None,
+    preset: str,
+    outcome: Outcome,
+    names: list[str],
+) -> None:
+    """Simulate the frames of every scene in clear air and in the weather, and write them."""
     for name in names:
         check_one_of("scene", name, SCENES, owner="apply")
     for argument, reason in REFUSED.items():
@@ -67,9 +74,10 @@ def process(
     for name in names:
         for path in _paths(args.out, name):
             results.free(path, f"scene:{name}", keep=True)
-    return [
-        _one(name, radar, sensor, weather, options, args.seed + number, args.out) for number, name in enumerate(names)
-    ]
+    seeds = FrameSeeds(args.seed, args.seed_rule)
+    outcome.about["options"] = dict(options)
+    for name in names:
+        outcome.add(_one(name, radar, sensor, weather, options, seeds.of(name), args.out), radar.to_dict())
 
 
 def _options(args: argparse.Namespace, recipe: TransformRecipe | None) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 from torchweather import __version__
 from torchweather.atmosphere.weather import Weather
 from torchweather.cli.frames import camera_fields, fitted_camera, gathered
+from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.cli.sequence_frames import (
     ClipFrames,
@@ -41,9 +42,9 @@ def is_video(path: Path) -> bool:
 
 
 def process(
-    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str
-) -> list[dict[str, Any]]:
-    """Read, weather and write a drive frame by frame; what was done, as plain values."""
+    args: argparse.Namespace, weather: Weather, recipe: TransformRecipe | None, preset: str, outcome: Outcome
+) -> None:
+    """Read, weather and write a drive frame by frame."""
     started = time.perf_counter()
     frames = _frames_of(args)
     rate_hz = _rate(args, frames)
@@ -103,7 +104,8 @@ def process(
         "notes": said + ([] if survey is None else survey.notes),
         "seconds": time.perf_counter() - started,
     }
-    return [entry]
+    outcome.about |= {"options": settings["options"], "depth": settings["depth"]}
+    outcome.add(entry, plan.camera.to_dict())
 
 
 def _frames_of(args: argparse.Namespace) -> FolderFrames | ClipFrames:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import sys
+import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["note", "plain", "print_json", "print_lines", "spelled"]
+__all__ = ["note", "plain", "print_json", "print_lines", "printable", "shown", "spelled"]
 
 
 def plain(value: Any) -> Any:
@@ -45,17 +46,48 @@ def spelled(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else plain(value)
 
 
+def printable(text: str, *, lines: bool = False) -> str:
+    r"""Text that cannot steer a terminal: control characters and bytes that are no UTF-8 are written as escapes.
+
+    Args:
+        text: that may hold names of files.
+        lines: keep line breaks.
+
+    Example:
+        >>> print(printable("a\x1b[2J.png"))
+        a\x1b[2J.png
+    """
+    return "".join(
+        one if (lines and one == "\n") or not _steers(one) else one.encode("unicode_escape").decode("ascii")
+        for one in text
+    )
+
+
+def shown(value: Any) -> Any:
+    """Values whose texts are ``printable``, also where a name holds a line break."""
+    if isinstance(value, Mapping):
+        return {key: shown(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [shown(entry) for entry in value]
+    return printable(value) if isinstance(value, str) else value
+
+
+def _steers(one: str) -> bool:
+    """Control characters, marks that turn the direction of writing, separators of lines, halves of surrogate pairs."""
+    return unicodedata.category(one) in ("Cc", "Cf", "Cs", "Zl", "Zp")
+
+
 def print_json(value: Any) -> None:
     """JSON on standard output."""
     sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False) + "\n")
 
 
 def print_lines(text: str) -> None:
-    """Text on standard output."""
-    sys.stdout.write(text + "\n")
+    """Text on standard output; names in it cannot steer the terminal."""
+    sys.stdout.write(printable(text, lines=True) + "\n")
 
 
 def note(text: str, *, quiet: bool = False) -> None:
     """One line on standard error about a choice that was made for the user."""
     if not quiet:
-        sys.stderr.write(f"torchweather: {text}\n")
+        sys.stderr.write(f"torchweather: {printable(text)}\n")

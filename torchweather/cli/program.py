@@ -32,6 +32,7 @@ from torchweather.cli import (
     view,
 )
 from torchweather.cli.mistakes import is_mistake, one_line
+from torchweather.cli.output import printable
 
 __all__ = ["main"]
 
@@ -84,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if args.debug or not is_mistake(error):
             raise
-        sys.stderr.write(f"torchweather: error: {one_line(error)}\n")
+        sys.stderr.write(f"torchweather: error: {printable(one_line(error))}\n")
         return MISTAKE
 
 
@@ -124,7 +125,7 @@ def warnings_in_one_line() -> Iterator[None]:
         text = " ".join(str(message).split())
         if text not in shown:
             shown.add(text)
-            sys.stderr.write(f"torchweather: warning: {text}\n")
+            sys.stderr.write(f"torchweather: warning: {printable(text)}\n")
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)  # TorchweatherWarning is one; its module would import torch

@@ -16,12 +16,14 @@ from torchweather.cli.clouds import (
     add_reading,
 )
 from torchweather.cli.detections import RADAR_FIELDS, add_radar_fields
+from torchweather.cli.frame_seeds import add_seed_rule, storm_seeds
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
 from torchweather.cli.regions import REGION_HELP
+from torchweather.cli.run_record import add_no_record
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
-    from torchweather.evaluation.sweep import Subject
+    from torchweather.evaluation.sweep import Level, Subject
 
 NAME = "sweep"
 SUMMARY = "scores against weather of rising severity: a table and a page with the curves"
@@ -55,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with a list of values: rain:rate=1,5,10,25,50, fog:mor=400,100,30; may be given several times",
     )
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="storms at every level; default 3")
-    parser.add_argument("--seed", type=int, default=0, help="first of the seeds; default 0")
+    parser.add_argument("--seed", type=int, default=0, help="of all storms; default 0")
+    add_seed_rule(parser)
+    add_no_record(parser)
     parser.add_argument("--metrics", help="names joined by commas; default all that the sensor has")
     parser.add_argument("--table", choices=("csv", "parquet"), default="csv", help="format of the table; default csv")
     parser.add_argument("--size", metavar="WxH", help="of an embedded scene's frame; default half the preset's")
@@ -89,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Sweep and write."""
     from torchweather.cli.output import note, print_json, print_lines
+    from torchweather.cli.run_record import read_runs, record_of, write_run
     from torchweather.evaluation.sweep import parse_levels
     from torchweather.report.sweep_page import write_sweep
 
@@ -99,23 +104,53 @@ def run(args: argparse.Namespace) -> int:
     subjects, sensor, notes = _subjects(args, kind, preset)
     for text in notes:
         note(text, quiet=args.quiet)
+    earlier = [] if args.no_record else read_runs(args.out)
+    seeds = storm_seeds(args.seed, args.seeds, args.seed_rule)
     summary = write_sweep(
         args.out,
         subjects,
         levels,
-        range(args.seed, args.seed + args.seeds),
+        seeds,
         names,
         sensor=sensor,
         table=args.table,
         notes=notes,
         progress=not args.quiet and sys.stderr.isatty(),
     )
+    if not args.no_record:
+        write_run(args.out, record_of(args, NAME, _recorded(args, subjects, levels, seeds, summary)), earlier)
     if args.json:
         print_json(summary)
     else:
         headed = ["depth guessed"] if summary["depth"] == "guessed" else []
         print_lines("\n".join([*headed, *map(_line, summary["series"]), f"wrote {args.out / 'index.html'}"]))
     return 0
+
+
+def _recorded(
+    args: argparse.Namespace,
+    subjects: list[Subject],
+    levels: list[Level],
+    seeds: list[int],
+    summary: dict[str, Any],
+) -> dict[str, Any]:
+    """What the record holds of a sweep."""
+    sensors: list[Any] = []
+    for subject in subjects:
+        values = getattr(subject, subject.sensor).to_dict()
+        if values not in sensors:
+            sensors.append(values)
+    return {
+        "weather": [level.weather.to_dict() for level in levels],
+        "sensors": sensors,
+        "seed": args.seed,
+        "seed_rule": args.seed_rule,
+        "seeds": seeds,
+        "options": dict(getattr(subjects[0], "options", {})),
+        "depth": args.depth or summary["depth"],
+        "inputs": [subject.name for subject in subjects],
+        "files": [{"output": str(args.out / name)} for name in (summary["table"], "summary.json", "index.html")],
+    }
 
 
 def _line(series: dict[str, Any]) -> str:
