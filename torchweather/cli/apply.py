@@ -12,6 +12,7 @@ from torchweather.cli.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.cli.detections import RADAR_ARGUMENTS, add_radar_arguments
 from torchweather.cli.frame_seeds import add_seed_rule
 from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
+from torchweather.cli.output import add_no_fsync
 from torchweather.cli.own_vehicle import add_own_vehicle
 from torchweather.cli.run_record import add_no_record
 from torchweather.core.exceptions import InputValueError
@@ -65,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seed_rule(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
     add_no_record(parser)
+    add_no_fsync(parser)
     parser.add_argument(
         "--preview",
         action="store_true",
@@ -106,6 +108,7 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.cli.outcome import Outcome
     from torchweather.cli.output import print_json, print_lines, shown
     from torchweather.cli.run_record import read_runs, record_of, write_run
+    from torchweather.core.atomic import durable
     from torchweather.recipes import read_recipe
 
     if args.weather is not None and args.recipe is not None:
@@ -125,7 +128,8 @@ def run(args: argparse.Namespace) -> int:
     recorded = not args.no_record and not _is_video(args.out)
     earlier = read_runs(args.out) if recorded else []
     outcome = Outcome(quiet=args.quiet)
-    process(args, weather, recipe, preset, outcome)
+    with durable(not args.no_fsync):
+        process(args, weather, recipe, preset, outcome)
     if recorded and outcome.done:
         found = {
             "weather": weather.to_dict(),

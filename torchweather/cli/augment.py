@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import add_reading, reading_of
-from torchweather.cli.output import note
+from torchweather.cli.output import add_no_fsync, listed, note, shown
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
@@ -22,9 +22,10 @@ DESCRIPTION = """Puts a weather on every image and cloud of SRC and writes them 
 other files are carried along. Layouts: a folder of any depth; KITTI's object, odometry (SemanticKITTI), tracking
 and raw data, by their folders; nuScenes (samples, sweeps, v1.0-*). The seed of a frame follows from --seed and its
 name, so the result is the same for any number of workers. DST/torchweather-manifest.sqlite says what was made of
-what. Stopped or killed at any moment, the same command goes on. A broken file is reported and left out. Exit code 0:
-all is done; 1: done, but for broken files; 2: a mistake in what was asked; 3: stopped, the disk is full;
-130: interrupted."""
+what. Stopped or killed at any moment, the same command goes on: what stands there in its size and with its time of
+change is not done again. A broken file is reported and left out. Exit code 0: all is done; 1: done, but for broken
+files; 2: a mistake in what was asked, or a damaged manifest; 3: stopped, the disk is full; 130, 143, 129: ended by
+Ctrl-C, SIGTERM, SIGHUP, after the frames that were under way."""
 
 BROKEN, STOPPED = 1, 3
 EVERY_S = 30.0  # between lines of progress, where there is no terminal
@@ -71,7 +72,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_reading(parser)
     parser.add_argument("--engine", choices=ENGINES, default="local", help="ray: on a Ray cluster (extra scale)")
-    parser.add_argument("--restart", action="store_true", help="delete what an earlier run wrote to DST, begin again")
+    parser.add_argument(
+        "--restart",
+        action="store_true",
+        help="delete what an earlier run wrote to DST, begin again, also where its manifest is damaged",
+    )
+    parser.add_argument(
+        "--rebuild",
+        action="store_true",
+        help="write a damaged manifest anew from the rows that can be read and whose files have their hashes",
+    )
+    parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="compare the hashes of all files of an earlier run; default: sizes and times of change, and the hash only "
+        "where a time differs",
+    )
+    parser.add_argument("--prune", action="store_true", help="delete results of frames that SRC has no more")
+    parser.add_argument(
+        "--follow-links", action="store_true", help="take links to folders, and links that lead out of SRC"
+    )
+    add_no_fsync(parser)
     parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -99,6 +120,11 @@ def run(args: argparse.Namespace) -> int:
             reading=reading_of(args),
             engine=args.engine,
             restart=args.restart,
+            rebuild=args.rebuild,
+            verify=args.verify,
+            prune=args.prune,
+            follow_links=args.follow_links,
+            durable=not args.no_fsync,
             dry_run=args.dry_run,
             on_progress=shown.tell,
         )
@@ -113,7 +139,25 @@ def run(args: argparse.Namespace) -> int:
         print_json({**vars(summary), "dry_run": args.dry_run, "exit_code": code})
     else:
         print_lines(_text(summary, dry_run=args.dry_run))
+    if not args.quiet:
+        for text in _notes(summary):
+            note(text)
     return code
+
+
+def _notes(summary: Summary) -> list[str]:
+    """What the reader should look at: files without weather, without a place in DST, or without a source."""
+    notes = []
+    if summary.left_out:
+        notes.append(f"left out, hidden or no regular files: {len(summary.left_out)}: {listed(summary.left_out)}.")
+    if summary.clear:
+        folders = [f"{folder or '.'}/ ({number})" for folder, number in summary.clear.items()]
+        count = sum(summary.clear.values())
+        notes.append(f"carried along in clear air, though sensors' data: {count} files: {listed(folders)}.")
+    if summary.gone:
+        what = "deleted" if summary.pruned else "SRC has them no more; --prune deletes them"
+        notes.append(f"results without a source: {len(summary.gone)} files ({what}): {listed(summary.gone)}.")
+    return [*notes, *summary.notes]
 
 
 def _formats(endings: list[str]) -> dict[str, str]:
@@ -141,7 +185,7 @@ def _text(summary: Summary, *, dry_run: bool) -> str:
     if dry_run:
         return f"{there}; {summary.skipped} done before, {summary.to_do} to do. Nothing was written."
     counts = f"{summary.skipped} done before, {summary.done} done now, {len(summary.broken)} broken"
-    lines = [f"{there}; {counts}, in {summary.seconds:.1f} s", f"manifest: {summary.manifest}"]
+    lines = [f"{there}; {counts}, in {summary.seconds:.1f} s", f"manifest: {shown(str(summary.manifest))}"]
     if summary.stopped:
         left = summary.to_do - summary.done - len(summary.broken)
         lines.append(

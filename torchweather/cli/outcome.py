@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from torchweather.cli.mistakes import one_line
-from torchweather.cli.output import note
+from torchweather.cli.output import listed, note
 from torchweather.core.exceptions import MissingExtraError, TorchweatherError
 
-__all__ = ["BROKEN", "Outcome", "left_out_of", "listed"]
+__all__ = ["BROKEN", "Outcome", "left_out_of"]
 
 BROKEN = 1
 """Exit code of a run that did everything but its broken files."""
-NAMED = 5  # files in a line; JSON has them all
 OWN = ("torchweather-record.json", "torchweather-manifest.sqlite", "sequence.jsonl")  # what runs leave beside results
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
@@ -93,18 +92,6 @@ def left_out_of(inputs: Iterable[Path], files: Iterable[Path]) -> list[str]:
             inside = sorted(path for path in folder.iterdir() if path.name[0] != "." and path.name not in OWN)
             found += [f"{path}{'/' if path.is_dir() else ''}" for path in inside if os.fspath(path) not in taken]
     return found
-
-
-def listed(names: Iterable[str]) -> str:
-    """The first of many names.
-
-    Example:
-        >>> listed(["a", "b"]), listed("abcdefg")
-        ('a, b', 'a, b, c, d, e and 2 more')
-    """
-    every = list(names)
-    more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
-    return ", ".join(every[:NAMED]) + more
 
 
 def _named(path: Path, why: str) -> str:

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import sys
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-__all__ = ["note", "plain", "print_json", "print_lines", "printable", "shown", "spelled"]
+__all__ = ["add_no_fsync", "listed", "note", "plain", "print_json", "print_lines", "printable", "shown", "spelled"]
+
+NAMED = 5  # files in a line; JSON has them all
+
+
+def add_no_fsync(parser: argparse.ArgumentParser) -> None:
+    """The argument that does not wait for the disk."""
+    parser.add_argument(
+        "--no-fsync",
+        action="store_true",
+        help="do not wait until the disk has each file: faster, but a power cut may leave empty ones",
+    )
 
 
 def plain(value: Any) -> Any:
@@ -61,6 +73,18 @@ def printable(text: str, *, lines: bool = False) -> str:
         one if (lines and one == "\n") or not _steers(one) else one.encode("unicode_escape").decode("ascii")
         for one in text
     )
+
+
+def listed(names: Iterable[str]) -> str:
+    """The first of many names.
+
+    Example:
+        >>> listed(["a", "b"]), listed("abcdefg")
+        ('a, b', 'a, b, c, d, e and 2 more')
+    """
+    every = list(names)
+    more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
+    return ", ".join(every[:NAMED]) + more
 
 
 def shown(value: Any) -> Any:

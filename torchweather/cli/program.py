@@ -1,7 +1,8 @@
 """The ``torchweather`` program and its commands.
 
 Results go to standard output (``--json`` for machines), everything else to standard error. Exit code 0 is success, 2 a
-mistake in what was asked or in a file, with one line that says what was wanted.
+mistake in what was asked or in a file, with one line that says what was wanted; 130, 143 and 129 are an end by Ctrl-C,
+SIGTERM and SIGHUP.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from torchweather.cli import (
 )
 from torchweather.cli.mistakes import is_mistake, one_line
 from torchweather.cli.output import printable
+from torchweather.cli.signals import code_of, signals_drain
 
 __all__ = ["main"]
 
@@ -53,7 +55,6 @@ COMMANDS = (
     listing,
 )
 MISTAKE = 2
-INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     args = build_parser().parse_args(argv)
     try:
-        with warnings_in_one_line():
+        with signals_drain(), warnings_in_one_line():
             code: int = args.run(args)
             sys.stdout.flush()
             return code
@@ -79,9 +80,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader (head, less) has left: what is buffered goes nowhere, so that the last flush is quiet.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        sys.stderr.write("torchweather: interrupted\n")
-        return INTERRUPTED
+    except KeyboardInterrupt as end:
+        sys.stderr.write(f"torchweather: interrupted{f' by {end}' if str(end) else ''}\n")
+        return code_of(end)
     except Exception as error:
         if args.debug or not is_mistake(error):
             raise

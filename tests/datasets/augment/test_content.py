@@ -20,7 +20,7 @@ def test_the_manifest_has_the_hash_of_every_file(tmp_path: Path) -> None:
     with Manifest(target) as manifest:
         rows = list(manifest.rows())
         text = manifest.settings()["recipe_text"]
-    written = {path: sha256 for row in rows for path, (sha256, _) in row.outputs.items()}
+    written = {path: sha256 for row in rows for path, (sha256, *_) in row.outputs.items()}
     read = {path: sha256 for row in rows for path, (sha256, _, _) in row.inputs.items()}
     assert written == tree(target)
     assert read == tree(source)

@@ -89,9 +89,15 @@ class DataSet:
         frames: by name; those with a sensor before those that are only copied.
         found: number of files by kind of sensor, also of kinds that the recipe is not for.
         annotation_tables: paths of nuScenes' ``sample_annotation.json``, whose point counts are brought up to date.
+        left_out: paths that are not even carried along: hidden ones, pipes, sockets.
+        clear: folder to the number of a sensor's files in it that are carried along in clear air.
+        notes: what a reader must know of them.
     """
 
     layout: str
     frames: tuple[Frame, ...]
     found: Mapping[str, int]
     annotation_tables: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    clear: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()

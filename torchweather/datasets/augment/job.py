@@ -30,6 +30,8 @@ class Job:
         baseline_m: of disparity maps: distance of the two lenses, m.
         own_vehicle: drive to the mask of its vehicle (`drive_of`).
         reading: how point files are to be read.
+        follow_links: links may lead out of the source.
+        durable: every file is on the disk before its name is (`atomic_write`).
     """
 
     source: str
@@ -42,6 +44,8 @@ class Job:
     baseline_m: float | None = None
     own_vehicle: Mapping[str, OwnVehicleMask] = field(default_factory=dict, repr=False)
     reading: PointReading = field(default_factory=PointReading)
+    follow_links: bool = False
+    durable: bool = True
 
 
 class FramePaths:
@@ -53,11 +57,12 @@ class FramePaths:
 
     def __init__(self, job: Job) -> None:
         self._source, self._target = Path(job.source), Path(job.target)
+        self._follow_links = job.follow_links
         self.written: list[str] = []
 
     def source(self, path: str) -> Path:
         """An input file."""
-        return inside(self._source, path, "augment")
+        return inside(self._source, path, "augment", follow_links=self._follow_links)
 
     def target(self, path: str) -> Path:
         """A result."""

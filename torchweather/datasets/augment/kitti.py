@@ -22,13 +22,14 @@ from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frames import Frame, SensorFile
 from torchweather.datasets.kitti import RAW_CALIBRATIONS
 
-__all__ = ["is_kitti", "kitti_frames"]
+__all__ = ["is_kitti", "kitti_frames", "other_cameras"]
 
 # Camera 2 is the left colour camera, for which the calibration is read; that of camera 3 stands beside it.
 CAMERA, LIDAR, CALIBRATION, BOXES, LABELS = "image_2", "velodyne", "calib", "label_2", "labels"
 SENSORS = {CAMERA: "camera", LIDAR: "lidar"}
 SUFFIXES = {role: FRAME_FILES[kind].suffixes for role, kind in SENSORS.items()}
 SUFFIXES |= {CALIBRATION: (".txt",), BOXES: (".txt",), LABELS: (".label",)}
+OTHER_CAMERAS = ("image_0", "image_1", "image_3", "image_00", "image_01", "image_03")
 ROLES = {"image_02": CAMERA, "velodyne_points": LIDAR}
 """Folders of the other kits, by the name that the object kit has for them."""
 # A place has the folder's name, the sequence of the tracking kit, and the file's name.
@@ -163,3 +164,20 @@ def _beside(calibration: str | None, paths: Collection[str]) -> str | None:
         return None
     other = calibration[: -len(RAW_CALIBRATIONS[0])] + RAW_CALIBRATIONS[1]
     return other if other in paths else None
+
+
+def other_cameras(clear: Mapping[str, int], keys: Mapping[str, str]) -> tuple[str, ...]:
+    """Notes on folders of KITTI's other cameras, which stay clear beside an ``image_2`` in weather.
+
+    Args:
+        clear: folder to the number of its files that are carried along in clear air.
+        keys: kind of sensor to its name in the recipe.
+    """
+    if SENSORS[CAMERA] not in keys:
+        return ()
+    return tuple(
+        f"{folder}: {number} images of another camera stay in clear air beside {CAMERA} in weather. A stereo pair of "
+        "them does not show one storm; leave the folder out, or use one camera."
+        for folder, number in clear.items()
+        if set(folder.split("/")) & set(OTHER_CAMERAS)
+    )

@@ -9,7 +9,7 @@ from pathlib import Path
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.datasets.augment.folder import carried, kind_of_file, sensor_frames
 from torchweather.datasets.augment.frames import FROM_LIDAR, DataSet
-from torchweather.datasets.augment.kitti import is_kitti, kitti_frames
+from torchweather.datasets.augment.kitti import is_kitti, kitti_frames, other_cameras
 from torchweather.datasets.augment.manifest import NAME as MANIFEST
 from torchweather.datasets.augment.nuscenes import annotation_tables, is_nuscenes, nuscenes_frames
 from torchweather.datasets.augment.paths import files_below
@@ -27,6 +27,7 @@ def find_frames(
     layout: str = "auto",
     depth: str | None = None,
     formats: Mapping[str, str] | None = None,
+    follow_links: bool = False,
 ) -> DataSet:
     """All frames of a data set, those that are only carried along last.
 
@@ -37,13 +38,16 @@ def find_frames(
         layout: one of ``LAYOUTS``.
         depth: where a camera's depth comes from; ``None`` is the LiDAR where the layout has one.
         formats: kind of sensor to the ending of its results.
+        follow_links: take links to folders, and links that lead out of the root.
 
     Raises:
         ValueError: nothing there that the recipe is for.
         TorchweatherError: a link or a table leads out of the root, or a table is broken.
     """
     check_one_of("layout", layout, LAYOUTS, owner="augment")
-    paths = [path for path in files_below(root) if not path.startswith(MANIFEST)]
+    left_out: list[str] = []
+    below = files_below(root, follow_links=follow_links, left_out=left_out)
+    paths = [path for path in below if not path.startswith(MANIFEST)]
     if layout == "auto":
         layout = "nuscenes" if is_nuscenes(paths) else "kitti" if is_kitti(paths) else "folder"
     formats = formats or {}
@@ -72,7 +76,11 @@ def find_frames(
         )
     _check_targets([one.target for frame in frames for one in frame.files])
     rest = [frame for frame in carried(paths, frames) if frame.name not in tables]
-    return DataSet(layout, (*frames, *rest), dict(found), tables)
+    depths = set(paths) - set(data)
+    alike = [frame.name for frame in rest if frame.name not in depths and kind_of_file(frame.name, keys)]
+    clear = Counter(path.rpartition("/")[0] for path in alike)
+    notes = other_cameras(clear, keys) if layout == "kitti" else ()
+    return DataSet(layout, (*frames, *rest), dict(found), tables, tuple(left_out), dict(clear), notes)
 
 
 def _is_depth(path: Path, depth: str | None) -> bool:

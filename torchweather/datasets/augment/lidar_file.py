@@ -86,7 +86,14 @@ class LidarFile(FrameFile):
         masks = masks_from_text(before.get(MASKS, ""))
         if not before:
             sweeps = [file.path for frame in frames for file in frame.files if file.kind == cls.kind]
-            masks = drive_masks(settings["own_vehicle"] or None, sweeps, Path(job.source), spec, job.reading)
+            masks = drive_masks(
+                settings["own_vehicle"] or None,
+                sweeps,
+                Path(job.source),
+                spec,
+                job.reading,
+                follow_links=job.follow_links,
+            )
         settings[MASKS] = masks_to_text(masks)
         return replace(job, own_vehicle=masks)
 

@@ -150,14 +150,16 @@ class _Process:
         self.pipe.close()
         self.process.join(PATIENCE_S)
         if self.process.is_alive():
-            self.process.terminate()
+            self.process.kill()  # it does not hear SIGTERM
             self.process.join(PATIENCE_S)
 
 
 def _serve(job: Job, pipe: Connection[Any, Any]) -> None:
     """A worker's life: it ends when the other end of its pipe is closed."""
-    # The terminal sends Ctrl-C to all; the one that keeps the manifest decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A terminal sends Ctrl-C to all, SLURM SIGTERM; the one that keeps the manifest decides.
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     worker = Worker(job)

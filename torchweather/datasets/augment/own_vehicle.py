@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,7 +40,13 @@ def drive_of(path: str) -> str:
 
 
 def drive_masks(
-    chosen: str | None, sweeps: Sequence[str], source: Path, spec: TransformSpec[Lidar], reading: PointReading
+    chosen: str | None,
+    sweeps: Sequence[str],
+    source: Path,
+    spec: TransformSpec[Lidar],
+    reading: PointReading,
+    *,
+    follow_links: bool = False,
 ) -> dict[str, OwnVehicleMask]:
     """Drive to its mask.
 
@@ -50,6 +57,7 @@ def drive_masks(
         source: root of the data set.
         spec: of the recipe's LiDAR.
         reading: how the clouds are to be read.
+        follow_links: links may lead out of the source.
 
     Returns:
         Drives with fewer than 5 sweeps that differ have none: each of their sweeps is looked at by itself.
@@ -70,7 +78,8 @@ def drive_masks(
     why = "there are no sweeps"
     for drive, paths in drives.items():
         try:
-            mask = own_vehicle_mask(_clouds(evenly_chosen(paths), source, spec.sensor, reading), spec.sensor)
+            clouds = _clouds(evenly_chosen(paths), source, spec.sensor, reading, follow_links=follow_links)
+            mask = own_vehicle_mask(clouds, spec.sensor)
         except (ValueError, IndexError) as error:
             why = str(error)
             continue
@@ -94,16 +103,23 @@ def masks_to_text(masks: Mapping[str, OwnVehicleMask]) -> str:
 
 def masks_from_text(text: str) -> dict[str, OwnVehicleMask]:
     """What `masks_to_text` wrote; none of an empty text."""
-    values = json.loads(text or "{}")
-    return {
-        drive: OwnVehicleMask.load(io.BytesIO(base64.b64decode(one["npz_base64"]))) for drive, one in values.items()
-    }
+    try:
+        values = json.loads(text or "{}")
+        return {
+            drive: OwnVehicleMask.load(io.BytesIO(base64.b64decode(one["npz_base64"]))) for drive, one in values.items()
+        }
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OSError, zipfile.BadZipFile) as error:
+        raise TorchweatherError(
+            f"augment: the manifest's masks of the own vehicle cannot be read ({error}); --restart begins again."
+        ) from error
 
 
-def _clouds(paths: Sequence[str], source: Path, sensor: Lidar, reading: PointReading) -> Iterator[Tensor]:
+def _clouds(
+    paths: Sequence[str], source: Path, sensor: Lidar, reading: PointReading, *, follow_links: bool
+) -> Iterator[Tensor]:
     """The sweeps that can be read; a broken one is reported when its turn comes."""
     for path in paths:
         try:
-            yield read_sensor_points(inside(source, path, "augment"), sensor, reading).points
+            yield read_sensor_points(inside(source, path, "augment", follow_links=follow_links), sensor, reading).points
         except (ValueError, OSError, TorchweatherError):
             continue

@@ -24,8 +24,8 @@ from torchweather.datasets.augment.local import LocalEngine
 from torchweather.datasets.augment.manifest import DONE, FAILED, FORMAT, Manifest, Row
 from torchweather.datasets.augment.manifest import NAME as MANIFEST
 from torchweather.datasets.augment.nuscenes import write_points_left
-from torchweather.datasets.augment.paths import check_folders, inside
-from torchweather.datasets.augment.work import ATTEMPTS, FULL, file_sha256, no_room
+from torchweather.datasets.augment.paths import check_folders, file_sha256, inside
+from torchweather.datasets.augment.work import ATTEMPTS, FULL, file_stamp, no_room
 from torchweather.io import PointReading
 from torchweather.recipes.files import find
 
@@ -78,6 +78,11 @@ class Summary:
         broken: name of each frame that could not be done, and why.
         to_do: frames and copies that this run had to do.
         stopped: why the run ended before its end; empty where it did not.
+        left_out: paths in the source that are not even carried along: hidden ones, pipes, sockets.
+        clear: folder to the number of a sensor's files in it that are carried along in clear air.
+        gone: results, below the target, of frames that the source has no more.
+        pruned: whether those are deleted.
+        notes: what a reader must know of the data set.
         seconds: that it took.
         manifest: the file.
     """
@@ -91,6 +96,11 @@ class Summary:
     done: int = 0
     broken: dict[str, str] = field(default_factory=dict)
     stopped: str = ""
+    left_out: list[str] = field(default_factory=list)
+    clear: dict[str, int] = field(default_factory=dict)
+    gone: list[str] = field(default_factory=list)
+    pruned: bool = False
+    notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
 
@@ -111,6 +121,11 @@ def augment(
     reading: PointReading | None = None,
     engine: str = "local",
     restart: bool = False,
+    rebuild: bool = False,
+    verify: bool = False,
+    prune: bool = False,
+    follow_links: bool = False,
+    durable: bool = True,
     dry_run: bool = False,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Summary:
@@ -135,7 +150,13 @@ def augment(
             drive has 5 or more that differ. The manifest keeps the masks, so that a run goes on with the same.
         reading: how point files are to be read: columns of a ``.bin``, the viewpoint of PCD.
         engine: ``local`` or ``ray``.
-        restart: forget what an earlier run did, and delete its files.
+        restart: forget what an earlier run did, and delete its files; a damaged manifest is begun again.
+        rebuild: write a damaged manifest anew from the rows that can be read and whose outputs have their hashes.
+        verify: compare the hashes of all inputs and outputs of an earlier run; else sizes and times of change, and the
+            hash only where a time differs.
+        prune: delete the results of frames that are in the source no more; else they are listed in ``gone``.
+        follow_links: take links to folders, and links that lead out of the source.
+        durable: every result is on the disk before its row is; without it faster, but not safe against a power cut.
         dry_run: only count.
         on_progress: is told before the first frame and after each.
 
@@ -155,7 +176,9 @@ def augment(
     path = find(recipe, ("transform", "multi_sensor"))
     text = path.read_text(encoding="utf-8")
     built = FrameRecipe(text, str(path))
-    data = find_frames(source, built.keys, recipe=recipe, layout=layout, depth=depth, formats=formats)
+    data = find_frames(
+        source, built.keys, recipe=recipe, layout=layout, depth=depth, formats=formats, follow_links=follow_links
+    )
     settings = {
         "format": FORMAT,
         "source": str(source.resolve()),
@@ -184,19 +207,24 @@ def augment(
         depth_along,
         baseline_m,
         reading=how,
+        follow_links=follow_links,
+        durable=durable,
     )
     _check_target(target)
     if dry_run and not (target / MANIFEST).exists():
         return _summary(data, target, list(data.frames), started)
     target.mkdir(parents=True, exist_ok=True)
-    with Manifest(target) as manifest:
-        if restart and not dry_run:
-            manifest.remove_outputs()
+    if restart and rebuild:
+        raise InputValueError("augment: restart forgets the manifest, rebuild keeps what it can; give one of them.")
+    with Manifest(target, anew=restart and not dry_run, rebuild=rebuild and not dry_run) as manifest:
         before = {} if restart else manifest.settings()
         if before:
             _check_same(before, settings, target)
-        to_do = list(data.frames) if restart else _left(data, manifest, job, settings)
+        to_do = list(data.frames) if restart else _left(data, manifest, job, settings, verify=verify)
         summary = _summary(data, target, to_do, started)
+        if not restart:
+            summary.gone = _gone(data, manifest, prune=prune and not dry_run)
+            summary.pruned = prune and not dry_run
         if dry_run:
             return summary
         for kind in built.keys if to_do else ():
@@ -272,6 +300,9 @@ def _summary(data: DataSet, target: Path, to_do: list[Frame], started: float) ->
         skipped=len(data.frames) - len(to_do),
         manifest=target / MANIFEST,
         to_do=len(to_do),
+        left_out=list(data.left_out),
+        clear=dict(data.clear),
+        notes=list(data.notes),
         seconds=time.perf_counter() - started,
     )
 
@@ -298,13 +329,40 @@ def _check_same(before: Mapping[str, str], now: Mapping[str, str], target: Path)
             )
 
 
-def _left(data: DataSet, manifest: Manifest, job: Job, settings: Mapping[str, str]) -> list[Frame]:
+def _left(
+    data: DataSet, manifest: Manifest, job: Job, settings: Mapping[str, str], *, verify: bool = False
+) -> list[Frame]:
     """Frames that no earlier run has done from the same input."""
     rows = {row.frame: row for row in manifest.rows()}
-    return [frame for frame in data.frames if not _stands(frame, rows.get(frame.name), manifest, job, settings)]
+    return [
+        frame
+        for frame in data.frames
+        if not _stands(frame, rows.get(frame.name), manifest, job, settings, verify=verify)
+    ]
 
 
-def _stands(frame: Frame, row: Row | None, manifest: Manifest, job: Job, settings: Mapping[str, str]) -> bool:
+def _gone(data: DataSet, manifest: Manifest, *, prune: bool) -> list[str]:
+    """Results of frames that the source has no more; deleted where ``prune``."""
+    names = {frame.name for frame in data.frames} | set(data.annotation_tables)
+    present = {file.target for frame in data.frames for file in frame.files} | set(data.annotation_tables)
+    found: list[str] = []
+    for row in list(manifest.rows()):
+        if row.frame not in names:
+            found += [path for path in row.outputs if path not in present]
+            if prune:
+                manifest.remove_frame(row, keep=present)
+    return found
+
+
+def _stands(
+    frame: Frame,
+    row: Row | None,
+    manifest: Manifest,
+    job: Job,
+    settings: Mapping[str, str],
+    *,
+    verify: bool = False,
+) -> bool:
     if row is None or row.status != DONE or row.recipe_sha256 != settings["recipe_sha256"]:
         return False
     if row.version != settings["version"] or row.seed != sample_seed(job.seed, frame.seed_name, 0):
@@ -313,13 +371,15 @@ def _stands(frame: Frame, row: Row | None, manifest: Manifest, job: Job, setting
         return False
     try:
         for path, (sha256, size, changed_ns) in row.inputs.items():
-            file = inside(Path(job.source), path, "augment")
+            file = inside(Path(job.source), path, "augment", follow_links=job.follow_links)
             found = file.stat()
-            if found.st_size != size or (found.st_mtime_ns != changed_ns and file_sha256(file) != sha256):
+            if found.st_size != size:
+                return False
+            if (verify or found.st_mtime_ns != changed_ns) and file_sha256(file) != sha256:
                 return False
     except OSError:  # it cannot be read any more, which doing it again will report
         return False
-    return manifest.outputs_stand(row)
+    return manifest.outputs_stand(row, verify=verify)
 
 
 def _clean(target: Path) -> None:
@@ -340,7 +400,7 @@ def _finish_tables(data: DataSet, job: Job, manifest: Manifest, settings: Mappin
             continue
         began = time.perf_counter()
         before, after = Path(job.source, table), Path(job.target, table)
-        stamp = before.stat()
+        stamp = file_stamp(before)
         try:
             after.parent.mkdir(parents=True, exist_ok=True)
             write_points_left(after, before, left)
@@ -349,8 +409,8 @@ def _finish_tables(data: DataSet, job: Job, manifest: Manifest, settings: Mappin
                     frame=table,
                     status=DONE,
                     kind=COPY,
-                    inputs={table: [file_sha256(before), stamp.st_size, stamp.st_mtime_ns]},
-                    outputs={table: [file_sha256(after), after.stat().st_size]},
+                    inputs={table: stamp},
+                    outputs={table: file_stamp(after)},
                     recipe_sha256=settings["recipe_sha256"],
                     seed=sample_seed(job.seed, table, 0),
                     version=settings["version"],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import time
 import warnings
 from dataclasses import replace
@@ -13,6 +12,7 @@ from typing import Any
 import torch
 
 import torchweather
+from torchweather.core.atomic import durable
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.core.random import sample_seed
 from torchweather.datasets.augment.frame_files import FRAME_FILES
@@ -20,8 +20,9 @@ from torchweather.datasets.augment.frame_recipe import FrameRecipe, text_sha256
 from torchweather.datasets.augment.frames import COPY, Frame
 from torchweather.datasets.augment.job import FramePaths, Job
 from torchweather.datasets.augment.manifest import DONE, FAILED, Row
+from torchweather.datasets.augment.paths import file_sha256
 
-__all__ = ["ATTEMPTS", "FULL", "Worker", "file_sha256"]
+__all__ = ["ATTEMPTS", "FULL", "Worker", "file_stamp", "no_room"]
 
 ATTEMPTS = ".torchweather-attempts"  # folder of marks below the target, where an engine cannot count tries otherwise
 FULL = "full"  # status of a frame that found no room; it is not recorded
@@ -42,6 +43,10 @@ class Worker:
 
     def process(self, frame: Frame) -> Row:
         """The row of a frame; a frame that cannot be done leaves no file behind."""
+        with durable(self.job.durable):
+            return self._processed(frame)
+
+    def _processed(self, frame: Frame) -> Row:
         started = time.perf_counter()
         seed = sample_seed(self.job.seed, frame.seed_name, 0)
         row = Row(
@@ -68,7 +73,7 @@ class Worker:
                     warnings.simplefilter("always", TorchweatherWarning)
                     row = self._in_weather(frame, seed, row, paths)
             results = {path: paths.target(path) for path in paths.written}
-            row = replace(row, outputs={path: [file_sha256(one), one.stat().st_size] for path, one in results.items()})
+            row = replace(row, outputs={path: file_stamp(one) for path, one in results.items()})
         except Exception as error:
             for path in paths.written:
                 paths.target(path).unlink(missing_ok=True)
@@ -104,12 +109,6 @@ class Worker:
         )
 
 
-def file_sha256(path: Path) -> str:
-    """Of the content of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def no_room(error: BaseException | None) -> bool:
     """Whether an error, or what caused it, says that the disk is full."""
     while error is not None:
@@ -124,6 +123,13 @@ def one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def file_stamp(path: Path) -> list[Any]:
+    """Hash, size, and time of the last change in ns of a file."""
+    stamp = _stamp(path)
+    stamp[0] = file_sha256(path)
+    return stamp
 
 
 def _stamp(path: Path) -> list[Any]:
