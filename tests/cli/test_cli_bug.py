@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
 
 from torchweather.cli import listing, main
+from torchweather.cli.mistakes import is_mistake, one_line
 from torchweather.core.errors import TorchweatherError
 
 
@@ -42,3 +44,11 @@ def test_a_mistake_is_one_line_and_a_traceback_on_demand(
     assert capsys.readouterr().err == "torchweather: error: x.npy: no cloud\n"
     with pytest.raises(TorchweatherError):
         main(["list", "--debug"])
+
+
+def test_json_that_is_nested_too_deep_is_a_mistake_in_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(RecursionError) as caught:
+        json.loads("[" * 200_000)
+    assert is_mistake(caught.value)
+    assert "nested too deep" in one_line(caught.value)
+    assert not is_mistake(RecursionError("ours"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 import torch
 
 import torchweather
-from torchweather.cli import main
+from torchweather.cli import apply_camera, main
 from torchweather.cli.output import printable
 from torchweather.cli.run_record import NAME as RECORD
 from torchweather.core.random import sample_seed
@@ -258,3 +260,58 @@ def test_a_cloud_s_record_holds_its_sensor(run: Any, tmp_path: Path) -> None:
     assert record["sensors"][0]["max_range_m"] == 60
     assert record["options"] == {"lost": "nan"}
     assert record["files"][0]["mor_m"] == pytest.approx(50, rel=1e-3)
+
+
+# ---- extras, tables ------------------------------------------------------------------------------------------------
+
+
+def test_what_needs_an_extra_says_so_in_a_line_and_stops_nothing(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("ouster", "ouster.sdk", "ray", "ray.data"):
+        monkeypatch.setitem(sys.modules, name, None)
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write_points(folder / "a.bin", torch.rand(50, 4, generator=torch.Generator().manual_seed(1)) * 20)
+    (folder / "b.pcap").write_bytes(b"x")
+    (folder / "b.json").write_text("{}")
+    argv = ("--sensor", "lidar:ouster-os1-128", "--weather", "snow:rate=1", "-o", tmp_path / "out", "--quiet")
+    code, out, err = run("apply", folder / "b.pcap", *argv)
+    assert (code, out, len(err.strip().splitlines())) == (2, "", 1)
+    assert "torchweather[ouster]" in err
+    code, out, err = run("apply", folder, *argv)
+    assert (code, len(out.strip().splitlines())) == (1, 1)
+    assert "torchweather[ouster]" in err
+    (folder / "b.pcap").unlink()
+    code, out, err = run("augment", folder, tmp_path / "dst", "--recipe", "lidar/os1-fog-50m", "--engine", "ray")
+    assert (code, out, len(err.strip().splitlines())) == (2, "", 1)
+    assert "torchweather[scale]" in err
+    assert not (tmp_path / "dst").exists()
+
+
+def test_a_run_that_is_interrupted_leaves_the_record_of_what_it_did(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = frames(tmp_path / "in", "0.png", "1.png", "2.png")
+    real = apply_camera.write_image
+
+    def interrupted(path: Path, image: Any) -> None:
+        if path.name == "1.png":
+            os.kill(os.getpid(), signal.SIGTERM)
+        real(path, image)
+
+    monkeypatch.setattr(apply_camera, "write_image", interrupted)
+    code, _, err = run("apply", folder, *SNOW, "-o", tmp_path / "out")
+    assert code == 143
+    assert err == "torchweather: interrupted by SIGTERM\n"
+    (record,) = json.loads((tmp_path / "out" / RECORD).read_text())["runs"]
+    assert [Path(entry["output"]).name for entry in record["files"]] == ["0.png"]
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_scores_as_csv_hold_no_formulas(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames(tmp_path, "=a.png", "+b.png")
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run("metrics", "=a.png", "+b.png", "--csv", "--metrics", "psnr")
+    assert code == 0
+    assert out.splitlines()[1].startswith("'=a.png,'+b.png,")

@@ -147,3 +147,13 @@ def test_without_pyarrow_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
             use()
     write_table(tmp_path / "a.csv", TABLE)
     assert read_table(tmp_path / "a.csv") == TABLE
+
+
+def test_a_name_is_no_formula_in_a_spreadsheet(tmp_path: Path) -> None:
+    names = ["=HYPERLINK(1)", "+1+1", "-2+3", "@SUM(A1)", "'=a", "''-b", "'quoted'", "plain", "a=b"]
+    columns = {"=frame": names, "score": [-1.5] * len(names)}
+    write_table(tmp_path / "t.csv", columns)
+    lines = (tmp_path / "t.csv").read_text().splitlines()
+    assert not [cell for line in lines for cell in line.split(",")[:1] if cell.lstrip('"')[:1] in "=+-@"]
+    assert lines[1].endswith(",-1.5")
+    assert read_table(tmp_path / "t.csv") == columns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,8 @@ from torchweather.cli.run_record import add_no_record
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
+    from torchweather.atmosphere.weather import Weather
+    from torchweather.cli.outcome import Outcome
     from torchweather.recipes.transform import TransformRecipe
 
 NAME = "apply"
@@ -107,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.atmosphere.weather import parse_weather
     from torchweather.cli.outcome import Outcome
     from torchweather.cli.output import print_json, print_lines, shown
-    from torchweather.cli.run_record import read_runs, record_of, write_run
+    from torchweather.cli.run_record import read_runs
     from torchweather.core.atomic import durable
     from torchweather.recipes import read_recipe
 
@@ -128,9 +131,22 @@ def run(args: argparse.Namespace) -> int:
     recorded = not args.no_record and not _is_video(args.out)
     earlier = read_runs(args.out) if recorded else []
     outcome = Outcome(quiet=args.quiet)
-    with durable(not args.no_fsync):
+    with durable(not args.no_fsync), ExitStack() as stack:
+        if recorded:  # also of a run that is interrupted
+            stack.callback(_record, args, weather, outcome, earlier)
         process(args, weather, recipe, preset, outcome)
-    if recorded and outcome.done:
+    if args.json:
+        print_json({"files": outcome.done, "broken": outcome.broken, "left_out": outcome.left_out})
+    elif outcome.done:
+        print_lines("\n".join(line(shown(entry)) for entry in outcome.done))
+    return outcome.close()
+
+
+def _record(args: argparse.Namespace, weather: Weather, outcome: Outcome, earlier: list[dict[str, Any]]) -> None:
+    """Write the record of what was done, where anything was."""
+    from torchweather.cli.run_record import record_of, write_run
+
+    if outcome.done:
         found = {
             "weather": weather.to_dict(),
             "sensors": outcome.sensors,
@@ -142,11 +158,6 @@ def run(args: argparse.Namespace) -> int:
             "left_out": outcome.left_out,
         }
         write_run(args.out, record_of(args, NAME, found), earlier)
-    if args.json:
-        print_json({"files": outcome.done, "broken": outcome.broken, "left_out": outcome.left_out})
-    elif outcome.done:
-        print_lines("\n".join(line(shown(entry)) for entry in outcome.done))
-    return outcome.close()
 
 
 def _is_video(path: Path) -> bool:

@@ -213,10 +213,12 @@ def _print_csv(rows: list[Row], scores: Scores) -> None:
     """CSV on standard output; the last column is there where a pair could not be scored, and says why."""
     import csv
 
+    from torchweather.io.tables import text_cell
+
     header = ["reference", "distorted", *scores.columns, *(["error"] if any("error" in row for row in rows) else [])]
     writer = csv.DictWriter(sys.stdout, header, restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: text_cell(cell) for name, cell in row.items()} for row in rows)
 
 
 def _number(value: float) -> str:

@@ -16,7 +16,17 @@ def is_mistake(error: Exception) -> bool:
         >>> is_mistake(FileNotFoundError("depth.npy")), is_mistake(ValueError("math domain error"))
         (True, False)
     """
-    return isinstance(error, (TorchweatherError, OSError))
+    return isinstance(error, (TorchweatherError, OSError)) or _nested_json(error)
+
+
+def _nested_json(error: Exception) -> bool:
+    """Whether Python's JSON reader gave up on a file."""
+    place = error.__traceback__ if isinstance(error, RecursionError) else None
+    while place is not None:
+        if place.tb_frame.f_globals.get("__name__", "").startswith("json."):
+            return True
+        place = place.tb_next
+    return False
 
 
 def one_line(error: Exception) -> str:
@@ -28,4 +38,6 @@ def one_line(error: Exception) -> str:
     """
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
+    if _nested_json(error):
+        return "a JSON file is nested too deep; expected a file of the kind that the command reads."
     return " ".join(str(error).split()).removeprefix("torchweather: ") or type(error).__name__

@@ -12,7 +12,7 @@ from typing import Any
 
 from torchweather.cli.mistakes import one_line
 from torchweather.cli.output import listed, note
-from torchweather.core.exceptions import MissingExtraError, TorchweatherError
+from torchweather.core.exceptions import TorchweatherError
 
 __all__ = ["BROKEN", "Outcome", "left_out_of"]
 
@@ -54,7 +54,7 @@ class Outcome:
         try:
             yield
         except (TorchweatherError, OSError) as error:
-            if self.total == 1 or isinstance(error, MissingExtraError) or _no_room(error):
+            if self.total == 1 or _no_room(error):
                 raise
             self.broken[str(path)] = one_line(error)
             note(f"broken: {_named(path, one_line(error))}", quiet=False)

@@ -245,6 +245,6 @@ def _entry(line: str) -> dict[str, Any] | None:
     """A line of the manifest; ``None`` where it is empty or torn."""
     try:
         entry = json.loads(line)
-    except json.JSONDecodeError:
+    except (json.JSONDecodeError, RecursionError):
         return None
     return entry if isinstance(entry, dict) else None

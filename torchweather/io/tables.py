@@ -15,11 +15,13 @@ from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 from torchweather.core.extras import install_hint
 
-__all__ = ["TABLE_SUFFIXES", "read_table", "write_table"]
+__all__ = ["TABLE_SUFFIXES", "read_table", "text_cell", "write_table"]
 
 TABLE_SUFFIXES = (".csv", ".parquet")
 
 Columns = dict[str, list[Any]]
+
+_FORMULA = tuple("=+-@\t\r")
 
 # Whole numbers without leading zeros: "007" is a name, not seven.
 _WHOLE = re.compile(r"[+-]?(0|[1-9]\d*)", re.ASCII)
@@ -60,8 +62,9 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[Any
             CSV are the shortest text that reads back as the same ``float``.
 
     Note:
-        CSV has no types: text that looks like numbers throughout a column is read back as numbers, an empty text as
-        None.
+        A spreadsheet takes text that begins with ``= + - @`` for a formula: a CSV holds it behind an apostrophe, which
+        ``read_table`` takes away. CSV has no types: text that looks like numbers throughout a column is read back as
+        numbers, an empty text as None.
     """
     target = Path(path)
     suffix = _suffix(target)
@@ -74,8 +77,27 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[Any
         return
     with atomic_write(target) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(plain)
-        writer.writerows(zip(*plain.values(), strict=True))
+        writer.writerow([text_cell(name) for name in plain])
+        writer.writerows([text_cell(cell) for cell in row] for row in zip(*plain.values(), strict=True))
+
+
+def text_cell(cell: Any) -> Any:
+    """A cell that no spreadsheet takes for a formula; numbers stay as they are.
+
+    Example:
+        >>> text_cell("=cmd()"), text_cell("'=a"), text_cell("a=b"), text_cell(-1.5)
+        ("'=cmd()", "''=a", 'a=b', -1.5)
+    """
+    return f"'{cell}" if isinstance(cell, str) and _begins_formula(cell) else cell
+
+
+def _without_mark(cell: str) -> str:
+    """What `text_cell` was given."""
+    return cell[1:] if cell.startswith("'") and _begins_formula(cell) else cell
+
+
+def _begins_formula(text: str) -> bool:
+    return text.lstrip("'")[:1] in _FORMULA
 
 
 def _suffix(path: Path) -> str:
@@ -102,7 +124,7 @@ def _read_csv(source: Path) -> Columns:
         ) from error
     if not rows:
         raise TorchweatherError(f"{source}: wanted a line of column names and lines of values; the file is empty.")
-    names = [name.strip() for name in rows[0][1]]
+    names = [_without_mark(name.strip()) for name in rows[0][1]]
     _check_names(names, str(source))
     for line, row in rows[1:]:
         if len(row) != len(names):
@@ -121,6 +143,8 @@ def _typed(cells: list[str]) -> list[Any]:
         kind = int
     elif filled and all(_NUMBER.fullmatch(cell) for cell in filled):
         kind = float
+    if kind is str:
+        return [_without_mark(cell) if cell else None for cell in cells]
     return [kind(cell) if cell else None for cell in cells]
 
 

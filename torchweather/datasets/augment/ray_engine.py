@@ -21,7 +21,7 @@ from torchweather.datasets.augment.local import TRIES, lost_row
 from torchweather.datasets.augment.manifest import Row
 from torchweather.datasets.augment.work import ATTEMPTS, Worker
 
-__all__ = ["RayEngine"]
+__all__ = ["RayEngine", "check_ray"]
 
 MOST_BLOCKS = 20_000  # that Ray Data keeps track of without effort
 
@@ -102,6 +102,15 @@ class _Actor:
         row = lost_row(self.worker.job, frame) if tried else self.worker.process(frame)
         mark.unlink()
         return {"id": item["id"], "row": json.dumps(asdict(row))}
+
+
+def check_ray() -> None:
+    """Raise where Ray is not installed.
+
+    Raises:
+        MissingExtraError: with the command that installs it.
+    """
+    _ray()
 
 
 def _ray() -> Any:

@@ -173,6 +173,10 @@ def augment(
     check_folders(source, target)
     check_at_least("workers", workers, 0, owner="augment")
     check_one_of("engine", engine, ENGINES, owner="augment")
+    if engine == "ray" and not dry_run:
+        from torchweather.datasets.augment.ray_engine import check_ray
+
+        check_ray()  # before anything is written
     path = find(recipe, ("transform", "multi_sensor"))
     text = path.read_text(encoding="utf-8")
     built = FrameRecipe(text, str(path))

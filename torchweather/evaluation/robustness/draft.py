@@ -189,7 +189,7 @@ def _categories(truth: Path | None) -> list[str]:
     try:
         values = json.loads(truth.read_text(encoding="utf-8")) if truth is not None else {}
         return [str(each["name"]) for each in values.get("categories", [])]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return []  # the run itself says what is wrong with the truth
 
 
