@@ -6,6 +6,7 @@ from tests.mutants.mutant import Mutant
 
 PATHS = "torchweather.datasets.augment.paths"
 MANIFEST = "torchweather.datasets.augment.manifest"
+WHAT_STANDS = "tests/datasets/augment/test_what_stands.py"
 
 MUTANTS = (
     Mutant(
@@ -20,17 +21,49 @@ MUTANTS = (
         "links_out_of_the_folder_followed",
         "a link out of the data set is refused",
         PATHS,
-        'inside(root, relative, f"{path}: a link")',
-        "pass",
+        "    if not path.resolve().is_relative_to(root.resolve()):\n        raise TorchweatherError(\n",
+        "    if False:\n        raise TorchweatherError(\n",
         ("tests/datasets/augment/test_augment.py::test_a_path_outside_the_root_is_refused",),
     ),
     Mutant(
-        "truncated_output_counts_as_done",
-        "a run resumes only over outputs of the recorded size",
+        "changed_output_counts_as_done",
+        "a run resumes only over outputs of the recorded bytes",
         MANIFEST,
-        "if not path.is_file() or path.stat().st_size != size:",
-        "if not path.is_file():",
-        ("tests/datasets/augment/test_augment.py::test_what_is_done_is_not_done_again",),
+        "if (verify or [found.st_mtime_ns] != changed_ns) and file_sha256(path) != sha256:",
+        "if verify and file_sha256(path) != sha256:",
+        (WHAT_STANDS + "::test_an_output_of_other_bytes_is_done_again",),
+    ),
+    Mutant(
+        "verify_looks_at_times_alone",
+        "--verify compares hashes",
+        MANIFEST,
+        "if (verify or [found.st_mtime_ns] != changed_ns) and file_sha256(path) != sha256:",
+        "if [found.st_mtime_ns] != changed_ns and file_sha256(path) != sha256:",
+        (WHAT_STANDS + "::test_verify_finds_other_bytes_of_the_same_size_and_time",),
+    ),
+    Mutant(
+        "rebuilt_without_a_look_at_the_files",
+        "a rebuilt manifest holds rows whose outputs have their hashes",
+        MANIFEST,
+        "if row.status == DONE and self._confirmed(row)]",
+        "if row.status == DONE]",
+        (WHAT_STANDS + "::test_a_damaged_manifest_is_rebuilt_from_rows_whose_files_have_their_hashes",),
+    ),
+    Mutant(
+        "prune_deletes_unasked",
+        "results without a source are deleted on request alone",
+        "torchweather.datasets.augment.run",
+        "            if prune:\n",
+        "            if True:\n",
+        (WHAT_STANDS + "::test_results_without_a_source_are_reported_and_pruned",),
+    ),
+    Mutant(
+        "name_before_the_bytes",
+        "a file is on the disk before its name is",
+        "torchweather.core.atomic",
+        "        _to_disk(unfinished)  # before its name is: after a power cut the name would hold an empty file\n",
+        "",
+        ("tests/core/test_atomic.py::test_the_file_is_synced_under_its_temporary_name_and_the_folder_after",),
     ),
     Mutant(
         "two_runs_in_one_folder",

@@ -306,8 +306,8 @@ MUTANTS = (
         "seeds_of_samples_salted",
         "the seed of a sample is the same in every release",
         "torchweather.core.random",
-        "hashlib.blake2b(text.encode(), digest_size=8)",
-        'hashlib.blake2b(text.encode() + b"salt", digest_size=8)',
+        "hashlib.blake2b(content, digest_size=8)",
+        'hashlib.blake2b(content + b"salt", digest_size=8)',
         ("tests/contract/test_golden_draws.py::test_seeds_of_samples_and_parts_are_pinned",),
     ),
     Mutant(

@@ -127,8 +127,8 @@ MUTANTS = (
         "write_is_not_atomic",
         "a file appears whole or not at all",
         "torchweather.core.atomic",
-        "        yield unfinished\n        unfinished.replace(target)",
-        "        yield target",
+        "        yield unfinished\n        _to_disk",
+        "        yield target\n        return\n        _to_disk",
         ("tests/io/test_images.py::test_failed_write_of_a_new_file_leaves_none",),
     ),
     Mutant(
