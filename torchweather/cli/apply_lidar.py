@@ -26,7 +26,7 @@ from torchweather.cli.clouds import (
     refuse_wrong_unit,
     with_ones,
 )
-from torchweather.cli.frame_seeds import FrameSeeds
+from torchweather.cli.frame_seeds import FrameSeeds, frame_name
 from torchweather.cli.ouster_product import refuse_other_product
 from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
@@ -119,8 +119,7 @@ class _Work:
     def process(self, frame: CloudFrame) -> dict[str, Any]:
         """One cloud: weather and write; what was done, as plain values."""
         started = time.perf_counter()
-        name = frame.path.name if frame.number is None else f"{frame.path.name}/{frame.number}"
-        seed = self.seeds.of(name)
+        seed = self.seeds.of(frame_name(frame.path.name, frame.number))
         without_intensity = self.args.intensity == "none"
         clear = with_ones(frame.cloud) if without_intensity else frame.cloud
         hit = has_return(clear.points, self.transform.sensor)

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import argparse
 
-__all__ = ["FrameSeeds", "add_seed_rule", "storm_seeds"]
+__all__ = ["FrameSeeds", "add_seed_rule", "frame_name", "storm_seeds"]
 
 HASHED, ADDED = "hashed", "added"
 RULES = (HASHED, ADDED)
+
+
+def frame_name(file: str, number: int | None) -> str:
+    """The name that a cloud's seed is hashed with: its file's, and its number in a recording.
+
+    Example:
+        >>> frame_name("a.bin", None), frame_name("drive.pcap", 3)
+        ('a.bin', 'drive.pcap/3')
+    """
+    return file if number is None else f"{file}/{number}"
 
 
 class FrameSeeds:

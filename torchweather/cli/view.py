@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import add_complete_scan, add_lidar_fields, add_reading
+from torchweather.cli.frame_seeds import FrameSeeds, add_seed_rule, frame_name
 from torchweather.cli.sensor_text import preset_named
 from torchweather.core.exceptions import InputTypeError, InputValueError
 
@@ -36,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--weather", required=True, help="rain:rate=25, fog:mor=30, snow:rate=1, or several joined by +"
     )
     parser.add_argument("--sensor", help="lidar:PRESET (see torchweather list); default lidar:ouster-os1-128")
-    parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument("--seed", type=int, default=0, help="default 0; it gives the storm that apply gives the cloud")
+    add_seed_rule(parser)
     parser.add_argument(
         "-o", "--out", type=Path, default=Path("torchweather-view.html"), help="page; default torchweather-view.html"
     )
@@ -66,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
     recording = _rerun() if args.rerun else None
     weather = parse_weather(args.weather)
     frame, points, transform, sensor_name = _prepared(args, weather)
-    result, warned = _weathered(args, frame, points, transform)
+    seed = FrameSeeds(args.seed, args.seed_rule).of(frame_name(frame.path.name, frame.number))
+    result, warned = _weathered(seed, frame, points, transform)
     notes, alerts = _notes(args, frame, transform.sensor), [*warned, *_alerts(points, transform.sensor, result)]
     args.out.parent.mkdir(parents=True, exist_ok=True)
     found = write_cloud_view(
@@ -75,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         result,
         transform.sensor,
         weather=weather,
-        seed=args.seed,
+        seed=seed,
         name=frame.path.name if frame.number is None else f"{frame.path.name}, frame {frame.number}",
         sensor_name=sensor_name,
         notes=notes,
@@ -86,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if recording is not None:
         found["rerun"] = _logged(recording, args, points, result, transform.sensor)
     if args.json:
-        print_json({"input": args.input, "page": args.out, "seed": args.seed, "weather": weather.to_dict(), **found})
+        print_json({"input": args.input, "page": args.out, "seed": seed, "weather": weather.to_dict(), **found})
     else:
         print_lines(
             f"wrote {args.out}  points {found['points']}: objects {found['objects']}, particles {found['particles']}, "
@@ -99,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _weathered(args: argparse.Namespace, frame: CloudFrame, points: Any, transform: Any) -> tuple[Any, list[str]]:
+def _weathered(seed: int, frame: CloudFrame, points: Any, transform: Any) -> tuple[Any, list[str]]:
     """The result, and the library's warnings, which belong on the page as well."""
     import torch
 
@@ -108,7 +111,7 @@ def _weathered(args: argparse.Namespace, frame: CloudFrame, points: Any, transfo
     try:
         with warnings.catch_warnings(record=True) as caught, torch.no_grad():
             warnings.simplefilter("always")
-            noise = transform.draw(points, seed=args.seed)
+            noise = transform.draw(points, seed=seed)
             result = transform.run(points, noise, directions=frame.directions)
     except (InputValueError, InputTypeError) as error:
         raise TorchweatherError(f"{frame.name}: {error}") from error
