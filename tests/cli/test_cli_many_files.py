@@ -295,10 +295,10 @@ def test_a_run_that_is_interrupted_leaves_the_record_of_what_it_did(
     folder = frames(tmp_path / "in", "0.png", "1.png", "2.png")
     real = apply_camera.write_image
 
-    def interrupted(path: Path, image: Any) -> None:
+    def interrupted(path: Path, image: Any, **options: Any) -> None:
         if path.name == "1.png":
             os.kill(os.getpid(), signal.SIGTERM)
-        real(path, image)
+        real(path, image, **options)
 
     monkeypatch.setattr(apply_camera, "write_image", interrupted)
     code, _, err = run("apply", folder, *SNOW, "-o", tmp_path / "out")

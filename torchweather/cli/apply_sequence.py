@@ -23,6 +23,7 @@ from torchweather.cli.sequence_frames import (
 from torchweather.cli.sequence_work import SequencePlan, SequenceWork
 from torchweather.core.errors import check_positive
 from torchweather.core.exceptions import InputValueError
+from torchweather.core.file_names import is_hidden
 from torchweather.datasets.speeds import read_speeds
 from torchweather.io.video import CRF, VIDEO_SUFFIXES, WRITTEN_SUFFIXES
 from torchweather.recipes.transform import TransformRecipe, camera_of
@@ -175,7 +176,7 @@ def _depth_named(depth: str, args: argparse.Namespace, frames: FolderFrames | Cl
     digests = {}
     for path in (Path(depth), *(value for value in given.values() if isinstance(value, Path))):
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-            if file.is_file():
+            if file.is_file() and not (path.is_dir() and is_hidden(file)):
                 digests[str(file)] = file_digest(file)
     return {"given": depth, **{name: None if v is None else str(v) for name, v in given.items()}, "digests": digests}
 

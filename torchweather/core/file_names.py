@@ -5,7 +5,17 @@ from __future__ import annotations
 import os
 from pathlib import PurePath
 
-__all__ = ["stem"]
+__all__ = ["is_hidden", "stem"]
+
+
+def is_hidden(path: PurePath) -> bool:
+    """True for a name that begins with a dot, which is no data: ``._0.png`` of macOS, ``.Trash-0``.
+
+    Example:
+        >>> is_hidden(PurePath("image_2/._0.png")), is_hidden(PurePath(".cache/0.png"))
+        (True, False)
+    """
+    return path.name.startswith(".")
 
 
 def stem(path: str | os.PathLike[str]) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchweather.camera.depth import CompletedDepth, SceneDepth
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError, TorchweatherError
+from torchweather.core.file_names import is_hidden
 from torchweather.datasets.calibration import CameraLidarCalibration
 from torchweather.datasets.kitti import read_kitti_calibration
 from torchweather.datasets.nuscenes import read_nuscenes_calibration
@@ -46,7 +47,7 @@ def cloud_file(folder: Path, frame: Path, *, calibrated: bool = True) -> Path | 
     if taken is None:
         return None
     near: list[tuple[int, Path]] = []
-    for path in sorted(folder.glob(f"*{taken['log']}__*")):
+    for path in sorted(path for path in folder.glob(f"*{taken['log']}__*") if not is_hidden(path)):
         ending = next((one for one in suffixes if path.name.endswith(one)), "")
         named = _NUSCENES.match(path.name.removesuffix(ending)) if ending else None
         if named and named["log"] == taken["log"] and "LIDAR" in named["sensor"]:
@@ -78,7 +79,8 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
             found = calibration / (stem + suffix)
             if found.is_file():
                 return found
-    alone = [path for path in calibration.iterdir() if path.suffix.lower() in _CALIBRATIONS]
+    inside = [path for path in calibration.iterdir() if not is_hidden(path)]
+    alone = [path for path in inside if path.suffix.lower() in _CALIBRATIONS]
     if len(alone) == 1:
         numbered = alone[0].stem.isdecimal() and frame.stem.isdecimal() and len(alone[0].stem) == len(frame.stem)
         if not numbered:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.file_names import is_hidden
 
 __all__ = ["FASTEST_M_PER_S", "Speeds", "read_speeds", "read_timestamps"]
 
@@ -128,7 +129,7 @@ def _kitti_speeds(folder: Path) -> Speeds:
     # The drive, its oxts, or the data in it.
     places = [folder / "oxts", folder, *([folder.parent] if folder.name == "data" else [])]
     for oxts in places:
-        packets = sorted((oxts / "data").glob("*.txt"))
+        packets = sorted(path for path in (oxts / "data").glob("*.txt") if not is_hidden(path))
         if packets:
             break
     else:

@@ -196,6 +196,7 @@ def test_colour_images_are_decoded_and_sampled_by_the_filter_array(tmp_path: Pat
         for k in range(2):
             colour = torch.tensor([255, 188, 0], dtype=torch.uint8)[:, None, None].expand(3, 5, 7)
             write_image(tmp_path / folder / f"{k}.png", colour)
+        (tmp_path / folder / "._0.png").write_bytes(b"Mac OS X")  # no frame
     found = study_from_folders(tmp_path / "clear", {tmp_path / "fog": "fog:mor=50"}, CAMERA, depth=20.0)
     cell = found.conditions[0].frames[0]["bayer"][:2, :2]
     # GRBG; sRGB 188 is 0.503 of the light.

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.file_names import is_hidden
 from torchweather.gap.sensors.all import KINDS
 from torchweather.gap.study.conditions import StudySensor
 from torchweather.gap.study.frames import FrameSource
@@ -192,7 +193,7 @@ def _files(folder: PathLike, kind: StudyKind) -> list[Path]:
     root, suffixes = Path(folder), kind.suffixes
     if not root.is_dir():
         raise TorchweatherError(f"{root}: no such folder. Wanted frames ending in {', '.join(suffixes)}.")
-    found = sorted(file for file in root.iterdir() if file.name.lower().endswith(suffixes))
+    found = sorted(file for file in root.iterdir() if file.name.lower().endswith(suffixes) and not is_hidden(file))
     if not found:
         raise TorchweatherError(f"{root}: no frames; wanted files ending in {', '.join(suffixes)}.")
     return found
