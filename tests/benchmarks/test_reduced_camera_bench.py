@@ -16,6 +16,9 @@ from torchweather.camera.effects.all import EFFECTS
 from torchweather.gap import find_gap
 
 CASES = list(plan("ci", 1, ["reduced"], Size().smaller()))
+# All eight take minutes: what is not run in every test run is run by `pytest -m long`.
+EVERY_TIME = (1, 5)
+ALL = [pytest.param(case, marks=[] if place in EVERY_TIME else [pytest.mark.long]) for place, case in enumerate(CASES)]
 RELATIVE = 0.4  # d' of 30 tells a parameter to some percent, another form of the effect than the catalogue's to less
 
 
@@ -35,7 +38,7 @@ def test_the_generator_has_all_effects_of_the_catalogue_and_more() -> None:
     assert 3 * len(another_form) >= len(CATALOGUE)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join([case.family, case.weather, *case.names]))
+@pytest.mark.parametrize("case", ALL, ids=lambda case: "-".join([case.family, case.weather, *case.names]))
 def test_a_study_of_the_reduced_bench(case: Case, places: Places) -> None:
     study, truth = build(case, places)
     found: dict[str, Any] = find_gap(study, seed=0).to_dict()

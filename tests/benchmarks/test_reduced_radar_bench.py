@@ -12,6 +12,9 @@ from benchmarks.gap_bench.generator.radar.cases import SENSOR, plan
 from torchweather.gap import find_gap
 
 CASES = plan("ci", 1, ["reduced"], small=True)
+# All eight take minutes: what is not run in every test run is run by `pytest -m long`.
+EVERY_TIME = (2, 4, 6)
+ALL = [pytest.param(case, marks=[] if place in EVERY_TIME else [pytest.mark.long]) for place, case in enumerate(CASES)]
 RELATIVE = 0.3  # 64 targets: a d' of 30 is known to a few percent, its form to a fifth
 
 
@@ -20,7 +23,7 @@ def build():
     return SENSOR.builder("ci", 1, Path(__file__).parent / "radar_places", CASES, True)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join([case.family, case.weather, *case.names]))
+@pytest.mark.parametrize("case", ALL, ids=lambda case: "-".join([case.family, case.weather, *case.names]))
 def test_a_study_of_the_reduced_bench(case, build):
     study, truth = build(case)
     found = find_gap(study, seed=0).to_dict()
