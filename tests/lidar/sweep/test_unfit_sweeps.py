@@ -384,7 +384,11 @@ def test_a_made_sweep_of_an_ouster_as_a_pandar_names_the_ouster() -> None:
         complete_scan(torch.from_numpy(points), Lidar.preset("pandar64-wads"))
 
 
-@pytest.mark.parametrize("name", ["map's frame", "rows of NaN", "every second column", "tilted by 5 degrees"])
+# A cloud of a map is out of the sensor's reach, which is looked at first.
+AT_THE_COMMAND_LINE = {"map's frame": r"19400 of 19400 returns lie farther than 1\.5 times .*--sensor-origin X Y Z"}
+
+
+@pytest.mark.parametrize("name", ["map's frame", "every second column", "tilted by 5 degrees"])
 def test_the_command_line_refuses_in_one_line_and_writes_nothing(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -402,7 +406,7 @@ def test_the_command_line_refuses_in_one_line_and_writes_nothing(
     assert main(["apply", str(tmp_path / "a.bin"), *arguments, "--complete-scan", "--out", str(out)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert_words(error, rf"a\.bin: .*{sentence}")
+    assert_words(error, rf"a\.bin: .*{AT_THE_COMMAND_LINE.get(name, sentence)}")
     assert not [path for path in out.rglob("*") if path.is_file()]
     assert main(["apply", str(tmp_path / "clear.bin"), *arguments, "--complete-scan", "--out", str(out)]) == 0
 
