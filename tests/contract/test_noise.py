@@ -70,8 +70,7 @@ def test_noise_of_another_transform_is_refused(name: str) -> None:
     key = next(iter(noise))
     with pytest.raises(ValueError, match=rf"the noise is of another transform: it lacks {key}"):
         called(name, data, {other: value for other, value in noise.items() if other != key})
-    with pytest.raises(ValueError, match=r"the noise is of another transform: it holds spray\.toss"):
-        called(name, data, {**noise, "spray.toss": noise[key]})
+    assert same_bits(called(name, data, noise), called(name, data, {**noise, "spray.toss": noise[key]}))
     with pytest.raises(TypeError, match="noise must be a mapping of names to tensors; got list"):
         called(name, data, list(noise.values()))
 

@@ -35,6 +35,7 @@ def flat_noise(
 
     Args:
         noise: ``<stage>.<variate>`` to a tensor that leads with the batch shape, or with (B,), as ``draw`` gives it.
+            What it holds for further stages is left aside: the same storm without one of its stages.
         variates: ``<stage>.<variate>`` to the law and shape that are needed.
         sizes: of the data, that shapes refer to.
         batch: batch shape of the data, of B samples.
@@ -42,7 +43,7 @@ def flat_noise(
 
     Raises:
         InputTypeError: no mapping of tensors of real floating-point numbers.
-        InputValueError: a key is missing or of another transform; a shape does not fit; a number is NaN, infinite or
+        InputValueError: a key is missing; a shape does not fit; a number is NaN, infinite or
             outside its law. An exported or compiled graph checks shapes alone.
     """
     name = type(owner).__name__
@@ -50,11 +51,9 @@ def flat_noise(
         raise InputTypeError(
             f"{name}: noise must be a mapping of names to tensors; got {type(noise).__name__}. {AGAIN}"
         )
-    strange = [str(key) for key in noise if key not in variates]
     lacking = [key for key in variates if key not in noise]
-    if strange or lacking:
-        has = f"holds {', '.join(sorted(strange)[:3])}" if strange else f"lacks {', '.join(lacking[:3])}"
-        raise InputValueError(f"{name}: the noise is of another transform: it {has}. {AGAIN}")
+    if lacking:
+        raise InputValueError(f"{name}: the noise is of another transform: it lacks {', '.join(lacking[:3])}. {AGAIN}")
     flat = {
         key: _checked(noise[key], f"{name}: noise {key!r}", variate.sample_shape(sizes), tuple(batch))
         for key, variate in variates.items()
