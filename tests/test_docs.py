@@ -26,6 +26,7 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 # Takes several seconds and 150 MB at the full resolution that it is about; the same calls run elsewhere.
 NOT_RUN = {"docs/as_bayer.md"}
+LONG = {"docs/how-to/export-to-onnx.md"}
 
 
 class Block(NamedTuple):
@@ -65,9 +66,14 @@ def only_own_stages() -> Iterator[None]:
     STAGES.update(before)
 
 
+def runnable(page: Path) -> object:
+    """A page as a case; a page whose graphs take half a minute is left to the long run, as tests/export makes them."""
+    return pytest.param(page, marks=[pytest.mark.long] if name_of(page) in LONG else [], id=name_of(page))
+
+
 @pytest.mark.usefixtures("only_own_stages")
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if any(b.language == "python" for b in blocks(page))], ids=name_of
+    "page", [runnable(page) for page in PAGES if any(block.language == "python" for block in blocks(page))]
 )
 def test_python_on_a_page_runs_and_prints_what_the_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

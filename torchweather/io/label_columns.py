@@ -26,6 +26,7 @@ def label_columns(cloud: PointCloud) -> dict[str, int]:
     """Columns that label points, and the class or instance that a particle gets in each.
 
     Example:
+        >>> import torch
         >>> label_columns(PointCloud(torch.zeros(1, 6), ("x", "y", "z", "intensity", "label", "instance_id")))
         {'label': 110, 'instance_id': 0}
     """

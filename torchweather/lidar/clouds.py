@@ -113,7 +113,7 @@ def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> N
             f"{name}: the sensor declares intensity_unit={unit!r}, but of the cloud's intensities {evidence} Set "
             "Lidar(intensity_unit=...).",
             TorchweatherWarning,
-            stacklevel=5,
+            stacklevel=6,
         )
 
 

@@ -135,7 +135,7 @@ def warn_of_frame(points: Tensor, sensor: Lidar, owner: object) -> None:
         return
     far = far_note(points, sensor) if points.numel() else ""
     if far:
-        warnings.warn(f"{owner_name(owner)}: {far}", TorchweatherWarning, stacklevel=5)
+        warnings.warn(f"{owner_name(owner)}: {far}", TorchweatherWarning, stacklevel=6)
         return
     whole = points.shape[-2] >= FEWEST_ROWS
     if not points.numel() or points.shape[-2] < _FEWEST_RETURNS or (sensor, whole) in _SEEN:
@@ -144,4 +144,4 @@ def warn_of_frame(points: Tensor, sensor: Lidar, owner: object) -> None:
     first = points.reshape(-1, *points.shape[-2:])[0]
     note = (frame_note(first, sensor) if whole else "") or ground_note(first, sensor)
     if note:
-        warnings.warn(f"{owner_name(owner)}: {note}", TorchweatherWarning, stacklevel=5)
+        warnings.warn(f"{owner_name(owner)}: {note}", TorchweatherWarning, stacklevel=6)

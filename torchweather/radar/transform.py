@@ -440,5 +440,5 @@ def _warn_of_floor(points: Tensor, sensor: Radar, name: str) -> None:
             f"(floor {sensor.floor_db:.4g}, SNR {sensor.detection_snr_db:g} dB); they were detected, so the floor does "
             "not belong to this power column. Set Radar(noise_floor_db=...) in its unit.",
             TorchweatherWarning,
-            stacklevel=5,
+            stacklevel=6,
         )
