@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 import torchweather
-from tests.cli.bare import bare
 from torchweather.atmosphere.weather import Fog, Rain, parse_weather
 from torchweather.cli import main
 from torchweather.explain import explain
@@ -26,18 +25,6 @@ from torchweather.io import read_image, write_image
 from torchweather.physics import mor_from_extinction
 from torchweather.sensors import Camera
 from torchweather.transforms import AsBayer, BayerWeather
-
-Run = tuple[int, str, str]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> Run:
-        code = main(bare(argv))
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
 
 
 @pytest.fixture

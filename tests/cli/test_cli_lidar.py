@@ -14,9 +14,7 @@ import torch
 from torch import Tensor
 
 import torchweather.io as io
-from tests.cli.bare import bare
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.cli import main
 from torchweather.explain import explain
 from torchweather.io import PointCloud, PointLabels, read_labels, read_points, write_labels, write_points
 from torchweather.io.ouster import OusterFrame
@@ -26,16 +24,6 @@ from torchweather.transforms import LidarWeather
 
 STORM = "rain:rate=20+snow:rate=1"
 HDL = ("--sensor", "lidar:velodyne-hdl-64e")
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main(bare(argv))
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
 
 
 def cloud(columns: int = 4, rows: int = 400) -> Tensor:

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import torchweather
-from torchweather.cli import apply_camera, main
+from torchweather.cli import apply_camera
 from torchweather.cli.output import printable
 from torchweather.cli.run_record import NAME as RECORD
 from torchweather.core.random import sample_seed
@@ -24,14 +24,7 @@ from torchweather.sensors import Lidar
 SNOW = ("--weather", "snow:rate=2", "--depth", 30, "--airlight", 0.7, 0.7, 0.7, "--quiet")
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in argv])
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
+AS_TYPED = True  # seeds and records as users have them
 
 
 def frames(folder: Path, *names: str) -> Path:

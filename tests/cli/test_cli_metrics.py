@@ -14,7 +14,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchweather.cli import main
 from torchweather.cli.output import spelled
 from torchweather.image import mosaic, normalise, quantise
 from torchweather.io import read_image, read_points, write_image, write_points
@@ -27,14 +26,7 @@ NAMES_OF_IMAGES = [
 NAMES_OF_CLOUDS = ["sdm", "rmse", "mde", "mmde", "hd", "hd95"]
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main(["metrics", *(str(argument) for argument in argv)])
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
+COMMAND = ("metrics",)
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ import torch
 
 from tests.datasets.augment.data_sets import FOG, recipe
 from torchweather.atmosphere.weather import Fog
-from torchweather.cli import main
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.datasets.augment import Manifest
 from torchweather.io import PointCloud, read_points, write_points
@@ -23,14 +22,7 @@ HDL = ("--sensor", "lidar:velodyne-hdl-64e", "--intensity-unit", "uint8_linear")
 COLUMNS = "x,y,z,intensity,ring"
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in argv])
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
+AS_TYPED = True  # seeds and records as users have them
 
 
 def five_columns(path: Path) -> np.ndarray:

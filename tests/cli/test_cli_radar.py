@@ -14,9 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.cli.bare import bare
 from torchweather.atmosphere.weather import Rain, parse_weather
-from torchweather.cli import main
 from torchweather.io import (
     RADAR_COLUMNS,
     PointCloud,
@@ -43,16 +41,6 @@ IMAGING = ("--sensor", "radar:imaging-77ghz")
 RAIN = "rain:rate=50"
 SMALL = Radar.preset("awr1843-like")
 SMALL_RADAR = ("--sensor", "radar:awr1843-like")
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main(bare(argv))
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
 
 
 def detections(rows: int = 60) -> Tensor:

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.cli.bare import bare
 from torchweather.atmosphere.weather import Rain
-from torchweather.cli import main
 from torchweather.io import read_power_map, write_image
 from torchweather.radar.map_transform import RadarMapWeather
 from torchweather.radar.power_map import with_noise_scale
@@ -20,16 +18,6 @@ from torchweather.sensors import Radar
 
 SENSOR = ("--sensor", "radar:navtech-radiate")
 RAIN = ("--weather", "rain:rate=50")
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main(bare(argv))
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
 
 
 def frame(path: Path, seed: int = 0) -> Path:

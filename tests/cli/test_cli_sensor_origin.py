@@ -12,11 +12,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.cli.bare import bare
 from tests.lidar.sweep.test_sensor_origin import WAYMO_M
 from tests.lidar.sweep.test_sensor_origin import cloud as sweep_at
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.cli import main
 from torchweather.io import read_points, write_points
 from torchweather.sensors import Lidar
 from torchweather.transforms import LidarWeather
@@ -25,16 +23,6 @@ STORM = "snow:rate=2"
 HDL = ("--sensor", "lidar:velodyne-hdl-64e", "--intensity-unit", "reflectivity", "--quiet")
 PLACE = ("--sensor-origin", *map(str, WAYMO_M))
 POSE = np.array([[0.0, -1.0, 0.0, 1.43], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 2.18], [0.0, 0.0, 0.0, 1.0]])
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main(bare(argv))
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
 
 
 def written(folder: Path, points: Tensor) -> Path:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Snow
 from torchweather.camera.depth import SceneDepth
-from torchweather.cli import main, sequence_frames
+from torchweather.cli import sequence_frames
 from torchweather.cli.sequence_frames import MANIFEST
 from torchweather.io import read_image, write_image
 from torchweather.sensors import Camera
@@ -26,17 +26,9 @@ from torchweather.transforms import AsBayer, BayerSnow, BayerWeather
 
 HEIGHT, WIDTH, FOCAL_PX = 24, 32, 40.0
 CAMERA = ("--fx", FOCAL_PX, "--cx", 15.5, "--cy", 11.5, "--exposure-s", 0.004)
-Run = tuple[int, str, str]
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> Run:
-        code = main(["apply", *(str(argument) for argument in argv)])
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
+COMMAND, AS_TYPED = ("apply",), True
 
 
 def drive(folder: Path, count: int = 6, height: int = HEIGHT, width: int = WIDTH) -> Path:

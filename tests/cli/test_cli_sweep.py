@@ -13,9 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.cli.bare import bare
 from torchweather.atmosphere.weather import parse_weather
-from torchweather.cli import main
 from torchweather.image import FlatGround
 from torchweather.io import read_points, read_table, write_image, write_points
 from torchweather.metrics import Region, cloud_scores
@@ -25,14 +23,7 @@ from torchweather.transforms import BayerWeather, LidarWeather
 RAIN = ("--weather", "rain:rate=5,50")
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main(bare(["sweep", *argv]))
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
+COMMAND = ("sweep",)
 
 
 def cloud(seed: int, rows: int = 300) -> Tensor:

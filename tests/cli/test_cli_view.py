@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Fog
-from torchweather.cli import main
 from torchweather.image import quantise
 from torchweather.io import write_image, write_points
 from torchweather.report import photo_demo
@@ -27,14 +26,7 @@ HDL = ("--sensor", "lidar:velodyne-hdl-64e", "--intensity-unit", "reflectivity")
 SNOW = ("--weather", "snow:rate=2")
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def call(*argv: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in argv])
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return call
+AS_TYPED = True  # seeds and records as users have them
 
 
 @pytest.fixture

@@ -187,7 +187,10 @@ def test_splits_that_hold_nothing_or_all_or_the_same_out(lidar: dict[str, Any]) 
 
 def test_a_lidar_without_geometry(lidar: dict[str, Any]) -> None:
     del lidar["scenes"][0]["geometry"]
-    assert "lidar.wet_target cannot be told from lidar.window_loss" in only(lidar, "The scene s0 has no cos_inc").cost
+    assert (
+        "lidar.wet_target cannot be distinguished from lidar.window_loss"
+        in only(lidar, "The scene s0 has no cos_inc").cost
+    )
     assert only(lidar, "The scene s0 has no up").level == "note"
 
 

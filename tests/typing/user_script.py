@@ -1,4 +1,4 @@
-"""What a user writes; `mypy --strict` checks it from outside, and it runs."""
+"""A script of a user: `mypy --strict` checks it from outside, and it runs."""
 
 from __future__ import annotations
 

@@ -161,7 +161,7 @@ def _record(args: argparse.Namespace, weather: Weather, outcome: Outcome, earlie
 
 
 def _is_video(path: Path) -> bool:
-    """Whether the results go into one video, which holds its settings itself."""
+    """True where the results go into one video, which holds its settings itself."""
     from torchweather.cli.apply_sequence import is_video
 
     return is_video(path)

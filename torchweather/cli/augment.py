@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _notes(summary: Summary) -> list[str]:
-    """What the reader should look at: files without weather, without a place in DST, or without a source."""
+    """Lines on what needs a look: files without weather, without a place in DST, or without a source."""
     notes = []
     if summary.left_out:
         notes.append(f"left out, hidden or no regular files: {len(summary.left_out)}: {listed(summary.left_out)}.")

@@ -143,7 +143,7 @@ def add_bin_columns(group: argparse._ArgumentGroup | argparse.ArgumentParser) ->
 
 
 def reading_of(args: argparse.Namespace) -> PointReading:
-    """How point files are to be read, from the arguments."""
+    """The reading of point files that the arguments ask for."""
     from torchweather.io import PointReading
 
     if getattr(args, "bin_dtype", None) and not getattr(args, "bin_columns", None):

@@ -20,7 +20,7 @@ def is_mistake(error: Exception) -> bool:
 
 
 def _nested_json(error: Exception) -> bool:
-    """Whether Python's JSON reader gave up on a file."""
+    """True where Python's JSON reader gave up on a file."""
     place = error.__traceback__ if isinstance(error, RecursionError) else None
     while place is not None:
         if place.tb_frame.f_globals.get("__name__", "").startswith("json."):

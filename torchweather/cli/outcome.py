@@ -24,7 +24,7 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 @dataclass
 class Outcome:
-    """What a run over files did.
+    """Outcome of a run over files.
 
     Args:
         quiet: no notes.

@@ -134,7 +134,7 @@ def _recorded(
     seeds: list[int],
     summary: dict[str, Any],
 ) -> dict[str, Any]:
-    """What the record holds of a sweep."""
+    """Entries of a sweep in the record."""
     sensors: list[Any] = []
     for subject in subjects:
         values = getattr(subject, subject.sensor).to_dict()

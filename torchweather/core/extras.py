@@ -1,4 +1,4 @@
-"""How to install an optional extra, from an index or in a clone."""
+"""Hints on the installation of an optional extra, from an index or in a clone."""
 
 from __future__ import annotations
 

@@ -42,6 +42,8 @@ class Range:
 
     def check(self, name: str, value: Any, owner: object) -> None:
         """Raise unless a number lies within the range; ``NaN`` does not."""
+        if type(value) in (int, float) and self.low <= value <= self.high and (value > self.low or not self.open_low):
+            return
         if self.open_low:
             check_positive(name, value, unit=self.unit, owner=owner, advice=self.advice)
         elif not self.named:

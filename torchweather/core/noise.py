@@ -1,4 +1,4 @@
-"""Noise that a user hands to a transform: the keys, shapes, types and values that a draw gives, and nothing else."""
+"""Noise that a user hands to a transform: its keys, shapes, types and values must be those of a draw."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def flat_noise(
 
     Raises:
         InputTypeError: no mapping of tensors of real floating-point numbers.
-        InputValueError: a key is missing; a shape does not fit; a number is NaN, infinite or
-            outside its law. An exported or compiled graph checks shapes alone.
+        InputValueError: a key is missing, a shape does not fit, or a number is NaN, infinite or outside its law. An
+            exported or compiled graph checks shapes alone.
     """
     name = type(owner).__name__
     if not isinstance(noise, Mapping):

@@ -39,7 +39,10 @@ __all__ = [
 ]
 
 DRAWS = "torchweather-draws/1"
-"""How a seed becomes numbers. Another rule is a breaking change: a new number here, and a line in CHANGELOG.md."""
+"""Name of the rule by which a seed becomes numbers.
+
+Another rule is a breaking change: it gets a new number here, and a line in CHANGELOG.md.
+"""
 
 LAWS = ("uniform", "normal", "exponential", "points")
 

@@ -320,7 +320,7 @@ def _bgra(image: CarlaImage, owner: str) -> npt.NDArray[np.uint8]:
 
 
 def _is_semantic(measurement: CarlaMeasurement) -> bool:
-    """Whether a measurement is the semantic LiDAR's, by its class or else by its numbers."""
+    """True where a measurement is the semantic LiDAR's, by its class or else by its numbers."""
     return "Semantic" in type(measurement).__name__ or looks_semantic(np.frombuffer(measurement.raw_data, np.uint8))
 
 

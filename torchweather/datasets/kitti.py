@@ -182,7 +182,7 @@ def _check_one_way(entries: dict[str, list[float]], source: Path) -> None:
 
 
 def _is_bare(source: Path) -> bool:
-    """Whether a file holds numbers without names."""
+    """True where a file holds numbers without names."""
     text = source.read_text(encoding="utf-8").lstrip()
     return bool(text) and not text[0].isalpha()
 

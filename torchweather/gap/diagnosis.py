@@ -124,7 +124,7 @@ def _of_frames(study: Study, measured: Looks) -> Iterator[Finding]:
         yield Finding(
             "note",
             f"{_conditions(untimed)} no time_s.",
-            f"Changes in time cannot be told from chance: {study.study_kind.drift}.",
+            f"Changes in time cannot be distinguished from chance: {study.study_kind.drift}.",
             "State when each frame was taken.",
         )
 
@@ -229,7 +229,7 @@ def _of_weather(study: Study) -> Iterator[Finding]:
         yield Finding(
             "note",
             "There is one scene.",
-            "What belongs to this place (its targets, their distances) cannot be told from what belongs to the sensor.",
+            "Effects of this place (its targets, their distances) cannot be distinguished from those of the sensor.",
             "Record a second scene with other targets and distances.",
         )
 

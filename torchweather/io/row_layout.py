@@ -214,7 +214,7 @@ def _odd_rows(content: Bytes, fields: tuple[PointField, ...]) -> str:
 
 
 def _many(rows: Any) -> bool:
-    """Whether a mask of rows holds more than a few."""
+    """True where a mask of rows holds more than a few."""
     return bool(rows.sum() > _FEW * len(rows))
 
 
@@ -245,7 +245,7 @@ def _likely(content: Bytes, without: int | None = None) -> _Candidate | None:
 
 
 def looks_semantic(content: Bytes) -> bool:
-    """Whether a buffer holds the points of CARLA's semantic LiDAR: four floats, an object's number, a small tag."""
+    """True where a buffer holds the points of CARLA's semantic LiDAR: four floats, an object's number, a small tag."""
     if not content.size or content.size % 24:
         return False
     rows = content.view(row_dtype(_SEMANTIC.fields))
@@ -331,7 +331,7 @@ def _share(kinds: npt.NDArray[np.float64], classes: npt.NDArray[np.int64]) -> fl
 
 
 def _halves_differ(numbers: npt.NDArray[Any], columns: int) -> bool:
-    """Whether rows of even and odd number differ in kind in two columns at least; rows that repeat say nothing."""
+    """True where rows of even and odd number differ in kind in two columns at least; rows that repeat say nothing."""
     rows = numbers.reshape(-1, columns)
     step = max(1, len(rows) // (2 * _PIECE))
     at = np.arange(0, len(rows) - 1, 2)[::step]

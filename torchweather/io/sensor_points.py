@@ -15,7 +15,7 @@ __all__ = ["PointReading", "read_sensor_points"]
 
 @dataclass(frozen=True)
 class PointReading:
-    """How point files are to be read; plain values, the arguments of `read_points`.
+    """Reading of point files; plain values, the arguments of `read_points`.
 
     Args:
         intensity: name of the column, ``auto`` or ``none``.

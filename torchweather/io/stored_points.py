@@ -33,7 +33,7 @@ class PointField:
 
     @property
     def is_padding(self) -> bool:
-        """Whether the field holds no numbers."""
+        """True where the field holds no numbers."""
         return self.name == PADDING or self.count == 0
 
     @property

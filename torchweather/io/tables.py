@@ -92,7 +92,7 @@ def text_cell(cell: Any) -> Any:
 
 
 def _without_mark(cell: str) -> str:
-    """What `text_cell` was given."""
+    """The text that `text_cell` was given."""
     return cell[1:] if cell.startswith("'") and _begins_formula(cell) else cell
 
 

@@ -184,7 +184,10 @@ def test_text_is_no_depth() -> None:
     [
         (lambda: ConstantDepth(-1.0), r"depth_m must be 0 m or more; got -1"),
         (lambda: ConstantDepth(math.nan), "got nan"),
-        (lambda: DepthMap(torch.tensor([[1.0, math.nan], [-2.0, 3.0]])), "got 1 NaN and 1 negative of 4 pixels"),
+        (
+            lambda: DepthMap(torch.tensor([[1.0, math.nan], [-2.0, 3.0]])),
+            "got 1 NaN, 1 negative and 0 zero of 4 pixels",
+        ),
         (lambda: DepthMap(torch.ones(2, 2))(CAMERA, 4, 6), r"4 x 6; got 2 x 2"),
         (lambda: check_depth(torch.ones(3, 4, 6), 4, 6, owner="x"), r"\(\.\.\., 1, 4, 6\)"),
         (lambda: FlatGround(camera_height_m=0.0), "above 0 m"),

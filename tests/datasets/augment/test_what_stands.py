@@ -1,4 +1,4 @@
-"""What a further run finds: changed outputs, results without a source, damaged manifests, links, odd names, signals."""
+"""Findings of a later run: changed outputs, results without a source, damaged manifests, links, odd names, signals."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def varied(grid: ParameterGrid) -> list[str]:
 
 
 def departures(effect: type[Effect], grid: ParameterGrid) -> dict[str, list[float]]:
-    """By how much each deciding parameter that a grid sets departs from its identity."""
+    """Departures from the identity, parameter by parameter, of the points of a grid."""
     found = {}
     for parameter in effect.arguments:
         if parameter.identity is not None and parameter.name in grid.points[0]:

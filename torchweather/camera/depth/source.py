@@ -148,8 +148,8 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
                 f"{remedy}"
             )
         raise InputValueError(
-            f"{name}: depth must be 0 m or more along the optical axis, inf for sky; got {nan} NaN and {negative} "
-            f"negative of {depth_m.numel()} pixels. {remedy}"
+            f"{name}: depth must be above 0 m along the optical axis, inf for sky; got {nan} NaN, {negative} "
+            f"negative and {zero} zero of {depth_m.numel()} pixels. {remedy}"
         )
 
 
@@ -194,7 +194,7 @@ def warn_of_depth(depth_m: Tensor, camera: Camera, owner: object) -> None:
 
 
 def _below_horizon(camera: Camera, share: float) -> bool:
-    """Whether all rows from this share of the height on lie below the horizon at both edges of the picture."""
+    """True where all rows from this share of the height on lie below the horizon at both edges of the picture."""
     right, down, forward = camera.down_direction()
     cx, cy = camera.principal_point_px
     y = (share * camera.height - cy) / camera.fy

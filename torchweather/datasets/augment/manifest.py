@@ -173,7 +173,7 @@ class Manifest:
                 raise self._damaged(f"a row cannot be read ({error})") from error
 
     def outputs_stand(self, row: Row, *, verify: bool = False) -> bool:
-        """Whether all files of a row are there, as they were written.
+        """True where all files of a row are there, as they were written.
 
         Args:
             row: of the frame.
@@ -322,7 +322,7 @@ def _stored(text: str) -> str:
 
 
 def _found(text: str) -> str:
-    """What `_stored` was given."""
+    """The value that `_stored` was given."""
     found = json.loads(text) if text.startswith('"') else text
     if not isinstance(found, str):
         raise InputTypeError("a name is no text")

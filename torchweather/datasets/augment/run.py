@@ -246,7 +246,7 @@ def augment(
 
 
 def _reading_settings(reading: PointReading) -> dict[str, str]:
-    """How point files are read, as text; empty where nothing is stated, as in manifests without these entries."""
+    """The reading of point files as text; empty where nothing is stated, as in manifests without these entries."""
     columns = reading.bin_columns or ""
     return {
         "bin_columns": columns if isinstance(columns, str) else ",".join(columns),

@@ -103,9 +103,9 @@ def unscaled_templates(
 def hidden_templates(
     templates: Sequence[ResponseTemplate], nuisance: Systematics, open_ones: slice
 ) -> list[tuple[ResponseTemplate, float]]:
-    """The template of each effect that looks most like what is left open has done, with its amplitude, best first.
+    """Templates that the nuisances imitate: the most similar one of each effect, with its amplitude, best first.
 
-    Such an effect promises nothing while the nuisances stand in its place.
+    Such an effect gains nothing while the nuisances explain its part.
 
     Args:
         templates: responses.
@@ -213,7 +213,7 @@ def fitted(
             fits.append(search.fit(located(search, start, template.id, base), nuisance, base.base, QUICK))
         fit = min(fits, key=lambda one: one.misfit)
         if stands_far(fit.point) and place < PROFILED_BESIDE and not point.values:
-            # What is left open may have gone astray: profile over it from zero beside the effect as found.
+            # The nuisances may have settled in a wrong place: profile over them from zero beside the effect as found.
             start, nuisance, _ = search.profile_beside(ParameterPoint(fit.point.values), base, PROFILE_ROUNDS)
             fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)
         found.append(Candidate(template.id, fit, misfit - fit.misfit))

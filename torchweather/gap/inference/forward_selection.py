@@ -293,8 +293,8 @@ def _without_idle(search: SimulatorLikelihood, added: Candidate, threshold: floa
 
 
 def _earns(search: SimulatorLikelihood, best: Candidate, added: Candidate, fresh: float, least: float) -> bool:
-    """Whether an added effect gains what it needs: so much if that is ``fresh``, or ``least`` and a share of what was
-    explained where it acts.
+    """True where an added effect gains what it needs: ``fresh``, or ``least`` and a share of what was explained where
+    it acts.
 
     Also over the others fitted again from where they stand beside it: a first effect that was not at its best yet is no
     merit of the second.

@@ -35,7 +35,7 @@ class ParameterGrid:
 
     @property
     def curved(self) -> bool:
-        """Whether no point predicts the next one, so that many are tried: of what cuts, or begins at a
+        """True where no point predicts the next one, so that many are tried: of what cuts, or begins at a
         threshold, or has its identity infinitely far."""
         return len(self.points) > len(METHOD.start_steps)
 

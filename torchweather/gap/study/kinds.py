@@ -20,7 +20,7 @@ from torchweather.gap.study.recorded_frames import CloudFile, ImageFile
 __all__ = ["LEVELS", "Finding", "FrameLook", "Given", "Looks", "Paths", "StudyKind", "place"]
 
 LEVELS = ("error", "warning", "note")
-"""An error: no answer can be trusted. A warning: some answers cannot be given. A note: what more data would tell."""
+"""An error: no answer can be trusted. A warning: some answers cannot be given. A note: more data would show more."""
 
 
 @dataclass(frozen=True)

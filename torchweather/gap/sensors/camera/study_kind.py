@@ -115,14 +115,14 @@ class CameraStudy(StudyKind):
             yield Finding(
                 "warning",
                 f"The scene {scene} has one depth, if any.",
-                "camera.exposure_gain cannot be told from camera.airlight_scale, nor camera.stray_light.",
+                "camera.exposure_gain cannot be distinguished from camera.airlight_scale, nor camera.stray_light.",
                 "Record a scene with near and far surfaces.",
             )
         if "normal" not in geometry and "label" not in geometry:
             yield Finding(
                 "note",
                 f"The scene {scene} has no normal and no label.",
-                "camera.wet_surface cannot be told from camera.exposure_gain: it is known by the road and by "
+                "camera.wet_surface cannot be distinguished from camera.exposure_gain: it is known by the road and by "
                 "surfaces that face up.",
                 "Give normal (H, W, 3) or label (H, W) in the geometry.",
             )

@@ -120,8 +120,8 @@ class LidarStudy(StudyKind):
             yield Finding(
                 "warning",
                 f"The scene {scene} has no cos_incidence.",
-                "lidar.wet_target cannot be told from lidar.window_loss: wet surfaces are known by the angle at which "
-                "they are hit.",
+                "lidar.wet_target cannot be distinguished from lidar.window_loss: wet surfaces are known by the angle "
+                "at which they are hit.",
                 "Give cos_incidence (H, W) in the geometry.",
             )
         if "up" not in geometry:
@@ -152,8 +152,8 @@ class LidarStudy(StudyKind):
             yield Finding(
                 "warning",
                 "All intensities are equal.",
-                "Without intensities lidar.window_loss cannot be told from lidar.threshold_shift, and extinction shows "
-                "only in the points that are lost.",
+                "Without intensities lidar.window_loss cannot be distinguished from lidar.threshold_shift, and "
+                "extinction shows only in the points that are lost.",
                 "Give the sensor's intensities where it has any.",
             )
         if unit not in ("none", "photons"):

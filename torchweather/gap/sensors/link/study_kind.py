@@ -101,7 +101,8 @@ class LinkStudy(StudyKind):
             yield Finding(
                 "warning",
                 f"All links are about as long as each other, {length_km.min():.2g} to {length_km.max():.2g} km.",
-                "A loss at the ends (radar.wet_radome) cannot be told from one along the path (radar.path_loss_scale).",
+                "A loss at the ends (radar.wet_radome) cannot be distinguished from one along the path "
+                "(radar.path_loss_scale).",
                 "Add links that are shorter or longer by a factor of two.",
             )
         for one in study.conditions:
@@ -147,7 +148,7 @@ def _of_series(name: str, frames: Frames) -> Iterator[Finding]:
 
 
 def rain_attenuation_db(links: Mapping[str, Array], rain_mm_per_h: Array) -> Array:
-    """What rain takes on the way of microwave links, dB ``(T, L)``: ITU-R P.838-3 over the samples of each path.
+    """Attenuation by rain on microwave links, dB ``(T, L)``: ITU-R P.838-3 over the samples of each path.
 
     Args:
         links: ``length_km``, ``frequency_ghz``, ``polarisation`` (0 horizontal, 1 vertical), ``(L,)`` each.

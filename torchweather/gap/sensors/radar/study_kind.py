@@ -86,7 +86,7 @@ class RadarStudy(StudyKind):
             yield Finding(
                 "note",
                 f"All targets of the scene {scene} are of one class.",
-                "radar.wet_rcs, which differs by class, cannot be told from radar.wet_radome.",
+                "radar.wet_rcs, which differs by class, cannot be distinguished from radar.wet_radome.",
                 "State the classes of the targets, or record a scene with several.",
             )
 
