@@ -73,9 +73,9 @@ def test_frames_that_are_no_mosaic_are_refused(
         (torch.full((1, 12, 16), 20.0), ValueError, "depth must have shape (..., 1, 24, 32), metres; got (1, 12, 16)"),
         (torch.full((3, 1, H, W), 20.0), ValueError, "depth (3, 1, 24, 32) does not fit the frame (2, 1, 24, 32)"),
         (torch.full((1, H, W), 20), TypeError, "depth must be floating point, metres; got torch.int64"),
-        (torch.full((1, H, W), math.nan), ValueError, "got 768 NaN and 0 negative of 768 pixels"),
-        (torch.full((1, H, W), -1.0), ValueError, "got 0 NaN and 768 negative of 768 pixels"),
-        (torch.full((1, H, W), -math.inf), ValueError, "0 m or more along the optical axis, inf for sky"),
+        (torch.full((1, H, W), math.nan), ValueError, "got 768 NaN, 0 negative and 0 zero of 768 pixels"),
+        (torch.full((1, H, W), -1.0), ValueError, "got 0 NaN, 768 negative and 0 zero of 768 pixels"),
+        (torch.full((1, H, W), -math.inf), ValueError, "above 0 m along the optical axis, inf for sky"),
     ],
     ids=lambda value: None,
 )  # fmt: skip
