@@ -233,6 +233,22 @@ def test_a_record_beside_the_results_says_what_was_made_how(run: Any, tmp_path: 
     ]
 
 
+def test_the_record_says_where_an_airlight_was_guessed(run: Any, tmp_path: Path) -> None:
+    """A frame without sky and without ``--airlight``: the warning stands beside each frame that it is about."""
+    folder = frames(tmp_path / "in", "0.png", "1.png")
+    argv = ("--weather", "fog:mor=50", "--depth", 30, "--quiet")
+    code, _, err = run("apply", folder, *argv, "-o", tmp_path / "out")
+    assert (code, err.count("no airlight given")) == (0, 1)
+    (record,) = json.loads((tmp_path / "out" / RECORD).read_text())["runs"]
+    assert len(record["files"]) == 2
+    for entry in record["files"]:
+        (text,) = entry["warnings"]
+        assert "no sky in the frame and no airlight given" in text
+    assert run("apply", folder, *SNOW, "-o", tmp_path / "given")[0] == 0
+    (record,) = json.loads((tmp_path / "given" / RECORD).read_text())["runs"]
+    assert all("warnings" not in entry for entry in record["files"])
+
+
 def test_no_record_leaves_it_out_and_a_damaged_one_is_refused_first(run: Any, tmp_path: Path) -> None:
     folder = frames(tmp_path / "in", "0.png")
     assert run("apply", folder, *SNOW, "-o", tmp_path / "out", "--no-record")[0] == 0

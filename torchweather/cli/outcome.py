@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -50,14 +51,21 @@ class Outcome:
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
-        """The work on one of several files: where it is broken, the run goes on with the next."""
-        try:
-            yield
-        except (TorchweatherError, OSError) as error:
-            if self.total == 1 or _no_room(error):
-                raise
-            self.broken[str(path)] = one_line(error)
-            note(f"broken: {_named(path, one_line(error))}", quiet=False)
+        """The work on one of several files: where it is broken, the run goes on with the next.
+
+        Warnings, such as that of an airlight that stands in, become part of what was done to its frames.
+        """
+        first = len(self.done)
+        with _warnings_kept() as texts:
+            try:
+                yield
+            except (TorchweatherError, OSError) as error:
+                if self.total == 1 or _no_room(error):
+                    raise
+                self.broken[str(path)] = one_line(error)
+                note(f"broken: {_named(path, one_line(error))}", quiet=False)
+        for entry in self.done[first:] if texts else ():
+            entry["warnings"] = texts
 
     def add(self, entry: dict[str, Any], sensor: Mapping[str, Any] | None = None) -> None:
         """Keep what was done to a frame, and by which sensor it was seen."""
@@ -66,7 +74,7 @@ class Outcome:
         self.done.append(entry)
 
     def close(self) -> int:
-        """Say what was left out and broken; the exit code.
+        """Print the files that were left out and broken; the exit code.
 
         Raises:
             TorchweatherError: no file could be done.
@@ -81,6 +89,25 @@ class Outcome:
         if self.broken:
             note(f"{len(self.broken)} of {self.total} files are broken: {listed(self.broken)}.")
         return BROKEN if self.broken else 0
+
+
+@contextmanager
+def _warnings_kept() -> Iterator[list[str]]:
+    """Texts of the warnings inside the block, each once; they are shown as well."""
+    texts: list[str] = []
+    shown = warnings.showwarning
+
+    def keep(message: Warning | str, *more: Any, **named: Any) -> None:
+        text = " ".join(str(message).split())
+        if text not in texts:
+            texts.append(text)
+        shown(message, *more, **named)
+
+    warnings.showwarning = keep
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = shown
 
 
 def left_out_of(inputs: Iterable[Path], files: Iterable[Path]) -> list[str]:

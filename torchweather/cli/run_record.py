@@ -17,7 +17,7 @@ __all__ = ["NAME", "add_no_record", "read_runs", "record_of", "write_run"]
 NAME = "torchweather-record.json"
 FORMAT = "torchweather-record/1"
 # Arguments that change no result.
-UNSAID = ("run", "json", "debug", "quiet", "no_record", "no_fsync")
+WITHOUT_EFFECT = ("run", "json", "debug", "quiet", "no_record", "no_fsync")
 
 
 def add_no_record(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,11 @@ def record_of(args: argparse.Namespace, command: str, values: Mapping[str, Any])
     """
     from torchweather.core.random import DRAWS  # which imports numpy: the parser starts without it
 
-    given = {name: value for name, value in vars(args).items() if name not in UNSAID and value not in (None, False, [])}
+    given = {
+        name: value
+        for name, value in vars(args).items()
+        if name not in WITHOUT_EFFECT and value not in (None, False, [])
+    }
     return {
         "command": command,
         "torchweather": __version__,

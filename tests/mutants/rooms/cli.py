@@ -127,4 +127,12 @@ MUTANTS = (
         "if False else cell",
         ("tests/io/test_tables.py::test_a_name_is_no_formula_in_a_spreadsheet",),
     ),
+    Mutant(
+        "guesses_left_out_of_the_record",
+        "the record of a run holds the warnings of each frame, such as a guessed airlight",
+        "torchweather.cli.outcome",
+        'entry["warnings"] = texts',
+        "pass",
+        ("tests/cli/test_cli_many_files.py::test_the_record_says_where_an_airlight_was_guessed",),
+    ),
 )
