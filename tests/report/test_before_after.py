@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parsed_page import Page
 from PIL import Image
 from torch import Tensor
 
 from tests.recordings import recording
+from tests.report.parsed_page import Page
 from torchweather.atmosphere.weather import Fog, Snow
 from torchweather.camera.depth import ConstantDepth, DepthMap
 from torchweather.core.errors import TorchweatherError

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parsed_page import Page
 from torch import Tensor
 
 from tests.recordings import recording
+from tests.report.parsed_page import Page
 from torchweather.atmosphere.weather import Weather, parse_weather
 from torchweather.core.errors import TorchweatherError
 from torchweather.datasets import read_kitti_points

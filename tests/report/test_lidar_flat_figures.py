@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from test_lidar_section import decoded, pixels_of
-from test_view_flat import FLAKES, UNDER, road
 from torch import Tensor
 
+from tests.report.test_lidar_section import decoded, pixels_of
+from tests.report.test_view_flat import FLAKES, UNDER, road
 from torchweather.lidar import fit_ground
 from torchweather.report.lidar_figures import COLOURS
 from torchweather.report.lidar_flat_figures import (

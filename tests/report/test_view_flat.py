@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parsed_page import Page
 from PIL import Image
-from test_cloud_view import data_of, written
 from torch import Tensor
 
 from tests.recordings import recording
+from tests.report.parsed_page import Page
+from tests.report.test_cloud_view import data_of, written
 from torchweather.atmosphere.weather import parse_weather
 from torchweather.datasets import read_kitti_points
 from torchweather.lidar import fit_ground
