@@ -53,6 +53,7 @@ def a_third(study: Study) -> Study:
     return replace(study, conditions=conditions, scenes=scenes)
 
 
+@pytest.mark.long
 def test_a_recording_without_faint_first_echoes_lacks_what_a_last_echo_lacks(example: Any, tmp_path: Path) -> None:
     """The made recording has the strongest and the last echo: a flake that is fainter than what is behind is missing.
 

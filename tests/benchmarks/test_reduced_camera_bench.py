@@ -17,7 +17,7 @@ from torchweather.gap import find_gap
 
 CASES = list(plan("ci", 1, ["reduced"], Size().smaller()))
 # All eight take minutes: what is not run in every test run is run by `pytest -m long`.
-EVERY_TIME = (1, 5)
+EVERY_TIME = (5,)
 ALL = [pytest.param(case, marks=[] if place in EVERY_TIME else [pytest.mark.long]) for place, case in enumerate(CASES)]
 RELATIVE = 0.4  # d' of 30 tells a parameter to some percent, another form of the effect than the catalogue's to less
 

@@ -62,6 +62,7 @@ TRUTH: dict[str, Any] = {
 }
 
 
+@pytest.mark.long
 def test_the_fit_finds_the_density_that_beams_were_drawn_from(fit: Any) -> None:
     snow, truth = scan(fit), fit.Density(**TRUTH)
     chance = -np.expm1(-truth.of(snow))

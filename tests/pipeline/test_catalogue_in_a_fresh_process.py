@@ -21,6 +21,8 @@ CASES = {
     '"loss_db": 1.0}])',
 }
 
+OTHERS = [name for name in CASES if name != "an effect of a LiDAR"]  # seconds each, to load everything
+
 
 def fresh(code: str) -> str:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -28,7 +30,9 @@ def fresh(code: str) -> str:
     return done.stdout.strip()
 
 
-@pytest.mark.parametrize("name", list(CASES))
+@pytest.mark.parametrize(
+    "name", ["an effect of a LiDAR", *(pytest.param(one, marks=pytest.mark.long) for one in OTHERS)]
+)
 def test_a_transform_takes_the_dictionary_of(name: str) -> None:
     fresh(f"import torchweather as tw\n{CASES[name]}")
 
@@ -49,7 +53,11 @@ def test_a_chain_is_read_from_its_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "number"),
     [
-        ("from torchweather.gap.inference.effect_forms import EFFECTS as e; print(len(e))", len(EFFECTS)),
+        pytest.param(
+            "from torchweather.gap.inference.effect_forms import EFFECTS as e; print(len(e))",
+            len(EFFECTS),
+            marks=pytest.mark.long,
+        ),
         ("from torchweather.gap.inference.forward_selection import EFFECTS as e; print(len(e))", len(EFFECTS)),
         ("from torchweather.stages import EFFECTS as e; print(len(e))", len(EFFECTS)),
         ("from torchweather.stages import STAGES as s; print(len(s))", None),

@@ -799,7 +799,8 @@ def test_the_direct_way_of_fog_refuses_effects() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("weather", ["fog", pytest.param("rain", marks=pytest.mark.long)])
+@pytest.mark.long  # half a minute of torch's own time each; the LiDAR's and the radar's run every time
+@pytest.mark.parametrize("weather", ["fog", "rain"])
 def test_effects_are_exported_with_the_chain(weather: str, tmp_path: Path) -> None:
     """Every effect that a graph can hold, at settings that show, at another size than the traced.
 

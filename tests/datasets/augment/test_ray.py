@@ -41,7 +41,7 @@ print(len(killed), summary.done, summary.broken)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds the worker to kill in /proc")
 def test_ray_with_a_worker_killed_gives_the_bytes_of_one_process(tmp_path: Path) -> None:
     pytest.importorskip("ray")
