@@ -147,7 +147,7 @@ def _optical_band(parts: Parts, name: str, wavelength_nm: float, *, effective: b
         extinction += alone
         seen += alone * Q_EFF[part.kind] / 2.0
         # A flake is a Lambertian disk: Q_back = 4 rho (PHYSICS.md 5.9). Rain and fog have defaults of their own.
-        q_back = 4.0 * part.albedo if isinstance(part, Snow) else None
+        q_back = 4.0 * part.reflectivity_at(wavelength_nm) if isinstance(part, Snow) else None
         beta = backscatter_per_m_sr(distribution, wavelength_nm, temperature_c=_temperature_c(part), q_back=q_back)
         backscatter += float(beta)
     band: dict[str, Any] = {

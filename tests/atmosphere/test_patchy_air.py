@@ -230,7 +230,8 @@ def test_drops_are_where_the_air_is_dense() -> None:
     """Share of beams that see a drop, and where they see it, against an integral over the way."""
     log_std, field = 0.9, one_wave(0.0, 0.25, 0.5)
     rain = Rain(50, patch_log_std=log_std, patch_length_m=LENGTH_M)
-    transform = LidarRain(rain, LIDAR, q_eff=0.0)  # the integral below knows no extinction
+    # The integral below knows no extinction, and no drops that add to one another within a pulse.
+    transform = LidarRain(rain, replace(LIDAR, pulse_width_ns=1e-9), q_eff=0.0)
     returns = transform.chain.stages["particle_returns"]
     assert isinstance(returns, ParticleReturns)
     part = returns.kinds["rain"]

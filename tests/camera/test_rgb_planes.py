@@ -54,8 +54,9 @@ def states(weather: Weather, flat: bool) -> tuple[BayerWeather, CameraState, Cam
 
 @pytest.mark.parametrize("weather", WEATHERS, ids=IDS)
 def test_the_mosaic_of_weathered_planes_is_the_weathered_mosaic(weather: Weather) -> None:
-    # What a drop shows is the frame's mean, which a mosaic knows from a quarter of the pixels: a flat frame for rain.
-    transform, raw, planes = states(weather, flat=any(isinstance(part, Rain) for part in weather.parts))
+    # Drops show the frame's mean, flakes that of its ground, which a mosaic knows from a quarter of the pixels: a flat
+    # frame for both.
+    transform, raw, planes = states(weather, flat=any(isinstance(part, (Rain, Snow)) for part in weather.parts))
     noise = transform.draw(raw.image.signal, seed=5)
     of_mosaic, of_planes = transform.weathered(raw, noise), transform.weathered(planes, noise)
     # The same operations in float32, with sums over a mosaic's and a plane's pixels in another order. Behind fog a

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import pytest
@@ -49,13 +50,15 @@ def cameras() -> None:
     transform = BayerWeather(Mixture(Rain(30.0), Fog(80.0)), CAMERA, airlight=(0.5, 0.6, 0.7))
     state = transform.state_of(frame(2), depth_m)
     Quantise(255)(state, {})
+    ran(BayerWeather(Fog(80.0), CAMERA, exposure_control="mean"), frame(2), depth=depth_m)
     ran_with_truth = transform.run(frame(2), depth_m, transform.draw(frame(2), seed=3))
     assert ran_with_truth.particle_mask is not None
 
 
 def lidars() -> None:
     """Fog, rain and snow with gusts, and every curve that measurements add."""
-    ran(LidarWeather(PATCHY, LIDAR), cloud(2), directions=rays(2))
+    for unit in (LIDAR.intensity_unit, "none"):
+        ran(LidarWeather(PATCHY, replace(LIDAR, intensity_unit=unit)), cloud(2), directions=rays(2))
     transform = effect_scene.rain()
     state = effect_scene.begin(transform)
     state = state.changed(cos_incidence=torch.full_like(state.scene.clear_range_m, 0.5), up=state.scene.clear_range_m)

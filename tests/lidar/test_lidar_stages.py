@@ -225,9 +225,9 @@ def test_a_beam_without_object_reports_what_is_in_it() -> None:
 # ---- particles --------------------------------------------------------------------------------------------------
 
 
-def test_a_flake_that_fills_the_beam_returns_its_albedo() -> None:
+def test_a_flake_that_fills_the_beam_returns_its_reflectivity() -> None:
     """rho / pi xi T2 / R^2, there and back; and 1 / K times D^2 Q / (16 A_b) for one that does not."""
-    part = BeamParticles(Snow(1.0, albedo=0.8), SENSOR, q_back=None, published=False)
+    part = BeamParticles(Snow(1.0, flake_reflectivity=0.8), SENSOR, q_back=None, published=False)
     stage = ParticleReturns([Snow(1.0)], SENSOR)
     alpha = torch.tensor([0.01])
     full, diameter_m, area_m2 = part._seen(stage.beam, alpha)

@@ -105,7 +105,7 @@ def test_what_is_nearer_than_the_receiver_sees_stays(weather: Weather, mode: str
     result = ran(LidarWeather(weather, replace(SENSOR, return_mode=mode)), points)
     assert bool((result.kind == OBJECT).all())
     assert torch.equal(result.points[:, :3], points[:, :3])
-    assert int(result.floored_points) == 300  # the receiver takes nothing of their light
+    assert int(result.floored_points) == 0  # what the receiver does not see there says nothing of its calibration
 
 
 def test_rows_nearer_than_the_minimum_range_hold_no_return() -> None:
@@ -115,6 +115,21 @@ def test_rows_nearer_than_the_minimum_range_hold_no_return() -> None:
     assert int(result.empty_beams) == 3
     assert result.kind[:3].tolist() == [LOST] * 3
     assert torch.equal(result.points[:3], points[:3])
+
+
+def test_particles_of_a_column_without_meaning_have_the_objects_values() -> None:
+    """A constant beside objects of 120 would tell a network which points are snow."""
+    sensor = replace(SENSOR, intensity_unit="none")
+    points = torch.cat([target(20.0, 120.0, 500), target(30.0, 80.0, 500)])[torch.randperm(1000)]
+    points[::3] = 0.0
+    points[::3, 0] = 60.0
+    directions = torch.nn.functional.normalize(points[:, :3], dim=-1)
+    points[::3] = 0.0
+    result = LidarSnow(Snow(10.0, flake_reflectivity=0.9), sensor).run(points, directions=directions, seed=1)
+    values = result.points[result.kind == PARTICLE][:, 3]
+    assert len(values) > 100
+    assert set(values.tolist()) == {80.0, 120.0}
+    assert float((values == 120.0).float().mean()) == pytest.approx(0.5, abs=4 * 0.5 / math.sqrt(len(values)))
 
 
 def test_floored_points_are_those_that_say_less_than_the_threshold() -> None:
@@ -319,7 +334,7 @@ def test_published_rain_takes_half_the_light_for_drops_of_half_to_six_millimetre
 
 
 def test_hahner_is_for_fog_and_fainter_by_its_lidar_ratio() -> None:
-    with pytest.raises(ValueError, match="has none"):
+    with pytest.raises(ValueError, match="is for fog and snow; this weather has neither"):
         LidarRain(Rain(1.0), SENSOR, variant="hahner")
     points = target(30.0, 0.0, 4000)
     shares = [

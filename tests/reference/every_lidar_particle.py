@@ -12,9 +12,11 @@ system constant ``K`` and in 1/(m^2 sr),
 ``X = bracket_full min(1, (D / D_b)^2) exp(-2 alpha_eff r) xi(r) / r^2``,
 
 with ``bracket_full = Q_back / (4 pi)`` for drops (``D^2 Q_back / (16 A_b)`` when they are smaller than the beam) and
-``rho_s / pi`` for flakes, whose optical diameter is the physical, not the melted one.
+``rho_s / pi`` for flakes, whose optical diameter is the physical, not the melted one. To it adds the mean of what all
+smaller ones within the same pulse return, ``bracket_full exp(-2 alpha_eff r) xi(r) / r^2 (pi/4) l int_0^D N D'^2 dD'``
+with ``l = c tau / 2``. ``summed_in_pulses`` adds them one by one instead, as the receiver does.
 
-References: PHYSICS.md 2.2 (rain), 2.4 (snow), 3.2 (effective extinction), 5.2, 5.3, 5.5, 5.9 (LiDAR).
+References: PHYSICS.md 2.2 (rain), 2.4 (snow), 3.2 (effective extinction), 5.2, 5.3, 5.5, 5.9 (LiDAR), 10.4 (pulses).
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -43,6 +46,7 @@ __all__ = [
     "every_particle",
     "lambda_by_quadrature",
     "object_signal",
+    "summed_in_pulses",
 ]
 
 Array = NDArray[np.float64]
@@ -51,6 +55,7 @@ ReturnMode = Literal["strongest", "first", "last", "dual"]
 
 OBJECT, PARTICLE, LOST = 0, 1, 2  # the numbers of PointKind, DESIGN.md 3
 SLAB_RATIO = 1.05  # far end over near end of a slab; only sets how many particles are drawn in vain
+SIZE_NODES = 4001  # of the sum over smaller particles
 NODES = 40  # Gauss-Legendre nodes of each smooth piece
 
 
@@ -67,6 +72,7 @@ class Link:
     min_range_m: float = 0.0
     max_range_m: float = 120.0
     echo_separation_m: float = 1.5
+    pulse_length_m: float = 0.0  # c tau / 2; 0: every particle returns alone
 
     @property
     def threshold(self) -> float:
@@ -126,6 +132,42 @@ class Medium:
         lowest = np.clip(self.counted_diameter_mm(optical_m), self.sizes.smallest_mm, self.sizes.largest_mm)
         ends = np.exp(-self.sizes.slope_per_mm * lowest) - math.exp(-self.sizes.slope_per_mm * self.sizes.largest_mm)
         return self.sizes.n0_per_m3_mm / self.sizes.slope_per_mm * ends
+
+    @cached_property
+    def _smaller(self) -> tuple[Array, Array]:
+        """Optical diameters, m, and ``int_0^D N D'^2 dD'``, m^2/m^3, by the trapezoid rule over ln of the counted."""
+        counted_mm = np.geomspace(self.sizes.smallest_mm, self.sizes.largest_mm, SIZE_NODES)
+        optical_m = self.sizes.optical_diameters_mm(counted_mm) * 1e-3
+        density = self.sizes.n0_per_m3_mm * np.exp(-self.sizes.slope_per_mm * counted_mm) * counted_mm
+        values = density * optical_m**2
+        steps = 0.5 * (values[1:] + values[:-1]) * math.log(counted_mm[1] / counted_mm[0])
+        return optical_m, np.concatenate([[0.0], np.cumsum(steps)])
+
+    def share_of_full(self, optical_m: Array, beam_m: Array, pulse_length_m: float) -> Array:
+        """What a particle returns with the others of its pulse, over the signal of one that fills the beam."""
+        inside = np.minimum(optical_m, beam_m)
+        others = np.interp(inside, *self._smaller) if pulse_length_m else np.zeros_like(inside)
+        return (inside / beam_m) ** 2 + math.pi / 4.0 * pulse_length_m * others
+
+    def needed_m(self, share: Array, beam_m: Array, pulse_length_m: float) -> Array:
+        """The optical diameter whose particle returns a share of the full beam's signal; infinite where none does."""
+        if pulse_length_m == 0.0:
+            with np.errstate(divide="ignore"):
+                needed = beam_m * np.sqrt(share)
+            return np.where(needed < beam_m, needed, np.inf)
+        grid = self._smaller[0]
+        share, beam = np.broadcast_arrays(share, beam_m)
+        found = np.empty(share.shape)
+        for place in np.ndindex(share.shape):
+            values = self.share_of_full(grid, beam[place], pulse_length_m)
+            wanted = float(share[place])
+            if wanted >= values[-1]:
+                found[place] = np.inf
+            elif wanted <= values[0]:  # none of the smaller ones add to it
+                found[place] = beam[place] * math.sqrt(wanted)
+            else:
+                found[place] = np.interp(wanted, values, grid)
+        return found
 
 
 @dataclass(frozen=True)
@@ -209,9 +251,14 @@ def _slabs(
         # No point of the slab is brighter: each factor at the end where it is larger.
         transmission = math.exp(-2.0 * medium.extinction_per_m * near) * float(link.near_response(ends)[1])
         brightest = medium.full_bracket_per_sr * transmission / near**2
-        if brightest < floor or brightest == 0.0:
+        if brightest == 0.0:
             continue
-        smallest_m = float(link.beam_diameter_m(ends)[0]) * math.sqrt(floor / brightest)
+        # The narrowest beam, and the most that the others of any particle add.
+        all_others = math.pi / 4.0 * link.pulse_length_m * float(medium._smaller[1][-1])
+        left = floor / brightest - all_others
+        if left >= 1.0:
+            continue
+        smallest_m = float(link.beam_diameter_m(ends)[0]) * math.sqrt(max(left, 0.0))
         per_m3 = float(medium.larger_per_m3(np.array(smallest_m)))
         volumes = link.volume_m3(ends)
         n = int(rng.poisson(farthest_m.size * per_m3 * (volumes[1] - volumes[0])))
@@ -220,10 +267,29 @@ def _slabs(
         lowest = max(sizes.smallest_mm, float(medium.counted_diameter_mm(np.array(smallest_m))))
         low, high = math.exp(-sizes.slope_per_mm * lowest), math.exp(-sizes.slope_per_mm * sizes.largest_mm)
         diameter_mm = -np.log(low - rng.random(n) * (low - high)) / sizes.slope_per_mm
-        fill = (sizes.optical_diameters_mm(diameter_mm) * 1e-3 / link.beam_diameter_m(range_m)) ** 2
-        signal = full_beam_signal(range_m, link, medium) * np.minimum(fill, 1.0)
+        optical_m = sizes.optical_diameters_mm(diameter_mm) * 1e-3
+        share = medium.share_of_full(optical_m, link.beam_diameter_m(range_m), link.pulse_length_m)
+        signal = full_beam_signal(range_m, link, medium) * share
         kept = (signal >= floor) & (range_m < farthest_m[beam])
         yield beam[kept], range_m[kept], signal[kept], diameter_mm[kept]
+
+
+def summed_in_pulses(particles: Echoes, pulse_length_m: float) -> Array:
+    """Signal at each particle with all others of its beam added, each weighted with the pulse's shape.
+
+    The pulse is sin^2 of FWHM tau: an echo at a distance d counts ``cos^2(pi d / (2 l))``, l = c tau / 2, and nothing
+    beyond l. For particles of a `Link` whose own pulse length is 0.
+    """
+    total = particles.signal.copy()
+    for step in range(1, len(particles)):
+        apart = particles.range_m[step:] - particles.range_m[:-step]
+        near = np.flatnonzero((particles.beam[step:] == particles.beam[:-step]) & (apart < pulse_length_m))
+        if not near.size:
+            break
+        weight = np.cos(math.pi * apart[near] / (2.0 * pulse_length_m)) ** 2
+        np.add.at(total, near, weight * particles.signal[near + step])
+        np.add.at(total, near + step, weight * particles.signal[near])
+    return total
 
 
 def chosen(
@@ -308,9 +374,10 @@ def _report(n: int, beam: Ints, table: Array, second: Chosen | None = None) -> C
 def lambda_by_quadrature(energy: float, range_m: float, link: Link, medium: Medium) -> float:
     """Expected number of particles in front of ``range_m`` with a signal above ``energy`` (1/(m^2 sr)).
 
-    ``Lambda(e, R) = int A_b(r) N_>(D_e(r)) dr`` over the reported ranges, with ``D_e = D_b sqrt(e / g)``, the tail
-    taken from the smallest diameter where ``D_e`` is below it, and 0 where ``D_e`` is above the largest or ``e`` above
-    the full-beam signal ``g``. Gauss-Legendre on each piece between the kinks and jumps of the integrand.
+    ``Lambda(e, R) = int A_b(r) N_>(D_e(r)) dr`` over the reported ranges, with ``D_e`` the diameter whose particle
+    returns e with the others of its pulse (alone ``D_b sqrt(e / g)``), the tail taken from the smallest diameter where
+    ``D_e`` is below it, and 0 where ``D_e`` is above the largest or no particle returns e. Gauss-Legendre on each piece
+    between the kinks and jumps of the integrand.
     """
     start, end = max(link.particles_from_m, 1e-3), min(range_m, link.max_range_m)
     if end <= start:
@@ -318,12 +385,13 @@ def lambda_by_quadrature(energy: float, range_m: float, link: Link, medium: Medi
 
     def needed_m(r: Array) -> Array:
         with np.errstate(divide="ignore"):
-            return link.beam_diameter_m(r) * np.sqrt(energy / full_beam_signal(r, link, medium))
+            share = energy / full_beam_signal(r, link, medium)
+        return medium.needed_m(share, link.beam_diameter_m(r), link.pulse_length_m)
 
     def integrand(r: Array) -> Array:
         needed = needed_m(r)
         wide = link.beam_diameter_m(r)
-        return np.where(needed < wide, math.pi / 4.0 * wide**2 * medium.larger_per_m3(needed), 0.0)
+        return np.where(needed < wide, math.pi / 4.0 * wide**2 * medium.larger_per_m3(np.minimum(needed, wide)), 0.0)
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     total = 0.0
@@ -349,7 +417,7 @@ def _breaks(needed_m: Callable[[Array], Array], start: float, end: float, link: 
 
         def excess(r: Array, level: float | None = level) -> Array:
             target = link.beam_diameter_m(r) if level is None else level
-            return np.log(target) - np.log(needed_m(r))
+            return np.log(target) - np.log(np.minimum(needed_m(r), 1e6))
 
         values = excess(search)
         for i in np.flatnonzero(values[:-1] * values[1:] < 0.0).tolist():

@@ -1,8 +1,8 @@
 """Backscatter of the measured fogs at 20,001 radii, written into ``tests/oracles/physics_oracles.json``.
 
 The block ``fog_table5`` had it from 3,000 radii, too few for the resonances of nearly transparent spheres: it was up to
-3 % off (``PHYSICS.md`` 10.9). This file has a Mie series of its own (Bohren and Huffman 1983, appendix A, upward recurrence of
-the Riccati-Bessel functions) and imports numpy only.
+3 % off (``PHYSICS.md`` 10.9). The Mie series here is one of its own (Bohren and Huffman 1983, appendix A, upward
+recurrence of the Riccati-Bessel functions), on numpy only.
 
 Run ``python tests/reference/make_fog_backscatter.py`` (about two minutes on one core).
 """

@@ -2,7 +2,7 @@
 
 Run ``python tests/reference/make_particle_statistics.py`` (about five minutes on one core, under 1 GB).
 Each block holds its settings, the statistics of every seed, their mean and sample standard deviation over the
-seeds, and the expectation of the mask mean, ``1 - exp(-alpha (depth - near))``.
+seeds, and the expectation of the mask mean, that of ``1 - exp(-alpha (depth - near) / cos(theta))`` over the pixels.
 """
 
 from __future__ import annotations
@@ -30,9 +30,22 @@ BLOCKS: dict[str, dict[str, Any]] = {
     "rain_96x96": {"kind": "rain", "rate_mm_per_h": 50.0, **SMALL},
     "rain_484x366": {"kind": "rain", "rate_mm_per_h": 50.0, **CROP},
     "snow_484x366": {"kind": "snow", "rate_mm_per_h": 3.0, **CROP},
+    # The lower right corner of the whole picture: 46 degrees off the axis.
+    "rain_corner": {"kind": "rain", "rate_mm_per_h": 50.0, **SMALL, "principal_px": [-871.5, -635.5]},
+    "snow_corner": {"kind": "snow", "rate_mm_per_h": 3.0, **SMALL, "principal_px": [-871.5, -635.5]},
 }
 # At least 20; more where a frame is cheap and its statistics are noisy.
-N_SEEDS = {"rain_96x96": 100, "rain_484x366": 20, "snow_484x366": 60}
+N_SEEDS = {"rain_96x96": 100, "rain_484x366": 20, "snow_484x366": 60, "rain_corner": 100, "snow_corner": 100}
+
+
+def expected_mean(settings: dict[str, Any]) -> float:
+    """Mean over the pixels of the covered share that the optical depth of each ray gives."""
+    height, width, f_px = settings["height"], settings["width"], settings["f_px"]
+    column, row = settings.get("principal_px") or ((width - 1) / 2, (height - 1) / 2)
+    y, x = (np.arange(height)[:, None] - row) / f_px, (np.arange(width) - column) / f_px
+    alpha_per_m = geometric_extinction(population(settings["kind"], settings["rate_mm_per_h"]))
+    path_m = (settings["depth_m"] - settings["near_m"]) * np.sqrt(1 + x**2 + y**2)
+    return float(-np.expm1(-alpha_per_m * path_m).mean())
 
 
 def measure(settings: dict[str, Any], n_seeds: int) -> dict[str, Any]:
@@ -49,7 +62,7 @@ def measure(settings: dict[str, Any], n_seeds: int) -> dict[str, Any]:
     return {
         "settings": settings,
         "geometric_extinction_per_m": alpha_per_m,
-        "expected_mean": -math.expm1(-alpha_per_m * (settings["depth_m"] - settings["near_m"])),
+        "expected_mean": expected_mean(settings),
         "mean_over_seeds": {name: float(values.mean()) for name, values in columns.items()},
         "std_over_seeds": {name: float(values.std(ddof=1)) for name, values in columns.items()},
         "seeds": seeds,

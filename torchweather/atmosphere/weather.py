@@ -42,6 +42,7 @@ from torchweather.physics import (
     precipitation_rate_mm_per_h,
     rehearse_fog,
 )
+from torchweather.physics.flake_reflectivity import flake_reflectivity
 from torchweather.physics.precipitation_rate import fall_speed_law
 
 __all__ = [
@@ -78,6 +79,7 @@ RANGES = {
     "wind_m_per_s": between(-100.0, 100.0, "m/s (forward, left, up in the vehicle frame)"),
     "temperature_c": between(-60.0, 60.0, "degrees Celsius"),
     "albedo": between(0.0, 1.0),
+    "flake_reflectivity": between(0.0, 1.0),
     "melt_fraction": between(0.0, 1.0, advice="It is the share of a flake's mass that is liquid; dry snow is 0."),
     "contrast": between(1e-6, 1 - 1e-6),
 }
@@ -332,7 +334,10 @@ class Snow(_Precipitation):
         close_rate: scale the distribution so that its flux is exactly the rate.
         temperature_c: ice temperature, degrees Celsius.
         wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
-        albedo: share of light that a flake scatters, 0.85-0.95 (``PHYSICS.md`` 4.7).
+        albedo: share of light that a flake scatters, for a camera: 0.85-0.98 in the visible (``PHYSICS.md`` 10.2).
+        flake_reflectivity: of a flake, for a LiDAR, 0-1; ``None`` is that of a thin layer of ice grains at the laser's
+            wavelength, known within a factor of 2: 0.25 from 500 to 1,064 nm, 0.09 at 1,550 nm
+            (``torchweather.physics.flake_reflectivity``).
         melt_fraction: share of a flake's mass that is liquid, 0-1. Radar attenuation and backscatter use it
             (``PHYSICS.md`` 6.7); camera and LiDAR take the flake as dry, and number and fall speed stay those of
             dry snow.
@@ -353,6 +358,18 @@ class Snow(_Precipitation):
     temperature_c: float = -5.0
     albedo: float = 0.9
     melt_fraction: float = 0.0
+    flake_reflectivity: float | None = None
+
+    def reflectivity_at(self, wavelength_nm: float) -> float:
+        """Reflectivity of a flake for a LiDAR of a wavelength, nm: the given one, or that of a layer of ice grains.
+
+        Example:
+            >>> round(Snow(1).reflectivity_at(905.0), 2), Snow(1, flake_reflectivity=0.9).reflectivity_at(905.0)
+            (0.25, 0.9)
+        """
+        if self.flake_reflectivity is not None:
+            return self.flake_reflectivity
+        return float(flake_reflectivity(wavelength_nm))
 
 
 @dataclass(frozen=True, init=False)

@@ -23,8 +23,11 @@ __all__ = [
     "Airlight",
     "airlight_argument",
     "estimate_airlight",
+    "STRIDES_PX",
     "frame_mean",
+    "per_colour",
     "scaled_airlight",
+    "thinned",
 ]
 
 Airlight = tuple[float, float, float] | str | None
@@ -139,14 +142,14 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> Non
 def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Sky's light per colour ``(B, 3)``, weighted towards the horizon, from some rows and columns; and whether every
     colour was seen, ``(B,)``."""
-    signal = _thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
+    signal = thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
     if state.scene.sky is None:
-        sky = torch.isinf(_thinned(state, state.scene.depth_m, steps_px)).to(signal.dtype)
+        sky = torch.isinf(thinned(state, state.scene.depth_m, steps_px)).to(signal.dtype)
     else:
-        sky = _thinned(state, state.scene.sky, steps_px).to(signal.dtype)
+        sky = thinned(state, state.scene.sky, steps_px).to(signal.dtype)
     weight = sky
     if state.scene.sine_elevation is not None:
-        weight = towards_horizon(sky, _thinned(state, state.scene.sine_elevation, steps_px).to(signal.dtype))
+        weight = towards_horizon(sky, thinned(state, state.scene.sine_elevation, steps_px).to(signal.dtype))
     weight = weight.expand(len(signal), weight.shape[1], -1)
     seen = (sky > 0.5).any(-1).all(1).expand(len(signal))
     light = (signal * weight).sum(-1) / weight.sum(-1).clamp_min(1e-12)
@@ -165,7 +168,7 @@ def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
     return sky * torch.exp(((lowest - sine) / BAND_SINE).clamp_max(0.0))
 
 
-def _thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Tensor:
+def thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Tensor:
     """Every so many rows and columns of each phase of a mosaic, ``(B, 4, n)``, or of each plane, ``(B, C, n)``."""
     down, across = steps_px
     if state.receiver.cfa_index is None:

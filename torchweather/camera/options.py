@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from torchweather.camera.exposure import ExposureControl
 from torchweather.pipeline.options import TransformOptions
 
 __all__ = ["RENAMED", "CameraOptions"]
@@ -21,6 +23,7 @@ class CameraOptions(TransformOptions):
     airlight: Sequence[float] | float | str | None = None
     layer_top_m: float = 200.0
     sky: str | None = None
+    exposure_control: str | ExposureControl | Mapping[str, Any] | None = None
     extinction: str = "mie"
     near_m: float = 0.5
     far_m: float = 200.0

@@ -98,12 +98,15 @@ class CameraReceiver:
             planes (red, green, blue).
         camera: that took the frame; ``None`` where not known.
         row_time_s: ``(B,)`` from the exposure of a row to that of the row below; ``None`` is 0.
+        metered_signal: ``(B,)`` statistic of the frame before the weather that a control of the exposure keeps;
+            ``None`` where none was taken.
         keep_truth: compute ``transmission`` and ``particle_mask`` although the signal needs neither.
     """
 
     cfa_index: Tensor | None
     camera: Camera | None = None
     row_time_s: Tensor | None = None
+    metered_signal: Tensor | None = None
     keep_truth: bool = False
 
 

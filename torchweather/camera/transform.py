@@ -17,6 +17,7 @@ from torchweather.camera.airlight import airlight_argument, given_or_estimated, 
 from torchweather.camera.bayer import cfa_colour_index
 from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
 from torchweather.camera.depth.source import warn_of_depth
+from torchweather.camera.exposure import ExposureControl, as_exposure_control
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.camera.options import RENAMED, CameraOptions
@@ -77,6 +78,8 @@ class BayerWeather(WeatherTransform):
             the top of deep radiation fog; infinity is fog without end.
         sky: ``overcast`` puts the grey of an overcast sky behind rain and snow, where the frame shows sky; sunlight and
             cast shadows stay. ``None`` keeps the frame's.
+        exposure_control: ``mean`` or ``median`` gives the frame in weather the mean or median signal of the clear one,
+            as cameras do; or an ``ExposureControl`` with window, target and limits. ``None`` keeps the exposure.
         extinction: of fog: ``mie`` or ``koschmieder``.
         near_m, far_m: limits of falling particles along the optical axis.
         min_listed_coverage: peak coverage of a pixel above which a particle is drawn one by one, 1e-6 to 1; the others
@@ -115,6 +118,7 @@ class BayerWeather(WeatherTransform):
         airlight: Sequence[float] | float | str | None = None,
         layer_top_m: float = 200.0,
         sky: str | None = None,
+        exposure_control: str | ExposureControl | Mapping[str, Any] | None = None,
         extinction: str = "mie",
         near_m: float = 0.5,
         far_m: float = 200.0,
@@ -133,6 +137,7 @@ class BayerWeather(WeatherTransform):
             airlight=airlight,
             layer_top_m=layer_top_m,
             sky=sky,
+            exposure_control=exposure_control,
             extinction=extinction,
             near_m=near_m,
             far_m=far_m,
@@ -183,6 +188,9 @@ class BayerWeather(WeatherTransform):
                 rate_capacity_mm_per_h=rate_capacity_mm_per_h,
                 variant=variant,
             )
+        if exposure_control is not None:
+            control = as_exposure_control(exposure_control, owner=self)
+            stages = {"exposure_meter": control.meter(), **stages, "exposure_control": control}
         stages["quantise"] = Quantise()
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
         self.chain = with_effects(Chain(stages), built)

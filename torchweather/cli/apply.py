@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 from torchweather.cli.clouds import LIDAR_ARGUMENTS, add_lidar_arguments
 from torchweather.cli.detections import RADAR_ARGUMENTS, add_radar_arguments
 from torchweather.cli.frame_seeds import add_seed_rule
-from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
+from torchweather.cli.frames import (
+    CAMERA_ARGUMENTS,
+    add_camera_arguments,
+    add_depth_arguments,
+    add_light_arguments,
+    add_through_mosaic,
+)
 from torchweather.cli.output import add_no_fsync
 from torchweather.cli.own_vehicle import add_own_vehicle
 from torchweather.cli.run_record import add_no_record
@@ -76,13 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also write NAME.html: of an image a slider over three severities, of a cloud its points to turn; of a "
         "radar map NAME_preview.png",
     )
-    parser.add_argument(
-        "--airlight",
-        nargs=3,
-        type=float,
-        metavar=("R", "G", "B"),
-        help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
-    )
+    add_light_arguments(parser)
     parser.add_argument(
         "--ego-speed-m-per-s",
         type=_speed,

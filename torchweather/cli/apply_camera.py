@@ -19,7 +19,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.cli.frame_seeds import FrameSeeds
-from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, gathered
+from torchweather.cli.frames import camera_fields, camera_options, depth_source, fitted_camera, gathered
 from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.core.errors import TorchweatherError
@@ -64,8 +64,7 @@ def _planned(args: argparse.Namespace, weather: Weather, recipe: TransformRecipe
         sensor = {"kind": "camera", "preset": preset or "lucid-triton"}
     options = {} if recipe is None else dict(recipe.options)
     depth = options.pop("depth", None) if args.depth is None else args.depth
-    given = {"airlight": args.airlight, "ego_speed_m_per_s": args.ego_speed_m_per_s}
-    options |= {key: value for key, value in given.items() if value is not None}
+    options |= camera_options(args, args.ego_speed_m_per_s)
     return Plan(weather, camera_of({**sensor, **camera_fields(args)}), options, None if depth is None else str(depth))
 
 

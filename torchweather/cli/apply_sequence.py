@@ -10,7 +10,7 @@ from typing import Any
 
 from torchweather import __version__
 from torchweather.atmosphere.weather import Weather
-from torchweather.cli.frames import camera_fields, fitted_camera, gathered
+from torchweather.cli.frames import camera_fields, camera_options, fitted_camera, gathered
 from torchweather.cli.outcome import Outcome
 from torchweather.cli.output import note
 from torchweather.cli.sequence_frames import (
@@ -158,8 +158,7 @@ def _planned(
     options = {} if recipe is None else dict(recipe.options)
     # The picture is guessed from where nothing else is known of it; a mosaic cannot be.
     usual = options.pop("depth", "auto" if frames.is_rgb else "ground")
-    given = {"airlight": args.airlight, "ego_speed_m_per_s": speed}
-    options |= {key: value for key, value in given.items() if value is not None}
+    options |= camera_options(args, speed)
     path = frames.paths[0] if isinstance(frames, FolderFrames) else None
     camera, said = fitted_camera(camera_of({**sensor, **camera_fields(args)}), *frames.size, args=args, frame=path)
     if not options.get("ego_speed_m_per_s") and any(part.kind != "fog" for part in weather.parts):

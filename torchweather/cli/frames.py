@@ -18,8 +18,10 @@ __all__ = [
     "CAMERA_ARGUMENTS",
     "add_camera_arguments",
     "add_depth_arguments",
+    "add_light_arguments",
     "add_through_mosaic",
     "camera_fields",
+    "camera_options",
     "depth_source",
     "fitted_camera",
     "gathered",
@@ -28,10 +30,36 @@ __all__ = [
 # All arguments below that belong to a camera.
 CAMERA_ARGUMENTS = (
     *("camera", "camera_name", "pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy"),
-    *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "ego_speed_m_per_s"),
-    *("depth_along", "baseline_m", "calib", "depth_model", "depth_model_output", "depth_model_scale"),
-    *("depth_model_multiple_px", "through_mosaic"),
+    *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "exposure_control"),
+    *("ego_speed_m_per_s", "depth_along", "baseline_m", "calib", "depth_model", "depth_model_output"),
+    *("depth_model_scale", "depth_model_multiple_px", "through_mosaic"),
 )
+
+
+def add_light_arguments(parser: argparse.ArgumentParser) -> None:
+    """Light of the sky, and what the camera makes of it."""
+    parser.add_argument(
+        "--airlight",
+        nargs=3,
+        type=float,
+        metavar=("R", "G", "B"),
+        help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
+    )
+    parser.add_argument(
+        "--exposure-control",
+        choices=("mean", "median"),
+        help="of a camera: give frames in weather the mean or median signal of the clear ones, as cameras do",
+    )
+
+
+def camera_options(args: argparse.Namespace, ego_speed_m_per_s: float | None) -> dict[str, Any]:
+    """Options of a camera's transform that were given."""
+    given = {
+        "airlight": args.airlight,
+        "exposure_control": args.exposure_control,
+        "ego_speed_m_per_s": ego_speed_m_per_s,
+    }
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def add_camera_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchweather.cli.clouds import LIDAR_FIELDS, add_lidar_fields
-from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
+from torchweather.cli.frames import (
+    CAMERA_ARGUMENTS,
+    add_camera_arguments,
+    add_depth_arguments,
+    add_light_arguments,
+    add_through_mosaic,
+)
 from torchweather.cli.robustness_frames import RobustnessFrames, truth_file
 from torchweather.core.exceptions import InputValueError
 
@@ -72,13 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--baseline", type=Path, metavar="DIR", help="another run's: mCE is relative to its errors")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
-    parser.add_argument(
-        "--airlight",
-        nargs=3,
-        type=float,
-        metavar=("R", "G", "B"),
-        help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
-    )
+    add_light_arguments(parser)
     parser.add_argument("--ego-speed-m-per-s", type=float, help="of a camera: speed of the vehicle")
     add_depth_arguments(parser)
     add_camera_arguments(parser)

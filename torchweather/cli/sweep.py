@@ -17,7 +17,13 @@ from torchweather.cli.clouds import (
 )
 from torchweather.cli.detections import RADAR_FIELDS, add_radar_fields
 from torchweather.cli.frame_seeds import add_seed_rule, storm_seeds
-from torchweather.cli.frames import CAMERA_ARGUMENTS, add_camera_arguments, add_depth_arguments, add_through_mosaic
+from torchweather.cli.frames import (
+    CAMERA_ARGUMENTS,
+    add_camera_arguments,
+    add_depth_arguments,
+    add_light_arguments,
+    add_through_mosaic,
+)
 from torchweather.cli.regions import REGION_HELP
 from torchweather.cli.run_record import add_no_record
 from torchweather.core.exceptions import InputValueError
@@ -65,13 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", metavar="WxH", help="of an embedded scene's frame; default half the preset's")
     parser.add_argument("--region", help=f"of clouds and detections: {REGION_HELP}")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
-    parser.add_argument(
-        "--airlight",
-        nargs=3,
-        type=float,
-        metavar=("R", "G", "B"),
-        help="of a camera: linear signal of the sky, 0..1 of saturation; default the frame's own",
-    )
+    add_light_arguments(parser)
     parser.add_argument(
         "--allow-guessed-depth",
         action="store_true",

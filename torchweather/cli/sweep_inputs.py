@@ -19,7 +19,7 @@ from torchweather.cli.clouds import (
     with_ones,
 )
 from torchweather.cli.detections import gathered_detections, radar_fields
-from torchweather.cli.frames import camera_fields, depth_source, fitted_camera, gathered
+from torchweather.cli.frames import camera_fields, camera_options, depth_source, fitted_camera, gathered
 from torchweather.cli.ouster_product import refuse_other_product
 from torchweather.cli.regions import parse_region
 from torchweather.core.errors import TorchweatherError, check_one_of
@@ -84,8 +84,7 @@ class Maker(ABC):
 class _Camera(Maker):
     def __init__(self, args: argparse.Namespace, preset: str, notes: list[str]) -> None:
         super().__init__(args, preset, notes)
-        given = {"airlight": args.airlight, "ego_speed_m_per_s": args.ego_speed_m_per_s}
-        self.options = {name: value for name, value in given.items() if value is not None}
+        self.options = camera_options(args, args.ego_speed_m_per_s)
 
     @staticmethod
     def gathered(inputs: list[Path]) -> list[Path]:

@@ -40,8 +40,7 @@ def below_floor(points: Tensor, sensor: Lidar) -> tuple[int, int]:
     stage = ToEnergy(sensor).double()
     seen = (range_m > 0) & range_m.isfinite()
     zero = zero_intensity(values[..., 3], sensor.intensity_unit, sensor.zero_intensity)
-    signal = stage.signal_of_intensity(values[..., 3], range_m, zero)
-    return int((seen & (signal < stage.beam.threshold)).sum()), int(seen.sum())
+    return int((seen & stage.contradicts_threshold(values[..., 3], range_m, zero)).sum()), int(seen.sum())
 
 
 def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:

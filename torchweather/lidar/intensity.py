@@ -15,6 +15,7 @@ from torch import Tensor
 __all__ = [
     "FULL_SCALE",
     "are_integers",
+    "borrowed_intensity",
     "dimmed_intensity",
     "intensity_from_signal",
     "intensity_of_reflectivity",
@@ -78,6 +79,31 @@ def zero_intensity(intensity: Tensor, unit: str, given: float | None = None) -> 
     return 0.5 * HUNDREDTH * (stepped & (intensity > 0).any(-1, keepdim=True)).to(intensity)
 
 
+def borrowed_intensity(intensity: Tensor, seen: Tensor, unit: str) -> Tensor | None:
+    """Value of an object for each beam, ``(B, N)``, where the column has no meaning; ``None`` where it has one.
+
+    It is the beam's own where it has an object, else that of the object before it, so that particles have the objects'
+    own distribution: a constant would tell them apart. A cloud without objects gives 1.
+
+    Args:
+        intensity: ``(B, N)``.
+        seen: ``(B, N)`` bool, whether the beam has an object.
+        unit: see the module.
+
+    Example:
+        >>> column = torch.tensor([[0.0, 120.0, 0.0, 80.0]])
+        >>> borrowed_intensity(column, column > 0, "none")
+        tensor([[120., 120., 120.,  80.]])
+    """
+    if unit != "none":
+        return None
+    row = torch.arange(seen.shape[1], device=seen.device).expand(seen.shape)
+    before = torch.where(seen, row, -1).cummax(1).values
+    first = seen.to(torch.int64).argmax(1, keepdim=True)
+    found = intensity.gather(1, torch.where(before < 0, first, before))
+    return torch.where(seen.any(1, keepdim=True), found, 1.0)
+
+
 def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) -> Tensor:
     """Apparent Lambertian reflectivity; for every unit but ``photons``. The calibrated scale ends at 255.
 
@@ -137,10 +163,12 @@ def intensity_from_signal(
 ) -> Tensor:
     """Intensity of a particle, from its equivalent reflectivity ``pi X R^2``; integers are rounded down.
 
+    For every unit but ``none``, whose particles have a `borrowed_intensity`.
+
     Args:
         signal: X, ``(B, N)``.
         range_m: R, ``(B, N)``.
-        unit: see the module; ``none`` gives 1.
+        unit: see the module.
         integral: ``(B, 1)``, as above.
         photons_per_signal: K, photons m^2 sr, for the unit ``photons``.
     """

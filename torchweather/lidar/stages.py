@@ -134,6 +134,22 @@ class ToEnergy(_SensorStage):
         # At range 0 the receiver's response is 0.
         return reflectivity * self.beam.near_response(range_m) / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2)
 
+    def contradicts_threshold(self, intensity: Tensor, range_m: Tensor, zero_intensity: Tensor | None = None) -> Tensor:
+        """Whether a return's intensity says less than the threshold, in full response of the receiver, ``(B, N)``.
+
+        Near the sensor, where the response rises, every return is faint by it: that says nothing of the calibration.
+
+        Args:
+            intensity, range_m, zero_intensity: as in ``signal_of_intensity``.
+        """
+        signal = self.signal_of_intensity(intensity, range_m, zero_intensity)
+        if self.sensor.intensity_unit != "photons":
+            response = self.beam.near_response(range_m)
+            rising = (response > 0) & (response < 1)
+            signal = torch.where(rising, signal / torch.where(rising, response, 1.0), signal)
+            signal = torch.where(response > 0, signal, torch.inf)
+        return (range_m > 0) & (signal < self.beam.threshold)
+
     def margin_law(self, range_m: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and end of the margin, ln of a signal over the threshold, ``(B, N)`` each; an end only where it is near.
 
@@ -670,7 +686,8 @@ class ToPoints(_SensorStage):
 
     default_name: ClassVar[str] = "to_points"
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.clear_range_m", "scene.clear_signal", "scene.empty_direction", "scene.integral", "scene.points_in"),
+        *("scene.borrowed_intensity", "scene.clear_range_m", "scene.clear_signal", "scene.empty_direction"),
+        *("scene.integral", "scene.points_in"),
         *("returns.kind", "returns.range_m", "returns.signal"),
         "receiver.threshold",
     )
@@ -727,9 +744,11 @@ class ToPoints(_SensorStage):
         range_m = torch.where(particle, self._measured(range_m, noise), range_m)
         gain = signal / torch.where(clear > 0, state.scene.clear_signal, 1.0)
         unit, intensity, integral = self.sensor.intensity_unit, state.scene.points_in[..., 3], state.scene.integral
-        returned = intensity_from_signal(
-            signal, range_m, unit, integral, self.photons_at_threshold / state.receiver.threshold
-        )
+        if state.scene.borrowed_intensity is not None:
+            returned = state.scene.borrowed_intensity
+        else:
+            per_signal = self.photons_at_threshold / state.receiver.threshold
+            returned = intensity_from_signal(signal, range_m, unit, integral, per_signal)
         value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
         return range_m, value, lost
 

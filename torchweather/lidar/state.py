@@ -26,6 +26,8 @@ class LidarScene:
         clear_signal: ``(B, N)`` its signal in clear air; 0 for a beam without return.
         integral: ``(B, 1)`` bool, whether the sample's intensities are integers; they then stay integers.
         zero_intensity: ``(B, 1)`` intensity that a value of 0 stands for; ``None`` is 0.
+        borrowed_intensity: ``(B, N)`` value of an object in the same or an earlier beam, which a particle takes where
+            the column has no meaning (unit ``none``); ``None``: it has one.
         cos_incidence: ``(1 or B, N)`` cosine between the beam and the normal of the surface it meets; ``None`` where
             not known.
         up: ``(1 or B, N)`` upward component of that normal, -1 to 1; ``None`` where not known.
@@ -38,6 +40,7 @@ class LidarScene:
     clear_signal: Tensor
     integral: Tensor
     zero_intensity: Tensor | None = None
+    borrowed_intensity: Tensor | None = None
     cos_incidence: Tensor | None = None
     up: Tensor | None = None
     grid: tuple[int, int] | None = None
@@ -171,6 +174,7 @@ class LidarState(PartedState):
 # Fields of a LidarState that have the beams second.
 PER_BEAM = (
     "points_in",
+    "borrowed_intensity",
     "empty_direction",
     "clear_range_m",
     "clear_signal",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
-from torchweather.atmosphere.weather import Weather, check_intensities
+from torchweather.atmosphere.weather import Snow, Weather, check_intensities
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
@@ -21,7 +21,7 @@ from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in
 from torchweather.lidar.clouds import check_points
 from torchweather.lidar.expected_detection import expected_detection
 from torchweather.lidar.frame_check import warn_of_frame
-from torchweather.lidar.intensity import are_integers, zero_intensity
+from torchweather.lidar.intensity import are_integers, borrowed_intensity, zero_intensity
 from torchweather.lidar.options import LidarOptions
 from torchweather.lidar.returns.soft_return import SoftReturn
 from torchweather.lidar.sensor import Lidar
@@ -29,6 +29,7 @@ from torchweather.lidar.stages import Detection, Extinction, ParticleReturns, To
 from torchweather.lidar.state import LidarState
 from torchweather.lidar.sweep.beam_ends import BeamEnd
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask, checked_own_vehicle
+from torchweather.physics import SNOW_PACK_REFLECTIVITY
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
@@ -64,8 +65,8 @@ class LidarResult:
             GROUND 2, OWN_VEHICLE 3, OBSTACLE 4, or UNKNOWN 5 where the direction is not known. Particles lie before it.
         beam_end_counts: ``(..., 6)`` how many beams of the cloud, with appended ones, end at each ``BeamEnd``.
         empty_beams: ``(...)`` rows without return in the input (with those that ``complete_scan`` appended).
-        floored_points: ``(...)`` returns whose intensity says less than the detection threshold; they were detected,
-            so they stand on it.
+        floored_points: ``(...)`` returns whose intensity says less than the detection threshold, in full response of
+            the receiver; they were detected, so they stand on it.
         scan: how beams without return were treated, in words.
         own_vehicle_points: ``(...)`` returns on the own vehicle, which no weather reaches; ``None`` where it is not
             known (`LidarWeather`, ``own_vehicle``).
@@ -118,8 +119,9 @@ class LidarWeather(WeatherTransform):
             vehicle's, so measure the body and add nothing. ``None``: one sweep does not show which returns are the
             vehicle's, so they are weathered as objects. Rows nearer than the sensor's ``min_range_m`` hold no return
             in any case (nuScenes: 1 m).
-        variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: short for
-            ``fog_backscatter="hahner", fog_extinction="koschmieder"``.
+        variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: as Hahner et al.
+            published it: fog with ``fog_backscatter="hahner", fog_extinction="koschmieder"``, snow with flakes of 0.9,
+            the reflectivity of a snow pack.
         effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
         p: probability that a sample gets the weather; the others come back as they are.
 
@@ -192,7 +194,7 @@ class LidarWeather(WeatherTransform):
         weather = weather.densest()
         self.lost, self.complete_scan = lost, complete_scan
         published = "d3_4" if variant == "d3_4" else None
-        parts = weather.parts
+        parts = _with_packed_flakes(weather.parts) if variant == "hahner" else weather.parts
         air = patchy_air(weather)
         if air and published:
             raise InputValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
@@ -221,8 +223,8 @@ class LidarWeather(WeatherTransform):
                 "constant (a target reflectivity of 150, flakes 2.8e6 times brighter than the object, pulses of 10 fs) "
                 "and follow from no sensor. Use the default."
             )
-        if variant == "hahner" and "fog" not in kinds:
-            raise InputValueError(f'{name}: variant="hahner" is the backscatter of fog; this weather has none.')
+        if variant == "hahner" and not {"fog", "snow"} & set(kinds):
+            raise InputValueError(f'{name}: variant="hahner" is for fog and snow; this weather has neither.')
 
     # ---- what the weather is, readable -------------------------------------------------------------------------
 
@@ -492,6 +494,7 @@ class LidarWeather(WeatherTransform):
             reach_m=reach_m,
             threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
             integral=are_integers(flat[..., 3], self.sensor.intensity_unit),
+            borrowed_intensity=borrowed_intensity(flat[..., 3], range_m > 0, self.sensor.intensity_unit),
             zero_intensity=zero_intensity(flat[..., 3], self.sensor.intensity_unit, self.sensor.zero_intensity),
             grid=self._grid(flat.shape[1]),
         )
@@ -560,12 +563,8 @@ class LidarWeather(WeatherTransform):
         return state.changed(extinction_per_m=found[0].air.extinction_per_m, **joined)
 
     def _floored(self, state: LidarState) -> Tensor:
-        stage = self._stage(ToEnergy)
-        signal = stage.signal_of_intensity(
-            state.scene.points_in[..., 3], state.scene.clear_range_m, state.scene.zero_intensity
-        )
-        floored: Tensor = (state.scene.clear_range_m > 0) & (signal < stage.beam.threshold)
-        return floored.sum(-1)
+        own = (state.scene.points_in[..., 3], state.scene.clear_range_m, state.scene.zero_intensity)
+        return self._stage(ToEnergy).contradicts_threshold(*own).sum(-1)
 
     def _outgoing(self, values: Tensor, kind: Tensor, points: Tensor, beams: Beams) -> Cloud:
         """Values ``(B, N, ...)`` of the beams as they leave: shape and dtype of the input, lost points as asked for."""
@@ -582,6 +581,16 @@ class LidarWeather(WeatherTransform):
             return values.reshape(*batch, *values.shape[1:])
         kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
+
+
+def _with_packed_flakes(parts: Sequence[Weather]) -> tuple[Weather, ...]:
+    """The same weathers, flakes as bright as a pack of snow unless their reflectivity is given (Hahner et al. 2022)."""
+    return tuple(
+        replace(part, flake_reflectivity=SNOW_PACK_REFLECTIVITY)
+        if isinstance(part, Snow) and part.flake_reflectivity is None
+        else part
+        for part in parts
+    )
 
 
 def _own_vehicle_restored(state: LidarState, beams: Beams) -> LidarState:

@@ -22,6 +22,11 @@ from torchweather.physics.fall_speed import (
     rain_fall_speed_m_per_s,
     snow_fall_speed_m_per_s,
 )
+from torchweather.physics.flake_reflectivity import (
+    FLAKE_COLUMN_KG_PER_M2,
+    SNOW_PACK_REFLECTIVITY,
+    flake_reflectivity,
+)
 from torchweather.physics.fog_distributions import (
     FOG,
     advection_fog,
@@ -99,6 +104,9 @@ from torchweather.physics.visibility import (
 from torchweather.physics.wet_cover import wet_cover_loss_db, wet_cover_series_db
 
 __all__ = [
+    "FLAKE_COLUMN_KG_PER_M2",
+    "SNOW_PACK_REFLECTIVITY",
+    "flake_reflectivity",
     "DB_PER_KM",
     "FLAKE_ALBEDO",
     "FOG",

@@ -139,11 +139,11 @@ def _negated(temperature_c: Quantity) -> Quantity:
     return -temperature_c
 
 
-def brandes_table4(row: str) -> Gamma:
+def brandes_table4(row: str | float) -> Gamma:
     """One of the three measured snowfalls of D3.4 Table 4, in the *physical* diameter, on all sizes.
 
     Args:
-        row: ``"2.59"``, ``"2.70"`` or ``"3.03"``: the rate printed with it, mm/h.
+        row: 2.59, 2.70 or 3.03, as text or number: the rate printed with it, mm/h.
 
     Note:
         Only row 3.03 is consistent with its rate; rows 2.59 and 2.70 describe 0.2-0.3 mm/h at usual fall speeds.
@@ -155,8 +155,9 @@ def brandes_table4(row: str) -> Gamma:
         >>> round(float(brandes_table4("2.59").total_per_m3), 1)
         375.4
     """
-    check_one_of("row", row, BRANDES_TABLE4, owner="brandes_table4")
-    intercept, mu, slope = BRANDES_TABLE4[row]
+    name = row if isinstance(row, str) else {float(one): one for one in BRANDES_TABLE4}.get(row, str(row))
+    check_one_of("row", name, BRANDES_TABLE4, owner="brandes_table4")
+    intercept, mu, slope = BRANDES_TABLE4[name]
     return Gamma(intercept, mu, slope, particle="flake")
 
 

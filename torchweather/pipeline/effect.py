@@ -21,9 +21,10 @@ from torchweather.pipeline.stage import Stage
 __all__ = ["CAMERA_PLACES", "EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
 
 
-CAMERA_PLACES = ("scene", "extinction_and_airlight", "particle_veil", "quantise")
+CAMERA_PLACES = ("scene", "extinction_and_airlight", "particle_veil", "exposure_control", "quantise")
 """Where effects of a camera stand, in the order of the light: in front of all stages, behind the fog, behind the
-particles, behind the converter. What a chain lacks has its place behind the one before."""
+particles, behind the control of the exposure, behind the converter. What a chain lacks has its place behind the one
+before."""
 
 
 @dataclass(frozen=True)

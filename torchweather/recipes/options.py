@@ -10,6 +10,7 @@ import numpy as np
 from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
+from torchweather.camera.exposure import ExposureControl
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.transform_spec import sensor_of, spec_of
@@ -74,6 +75,8 @@ def options_of(transform: RecipeTransform) -> dict[str, Any]:
         ) from error
     if options.get("depth") is not None:
         options["depth"] = _depth_option(as_depth_source(options["depth"]))
+    if isinstance(options.get("exposure_control"), ExposureControl):
+        options["exposure_control"] = options["exposure_control"].config()
     if options.get("effects"):
         options["effects"] = [one.to_dict() if isinstance(one, Effect) else dict(one) for one in options["effects"]]
     known = transform.options.defaults()

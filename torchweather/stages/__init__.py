@@ -1,5 +1,6 @@
 """Stages, the chains they form, and the states that pass through them."""
 
+from torchweather.camera.exposure import ExposureControl, ExposureMeter
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.state import CameraState
@@ -25,6 +26,8 @@ __all__ = [
     "Detection",
     "Effect",
     "Empirical",
+    "ExposureControl",
+    "ExposureMeter",
     "Extinction",
     "ExtinctionAndAirlight",
     "LidarState",

@@ -24,7 +24,7 @@ BLOCKS: dict[str, Any] = json.loads((Path(__file__).parents[2] / "reference" / "
 # log-normal and the listed marks approximate each column's chord.
 RELATIVE = {"mean": 0.01, "std": 0.05, "quantile_99": 0.05, "quantile_99.9": 0.05}
 ABSOLUTE = {f"vertical_{lag}": 0.05 for lag in (1, 2, 4, 8)}
-N_SEEDS = {"rain_96x96": 60, "rain_484x366": 20, "snow_484x366": 20}
+N_SEEDS = {"rain_96x96": 60, "rain_484x366": 20, "snow_484x366": 20, "rain_corner": 60, "snow_corner": 60}
 
 
 @lru_cache(maxsize=4)
@@ -32,9 +32,8 @@ def fast_statistics(block: str) -> dict[str, np.ndarray[Any, np.dtype[np.float64
     """Statistics of the fast path's masks, one value a seed."""
     settings = BLOCKS[block]["settings"]
     height, width, f_px = settings["height"], settings["width"], settings["f_px"]
-    camera = Camera.from_intrinsics(
-        f_px, f_px, (width - 1) / 2, (height - 1) / 2, width, height, exposure_s=settings["exposure_s"]
-    )
+    principal = settings.get("principal_px") or ((width - 1) / 2, (height - 1) / 2)
+    camera = Camera.from_intrinsics(f_px, f_px, *principal, width, height, exposure_s=settings["exposure_s"])
     weather = (Rain if settings["kind"] == "rain" else Snow)(settings["rate_mm_per_h"])
     transform = BayerWeather(weather, camera, near_m=settings["near_m"], depth=settings["depth_m"], airlight=0.5)
     frame = torch.zeros(1, height, width)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from tests.reference.every_particle import geometric_extinction, population
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+from torchweather.camera.flake_light import flake_light
 from torchweather.camera.particles.population import Population
 from torchweather.camera.particles.streaks import Marks
 from torchweather.physics import Binned
@@ -347,12 +348,15 @@ def test_drops_show_the_scene_and_six_percent_of_the_sky(pattern: str) -> None:
         assert torch.allclose(result.bayer[0][where], (1 - mask) * scene[0][where] + mask * drop, atol=1e-6)
 
 
-def test_flakes_are_white_in_the_light_of_the_sky() -> None:
+def test_flakes_are_white_in_the_light_of_sky_and_ground() -> None:
     transform = BayerSnow(Snow(3.0, albedo=0.85), camera_of(), near_m=1.0, depth=20.0, airlight=0.8)
     given = frame(transform.camera)
     result = transform.run(given, noise=transform.draw(given, seed=2))
     mask = result.particle_mask
-    assert torch.allclose(result.bayer, (1 - mask) * given + mask * 0.85 * 0.8, atol=1e-6)
+    colour = 0.85 * flake_light(transform.state_of(given), torch.full((1, 3), 0.8))
+    per_pixel = colour[0, torch.tensor([[0, 1], [1, 2]])].repeat(given.shape[-2] // 2, given.shape[-1] // 2)
+    assert 0.34 < float(colour.min()) < 0.5  # half of 0.8 and a dark ground
+    assert torch.allclose(result.bayer, (1 - mask) * given + mask * per_pixel, atol=1e-6)
     assert bool((result.bayer >= given).all())
 
 

@@ -87,7 +87,8 @@ def sky(count: int, sensor: Lidar, weather: Rain | Snow | Fog, **more: Any) -> t
     return transform, transform.state_of(torch.zeros(1, count, 4), along)
 
 
-SNOW_SENSOR = Lidar(wavelength_nm=905.0, range_at_10_percent_m=60.0)
+# A pulse so short that every flake returns alone: numbers are proportional to the density.
+SNOW_SENSOR = Lidar(wavelength_nm=905.0, range_at_10_percent_m=60.0, pulse_width_ns=1e-9)
 
 
 def share_and_ranges(weather: Snow, effects: list[Any], seed: int) -> tuple[float, Tensor]:
@@ -99,7 +100,7 @@ def share_and_ranges(weather: Snow, effects: list[Any], seed: int) -> tuple[floa
 
 def test_three_times_the_density_is_three_times_the_number_by_poisson() -> None:
     """P(a flake is seen) = 1 - exp(-d Lambda), Lambda by quadrature over the beam and no table of solutions."""
-    weather = Snow(rate_mm_per_h=0.1)
+    weather = Snow(rate_mm_per_h=0.1, flake_reflectivity=0.9)
     effect = {"effect": "lidar.particle_density_azimuth", "amplitude": 2.0, "azimuth_rad": 0.5 * math.pi}
     part, beam = BeamParticles(weather, SNOW_SENSOR, q_back=None, published=False), Beam(SNOW_SENSOR)
     clear, reach = torch.zeros(1), torch.full((1, 1), SNOW_SENSOR.max_range_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from torchweather.stages import Detection, Extinction, LidarState, ParticleRetur
 from torchweather.transforms import LidarFog, LidarRain, LidarSnow, LidarWeather
 
 SENSOR = Lidar(wavelength_nm=905.0, range_at_10_percent_m=60.0, divergence_mrad=2.0).with_hahner_overlap()
+# A pulse so short that every particle returns alone: the integral below knows no others.
+ALONE = replace(SENSOR, pulse_width_ns=1e-9)
 BEAMS = 40_000
 Floats = NDArray[np.float64]
 
@@ -69,11 +72,11 @@ def own_number_above(signal: float, reach_m: float, weather: Rain, q_back: float
 @pytest.mark.parametrize(("density", "extra_mrad"), [(1.0, 0.0), (2.5, 0.0), (0.4, 0.0), (1.0, 3.0), (2.0, 1.5)])
 def test_the_expected_number_of_drops_is_that_of_an_own_integral(density: float, extra_mrad: float) -> None:
     weather = Rain(25.0)
-    part = BeamParticles(weather, SENSOR, q_back=None, published=False)
-    beam, clear = Beam(SENSOR).widened(torch.tensor([1e-3 * extra_mrad])), torch.zeros(1)
+    part = BeamParticles(weather, ALONE, q_back=None, published=False)
+    beam, clear = Beam(ALONE).widened(torch.tensor([1e-3 * extra_mrad])), torch.zeros(1)
     between = part.between(beam, clear, torch.tensor([density]))
     for times, reach_m in ((1.0, 30.0), (3.0, 30.0), (1.0, 2.0)):
-        signal = times * SENSOR.threshold_per_m2_sr
+        signal = times * ALONE.threshold_per_m2_sr
         row = (math.log(signal) - part.log_low) / part.log_step
         above = between.flip(1).cumsum(1).flip(1)[0, :, :]
         place = float(part.grid.position(torch.tensor(reach_m)))
@@ -90,7 +93,7 @@ def test_the_expected_number_of_drops_is_that_of_an_own_integral(density: float,
 
 
 def test_a_beam_widened_by_nothing_is_the_same_and_by_a_batch_gives_a_batch() -> None:
-    beam, range_m = Beam(SENSOR), torch.linspace(1.0, 40.0, 12).reshape(4, 3)
+    beam, range_m = Beam(ALONE), torch.linspace(1.0, 40.0, 12).reshape(4, 3)
     assert torch.equal(beam.widened(torch.zeros(1)).area_m2(range_m)[0], beam.area_m2(range_m))
     wide = beam.widened(torch.tensor([0.0, 2e-3])).diameter_m(range_m)
     torch.testing.assert_close(wide[1] - wide[0], 2e-3 * range_m, rtol=1e-4, atol=1e-7)
@@ -100,24 +103,24 @@ def test_a_beam_widened_by_nothing_is_the_same_and_by_a_batch_gives_a_batch() ->
 @pytest.mark.parametrize("density", [0.5, 2.0])
 def test_the_share_of_beams_with_a_visible_drop_follows_the_density(density: float) -> None:
     """P = 1 - exp(-density Lambda): 40,000 beams, four standard deviations."""
-    transform = LidarRain(Rain(25.0), SENSOR, q_eff=0.0)
+    transform = LidarRain(Rain(25.0), ALONE, q_eff=0.0)
     state = empty_beams(transform)
     part = transform.chain.stages["particle_returns"].kinds["rain"]
     wanted = own_number_above(
-        SENSOR.threshold_per_m2_sr, SENSOR.max_range_m, Rain(25.0), float(part.q_back), extra_rad=0.0, density=density
+        ALONE.threshold_per_m2_sr, ALONE.max_range_m, Rain(25.0), float(part.q_back), extra_rad=0.0, density=density
     )
     share = 1.0 - math.exp(-wanted)
     _, signal = drawn(transform, state.changed(density_scale=torch.tensor([density])))
-    found = (signal >= SENSOR.threshold_per_m2_sr).mean()
+    found = (signal >= ALONE.threshold_per_m2_sr).mean()
     assert found == pytest.approx(share, abs=4.0 * math.sqrt(share * (1.0 - share) / BEAMS) + 0.02 * wanted)
     assert abs(found - (1.0 - math.exp(-wanted / density))) > 0.02  # not that of the density 1
 
 
 def test_twice_the_density_is_twice_the_snow_and_its_extinction() -> None:
     """A number of flakes proportional to the density at any rate: two states of one table."""
-    transform = LidarSnow(Snow(0.5), SENSOR)
+    transform = LidarSnow(Snow(0.5), ALONE)
     part = transform.chain.stages["particle_returns"].kinds["snow"]
-    beam, clear = Beam(SENSOR), torch.zeros(2)
+    beam, clear = Beam(ALONE), torch.zeros(2)
     both = part.between(beam, clear, torch.tensor([1.0, 2.0]))
     torch.testing.assert_close(both[1], 2.0 * both[0], rtol=1e-5, atol=1e-7)
     state = empty_beams(transform, 10, 2).changed(density_scale=torch.tensor([1.0, 2.0]))

@@ -6,7 +6,8 @@ has a false-alarm level of 1e-3; the seeds are fixed, so a test that passes goes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from tests.reference.every_lidar_particle import (
     every_particle,
     lambda_by_quadrature,
     object_signal,
+    summed_in_pulses,
 )
 from tests.reference.every_particle import population
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
@@ -51,6 +53,7 @@ OS1 = Lidar(
     margin_db=NO_MARGIN_DB,
     echo_separation_m=1.5,
 )
+ALONE_NS = 1e-9  # of a pulse so short that every particle returns alone
 # Raindrops are seen within 3 m, where the default near-range response is nearly 0: rain needs the early overlap.
 RAIN_SENSORS = {"os1": OS1.with_hahner_overlap(), "hdl": HDL.with_hahner_overlap()}
 SNOW_SENSORS = {"os1": OS1, "hdl": HDL}
@@ -82,7 +85,7 @@ def scene(n: int = N_BEAMS) -> Scene:
 
 
 def weather(kind: str, rate: float) -> Weather:
-    return Rain(rate) if kind == "rain" else Snow(rate)
+    return Rain(rate) if kind == "rain" else Snow(rate, flake_reflectivity=0.9)
 
 
 def link(sensor: Lidar) -> Link:
@@ -95,6 +98,7 @@ def link(sensor: Lidar) -> Link:
         near_power=sensor.near_power,
         max_range_m=sensor.max_range_m,
         echo_separation_m=sensor.echo_separation,
+        pulse_length_m=sensor.pulse_length_m,
     )
 
 
@@ -255,12 +259,51 @@ def test_tabulated_solutions_are_those_of_the_bisection(case: Weather, early: bo
     assert ks_distance(part.grid.range_m(exact[1])[seen[0]], part.grid.range_m(read[1])[seen[1]]) < 3e-3
 
 
+@pytest.mark.parametrize(
+    ("sensor", "falling", "without"),
+    [
+        ("velodyne-hdl-64e", Snow(0.3), 0.09),
+        ("velodyne-hdl-64e", Snow(1.0), 0.05),
+        ("ouster-os1-128", Snow(1.0), 0.10),
+        ("ouster-os1-128", Snow(1.0, flake_reflectivity=0.9), 0.08),
+    ],
+    ids=["hdl-0.3", "hdl-1", "os1-1", "os1-1-bright"],
+)
+def test_echoes_of_one_pulse_add(sensor: str, falling: Snow, without: float) -> None:
+    """PHYSICS.md 10.4: particles of one pulse added one by one, as the receiver does, against the mean of the others.
+
+    The strongest alone is below by the third argument: what the mean is there to bring back.
+    """
+    lidar, beams = Lidar.preset(sensor), 60_000
+    transform = LidarWeather(falling, lidar)
+    alone = replace(link(lidar), pulse_length_m=0.0)
+    air = Medium(
+        population("snow", falling.rate_mm_per_h),
+        flake_reflectivity=falling.reflectivity_at(lidar.wavelength_nm),
+        extinction_per_m=float(transform.extinction_per_m),
+    )
+    listed = every_particle(
+        np.full(beams, np.inf), alone, air, rng=np.random.default_rng(2), energy_floor=0.02 * alone.threshold
+    )
+    above = summed_in_pulses(listed, lidar.pulse_length_m) > alone.threshold
+    share = len(np.unique(listed.beam[above])) / beams
+    returns = transform.chain.stages["particle_returns"]
+    everywhere = torch.tensor([[lidar.max_range_m]])
+    number = returns.kinds["snow"].expected_above(
+        returns.beam, torch.tensor([[lidar.threshold_per_m2_sr]]), transform.extinction_per_m, everywhere
+    )
+    error = math.sqrt(share * (1 - share) / beams) / share
+    assert float(1 - torch.exp(-number)) / share == pytest.approx(1.0, abs=0.02 + 3 * error)
+    strongest = len(np.unique(listed.beam[listed.signal > alone.threshold])) / beams
+    assert 1 - strongest / share == pytest.approx(without, abs=0.02 + 3 * error)
+
+
 def test_as_many_particles_are_drawn_as_one_beam_in_ten_thousand_exceeds() -> None:
     from scipy.stats import poisson
 
     for rate in (0.5, 2.0):
         lidar = Lidar.from_dict({**HDL.to_dict(), "return_mode": "last"})
-        transform = LidarWeather(Snow(rate), lidar)
+        transform = LidarWeather(weather("snow", rate), lidar)
         clear = medium(transform, "snow", rate)
         mean = lambda_by_quadrature(
             lidar.threshold_per_m2_sr, lidar.max_range_m, link(lidar), Medium(clear.sizes, extinction_per_m=0.0)
@@ -286,6 +329,7 @@ def test_mean_over_whole_table_of_default_response_is_the_committed_one() -> Non
                 key: values[key]
                 for key in ("range_at_10_percent_m", "near_start_m", "near_full_m", "near_power", "max_range_m")
             },
+            pulse_width_ns=ALONE_NS,
         )
         transform = LidarWeather(weather(row["weather"], row["rate_mm_per_h"]), lidar)
         returns = transform.chain.stages["particle_returns"]

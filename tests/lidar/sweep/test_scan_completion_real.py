@@ -30,7 +30,7 @@ KITTI = (
 def test_a_kitti_sweep_is_completed_to_one_turn_and_no_flake_lies_under_the_road(name: str) -> None:
     cloud = read_kitti_points(recording(f"kitti_13/velodyne/{name}.bin"))
     sensor = Lidar.preset("velodyne-hdl-64e", intensity_unit="reflectivity")
-    snow = LidarSnow(Snow(rate_mm_per_h=1.0), sensor, complete_scan=True)
+    snow = LidarSnow(Snow(rate_mm_per_h=1.0, flake_reflectivity=0.9), sensor, complete_scan=True)
     result = snow.run(cloud, snow.draw(cloud, seed=1))
     assert isinstance(result.kind, Tensor)
     assert isinstance(result.points, Tensor)

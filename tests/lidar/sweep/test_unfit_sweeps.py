@@ -343,7 +343,7 @@ def test_nothing_is_appended_where_the_sweep_does_not_look(
 
 def test_echoes_of_a_beam_share_their_fate_though_rows_are_fewer_than_beams(given: Sweep) -> None:
     cloud = torch.cat([given.cloud, given.cloud[::10]])
-    snow = LidarSnow(Snow(rate_mm_per_h=2.0), given.sensor, complete_scan=True)
+    snow = LidarSnow(Snow(rate_mm_per_h=2.0, flake_reflectivity=0.9), given.sensor, complete_scan=True)
     result = snow.run(cloud, snow.draw(cloud, seed=3))
     kind, copies = result.kind[: len(cloud)], result.kind[len(given.cloud) : len(cloud)]
     assert isinstance(kind, Tensor)

@@ -293,4 +293,12 @@ MUTANTS = (
             "tests/cli/test_cli_point_files.py::test_a_small_cloud_of_a_vehicle_whose_ground_is_at_the_origin_is_warned_of",
         ),
     ),
+    Mutant(
+        "echoes_of_a_pulse_do_not_add",
+        "particles within one pulse add to the echo of the brightest",
+        "torchweather.lidar.returns.beam_particles",
+        "        self.pulse_length_m = 0.0 if published else sensor.pulse_length_m",
+        "        self.pulse_length_m = 0.0",
+        ("tests/lidar/returns/test_strongest_returns.py::test_echoes_of_one_pulse_add",),
+    ),
 )

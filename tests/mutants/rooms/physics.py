@@ -139,4 +139,20 @@ MUTANTS = (
         "theta = 300.0 / (t + 300.0)\n",
         ("tests/physics/test_refractive_index.py::test_millimetre_wave_water_is_the_double_debye_model",),
     ),
+    Mutant(
+        "flake_as_bright_as_a_pack",
+        "a flake is a thin layer of grains",
+        "torchweather.physics.flake_reflectivity",
+        "    fall = torch.tanh(k * tau / 2)",
+        "    fall = torch.ones_like(tau)",
+        ("tests/physics/test_flake_reflectivity.py::test_table_of_physics_10_3",),
+    ),
+    Mutant(
+        "grains_that_absorb_nothing",
+        "ice absorbs at 1550 nm",
+        "torchweather.physics.flake_reflectivity",
+        "    lengthened = (n**3 - (n**2 - 1) ** 1.5) / n",
+        "    lengthened = 0.0 * n",
+        ("tests/physics/test_flake_reflectivity.py::test_photons_through_a_layer_of_grains",),
+    ),
 )

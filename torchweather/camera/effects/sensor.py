@@ -72,7 +72,7 @@ class CameraSensorNoise(Effect):
         Parameter("electrons_per_unit", "1", 1.0, math.inf, scale=10000.0, identity=math.inf),
         Parameter("read_electrons", "1", 0.0, 1000.0, scale=4.0, identity=0.0),
     )
-    after: ClassVar[str] = "particle_veil"
+    after: ClassVar[str] = "exposure_control"
     rank: ClassVar[int] = 6
     axes: ClassVar[tuple[str, ...]] = ("variance", "intensity")
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -109,7 +109,7 @@ class CameraSaturation(Effect):
     term: ClassVar[str] = "saturation, full-well capacity"
     # The converter's own is 1: anything below is early.
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("level", "1", 0.0, math.inf, scale=0.8, identity=math.inf),)
-    after: ClassVar[str] = "particle_veil"
+    after: ClassVar[str] = "exposure_control"
     rank: ClassVar[int] = 7
     axes: ClassVar[tuple[str, ...]] = ("intensity",)
     confusable_with: ClassVar[Mapping[str, str]] = {
@@ -136,7 +136,7 @@ class CameraToneCurve(Effect):
     term: ClassVar[str] = "tone curve, gamma, non-linearity"
     # Display gamma is 2.2 (IEC 61966-2-1); a linear sensor is straight within some percent.
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("gamma", "1", 0.2, 5.0, scale=0.2, identity=1.0),)
-    after: ClassVar[str] = "particle_veil"
+    after: ClassVar[str] = "exposure_control"
     rank: ClassVar[int] = 8
     axes: ClassVar[tuple[str, ...]] = ("intensity",)
     confusable_with: ClassVar[Mapping[str, str]] = {

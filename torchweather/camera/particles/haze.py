@@ -3,6 +3,10 @@
 A depth-shell shot-noise field. Its mean and variance are those of the particles between the near limit and the
 scene, exactly; each shell of depth has its own noise map, correlated as its streaks are; the marginal is
 log-normal, so it is positive and skewed like shot noise.
+
+Off the axis every mark covers 1 / cos(theta) of its area on the axis (``PHYSICS.md`` 10.1). The marks of the haze are
+smaller than a pixel, so that its mean grows by 1 / cos(theta) and its variance by the square of it: by that to the
+power 1.98 to 2.00 for rain, 1.89 to 2.00 for snow, computed from the marks of a pinhole and of a lens.
 """
 
 from __future__ import annotations
@@ -63,12 +67,13 @@ def haze_depth(
         depth_m = torch.minimum(depth_m, state.air.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
     foot = depth_m / scale
     read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
-    mean, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
+    on_axis, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
+    ray = state.scene.ray_per_depth[rows].float()
 
     fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
     smooth = _streaky(fields, tables, first, last, steep=population.haze_steep, slope=population.haze_slope)
     deviation = _deviation(population, tables, variance, smooth, scale)
-    uniform = mean
+    mean, variance, deviation = on_axis * ray, variance * ray.square(), deviation * ray
     if tables.path_density is not None:
         denser = tables.path_density[rows]
         mean, variance, deviation = mean * denser, variance * denser, deviation * denser.clamp_min(0.0).sqrt()
@@ -81,10 +86,9 @@ def haze_depth(
     optical = torch.where(there, optical, mean)
     if fog_per_m is None:
         return optical, None
-    ray = state.scene.ray_per_depth[rows].float().expand(b, 1, last - first, width)
     longest = state.scene.ray_per_depth.flatten().amax(0).float()
-    clear = _mean_clear(population, tables, read, ray, longest, focal, fog_per_m)
-    return optical, optical * clear * scale / uniform.clamp_min(FLOOR)
+    clear = _mean_clear(population, tables, read, ray.expand(b, 1, last - first, width), longest, focal, fog_per_m)
+    return optical, optical * clear * scale / on_axis.clamp_min(FLOOR)
 
 
 def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:

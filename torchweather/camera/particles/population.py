@@ -115,7 +115,7 @@ class Population(nn.Module):
         focus = math.inf if camera.focus_distance_m is None else camera.focus_distance_m
         self.optics = MarkOptics(camera.exposure_s, camera.aperture_m, focus, camera.lens_blur_px, published_blend)
         self.focal_px = math.sqrt(camera.fx * camera.fy)
-        self._headroom = self._lens_headroom()
+        self._headroom, self._widest = self._lens_extremes()
         capacity = rate_capacity_mm_per_h or RATE_CAPACITY_MM_PER_H[weather.kind]
         rate = weather.rate_mm_per_h
         highest = float(rate.detach().max()) if isinstance(rate, Tensor) and rate.numel() else rate
@@ -194,9 +194,13 @@ class Population(nn.Module):
         speed_v = along + fastest * abs(self.down[1]) + radial * half_v / self.camera.fy
         scale = self.optics.exposure_s / nearest
         return (
-            0.5 * (speed_u * scale + shell.width_max_px) + 1,
-            0.5 * (speed_v * scale + shell.width_max_px) + 1,
+            0.5 * (speed_u * scale + self.width_max_px(number)) + 1,
+            0.5 * (speed_v * scale + self.width_max_px(number)) + 1,
         )
+
+    def width_max_px(self, number: int) -> float:
+        """Width of a shell's widest mark anywhere in the frame."""
+        return self.tables.listed[number].width_max_px * self._widest
 
     def variates(self) -> tuple[Variate, ...]:
         """Points of each listed shell and the noise maps of the haze."""
@@ -213,16 +217,16 @@ class Population(nn.Module):
         """Slots that the lens distortion asks for, per slot of an undistorted lens; 1 without distortion."""
         return self._headroom
 
-    def _lens_headroom(self) -> float:
-        if not self.camera.distorted:
-            return 1.0
+    def _lens_extremes(self) -> tuple[float, float]:
+        """Slots per slot of an undistorted lens, and the largest growth of a mark's width off the axis."""
         w, h = self.camera.width, self.camera.height
         u = torch.linspace(-0.5, w - 0.5, 33, dtype=torch.float64)[None].expand(33, 33)
         v = torch.linspace(-0.5, h - 0.5, 33, dtype=torch.float64)[:, None].expand(33, 33)
         intrinsics = torch.tensor([self.camera.intrinsics], dtype=torch.float64)
         x, y = self.undistorted(u, v, intrinsics[0])
         scale = self.camera.magnification(x, y)
-        return max(1.0, float((1 / scale).max()) * 1.05)
+        widest = math.sqrt(float((mark_growth(x, y) * scale).max()))
+        return max(1.0, float((1 / scale).max()) * 1.05) if self.camera.distorted else 1.0, widest
 
     def check_rate(self) -> None:
         """Raise ``ValueError`` where the rate exceeds what the slots of a draw can hold."""
@@ -406,11 +410,11 @@ class Population(nn.Module):
                 )
                 sample = None if sample is None else sample.index_select(0, before)
         own, focal_of = _own(intrinsics, sample), _own(focal, sample)
-        x = y = scale = None
-        if not self.vertical or part.slanted:
-            x, y = self.undistorted(u, v, own)
+        x, y = self.undistorted(u, v, own)
+        enlarged = mark_growth(x, y)
+        if self.camera.distorted:
             scale = self.camera.magnification(x, y)
-        if self.camera.distorted and scale is not None:
+            enlarged = enlarged * scale
             log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share)
             log_level = log_level + thinning + torch.log(scale)
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
@@ -428,13 +432,12 @@ class Population(nn.Module):
         stop, above = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
         outline_m = _read(tables.outline_m, stop, above, sample)
         speed = _read(tables.fall_speed, stop, above, sample)
-        diameter = outline_m / foot
-        if x is None or y is None or scale is None:
+        diameter = outline_m / foot * torch.sqrt(enlarged)
+        if self.vertical and not part.slanted:
             motion_u, motion_v = None, speed * (self.optics.exposure_s * own[..., 1] / focal_of) / foot
         else:
             tangent = None if state.air.path_tangent is None else _own(state.air.path_tangent, sample)
             motion_u, motion_v = self._path_px(x, y, speed, depth_m, own, tangent)
-            diameter = diameter * torch.sqrt(scale) if self.camera.distorted else diameter
         width_px, opacity = self._blurred(diameter, foot, depth_m)
         marks = Marks(
             sample=sample,
@@ -566,13 +569,26 @@ class Population(nn.Module):
 
     def _footprint_px(self, number: int, *, slanted: bool = False) -> tuple[int, int]:
         """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""
-        shell = self.tables.listed[number]
         reach_u, reach_v = self.reach_px(number)
         upright = self.vertical and not slanted
         along = math.ceil(2 * reach_v) if upright else math.ceil(2 * max(reach_u, reach_v))
         if slanted:
             along = math.ceil(along * STEEPEST)
-        return along + 1, math.ceil(shell.width_max_px * math.sqrt(1.0 if upright else 2.0)) + (2 if upright else 4)
+        return along + 1, math.ceil(self.width_max_px(number) * math.sqrt(1.0 if upright else 2.0)) + (
+            2 if upright else 4
+        )
+
+
+def mark_growth(x: Tensor, y: Tensor) -> Tensor:
+    """Area of a sphere's mark over that of the same sphere on the axis at the same depth, ``1 / cos(theta)``.
+
+    It subtends ``pi D^2 cos^2(theta) / (4 Z^2)``, and a solid angle covers ``f^2 / cos^3(theta)`` of a plane
+    (``PHYSICS.md`` 10.1).
+
+    Args:
+        x, y: undistorted normalised coordinates.
+    """
+    return torch.sqrt(1 + x.square() + y.square())
 
 
 def _displaced(points: Tensor, copy: int) -> Tensor:

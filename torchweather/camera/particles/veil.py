@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Rain, Snow, weather_from_dict
 from torchweather.camera.airlight import Airlight, airlight_argument, frame_mean, given_or_estimated, scaled_airlight
+from torchweather.camera.flake_light import flake_light
 from torchweather.camera.fog import FADING_COLOUR
 from torchweather.camera.options import RENAMED
 from torchweather.camera.particles.haze import haze_depth
@@ -47,8 +48,9 @@ class ParticleVeil(Stage):
 
     Every pixel's particles cover the share ``M = 1 - prod(1 - m)`` of its exposure, ``m`` the covered share of each
     one that is nearer than the scene. The pixel becomes ``(1 - M) I + M C`` with C the particles' colour:
-    ``0.94`` of the scene's mean and ``0.06`` of the sky for drops, the albedo times the sky for flakes, per CFA colour
-    and linear in light (``PHYSICS.md`` 4.1-4.7). Particles seen through fog fade into the airlight.
+    ``0.94`` of the scene's mean and ``0.06`` of the sky for drops, the albedo times the mean light of sky and ground
+    for flakes, per CFA colour and linear in light (``PHYSICS.md`` 4.1-4.7, 10.2). Particles seen through fog fade into
+    the airlight.
 
     Particles whose mark peaks above ``min_listed_coverage`` are rendered one by one; all others enter through the exact
     mean and variance of their optical depth with the correlation of their streaks.
@@ -72,7 +74,8 @@ class ParticleVeil(Stage):
 
     default_name: ClassVar[str] = "particle_veil"
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.depth_m", "scene.intrinsics", "scene.near_mask", "scene.ray_per_depth", "scene.sky"),
+        *("scene.depth_m", "scene.intrinsics", "scene.near_mask", "scene.ray_per_depth"),
+        *("scene.sine_elevation", "scene.sky"),
         "air.airlight",
         "air.airlight_scale",
         "air.fog_extinction_per_m",
@@ -207,7 +210,7 @@ class ParticleVeil(Stage):
         colours = []
         for part in self.parts:
             if isinstance(part.weather, Snow):
-                colours.append(part.weather.albedo * ambient)
+                colours.append(part.weather.albedo * flake_light(state, ambient))
             else:
                 colours.append((1 - REFLECTED_SHARE) * self._seen_through(state) + REFLECTED_SHARE * ambient)
         return colours

@@ -1,8 +1,10 @@
 """BeamParticles: how many drops or flakes of a beam return more than a given signal, as a function of range.
 
 ``Lambda(e, R) = int A_b(r) N_>(D_e(r)) dr`` up to R. A particle of diameter D at range r returns, over the system
-constant, ``g(r) min(1, (D / D_b(r))^2)``, where g is the signal of one that fills the beam; ``D_e(r)`` is the diameter
-that returns e, and N_> the number of larger particles per m^3.
+constant, ``g(r) min(1, (D / D_b(r))^2)``, where g is the signal of one that fills the beam. To it adds what the smaller
+particles within the same pulse return on average, ``g(r) (pi/4) l int_0^D N D'^2 dD'``, D up to that of the beam: a
+pulse of the shape sin^2 and the length l = c tau / 2 adds echoes over l (``PHYSICS.md`` 10.4). ``D_e(r)`` is the
+diameter whose particle returns e with the others of its pulse, and N_> the number of larger particles per m^3.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.core.errors import InputValueError, check_one_of, check_positive
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam, RangeGrid
-from torchweather.lidar.returns.strongest import expected_number
+from torchweather.lidar.returns.strongest import expected_number, last_below
 from torchweather.lidar.sensor import Lidar
 from torchweather.physics import (
     InterpolationTable,
@@ -26,6 +28,7 @@ from torchweather.physics import (
     rain_q_back,
     water_refractive_index,
 )
+from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["SIZE_KNOTS_MM", "BeamParticles", "RATE_HIGH_MM_PER_H", "RATE_LOW_MM_PER_H", "RATE_NODES"]
 
@@ -34,6 +37,7 @@ DIAMETER_NODES = 512
 SIGNAL_NODES = 65  # cells by powers of two: the search in strongest.py halves them
 FAINTEST = 1e-3  # of the threshold: particles below it are not drawn
 SMALLEST_MM = 1e-2  # measured bins may begin at 0; below this nothing is seen
+BRIGHTER = 4.0  # the brightest particle with the others of its pulse over itself, at most
 FEW_PER_M3 = 1e-9  # number that counts as none: a beam holds 10 m^3 at most
 SIZE_KNOTS_MM = (1.0, 2.0, 4.0, 8.0)  # outlines at which the number of particles may be another (``between``)
 SHARE_MORE = 1e-4  # probability that a beam holds more visible particles than are drawn
@@ -53,7 +57,8 @@ class BeamParticles(nn.Module):
         weather: the precipitation.
         sensor: the LiDAR.
         q_back: backscatter efficiency of a particle; ``None`` is 0.2 for drops (0.06 at 1550 nm) and a Lambertian disk
-            of the flake's albedo; ``"glints"`` the lower bound for drops, front and rear glint of 1 mm spheres.
+            of the flake's reflectivity at the laser's wavelength; ``"glints"`` the lower bound for drops, front and
+            rear glint of 1 mm spheres.
         published: D3.4's beam, drops and detection limit.
     """
 
@@ -70,6 +75,7 @@ class BeamParticles(nn.Module):
         )
         self.register_buffer("rate_mm_per_h", torch.as_tensor(weather.rate_mm_per_h, dtype=torch.float32))
         self.register_buffer("q_back", torch.tensor(_q_back(weather, sensor, q_back), dtype=torch.float32))
+        self.pulse_length_m = 0.0 if published else sensor.pulse_length_m
         self._set_tails()
         self._set_signals(sensor)
         self.echoes = 1 if sensor.return_mode == "strongest" else self._echoes(Beam(sensor))
@@ -101,7 +107,7 @@ class BeamParticles(nn.Module):
             brightest = float((full * (self.largest_m / diameter_m).clamp_max(1.0) ** 2).max())
         threshold = sensor.threshold_per_m2_sr
         self.log_low = math.log(FAINTEST * threshold)
-        self.log_step = (math.log(2.0 * max(brightest, threshold)) - self.log_low) / (SIGNAL_NODES - 1)
+        self.log_step = (math.log(BRIGHTER * max(brightest, threshold)) - self.log_low) / (SIGNAL_NODES - 1)
 
     def _seen(
         self, beam: Beam, extinction_per_m: Tensor, air: BanksAlongBeams | None = None
@@ -142,22 +148,67 @@ class BeamParticles(nn.Module):
         full, diameter_m, area_m2 = self._seen(beam, extinction_per_m, air)
         signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES, device=full.device))
         ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
-        log_diameter = 0.5 * torch.log(ratio) + torch.log(diameter_m)[:, None]
-        step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
-        position = ((log_diameter - math.log(self.smallest_m)) / step).clamp(0.0, DIAMETER_NODES - 1.0)
-        node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
         tails = self._tails(batch)
         if sizes is not None:
             tails = self._of_sizes(tails, sizes.to(tails))
         if density_scale is not None:
             tails = tails * density_scale.to(tails)[:, None]
+        density = None if air is None else air.density_at(self.grid.quadrature_m)
+        position, seen = self._needed(ratio, diameter_m, tails, density)
+        node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
         flat = node.flatten(1)
         per_m3 = torch.lerp(tails.gather(1, flat), tails.gather(1, flat + 1), (position - node).flatten(1))
-        per_m = torch.where(ratio < 1.0, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2[:, None]
-        if air is not None:
-            per_m = per_m * air.density_at(self.grid.quadrature_m)[:, None]
+        per_m = torch.where(seen, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2[:, None]
+        if density is not None:
+            per_m = per_m * density[:, None]
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
+
+    def _needed(self, ratio: Tensor, beam_m: Tensor, tails: Tensor, density: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Place on the nodes of the diameter from which on a particle returns a share of the full beam's signal.
+
+        Args:
+            ratio: ``(B, E, cells, G)`` the share.
+            beam_m: ``(1 or B, cells, G)`` diameter of the beam.
+            tails: ``(B, D)`` N_> at the nodes.
+            density: ``(B, cells, G)`` of the air over its mean; ``None`` is 1.
+
+        Returns:
+            The place, and whether any particle returns that much, of the shape of ``ratio``.
+        """
+        log_step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
+        if self.pulse_length_m == 0.0:
+            log_diameter = 0.5 * torch.log(ratio) + torch.log(beam_m)[:, None]
+            position = ((log_diameter - math.log(self.smallest_m)) / log_step).clamp(0.0, DIAMETER_NODES - 1.0)
+            return position, ratio < 1.0
+        node = torch.arange(DIAMETER_NODES, device=tails.device).to(tails)
+        outline_m = self.smallest_m * torch.exp(log_step * node)
+        # Squared diameters of all smaller particles, per m^3, at the nodes.
+        middle_square = (self.smallest_m * torch.exp(log_step * (node[:-1] + 0.5))).square()
+        smaller = torch.nn.functional.pad(((tails[:, :-1] - tails[:, 1:]) * middle_square).cumsum(1), (1, 0))
+        others = 0.25 * math.pi * self.pulse_length_m * smaller[:, None]  # (B, 1, D)
+        beam_of = beam_m.flatten(1)[..., None]  # (1 or B, places, 1)
+        # What fills the beam returns no more, nor do the others of it: both are held from there on.
+        filling = (torch.log(beam_of / self.smallest_m) / log_step).clamp(0.0, DIAMETER_NODES - 1.0).to(torch.int64)
+        held = others.expand(-1, filling.shape[1], -1).gather(2, filling.expand(others.shape[0], -1, -1))
+        others = torch.minimum(others, held)
+        if density is not None:
+            others = others * density.flatten(1)[..., None]
+        share = ((outline_m / beam_of).clamp_max(1.0).square() + others).expand(ratio.shape[0], -1, -1)  # rising over D
+        wanted = ratio.flatten(2).transpose(1, 2).contiguous()  # (B, places, E)
+        if is_exporting():
+            found = last_below(
+                lambda at: share.gather(2, at) <= wanted, torch.zeros_like(wanted).long(), DIAMETER_NODES - 1
+            )
+        else:
+            found = torch.searchsorted(share.detach().contiguous(), wanted.detach(), right=True) - 1
+            found = found.clamp(0, DIAMETER_NODES - 2)
+        low, high = share.gather(2, found), share.gather(2, found + 1)
+        # The share goes with the square of the diameter, whose logarithm the nodes are.
+        rise = torch.log(high / low).clamp_min(1e-12)
+        position = found + (torch.log(wanted / low) / rise).clamp(0.0, 1.0)
+        seen = wanted < share[..., -1:]
+        return position.transpose(1, 2).reshape(ratio.shape), seen.transpose(1, 2).reshape(ratio.shape)
 
     def _tails(self, batch: int) -> Tensor:
         """N_>, m^-3, at the nodes of diameter, ``(B, D)``."""
@@ -232,12 +283,14 @@ def _q_back(weather: Rain | Snow, sensor: Lidar, given: float | str | None) -> f
         check_one_of("q_back", given, ("glints",), owner="BeamParticles")
         if isinstance(weather, Snow):
             raise InputValueError(
-                'BeamParticles: q_back="glints" is for drops; a flake has an albedo (Snow(albedo=...)).'
+                'BeamParticles: q_back="glints" is for drops; flakes have Snow(flake_reflectivity=...).'
             )
         index = water_refractive_index(sensor.wavelength_nm, weather.temperature_c)
         return float(axial_q_back(index, diameter_mm=1.0, wavelength_nm=sensor.wavelength_nm))
     if given is not None:
         check_positive("q_back", given, owner="BeamParticles")
         return float(given)
-    # A Lambertian disk of albedo rho returns rho / pi per steradian, which is Q_back / (4 pi).
-    return 4.0 * weather.albedo if isinstance(weather, Snow) else rain_q_back(sensor.wavelength_nm)
+    if isinstance(weather, Snow):
+        # A Lambertian disk of reflectivity rho returns rho / pi per steradian, which is Q_back / (4 pi).
+        return 4.0 * weather.reflectivity_at(sensor.wavelength_nm)
+    return rain_q_back(sensor.wavelength_nm)

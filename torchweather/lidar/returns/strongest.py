@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-__all__ = ["ReturnTable", "expected_number", "strongest_before", "table_at"]
+__all__ = ["ReturnTable", "expected_number", "last_below", "strongest_before", "table_at"]
 
 FEW = 1e-20  # expected number that stands for none, so that logarithms stay finite
 NOTHING = 1e-9  # the same, where its logarithm must keep a gradient
@@ -195,7 +195,7 @@ def _signal(
         number = _lerp(flat, of_row + column, reach - column)
         return number if start is None else number - _lerp(flat, of_row + begin, start - begin)
 
-    row = _last(lambda i: before(i) > arrivals, torch.zeros_like(column), signals - 1)
+    row = last_below(lambda i: before(i) > arrivals, torch.zeros_like(column), signals - 1)
     # A power law inside the cell: Lambda falls by a factor from node to node.
     log_above, log_below = before(row).clamp_min(FEW).log(), before(row + 1).clamp_min(FEW).log()
     fall = (log_above - log_below).clamp_min(1e-6)
@@ -204,7 +204,7 @@ def _signal(
 
 def _place(cells: Tensor, base: Tensor, wanted: Tensor, places: int) -> Tensor:
     """Solve ``W(r) = wanted`` for the range, W being the cells from ``base`` on."""
-    found = _last(lambda j: cells.gather(1, base + j) <= wanted, torch.zeros_like(base), places - 1)
+    found = last_below(lambda j: cells.gather(1, base + j) <= wanted, torch.zeros_like(base), places - 1)
     low, high = cells.gather(1, base + found), cells.gather(1, base + found + 1)
     return found + ((wanted - low) / (high - low).clamp_min(FEW)).clamp(0.0, 1.0)
 
@@ -231,7 +231,7 @@ def _lerp(flat: Tensor, index: Tensor, share: Tensor) -> Tensor:
     return torch.lerp(flat.gather(1, index), flat[:, 1:].gather(1, index), share)
 
 
-def _last(holds: Callable[[Tensor], Tensor], first: Tensor, cells: int) -> Tensor:
+def last_below(holds: Callable[[Tensor], Tensor], first: Tensor, cells: int) -> Tensor:
     """Largest index below ``cells`` at which a condition holds that does so up to some index; ``first`` at least."""
     index = first
     step = 1 << (cells - 1).bit_length() >> 1

@@ -1,0 +1,86 @@
+"""Light on a falling flake: the mean over the sphere of sky and ground, estimated from the frame."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchweather.camera.airlight import STRIDES_PX, per_colour, thinned
+from torchweather.camera.state import CameraState
+
+__all__ = ["GROUND_ALBEDO", "flake_light", "sky_gradient"]
+
+GROUND_ALBEDO = 0.1
+"""Of asphalt, for the light from below where the frame shows no ground."""
+OVERCAST_GRADIENT = 2.0  # zenith over horizon less 1 of the CIE overcast sky, the steepest of grey skies
+LEAST_SPREAD = 0.02  # of the sine of the elevations, standard deviation, over which a sky shows a gradient
+
+
+def flake_light(state: CameraState, horizon: Tensor) -> Tensor:
+    """Radiance that a flake of albedo 1 shows, ``(B, 3)``: ``(L_sky + L_ground) / 2``.
+
+    A flake scatters light from the whole sphere with a broad phase function. The sky's radiance is
+    ``L_horizon (1 + g sin e)``; g from 0, an even sky, to 2, the CIE overcast sky, is fitted to the sky that the frame
+    shows, and its mean over the upper hemisphere is ``L_horizon (1 + g / 2)``. The ground's is the mean of the frame
+    below the horizon, surfaces on it included and the own vehicle not; where the frame shows none, that of a surface
+    of albedo 0.1 under this sky.
+
+    Args:
+        state: the frame.
+        horizon: ``(B, 3)`` radiance of the sky near the horizon, linear, in units of saturation.
+
+    References:
+        PHYSICS.md 10.2.
+    """
+    gradient = sky_gradient(state).to(horizon)
+    from_sky = horizon * (1 + gradient / 2)
+    if state.scene.sine_elevation is None:
+        return (from_sky + GROUND_ALBEDO * horizon * (1 + 2 * gradient / 3)) / 2
+    sky = torch.isinf(state.scene.depth_m) if state.scene.sky is None else state.scene.sky
+    ground = (state.scene.sine_elevation < 0.0).to(state.image.signal) * (1 - sky.to(state.image.signal))
+    if state.scene.near_mask is not None:
+        ground = ground * (1 - state.scene.near_mask.to(state.image.signal))
+    light, share = _mean_under(state, ground)
+    from_ground = torch.where(share > 0, light, GROUND_ALBEDO * horizon * (1 + 2 * gradient / 3))
+    return (from_sky + from_ground) / 2
+
+
+def _mean_under(state: CameraState, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean signal of each colour under a weight ``(1 or B, 1, H, W)``, ``(B, 3)``, and the mean weight, ``(B, 1)``."""
+    signal = state.image.signal
+    if state.receiver.cfa_index is None:
+        mean = weight.mean((2, 3))
+        return (signal * weight).mean((2, 3)) / mean.clamp_min(1e-12), mean.expand(signal.shape[0], 1)
+    cells = [(slice(y, None, 2), slice(x, None, 2)) for y in (0, 1) for x in (0, 1)]
+    own = torch.stack([weight[:, 0, y, x].mean((1, 2)) for y, x in cells], 1)  # (1 or B, 4)
+    lit = torch.stack([(signal[:, 0, y, x] * weight[:, 0, y, x]).mean((1, 2)) for y, x in cells], 1)
+    light = per_colour((lit / own.clamp_min(1e-12)).view(-1, 2, 2), state)
+    return light, own.amin(1, keepdim=True).expand(signal.shape[0], 1)
+
+
+def sky_gradient(state: CameraState) -> Tensor:
+    """Growth of the sky's radiance from the horizon to the zenith, ``(B, 1)``, 0 to 2: g of ``1 + g sin e``.
+
+    A straight line through the sky of the frame over the sine of the elevation, by least squares; 0 where the frame
+    shows too little sky for one.
+    """
+    signal = thinned(state, state.image.signal, STRIDES_PX).mean(1)  # (B, n)
+    if state.scene.sine_elevation is None:
+        return signal.new_zeros(signal.shape[0], 1)
+    up = thinned(state, state.scene.sine_elevation, STRIDES_PX).to(signal).mean(1)
+    weight = _sky(state).to(signal).mean(1)
+    weight = (weight / weight.sum(1, keepdim=True).clamp_min(1e-12)).expand_as(signal)
+    up_mean, mean = (weight * up).sum(1, keepdim=True), (weight * signal).sum(1, keepdim=True)
+    spread = (weight * (up - up_mean).square()).sum(1, keepdim=True)
+    slope = (weight * (up - up_mean) * (signal - mean)).sum(1, keepdim=True) / spread.clamp_min(LEAST_SPREAD**2)
+    at_horizon = mean - slope * up_mean
+    gradient = (slope / at_horizon.clamp_min(1e-6)).clamp(0.0, OVERCAST_GRADIENT)
+    gradient = torch.where(at_horizon > 0, gradient, OVERCAST_GRADIENT)
+    return torch.where((spread > LEAST_SPREAD**2) & (slope > 0), gradient, 0.0)
+
+
+def _sky(state: CameraState) -> Tensor:
+    """Share of sky of the thinned pixels, ``(1 or B, 4 or 1, n)``."""
+    if state.scene.sky is not None:
+        return thinned(state, state.scene.sky, STRIDES_PX)
+    return torch.isinf(thinned(state, state.scene.depth_m, STRIDES_PX)).float()
