@@ -1,9 +1,10 @@
 """Shares of beams with a drop or flake above threshold and above objects, written to ``lidar_table.json``.
 
-Run ``python tests/reference/make_lidar_table.py`` (a few seconds). The table of PHYSICS.md 5.3 for the default
+Run ``python tests/reference/make_lidar_table.py`` (half a minute). The table of PHYSICS.md 5.3 for the default
 near-range response, by integration (``lambda_by_quadrature``): ``P = 1 - exp(-Lambda(e, R))``, with ``e`` the
-threshold or the object's own signal behind the weather, whichever is larger. Rows of other near-range responses and
-of the sensor ``pandar64-wads`` stand beside it, to compare. ``test_every_lidar_particle.py`` computes it anew.
+threshold or the object's own signal behind the weather, whichever is larger. Flakes are those of PHYSICS.md 10.3, and
+the particles of one pulse add (10.4). Rows of other near-range responses and of the sensor ``pandar64-wads`` stand
+beside it, to compare. ``test_every_lidar_particle.py`` computes it anew.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ SENSORS: dict[str, tuple[float, dict[str, float]]] = {
     "HDL-64-like, overlap 0.9-1.0 m": (905.0, {**HDL64, **HAHNER}),
     "pandar64-wads": (905.0, {**PANDAR64, **SQUARED}),
 }
-MAX_RANGE_M = 120.0
+BEAM = {"max_range_m": 120.0, "pulse_length_m": 0.5 * 299_792_458.0 * 10e-9}  # c tau / 2 of a pulse of 10 ns
+# A layer of ice grains of 100 um, tau = 1.5 x 0.12 / (917 x 1e-4), x = 0.75 (1 - 0.77) tau, PHYSICS.md 10.3.
+GRAINS = 0.75 * (1 - 0.77) * 1.5 * 0.12 / (917.0 * 1e-4)
+FLAKE_REFLECTIVITY = GRAINS / (1 + GRAINS)
 
 
 def effective_extinction_per_m(kind: Kind, rate_mm_per_h: float, wavelength_nm: float) -> float:
@@ -71,11 +75,11 @@ def table() -> list[dict[str, Any]]:
     """Every row: sensor, weather, effective extinction and the shares."""
     rows: list[dict[str, Any]] = []
     for sensor, (wavelength_nm, numbers) in SENSORS.items():
-        link = Link(**numbers, max_range_m=MAX_RANGE_M)
+        link = Link(**numbers, **BEAM)
         for kind, rates in RATES_MM_PER_H.items():
             for rate in rates:
                 alpha = effective_extinction_per_m(kind, rate, wavelength_nm)
-                medium = Medium(population(kind, rate), q_back=Q_BACK, extinction_per_m=alpha)
+                medium = Medium(population(kind, rate), Q_BACK, FLAKE_REFLECTIVITY, alpha)
                 rows.append(
                     {
                         "sensor": sensor,
@@ -92,11 +96,16 @@ def main() -> None:
     result: dict[str, Any] = {
         "about": "Share of beams with a particle over the threshold, and over it and an object of reflectivity rho; "
         "by tests/reference/make_lidar_table.py. Rain: Marshall-Palmer 0.1-8 mm, Q_back 0.2. Snow: Sekhon-Srivastava "
-        "by melted diameter, 0.1 mm to a physical 20 mm, reflectivity 0.9. Extinction: Mie, q_eff 1.1. An object's "
+        "by melted diameter, 0.1 mm to a physical 20 mm, reflectivity 0.25. Particles of one pulse add. "
+        "Extinction: Mie, q_eff 1.1. An object's "
         "signal bears the near-range response and the weather. Return mode and echo merging play no part.",
         "versions": {"python": platform.python_version(), "numpy": np.__version__},
         "sensors": {
-            name: {"wavelength_nm": wavelength_nm, **numbers, "max_range_m": MAX_RANGE_M}
+            name: {
+                "wavelength_nm": wavelength_nm,
+                **numbers,
+                **BEAM,
+            }
             for name, (wavelength_nm, numbers) in SENSORS.items()
         },
         "rows": table(),

@@ -564,7 +564,8 @@ class LidarWeather(WeatherTransform):
 
     def _floored(self, state: LidarState) -> Tensor:
         own = (state.scene.points_in[..., 3], state.scene.clear_range_m, state.scene.zero_intensity)
-        return self._stage(ToEnergy).contradicts_threshold(*own).sum(-1)
+        contradicts: Tensor = self._stage(ToEnergy).contradicts_threshold(*own)
+        return contradicts.sum(-1)
 
     def _outgoing(self, values: Tensor, kind: Tensor, points: Tensor, beams: Beams) -> Cloud:
         """Values ``(B, N, ...)`` of the beams as they leave: shape and dtype of the input, lost points as asked for."""

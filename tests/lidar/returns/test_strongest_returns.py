@@ -53,7 +53,6 @@ OS1 = Lidar(
     margin_db=NO_MARGIN_DB,
     echo_separation_m=1.5,
 )
-ALONE_NS = 1e-9  # of a pulse so short that every particle returns alone
 # Raindrops are seen within 3 m, where the default near-range response is nearly 0: rain needs the early overlap.
 RAIN_SENSORS = {"os1": OS1.with_hahner_overlap(), "hdl": HDL.with_hahner_overlap()}
 SNOW_SENSORS = {"os1": OS1, "hdl": HDL}
@@ -329,9 +328,9 @@ def test_mean_over_whole_table_of_default_response_is_the_committed_one() -> Non
                 key: values[key]
                 for key in ("range_at_10_percent_m", "near_start_m", "near_full_m", "near_power", "max_range_m")
             },
-            pulse_width_ns=ALONE_NS,
         )
-        transform = LidarWeather(weather(row["weather"], row["rate_mm_per_h"]), lidar)
+        falling = (Rain if row["weather"] == "rain" else Snow)(row["rate_mm_per_h"])
+        transform = LidarWeather(falling, lidar)
         returns = transform.chain.stages["particle_returns"]
         found = returns.kinds[row["weather"]].expected_above(
             returns.beam,
