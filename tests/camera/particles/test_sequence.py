@@ -332,7 +332,7 @@ def test_the_haze_moves_down_with_its_drops() -> None:
     part = population(transform)
     film = list(transform.draw_sequence(frame(), 4, INTERVAL_S, seed=2))
     key = "particle_veil.rain_haze"
-    shell = part.tables.haze[-1]
+    shell = part.haze_shells[-1]
     t = part.tables
     middle_m = FOCAL_PX * math.exp(
         t.log_footprint_low + t.log_footprint_step * 0.5 * (shell.first_node + shell.last_node)

@@ -173,4 +173,12 @@ MUTANTS = (
         "        return inside.mean().expand(len(inside))",
         ("tests/camera/test_exposure.py::test_each_frame_gets_its_mean_back",),
     ),
+    Mutant(
+        "haze_of_a_standing_vehicle",
+        "the haze's streaks are as long as the vehicle's motion makes them",
+        "torchweather.camera.particles.tables",
+        "    moving = None if motion is None or motion.still else motion.rounded()",
+        "    moving = None",
+        ("tests/camera/particles/test_haze_in_motion.py::test_variance_and_correlation_are_those_of_single_streaks",),
+    ),
 )

@@ -110,7 +110,7 @@ def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
 def _deviation(population: Population, tables: AtRate, variance: Tensor, smooth: Tensor, scale: Tensor) -> Tensor:
     """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
     total = torch.zeros_like(variance)
-    for number, shell in enumerate(population.tables.haze):
+    for number, shell in enumerate(population.haze_shells):
         low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
         high = tables.haze_variance[:, shell.last_node].view(-1, 1, 1, 1) * scale
         inside = torch.minimum(variance, high) - low

@@ -17,6 +17,7 @@ from torchweather.atmosphere.density_field import Banks
 from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.camera.fog import ground_rays, over_ground
 from torchweather.camera.particles.depth_blocks import BLOCK_PX, DepthBlocks
+from torchweather.camera.particles.image_motion import ImageMotion
 from torchweather.camera.particles.streaks import Marks, add_listed, add_static
 from torchweather.camera.particles.tables import MarkOptics, particle_tables
 from torchweather.camera.sensor import Camera
@@ -122,16 +123,8 @@ class Population(nn.Module):
         if isinstance(highest, (int, float)) and highest > capacity:
             capacity = float(highest)
         self.rate_capacity_mm_per_h = capacity
-        self.tables = particle_tables(
-            weather,
-            self.optics,
-            self.focal_px,
-            self.near_m,
-            self.far_m,
-            min_listed_coverage,
-            max_listed_density,
-            capacity,
-        )
+        self._limits = (self.near_m, self.far_m, min_listed_coverage, max_listed_density, capacity)
+        self.tables = particle_tables(weather, self.optics, self.focal_px, *self._limits)
         self.register_buffer("rate_mm_per_h", torch.as_tensor(rate, dtype=torch.float32))
         self._set_motion(ego_speed_m_per_s)
         self.reach_drift_m_per_s = self.drift_m_per_s
@@ -143,7 +136,8 @@ class Population(nn.Module):
         Args:
             ego_speed_m_per_s: forward; its magnitude is at most that of the constructor's.
         """
-        other = shallow_copy(self)  # shares tables
+        other = shallow_copy(self)  # shares tables, but of the haze's texture
+        other._buffers = dict(self._buffers)
         other._set_motion(ego_speed_m_per_s)
         return other
 
@@ -160,15 +154,26 @@ class Population(nn.Module):
         self.haze_steep = abs(haze[1]) >= abs(haze[0])
         major, minor = (haze[1], haze[0]) if self.haze_steep else (haze[0], haze[1])
         self.haze_slope = minor / major if abs(major) > 1e-9 else 0.0
+        self._set_texture()
+
+    def _set_texture(self) -> None:
+        """Variance and correlation of the haze as its streaks are, in wind and from a moving vehicle."""
+        camera = self.camera
+        (cx, cy), (fx, fy) = camera.principal_point_px, (camera.fx, camera.fy)
+        x = ((-0.5 - cx) / fx, (camera.width - 0.5 - cx) / fx)
+        y = ((-0.5 - cy) / fy, (camera.height - 0.5 - cy) / fy)
+        motion = ImageMotion(self.down, self.drift_m_per_s, x, y, self.haze_steep, self.haze_slope)
+        textured = particle_tables(self.weather, self.optics, self.focal_px, *self._limits, motion)
+        self._keep("variance_table", textured.haze_variance)
+        self._keep("along_table", textured.kernel_along)
+        self._keep("across_table", textured.kernel_across)
+        self.haze_shells = textured.haze
 
     def _set_tables(self) -> None:
         t = self.tables
         self._keep("outline", t.log_outline_m)
         self._keep("speed", t.log_fall_speed)
         self._keep("depth_table", t.haze_depth)
-        self._keep("variance_table", t.haze_variance)
-        self._keep("along_table", t.kernel_along)
-        self._keep("across_table", t.kernel_across)
         self.nearest_foot_m_per_px = tuple(math.exp(float(shell.log_footprint[0])) for shell in t.listed)
         for number, shell in enumerate(t.listed):
             # Tables over the footprint, read at the shell's own nodes.
@@ -177,7 +182,9 @@ class Population(nn.Module):
             self._keep(f"tail_most_{number}", t.log_at(t.tail_most, shell.log_footprint))
 
     def _keep(self, name: str, table: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-        self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(table)).float(), persistent=False)
+        values = torch.from_numpy(np.ascontiguousarray(table)).float()
+        before = self._buffers.get(name)
+        self.register_buffer(name, values if before is None else values.to(before), persistent=False)
 
     # ---- draws -------------------------------------------------------------------------------------------------
 
@@ -210,7 +217,7 @@ class Population(nn.Module):
             u, v = self.reach_px(number)
             per_px2 = shell.per_px2 * self.headroom()
             points.append(Variate(f"{kind}_shell_{number}", "points", (), per_px2, u, v, COLUMNS))
-        haze = Variate(f"{kind}_haze", "normal", (len(self.tables.haze), "H", "W"))
+        haze = Variate(f"{kind}_haze", "normal", (len(self.haze_shells), "H", "W"))
         return (*points, haze)
 
     def headroom(self) -> float:

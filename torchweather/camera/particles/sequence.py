@@ -158,7 +158,7 @@ def _rolled(population: Population, field: Tensor, interval_s: float, frame: int
         d * t.haze_speed_m_per_s + w for d, w in zip(population.down[:2], population.drift_m_per_s[:2], strict=True)
     ]
     maps = []
-    for number, shell in enumerate(t.haze):
+    for number, shell in enumerate(population.haze_shells):
         middle = math.exp(t.log_footprint_low + t.log_footprint_step * 0.5 * (shell.first_node + shell.last_node))
         columns, rows = (
             round(v * interval_s * frame / middle) - round(v * interval_s * (frame - 1) / middle) for v in velocity

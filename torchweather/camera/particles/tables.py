@@ -7,7 +7,9 @@ Coordinates. A particle at depth Z covers ``d = D / g`` pixels and moves ``v t /
 Listed and haze. A particle is *listed*, drawn one by one, where it can be seen by itself: the peak of its mark
 exceeds ``min_listed_coverage``, and no more than ``max_listed_density`` larger ones share a pixel in an e-fold of
 depth. That is D > D_cut(g). All smaller ones are the *haze*, which enters through the mean and the variance of its
-optical depth and the correlation of its streaks. The sum depends on neither limit.
+optical depth and the correlation of its streaks. The sum depends on neither limit. In wind or from a moving vehicle
+streaks differ in length and direction over the frame; variance and correlation are their means over it
+(``PHYSICS.md`` 10.10).
 
 Levels. Listed particles are a Poisson process in (pixel area, g, level) of unit density, where the level of a
 particle is the number of larger particles per m^3, ``s = N_>(D; R)``. A rate R reads each particle's diameter
@@ -28,6 +30,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchweather.atmosphere.weather import Rain, Snow
+from torchweather.camera.particles.image_motion import ImageMotion, Streaks
 
 __all__ = ["HazeShell", "ListedShell", "MarkOptics", "ParticleTables", "particle_tables"]
 
@@ -43,6 +46,7 @@ FOOTPRINT_QUANTILE_NODES = 65
 HAZE_SHELLS = 4
 MOST_TAPS = 24
 SMALLEST_MM = 1e-2  # measured bins may begin at 0; below this nothing is seen
+COARSE = 4  # every fourth node of depth and size tells the correlation of the haze in motion
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 # Equal-variance box of a disk's chord profile: variance b^2/16 = w^2/12.
 BOX_OF_DISK = math.sqrt(12 / 16)
@@ -207,8 +211,9 @@ def build_particle_tables(
     min_listed_coverage: float,
     max_listed_density: float,
     rate_capacity: float,
+    motion: ImageMotion | None = None,
 ) -> ParticleTables:
-    """Tabulate a precipitation for a camera; see the module's text. Takes about 0.1 s."""
+    """Tabulate a precipitation for a camera; see the module's text. Takes about 0.1 s, in motion half a second."""
     log_rate, rate_step = _log_grid(RATE_LOW_MM_PER_H, rate_capacity, RATE_NODES)
     log_foot, foot_step = _log_grid(near_m / focal_px, far_m / focal_px, FOOTPRINT_NODES)
     foot = np.exp(log_foot)[:, None]  # (G, 1)
@@ -258,7 +263,16 @@ def build_particle_tables(
     lags = np.arange(MOST_TAPS + 1.0)
     zero = np.zeros(1)
     energy = (area_m2 / foot**2) ** 2 * weights  # squared marks, px^4
-    variance_weight = energy * overlap_of_boxes(zero, along) * overlap_of_boxes(zero, across)
+    if motion is None:
+        streaks = None
+        variance_weight = energy * overlap_of_boxes(zero, along) * overlap_of_boxes(zero, across)
+    else:
+        streaks = motion.streaks(speed)
+        ways = [one.speed_m_per_s * optics.exposure_s / foot for one in streaks]  # (G, K) each
+        shares = [one.weight for one in streaks]
+        met = [share * overlap_of_boxes(zero, np.hypot(way, across)) for share, way in zip(shares, ways, strict=True)]
+        variance_weight = energy * sum(met) * overlap_of_boxes(zero, across)
+        along = np.hypot(np.sqrt(sum(share * way**2 for share, way in zip(shares, ways, strict=True))), across)
     # per unit of ln g and of focal length: dZ dV/dpx^2 = f g^2 f dg
     haze_depth = _cumulative((per_log @ (area_m2 * weights).T) * foot[:, 0], log_foot)
     variance_density = (per_log @ variance_weight.T) * foot[:, 0] ** 3
@@ -270,15 +284,21 @@ def build_particle_tables(
     reach = variance_weight * foot**3 * per_log[reference_row]
     taps = _taps_needed(along, reach)
     kernels = []
-    for size in (along, across):
+    for turned, size in ((False, along), (True, across)):
         rows = []
         for shell in shells:
             inside = slice(shell.first_node, shell.last_node + 1)
-            covariance = overlap_of_boxes(lags[: taps + 1, None, None], size[inside]) / overlap_of_boxes(
-                zero, size[inside]
-            )
-            share = variance_weight[inside] * foot[inside] ** 3  # (g, K)
-            rows.append(np.einsum("lgk,gk,pk->pl", covariance, share, per_log, optimize=True))
+            if streaks is None:
+                covariance = overlap_of_boxes(lags[: taps + 1, None, None], size[inside]) / overlap_of_boxes(
+                    zero, size[inside]
+                )
+                share = variance_weight[inside] * foot[inside] ** 3  # (g, K)
+                rows.append(np.einsum("lgk,gk,pk->pl", covariance, share, per_log, optimize=True))
+                continue
+            some = (slice(shell.first_node, shell.last_node + 1, COARSE), slice(None, None, COARSE))
+            reached = _turned_covariance(streaks, lags[: taps + 1], foot[some[0]], across[some], optics, turned=turned)
+            share = energy[some] * foot[some[0]] ** 3
+            rows.append(np.einsum("lgk,gk,pk->pl", reached, share, per_log[:, ::COARSE], optimize=True))
         covariances = np.stack(rows, axis=1)  # (P, J, taps + 1)
         covariances[covariances[..., 0] <= 0] = np.eye(taps + 1)[0]
         kernels.append(_kernel(covariances / covariances[..., :1], taps))
@@ -304,6 +324,33 @@ def build_particle_tables(
         listed=_listed_shells(log_foot, tail_most, width, length, focal_px),
         haze=shells,
     )
+
+
+def _turned_covariance(
+    streaks: list[Streaks], lags: Array, foot: Array, across: Array, optics: MarkOptics, *, turned: bool
+) -> Array:
+    """Autocovariance ``(lags, G, K)`` of marks of unit area along the haze's axis, or across it, mean over the frame.
+
+    A lag has a part along a streak and a part across it; the mark is a box of its length and one of its width.
+
+    Args:
+        streaks: at places of the frame, of every size of the tables.
+        lags: pixels, ``(lags,)``.
+        foot: ``(G, 1)`` m/px.
+        across: ``(G, K)`` equal-variance box of the marks' width, px.
+        optics: the camera's.
+        turned: across the axis.
+    """
+    total = np.zeros((len(lags), *across.shape))
+    for one in streaks:
+        way = one.speed_m_per_s[::COARSE] * optics.exposure_s / foot
+        first, second = np.abs(one.cosine[::COARSE]), np.abs(one.sine[::COARSE])
+        if turned:
+            first, second = second, first
+        lag = lags[:, None, None]
+        length = np.hypot(way, across)
+        total += one.weight * overlap_of_boxes(lag * first, length) * overlap_of_boxes(lag * second, across)
+    return total
 
 
 def _equal_shares(cumulative: Array, number: int) -> list[int]:
@@ -364,9 +411,10 @@ def _cached(
     min_listed_coverage: float,
     max_listed_density: float,
     rate_capacity: float,
+    motion: ImageMotion | None,
 ) -> ParticleTables:
     return build_particle_tables(
-        shape, optics, focal_px, near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity
+        shape, optics, focal_px, near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity, motion
     )
 
 
@@ -379,7 +427,11 @@ def particle_tables(
     min_listed_coverage: float,
     max_listed_density: float,
     rate_capacity: float,
+    motion: ImageMotion | None = None,
 ) -> ParticleTables:
-    """The tables, from a cache that does not look at the rate."""
+    """The tables, from a cache that does not look at the rate; without motion, those of particles that fall straight
+    down the image."""
     shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))
-    return _cached(shape, optics, focal_px, near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity)
+    moving = None if motion is None or motion.still else motion.rounded()
+    limits = (near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity)
+    return _cached(shape, optics, focal_px, *limits, moving)
