@@ -41,9 +41,10 @@ def composed(bayer: Tensor, mask: Tensor, colour: Tensor, cfa: Tensor) -> Tensor
 
 
 def particle_colour(weather: Rain | Snow, bayer: Tensor, sky: Tensor, pattern: str) -> Tensor:
-    """What a particle shows, ``(3,)``: a drop the scene and a little sky, a flake the light of the sky."""
+    """What a particle shows, ``(3,)``: a drop the scene and a little sky, a flake the mean of sky and ground."""
     if isinstance(weather, Snow):
-        return weather.albedo * sky
+        ground = colour_means(bayer[..., bayer.shape[-2] // 4 * 2 :, :], pattern)  # the lower half, whole cells
+        return weather.albedo * (sky + ground) / 2
     return (1 - REFLECTED_SHARE) * colour_means(bayer, pattern) + REFLECTED_SHARE * sky
 
 

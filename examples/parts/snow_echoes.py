@@ -13,25 +13,25 @@ import torchweather as tw
 from torchweather.stages import Chain, LidarState, Stage
 
 DATA_SHEET_RANGE_AT_10_PERCENT_M = 200.0  # Pandar64, from memory (unverified)
-ALBEDO = 0.9  # of Snow()
+PACK = 0.9  # reflectivity of a pack of snow; of a flake by default 0.25
 RULES = ("strongest and last", "last and strongest other")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A sensor and the reflectivity of flakes to simulate with."""
+    """A sensor and the reflectivity of flakes to simulate with; ``None`` is that of the library."""
 
     name: str
     sensor: tw.Lidar
-    albedo: float = ALBEDO
+    flake_reflectivity: float | None = None
 
 
 def cases() -> list[Case]:
     scanner, plain = (tw.Lidar.preset(name, return_mode="dual") for name in (SCANNER, "velodyne-hdl-64e"))
     far = replace(scanner, range_at_10_percent_m=DATA_SHEET_RANGE_AT_10_PERCENT_M)
     fainter = (far.range_at_10_percent_m / scanner.range_at_10_percent_m) ** 2
-    name = f"{SCANNER} with {far.range_at_10_percent_m:g} m at 10 %, flakes {fainter:.0f} times fainter"
-    return [Case(SCANNER, scanner), Case("velodyne-hdl-64e", plain), Case(name, far, ALBEDO / fainter)]
+    name = f"{SCANNER} with {far.range_at_10_percent_m:g} m at 10 %, flakes of {PACK / fainter:.2f}"
+    return [Case(SCANNER, scanner), Case("velodyne-hdl-64e", plain), Case(name, far, PACK / fainter)]
 
 
 class LastAndOther(Stage):
@@ -71,7 +71,8 @@ class LastAndOther(Stage):
 
 def simulated(cloud: Tensor, along: Tensor, case: Case, rate_mm_per_h: float, seed: int) -> list[Beams]:
     """Snow in a frame, as each of `RULES` reports it: one storm, seen twice."""
-    lidar = tw.LidarSnow(tw.Snow(rate_mm_per_h=rate_mm_per_h, albedo=case.albedo), case.sensor)
+    snow = tw.Snow(rate_mm_per_h=rate_mm_per_h, flake_reflectivity=case.flake_reflectivity)
+    lidar = tw.LidarSnow(snow, case.sensor)
     noise = lidar.draw(cloud, seed=seed)
     found = []
     for rule in RULES:

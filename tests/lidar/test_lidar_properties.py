@@ -201,9 +201,9 @@ def test_labels_say_what_the_points_are(
 @quick
 @given(seed=seeds, mode=modes, name=sensors)
 def test_energy_is_not_created(seed: int, mode: str, name: str) -> None:
-    """A flake is no brighter than a Lambertian disk of its albedo that fills the beam, a drop than its share."""
+    """A flake is no brighter than a Lambertian disk of its reflectivity that fills the beam, a drop than its share."""
     sensor, points = replace(SENSORS[name], return_mode=mode), cloud(seed, "reflectivity")
-    for weather, brightest in ((Snow(5.0), 0.9), (Rain(100.0), 0.2 / 4.0)):
+    for weather, brightest in ((Snow(5.0, flake_reflectivity=0.9), 0.9), (Rain(100.0), 0.2 / 4.0)):
         transform = LidarWeather(weather, sensor)
         result: Any = transform.run(points, transform.draw(points, seed=seed))
         particle = result.kind == PointKind.PARTICLE
