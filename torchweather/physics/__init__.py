@@ -66,7 +66,7 @@ from torchweather.physics.rain_attenuation import (
     rain_attenuation_coefficients,
     rain_attenuation_p838_db_per_km,
 )
-from torchweather.physics.rain_distributions import RAIN, marshall_palmer
+from torchweather.physics.rain_distributions import JOSS, RAIN, joss_rain, marshall_palmer
 from torchweather.physics.refractive_index import (
     ice_permittivity_microwave,
     ice_refractive_index,
@@ -112,7 +112,9 @@ __all__ = [
     "FOG",
     "LIQUID_WATER_LAWS",
     "Q_EFF",
+    "JOSS",
     "RAIN",
+    "joss_rain",
     "RAIN_ATTENUATION_MODELS",
     "SNOW",
     "SNOW_ATTENUATION_MODELS",

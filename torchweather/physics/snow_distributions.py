@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+
+import torch
 
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
@@ -165,9 +168,27 @@ def _brandes_by_rate(rate_mm_per_h: Quantity) -> Gamma:
     return brandes_snow(rate_mm_per_h)
 
 
+def _table4_by_rate(row: str, rate_mm_per_h: Quantity) -> Gamma:
+    """Sizes of a row of Table 4, as many as carry the rate, on the domain of ``brandes_snow``."""
+    rate, present = rate_and_presence(rate_mm_per_h, "brandes_table4")
+    _, mu, slope = BRANDES_TABLE4[row]
+    smallest = float(physical_diameter_mm(MELTED_DIAMETER_MIN_MM))
+    ones = torch.ones_like(rate)
+    unit = Gamma(
+        ones,
+        mu * ones,
+        slope * ones,
+        diameter_min_mm=smallest,
+        diameter_max_mm=PHYSICAL_DIAMETER_MAX_MM,
+        particle="flake",
+    )
+    return close_rate(unit, rate * present)
+
+
 SNOW: dict[str, Callable[[Quantity], SizeDistribution]] = {
     "sekhon-srivastava": sekhon_srivastava,
     "gunn-marshall": gunn_marshall,
     "brandes": _brandes_by_rate,
+    **{f"colorado-{row}": partial(_table4_by_rate, row) for row in BRANDES_TABLE4},
 }
 """Named snowflake size distributions: name to function of the liquid-equivalent rate in mm/h."""
