@@ -125,12 +125,14 @@ def test_waveform_is_the_reference_s_integral_over_the_pulse(mor_m: float) -> No
     assert range_m[found.argmax()] == pytest.approx(peak_m, abs=0.2)
 
 
+@pytest.mark.parametrize("receiver", ["gate", "matched"])
 @pytest.mark.parametrize("mor_m", [20.0, 100.0])
-def test_the_largest_reading_of_few_photons_has_the_law_of_the_table(mor_m: float) -> None:
+def test_the_largest_reading_of_few_photons_has_the_law_of_the_table(mor_m: float, receiver: str) -> None:
     """The physics by brute force: photons arrive one by one, the receiver answers each with the pulse, and its largest
-    value is the reading. The answer's height, 4/3, makes the variance of a value its mean."""
+    value is the reading. The answer's height, 4/3, makes the variance of a value its mean. Before a matched filter the
+    photons of a place are spread over the pulse that was sent."""
     lidar = Lidar.preset("ouster-os1-128")
-    fog = LidarFog(Fog(mor_m=mor_m), lidar)
+    fog = LidarFog(Fog(mor_m=mor_m), lidar, receiver=receiver)
     returns = fog.chain.stages["particle_returns"]
     part = returns.kinds["fog"]
     target = SoftTarget(float(fog.extinction_per_m), float(part.backscatter_per_m_sr(part.mor_m)))
@@ -138,11 +140,14 @@ def test_the_largest_reading_of_few_photons_has_the_law_of_the_table(mor_m: floa
     step_m, n = 0.05, 20_000
     range_m = np.arange(lidar.near_start_m + 0.5 * step_m, 30.0, step_m)
     per_step = local_signal(range_m, target, link) / target.pulse_length_m * step_m
-    photons = np.random.default_rng(4).poisson(
-        0.75 * per_step / lidar.threshold_per_m2_sr * lidar.photons_at_threshold, (n, len(range_m))
-    )
     place = np.arange(-target.pulse_length_m + 0.5 * step_m, target.pulse_length_m, step_m)
-    answer = 4.0 / 3.0 * np.cos(0.5 * math.pi * place / target.pulse_length_m) ** 2
+    sent = np.cos(0.5 * math.pi * place / target.pulse_length_m) ** 2
+    if receiver == "matched":
+        per_step = 4.0 / 3.0 * np.convolve(per_step, sent / sent.sum())  # a target of one place reads what it did
+    photons = np.random.default_rng(4).poisson(
+        0.75 * per_step / lidar.threshold_per_m2_sr * lidar.photons_at_threshold, (n, len(per_step))
+    )
+    answer = 4.0 / 3.0 * sent
     largest = fftconvolve(photons.astype(float), answer[None], axes=1).max(1)
     compared = 0
     for reading in range(4, 31):
@@ -157,5 +162,7 @@ def test_the_largest_reading_of_few_photons_has_the_law_of_the_table(mor_m: floa
             compared += 1
             # 4 standard errors of the share: 0.014. The law is exact for high readings; of low ones, crossings that
             # follow each other are not independent, and the answers' sum is more skewed than a Poisson count: 0.035.
-            assert found == pytest.approx(wanted, abs=0.015 if wanted > 0.5 else 0.045)
+            # A matched filter's waveform is broader and holds more such crossings.
+            seldom = wanted > (0.5 if receiver == "gate" else 0.6)
+            assert found == pytest.approx(wanted, abs=0.015 if seldom else 0.045)
     assert compared >= 5

@@ -19,6 +19,7 @@ class LidarOptions(TransformOptions):
     q_back: float | str | None = None
     fog_extinction: str = "mie"
     fog_backscatter: str = "mie"
+    receiver: str = "gate"
     lost: str = "zero"
     complete_scan: bool | str = False
     beam_ends: str = "scene"

@@ -337,6 +337,7 @@ class ParticleReturns(Stage):
         sensor: the LiDAR, or its dictionary.
         q_back: backscatter efficiency of drops, ``"glints"``, or ``None`` for the default (``BeamParticles``).
         fog_backscatter: ``mie`` or ``hahner`` (``SoftReturn``).
+        receiver: of fog's return, ``gate`` or ``matched`` (``SoftReturn``).
         variant: ``d3_4``: the published cylinder, drops and limit of detection; rain only.
     """
 
@@ -363,17 +364,23 @@ class ParticleReturns(Stage):
         q_back: float | str | None = None,
         fog_backscatter: str = "mie",
         variant: str | None = None,
+        receiver: str = "gate",
     ) -> None:
         super().__init__()
         self.sensor = Lidar.of(sensor)
         self.beam = Beam(self.sensor)
-        self.options = {"q_back": q_back, "fog_backscatter": fog_backscatter, "variant": variant}
+        self.options = {
+            "q_back": q_back,
+            "fog_backscatter": fog_backscatter,
+            "variant": variant,
+            "receiver": receiver,
+        }
         built = [w if isinstance(w, Weather) else weather_from_dict(w) for w in weathers]
         self.parts = nn.ModuleDict()
         for weather in sorted(built, key=lambda part: part.kind):
             part: nn.Module
             if isinstance(weather, Fog):
-                part = SoftReturn(weather, self.sensor, backscatter=fog_backscatter)
+                part = SoftReturn(weather, self.sensor, backscatter=fog_backscatter, receiver=receiver)
             elif isinstance(weather, (Rain, Snow)):
                 given = q_back if isinstance(weather, Rain) else None
                 part = BeamParticles(weather, self.sensor, q_back=given, published=variant == "d3_4")

@@ -104,6 +104,9 @@ class LidarWeather(WeatherTransform):
             0.094; 0.6 is the upper end of what is plausible.
         fog_extinction: ``mie`` or ``koschmieder`` (ln 20 / MOR at every wavelength).
         fog_backscatter: ``mie`` or ``hahner`` (0.046 / MOR).
+        receiver: how the receiver filters the light of fog: ``gate`` (light of a flash in a gate of the pulse's shape)
+            or ``matched`` (the pulse answered with the pulse): 4/3 of the signal, near the threshold twice as many
+            false returns or more. Which one a sensor has is seldom published.
         lost: lost points become ``zero`` rows (further columns stay), ``nan``, or are left out (``drop``).
         complete_scan: infer the beams without return that an unorganised cloud lacks from the sensor's scan pattern,
             and where they end: on the ground, the own vehicle, an obstacle, or in the sky. ``"sky"`` appends only those
@@ -154,6 +157,7 @@ class LidarWeather(WeatherTransform):
         q_back: float | str | None = None,
         fog_extinction: str = "mie",
         fog_backscatter: str = "mie",
+        receiver: str = "gate",
         lost: str = "zero",
         complete_scan: bool | str = False,
         beam_ends: str = "scene",
@@ -168,6 +172,7 @@ class LidarWeather(WeatherTransform):
             q_back=q_back,
             fog_extinction=fog_extinction,
             fog_backscatter=fog_backscatter,
+            receiver=receiver,
             lost=lost,
             complete_scan=complete_scan,
             beam_ends=beam_ends,
@@ -203,7 +208,7 @@ class LidarWeather(WeatherTransform):
                 **air,
                 "to_energy": ToEnergy(sensor),
                 "extinction": Extinction(parts, sensor, q_eff, fog_extinction, published),
-                "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published),
+                "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published, receiver),
                 "detection": Detection(sensor),
                 "to_points": ToPoints(sensor),
             }

@@ -8,6 +8,11 @@ with tau the pulse width (FWHM); r is counted so that a hard target stands at it
 pulse length l = c tau/2 are Poisson distributed. The receiver's response is the pulse itself, so that this noise is
 correlated as sin^2 with itself, over about a pulse length. The reading of a beam is the largest value of the waveform.
 
+That is a receiver that counts the light of a short flash in a gate of the pulse's shape (``gate``). A ``matched``
+filter answers the light of a pulse with the pulse: S has the autocorrelation of sin^2 over its peak in place of sin^2,
+which is 4/3 as long. A hard target reads the same in both, fog 4/3 as much and smoother; the noise is alike
+(``PHYSICS.md`` 10.5).
+
 Let F(e; S) = Phi(z) be the distribution of a value, z that of a standard normal one of the same rank. A value e is
 exceeded where the noise first crosses z(e, r) upwards. With lambda the mean square slope of the noise and w the slope
 of z over its root, Rice's formula gives the rate of crossings at which none was before,
@@ -48,6 +53,7 @@ from torchweather.lidar.sensor import Lidar
 __all__ = ["SoftReturn"]
 
 BACKSCATTERS = ("mie", "hahner")
+RECEIVERS = ("gate", "matched")
 HAHNER_BETA_MOR_PER_SR = 0.046  # Rasshofer 2011, Hahner 2021: beta = 0.046 / MOR, a lidar ratio of 65 sr
 PULSE_NODES = 16  # of each of two parts
 COUNT_NODES = 129  # cells by powers of two: the search in strongest.py halves them
@@ -88,6 +94,7 @@ class SoftReturn(nn.Module):
         sensor: the LiDAR.
         backscatter: ``mie`` (Mie theory over the fog's own distribution at the laser's wavelength) or ``hahner``
             (0.046 / MOR, with the visible MOR).
+        receiver: ``gate`` or ``matched``.
     """
 
     mor_m: Tensor
@@ -101,10 +108,11 @@ class SoftReturn(nn.Module):
     echoes = 1
     kind = "fog"
 
-    def __init__(self, weather: Fog, sensor: Lidar, *, backscatter: str = "mie") -> None:
+    def __init__(self, weather: Fog, sensor: Lidar, *, backscatter: str = "mie", receiver: str = "gate") -> None:
         super().__init__()
         check_one_of("fog_backscatter", backscatter, BACKSCATTERS, owner=self)
-        self.weather, self.backscatter = weather, backscatter
+        check_one_of("receiver", receiver, RECEIVERS, owner=self)
+        self.weather, self.backscatter, self.receiver = weather, backscatter, receiver
         self.grid = RangeGrid.of(sensor)
         self.optics = FogOptics(weather, float(sensor.wavelength_nm))
         place, weight = np.polynomial.legendre.leggauss(PULSE_NODES)
@@ -156,8 +164,9 @@ class SoftReturn(nn.Module):
         """S and its change per metre: the pulse begins and ends with nothing, so that only its shape moves."""
         # Where in the fog the light comes from, (..., 2 PULSE_NODES): the part of the pulse that meets the rising
         # response and that which meets the full one. f is smooth in each: S has no ripples however short the rise.
-        behind_m = range_m + self.pulse_length_m
-        begin_m = torch.maximum(range_m - self.pulse_length_m, beam.near_start_m).clamp_min(1e-3)
+        reach_m = self.pulse_length_m * (2.0 if self.receiver == "matched" else 1.0)
+        behind_m = range_m + reach_m
+        begin_m = torch.maximum(range_m - reach_m, beam.near_start_m).clamp_min(1e-3)
         begin_m = torch.minimum(begin_m, behind_m)
         full_m = torch.minimum(torch.maximum(beam.near_full_m, begin_m), behind_m)
         place = 0.5 * (1.0 + self.pulse_place)
@@ -172,9 +181,22 @@ class SoftReturn(nn.Module):
         if air is not None:
             response = response * air.density_at(source_m)
         beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
-        pulse = (weight * (0.5 + 0.5 * phase.cos())).flatten(-2)
-        changing = (weight * (-0.5 * math.pi / self.pulse_length_m) * phase.sin()).flatten(-2)
+        shape, steepness = self._pulse(phase)
+        pulse, changing = (weight * shape).flatten(-2), (weight * steepness / self.pulse_length_m).flatten(-2)
         return beta * (response * pulse).sum(-1), beta * (response * changing).sum(-1)
+
+    def _pulse(self, phase: Tensor) -> tuple[Tensor, Tensor]:
+        """Share of a hard target's peak that light from another place adds, and its change per pulse length.
+
+        Args:
+            phase: distance between the places times pi over the pulse length.
+        """
+        if self.receiver == "gate":
+            return 0.5 + 0.5 * phase.cos(), -0.5 * math.pi * phase.sin()
+        away = phase.abs()  # to 2 pi, where two pulses no longer meet
+        left = 1.0 - away / (2.0 * math.pi)
+        shape = left * (2.0 + away.cos()) / 3.0 + away.sin() / (2.0 * math.pi)
+        return shape, -phase.sign() * ((1.0 - away.cos()) / 3.0 + (math.pi / 3.0) * left * away.sin())
 
     def between(
         self,
