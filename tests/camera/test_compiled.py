@@ -11,6 +11,9 @@ from torch import Tensor
 import torchweather as tw
 from torchweather.camera.rgb import AsBayer
 
+# torch's own, and for this release of Python alone.
+pytestmark = pytest.mark.filterwarnings("ignore:Guards may run slower on Python 3.13.0:RuntimeWarning")
+
 CAMERA = tw.Camera.from_intrinsics(fx=60.0, fy=60.0, cx=23.5, cy=15.5, width=48, height=32)
 WEATHERS = {
     "rain": tw.Rain(25),
