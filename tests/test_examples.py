@@ -166,8 +166,8 @@ def test_snow_of_a_known_rate_is_found_again_in_a_made_recording(tmp_path: Path)
         if run["sensor"] == "pandar64-wads" and run["reported"] == "strongest and last"
     }
     for name in ("beams without object that return snow", "beams with snow", "points that are snow"):
-        # Some 50,000 empty beams and 0.28 of them with snow, each drawn anew: 3 sigma of a difference are 3 %.
-        assert recorded[name] == pytest.approx(same[1.0][name], rel=0.03)
+        # Some 50,000 empty beams and 0.055 of them with snow, each drawn anew: 3 sigma of a difference are 8 %.
+        assert recorded[name] == pytest.approx(same[1.0][name], rel=0.08)
         # Half and twice the rate differ by far more.
         assert same[0.5][name] < 0.7 * recorded[name] < 1.3 * recorded[name] < same[2.0][name]
     assert recorded["range of snow, 5/50/95 %, m"] == pytest.approx(

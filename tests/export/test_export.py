@@ -265,7 +265,7 @@ assert "torch" not in sys.modules
 """
     root = Path(__file__).parents[2]
     subprocess.run([sys.executable, "-c", code], check=True, cwd=root, timeout=60)
-    noise = rain(SIZES[0]).draw(torch.zeros(1, 1, *SIZES[0]), seed=3)
+    noise = at_size(rain(TRACED), SIZES[0]).draw(torch.zeros(1, 1, *SIZES[0]), seed=3)
     with np.load(tmp_path / "feed.npz") as feed:
         assert set(feed.files) == set(noise)
         assert all(np.array_equal(feed[key], noise[key].numpy()) for key in noise)

@@ -266,11 +266,9 @@ def _map(shown: Shown) -> parts.Figure:
 
 
 def _transmission(frame: Frame, shown: Shown) -> parts.Figure:
-    """Fog dims along the ray; particles are counted in slabs along the axis. Each is drawn over its own distance."""
+    """Fog and particles dim along the ray."""
     ray = ray_length_m(frame.depth_m, frame.camera)
     depth = frame.depth_m.double().flatten().numpy()
-    along_ray = shown.kind in ("fog", "mixture")
-    distance = ray if along_ray else depth
     edges, fine = (np.geomspace(NEAREST_M, FARTHEST_M, count + 1) for count in (BINS, FINE_BINS))
     # Each pixel has the extinction of its own colour: keep to one.
     green = (
@@ -281,16 +279,16 @@ def _transmission(frame: Frame, shown: Shown) -> parts.Figure:
     for label, one in zip(shown.labels, shown.rendered, strict=True):
         path = light_path(one.transform)
         left = (one.transmission.double() * (1 - one.particle_mask.double())).flatten().numpy()
-        optical = path.fog_per_m[1] * ray[finite] + path.veil_depth(depth[finite])
-        dots = mean_over_bins(distance[finite], {"left": left[finite]}, edges)
+        optical = path.fog_per_m[1] * ray[finite] + path.veil_depth(depth[finite], ray[finite] / depth[finite])
+        dots = mean_over_bins(ray[finite], {"left": left[finite]}, edges)
         if shown.kind == "mixture":
-            expected = mean_over_bins(distance[finite], {"line": np.exp(-optical)}, fine)
+            expected = mean_over_bins(ray[finite], {"line": np.exp(-optical)}, fine)
             line_m, line = expected["distance_m"], expected["line"]
         else:
             line_m = np.geomspace(NEAREST_M, FARTHEST_M, 200)
             line = np.exp(-path.fog_per_m[1] * line_m - path.veil_depth(line_m))
         curves.append(Curve(label, line_m, line, dots["distance_m"], dots["left"]))
-    picture = transmission_uri(curves, shown.kind, "distance along the ray" if along_ray else "depth along the axis")
+    picture = transmission_uri(curves, shown.kind, "distance along the ray")
     small = "lines: equations; dots: mean of the rendered pixels"
     return parts.Figure(picture, "Transmission against distance", title="Light that arrives", small=small, look="chart")
 

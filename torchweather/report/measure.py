@@ -35,7 +35,7 @@ class Path:
 
     Args:
         fog_per_m: extinction of the fog per band, 1/m; zeros without fog.
-        veil_per_m: share of the light that particles cover per metre of depth, ``(pi/4) int D^2 N dD``.
+        veil_per_m: share of the light that particles cover per metre of way, ``(pi/4) int D^2 N dD``.
         near_m, far_m: where particles begin and end.
     """
 
@@ -44,9 +44,9 @@ class Path:
     near_m: float
     far_m: float
 
-    def veil_depth(self, depth_m: Array) -> Array:
-        """Optical depth of the particles nearer than a depth along the axis."""
-        return self.veil_per_m * np.clip(depth_m - self.near_m, 0.0, self.far_m - self.near_m)
+    def veil_depth(self, depth_m: Array, ray_per_depth: Array | float = 1.0) -> Array:
+        """Optical depth of the particles nearer than a depth along the axis, seen along rays longer by a factor."""
+        return self.veil_per_m * np.clip(depth_m - self.near_m, 0.0, self.far_m - self.near_m) * ray_per_depth
 
     def optical_depth(self, distance_m: float) -> float:
         """Optical depth of all the weather to a target on the axis, green."""
@@ -109,12 +109,13 @@ def falling_numbers(transform: BayerWeather, depth_m: Tensor) -> dict[str, float
         listed += float(_listed_per_px(part, seen, rate).sum())
         haze += float(_haze_depth(part, seen).mean())
     path = light_path(transform)
+    ray_per_depth = transform.camera.ray_directions(*depth_m.shape[-2:]).norm(dim=0).double().flatten().numpy()
     return {
         "particles_in_view": total,
         "particles_drawn_one_by_one": listed,
         "share_drawn_one_by_one": listed / total if total > 0 else 0.0,
         "share_of_optical_depth_drawn_one_by_one": max(0.0, 1 - haze / coverage) if coverage > 0 else 0.0,
-        "mask_mean_expected": float(-np.expm1(-path.veil_depth(depth)).mean()),
+        "mask_mean_expected": float(-np.expm1(-path.veil_depth(depth, ray_per_depth)).mean()),
     }
 
 

@@ -27,7 +27,8 @@ from torchweather.lidar.effects.all import EFFECTS
 from torchweather.pipeline.effect import Effect
 
 RNG = np.random.default_rng
-WEATHERS = (Snow(2.0), Snow(1.2))
+# Flakes as bright as a pack of snow, of which even sixteen rows see many.
+WEATHERS = (Snow(2.0, flake_reflectivity=0.9), Snow(1.2, flake_reflectivity=0.9))
 TESTED = (
     "lidar.window_loss",
     "lidar.threshold_shift",
