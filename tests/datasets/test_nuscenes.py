@@ -43,7 +43,7 @@ def test_calibration_projects_a_point_ahead_below_the_principal_point(tmp_path: 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", "wanted json"),
+        ("{", "expected JSON"),
         ("[]", "cameras none"),
         ('{"CAM_BACK": {"cam2img": 1}}', r"got cameras CAM_BACK"),
         ('{"CAM_FRONT": {"cam2img": [[1, 0], [0, 1]], "lidar2cam": [[1]]}}', "3 x 3"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from pathlib import Path
 
@@ -115,3 +116,46 @@ def test_without_laspy_the_hint_works_from_a_clone_too(tmp_path: Path, monkeypat
         read_points(tmp_path / "a.las")
     with pytest.raises(MissingExtraError, match="laspy"):
         write_points(tmp_path / "b.las", torch.zeros(1, 4))
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+@pytest.mark.parametrize(
+    ("place", "form", "value"),
+    [
+        (100, "<I", 1 << 30),  # records before the points
+        (243, "<I", 1 << 30),  # records behind them: laspy reads on for hours
+        (247, "<Q", 1 << 60),  # points
+    ],
+)
+def test_a_header_that_promises_more_than_the_file_holds_is_refused_at_once(
+    tmp_path: Path, name: str, place: int, form: str, value: int
+) -> None:
+    survey(tmp_path / name, point_format=6)
+    content = bytearray((tmp_path / name).read_bytes())
+    content[place : place + struct.calcsize(form)] = struct.pack(form, value)
+    (tmp_path / name).write_bytes(bytes(content))
+    with pytest.raises(TorchweatherError, match=r"its header promises|would inflate"):
+        read_points(tmp_path / name)
+
+
+@pytest.mark.parametrize("place", [0, 4])
+def test_a_damaged_table_of_chunks_is_refused(tmp_path: Path, place: int) -> None:
+    """Lazrs ends the whole process where it cannot have the memory for a table of 2 billion chunks."""
+    survey(tmp_path / "a.laz", point_format=6)
+    content = bytearray((tmp_path / "a.laz").read_bytes())
+    (start,) = struct.unpack_from("<I", content, 96)
+    (table,) = struct.unpack_from("<q", content, start)
+    at, value = (start, struct.pack("<q", 1 << 40)) if place == 0 else (table + 4, struct.pack("<I", 1 << 31))
+    content[at : at + len(value)] = value
+    (tmp_path / "a.laz").write_bytes(bytes(content))
+    with pytest.raises(TorchweatherError, match="its header promises"):
+        read_points(tmp_path / "a.laz")
+
+
+def test_a_scale_that_makes_no_finite_positions_is_refused(tmp_path: Path) -> None:
+    survey(tmp_path / "a.las", point_format=6)
+    content = bytearray((tmp_path / "a.las").read_bytes())
+    content[131:139] = struct.pack("<d", 1e308)
+    (tmp_path / "a.las").write_bytes(bytes(content))
+    with pytest.raises(TorchweatherError, match="scale or offset makes no finite positions"):
+        read_points(tmp_path / "a.las")

@@ -671,8 +671,16 @@ def _plain(text: str) -> str | float | bool | Uniform:
         return text.lower() == "true"
     low, dots, high = text.partition("..")
     try:
-        if dots:
-            return Uniform(float(low), float(high))
-        return float(text)
+        return Uniform(_number(low), _number(high)) if dots else _number(text)
+    except InputValueError:
+        raise
     except ValueError:
         return text
+
+
+def _number(text: str) -> float:
+    """A number; infinity only where it is written so."""
+    value = float(text)
+    if math.isinf(value) and "inf" not in text.lower():
+        raise InputValueError(f"torchweather: weather: expected a number of at most 1.8e308; got {text[:40]!r}.")
+    return value

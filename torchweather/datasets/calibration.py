@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from torchweather.camera.sensor import Camera
+from torchweather.core.errors import InputValueError, check_finite
 
 __all__ = ["CameraLidarCalibration"]
 
@@ -25,6 +26,16 @@ class CameraLidarCalibration:
     camera_matrix: Tensor
     T_camera_from_lidar: Tensor
     assumption: str = ""
+
+    def __post_init__(self) -> None:
+        for name, shape in (("camera_matrix", (3, 3)), ("T_camera_from_lidar", (4, 4))):
+            value = getattr(self, name)
+            if not isinstance(value, Tensor) or tuple(value.shape) != shape or not value.is_floating_point():
+                got = f"{tuple(value.shape)} {value.dtype}" if isinstance(value, Tensor) else repr(value)
+                raise InputValueError(
+                    f"CameraLidarCalibration: {name} must be a floating-point tensor {shape}; got {got}."
+                )
+            check_finite(name, value, owner=self)
 
     def camera(self, width: int, height: int, **more: Any) -> Camera:
         """The camera for images of this size; every other field of `Camera` by keyword."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 from torchweather.camera.frame_sizes import same_aspect
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError, nearest_name
-from torchweather.core.yaml_file import parse_json
+from torchweather.core.yaml_file import parse_json, read_json
 from torchweather.datasets.kitti import read_kitti_entries
 from torchweather.datasets.yaml_calibration import camera_fields_from_yaml
 
@@ -178,8 +177,8 @@ def _from_nuscenes_table(source: Path, records: Sequence[Mapping[str, Any]], nam
     beside = source.with_name("sensor.json")
     if beside.is_file():
         try:
-            channels = {entry["token"]: entry["channel"] for entry in json.loads(beside.read_text(encoding="utf-8"))}
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            channels = {entry["token"]: entry["channel"] for entry in read_json(beside, "nuScenes' table of sensors")}
+        except (KeyError, TypeError) as error:
             raise TorchweatherError(f"{beside}: expected nuScenes' table of sensors; {error!r}.") from error
     chosen = [
         record

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.calibration import CameraLidarCalibration
 from torchweather.io.points import read_points
 
@@ -89,7 +90,10 @@ def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibrati
     offset = torch.eye(4, dtype=torch.float64)
     offset[:3, 3] = torch.linalg.solve(camera_matrix, projection[:, 3])
     rectified_from_lidar, assumption = _rectified_from_lidar(entries, source)
-    return CameraLidarCalibration(camera_matrix, offset @ rectified_from_lidar, assumption)
+    try:
+        return CameraLidarCalibration(camera_matrix, offset @ rectified_from_lidar, assumption)
+    except InputValueError as error:
+        raise TorchweatherError(f"{source}: {error}") from error
 
 
 def kitti_camera_matrix(path: str | os.PathLike[str]) -> Tensor:
@@ -227,6 +231,8 @@ def _named_numbers(source: Path) -> dict[str, list[float]]:
             if key == "calib_time":
                 continue
             values = [float(word) for word in text.split()]
+            if not all(map(math.isfinite, values)):
+                raise InputValueError(f"{key} holds NaN or infinity")
             if values:
                 entries.setdefault(aliases.get(key, key), []).extend(values)
     except FileNotFoundError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,8 @@ def read_kitti_boxes(
             values = [float(word) for word in words[1:]]
             if len(values) not in (_NUMBERS, _NUMBERS + 1):
                 raise InputValueError(f"{len(values)} numbers")
+            if not all(map(math.isfinite, values)):
+                raise InputValueError("NaN or infinity where finite numbers are wanted")
             record: dict[str, Any] = {
                 "truncation": values[0],
                 "occlusion": int(values[1]),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
+from torchweather.core.yaml_file import read_json
 from torchweather.datasets.calibration import CameraLidarCalibration
 from torchweather.io.points import read_points
 
@@ -44,12 +44,7 @@ def read_nuscenes_calibration(path: str | os.PathLike[str], camera: str = "CAM_F
         TorchweatherError: the file is missing, no json, or lacks the entry.
     """
     source = Path(path)
-    try:
-        content = json.loads(source.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise TorchweatherError(f"{source}: no such file.") from error
-    except (OSError, ValueError) as error:
-        raise TorchweatherError(f"{source}: wanted json with a calibration per camera; {error}.") from error
+    content = read_json(source, "a calibration for each camera")
     entries = content if isinstance(content, dict) else {}
     if camera not in entries:
         names = [name for name, entry in entries.items() if isinstance(entry, dict) and "cam2img" in entry]
@@ -69,4 +64,7 @@ def read_nuscenes_calibration(path: str | os.PathLike[str], camera: str = "CAM_F
             f"{source}: wanted cam2img 3 x 3 and lidar2cam 4 x 4 of {camera!r}; got {tuple(camera_matrix.shape)} and "
             f"{tuple(transform.shape)}."
         )
-    return CameraLidarCalibration(camera_matrix, transform)
+    try:
+        return CameraLidarCalibration(camera_matrix, transform)
+    except InputValueError as error:
+        raise TorchweatherError(f"{source}: {error}") from error

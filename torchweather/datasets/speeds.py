@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.core.file_names import is_hidden
 
 __all__ = ["FASTEST_M_PER_S", "Speeds", "read_speeds", "read_timestamps"]
@@ -21,6 +21,7 @@ FASTEST_M_PER_S = 100.0
 # Raw KITTI data, dataformat.txt of the development kit: 30 values a line, number 9 is the forward speed in m/s.
 _OXTS_VALUES, _OXTS_FORWARD = 30, 8
 _SPEED_NAMES = {"speed_m_per_s": 1.0, "ego_speed_m_per_s": 1.0, "speed_km_per_h": 1 / 3.6}
+_STAMP = re.compile(r"\d{4}-\d{2}-\d{2}[ T]\d{2}:\d{2}(:\d{2}(\.\d{1,9})?)?", re.ASCII)
 _TIME_NAME = "time_s"
 _WANTED = (
     "expected one speed in m/s a line, or columns with a header: speed_m_per_s or speed_km_per_h, and time_s where the "
@@ -115,6 +116,8 @@ def read_timestamps(path: str | os.PathLike[str]) -> npt.NDArray[np.float64]:
     source = Path(path)
     lines = [line.strip() for line in _text(source).splitlines() if line.strip()]
     try:
+        if odd := [line for line in lines if not _STAMP.fullmatch(line)]:
+            raise InputValueError(f"got {odd[0][:60]!r}")
         times = np.array([line.replace(" ", "T") for line in lines], dtype="datetime64[ns]")
     except ValueError as error:
         raise TorchweatherError(f"{source}: expected dates such as 2011-09-26 13:02:25.964389445 ({error}).") from error
@@ -152,7 +155,8 @@ def _kitti_speeds(folder: Path) -> Speeds:
 
 def _speeds_of_table(source: Path) -> Speeds:
     lines = [line.split("#", 1)[0].strip() for line in _text(source).splitlines()]
-    rows = [[field for field in re.split(r"[,;\s]+", line) if field] for line in lines if line]
+    rows = [[field for field in re.split(r"[,;\s]+", line) if field] for line in lines]
+    rows = [row for row in rows if row]
     if not rows:
         return Speeds(np.empty(0))
     names = [field.lower() for field in rows[0]] if re.match(r"[A-Za-z_]", rows[0][0]) else []
@@ -173,6 +177,8 @@ def _speeds_of_table(source: Path) -> Speeds:
     times = None
     if _TIME_NAME in names and len(rows):
         times = np.array([_number(row[names.index(_TIME_NAME)], source) for row in rows])
+        if not bool(np.isfinite(times).all()):
+            raise TorchweatherError(f"{source}: times must be finite numbers of seconds; got NaN or infinity.")
         times = times - times[0]
         _check_growing(times, source)
     return Speeds(values, times, source)

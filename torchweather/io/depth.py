@@ -208,8 +208,11 @@ def _metres(raw: Tensor, encoding: str | None, source: Path) -> Tensor:
     """Float32 metres; NaN where the file has no value: 0, NaN, -inf."""
     value = _one_value_each(raw, encoding, source).to(torch.float64)
     # Nothing stands 0 m before a lens: 0 is how a projected LiDAR, and KITTI, write "no value".
-    unknown = value.isnan() | torch.isneginf(value) | (value == 0)
-    depth = torch.where(unknown, torch.nan, value * _STEPS[encoding or "metre"]).to(torch.float32)
+    metres = (value * _STEPS[encoding or "metre"]).to(torch.float32)
+    unknown = value.isnan() | torch.isneginf(value) | (metres == 0)  # what float32 cannot tell from 0 as well
+    depth = torch.where(unknown, torch.nan, metres)
+    if bool((depth.isinf() & ~value.isinf()).any()):
+        raise TorchweatherError(f"{source}: depth must be metres, inf for sky; got numbers above 3e38. Is it damaged?")
     negative = int((depth < 0).sum())
     if negative:
         raise TorchweatherError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from torchweather.core.errors import TorchweatherError, check_at_least, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_at_least, check_positive
 from torchweather.io.drop_spectrum import DropSpectrum
 from torchweather.io.parsivel import read_parsivel_netcdf, read_parsivel_telegrams
 from torchweather.io.video_disdrometer import read_video_netcdf
@@ -36,8 +36,11 @@ def read_disdrometer(
             head = file.read(8)
     except OSError as error:
         raise TorchweatherError(f"{source}: cannot be read ({error}).") from error
-    if head[:8] == b"\x89HDF\r\n\x1a\n":
-        return read_parsivel_netcdf(source, fall_speed_tolerance)
-    if head[:3] == b"CDF":
-        return read_video_netcdf(source, duration_s, fall_speed_tolerance)
-    return read_parsivel_telegrams(source, fall_speed_tolerance)
+    try:
+        if head[:8] == b"\x89HDF\r\n\x1a\n":
+            return read_parsivel_netcdf(source, fall_speed_tolerance)
+        if head[:3] == b"CDF":
+            return read_video_netcdf(source, duration_s, fall_speed_tolerance)
+        return read_parsivel_telegrams(source, fall_speed_tolerance)
+    except (InputValueError, InputTypeError) as error:  # of the numbers in the file
+        raise TorchweatherError(f"{source}: {error}") from error

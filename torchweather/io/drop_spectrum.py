@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_finite, check_positive
 from torchweather.physics import rain_fall_speed_m_per_s
 
 __all__ = ["DropSpectrum", "spectrum_from_counts", "spectrum_from_drops"]
 
 # R = 3.6e-3 / (t A) sum (pi/6) D^3: mm^3 per m^2 and second to mm/h.
 _MM_PER_H_PER_MM3 = 3.6e-3 * math.pi / 6.0
+_MOST_INTERVALS = 2_000_000  # nearly four years of minutes
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +112,32 @@ def spectrum_from_counts(
         >>> round(float(found.density_per_m3_mm))        # 540 / (0.0054 m2 60 s 4 m/s 0.2 mm)
         2083
     """
-    counts, edges, speed, area = (v.to(torch.float64) for v in (counts, edges_mm, speed_m_per_s, area_mm2))
+    owner = "spectrum_from_counts"
+    counts, edges, speed, area, time = _numbers(
+        owner, counts=counts, edges_mm=edges_mm, speed_m_per_s=speed_m_per_s, area_mm2=area_mm2, time_s=time_s
+    )
+    classes = len(_edges(edges, owner)) - 1
+    expected = {"counts": (len(time), classes, len(speed)), "area_mm2": (classes,), "speed_m_per_s": (len(speed),)}
+    for name, value in (("counts", counts), ("area_mm2", area), ("speed_m_per_s", speed)):
+        if tuple(value.shape) != expected[name]:
+            raise InputValueError(f"{owner}: {name} must have shape {expected[name]}; got {tuple(value.shape)}.")
+    check_at_least("counts", counts, 0, owner=owner)
+    check_positive("speed_m_per_s", speed, unit="m/s", owner=owner)
+    check_positive("area_mm2", area, unit="mm^2", owner=owner)
+    _check_interval(duration_s, fall_speed_tolerance, owner)
     diameter = 0.5 * (edges[1:] + edges[:-1])
     law = rain_fall_speed_m_per_s(diameter)[:, None]
     counts = torch.where((speed - law).abs() <= fall_speed_tolerance * law, counts, 0.0)
     seconds_m2 = duration_s * area * 1e-6
+    density = (counts / speed).sum(-1) / (seconds_m2 * edges.diff())
+    rate = _MM_PER_H_PER_MM3 * (counts.sum(-1) * diameter**3 / seconds_m2).sum(-1)
+    _check_result(density, rate, owner)
     return DropSpectrum(
         edges_mm=edges,
-        density_per_m3_mm=(counts / speed).sum(-1) / (seconds_m2 * edges.diff()),
-        rate_mm_per_h=_MM_PER_H_PER_MM3 * (counts.sum(-1) * diameter**3 / seconds_m2).sum(-1),
+        density_per_m3_mm=density,
+        rate_mm_per_h=rate,
         duration_s=float(duration_s),
-        time_s=time_s.to(torch.float64),
+        time_s=time,
         instrument=instrument,
         reported_rate_mm_per_h=reported_rate_mm_per_h,
         reported_mor_m=reported_mor_m,
@@ -151,11 +167,24 @@ def spectrum_from_drops(
         instrument: what measured.
         fall_speed_tolerance: see `read_disdrometer`.
     """
-    diameter, speed, area, time, edges = (
-        v.to(torch.float64).contiguous() for v in (diameter_mm, speed_m_per_s, area_mm2, time_s, edges_mm)
+    owner = "spectrum_from_drops"
+    diameter, speed, area, time, edges = _numbers(
+        owner, diameter_mm=diameter_mm, speed_m_per_s=speed_m_per_s, area_mm2=area_mm2, time_s=time_s, edges_mm=edges_mm
     )
+    _edges(edges, owner)
     if time.numel() == 0:
-        raise InputValueError("spectrum_from_drops: wanted one drop or more; got none.")
+        raise InputValueError(f"{owner}: wanted one drop or more; got none.")
+    if {tuple(value.shape) for value in (diameter, speed, area, time)} != {(len(time),)}:
+        shapes = ", ".join(str(tuple(value.shape)) for value in (diameter, speed, area, time))
+        raise InputValueError(f"{owner}: diameters, speeds, areas and times must be (N,) each; got {shapes}.")
+    check_positive("area_mm2", area, unit="mm^2", owner=owner)
+    _check_interval(duration_s, fall_speed_tolerance, owner)
+    span = float(time.max() - time.min()) / duration_s
+    if not span < _MOST_INTERVALS:
+        raise InputValueError(
+            f"{owner}: time_s must span at most {_MOST_INTERVALS:,} intervals of {duration_s:g} s; got {span:.3g}. "
+            "Read the times in seconds, or choose a longer duration_s."
+        )
     start = torch.floor(time.min() / duration_s) * duration_s
     interval = torch.floor((time - start) / duration_s).long()
     intervals, classes = int(interval.max()) + 1, len(edges) - 1
@@ -166,11 +195,44 @@ def spectrum_from_drops(
     per_m3 = 1.0 / (area[kept] * 1e-6 * duration_s * speed[kept])
     density = torch.zeros(intervals * classes, dtype=torch.float64).index_add(0, cell, per_m3)
     flux = _MM_PER_H_PER_MM3 * diameter[kept] ** 3 / (area[kept] * 1e-6 * duration_s)
+    rate = torch.zeros(intervals, dtype=torch.float64).index_add(0, interval[kept], flux)
+    density = density.view(intervals, classes) / edges.diff()
+    _check_result(density, rate, owner)
     return DropSpectrum(
         edges_mm=edges,
-        density_per_m3_mm=density.view(intervals, classes) / edges.diff(),
-        rate_mm_per_h=torch.zeros(intervals, dtype=torch.float64).index_add(0, interval[kept], flux),
+        density_per_m3_mm=density,
+        rate_mm_per_h=rate,
         duration_s=float(duration_s),
         time_s=start + duration_s * torch.arange(1, intervals + 1, dtype=torch.float64),
         instrument=instrument,
     )
+
+
+def _numbers(owner: str, **values: Tensor) -> list[Tensor]:
+    """Finite numbers as float64; an axis of one stands for a single number."""
+    found = []
+    for name, value in values.items():
+        if not isinstance(value, Tensor) or value.is_complex() or value.dtype == torch.bool or value.ndim == 0:
+            got = f"{value.dtype} {tuple(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            raise InputTypeError(f"{owner}: {name} must be a tensor of real numbers; got {got}.")
+        check_finite(name, value, owner=owner)
+        found.append(value.to(torch.float64).contiguous())
+    return found
+
+
+def _edges(edges: Tensor, owner: str) -> Tensor:
+    if edges.ndim != 1 or len(edges) < 2 or not bool((edges.diff() > 0).all()) or float(edges[0]) < 0:
+        raise InputValueError(f"{owner}: edges_mm must be (K + 1,), 0 mm or more, and rise; got {tuple(edges.shape)}.")
+    return edges
+
+
+def _check_interval(duration_s: float, fall_speed_tolerance: float, owner: str) -> None:
+    check_positive("duration_s", duration_s, unit="s", owner=owner)
+    check_finite("duration_s", duration_s, unit="s", owner=owner)
+    check_at_least("fall_speed_tolerance", fall_speed_tolerance, 0, owner=owner)
+
+
+def _check_result(density: Tensor, rate: Tensor, owner: str) -> None:
+    """Refuse numbers of drops, areas or durations whose quotients overflow."""
+    if not bool(density.isfinite().all() and rate.isfinite().all()):
+        raise InputValueError(f"{owner}: the drops make an infinite density or rate. Check the counts and units.")

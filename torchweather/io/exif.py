@@ -98,7 +98,7 @@ def focal_from_exif(tags: Mapping[int, Any], width: int, height: int) -> ExifFoc
         assert unit_mm is not None
         focal = lens_mm * per_unit / unit_mm * scale
         evidence = f"FocalLength {lens_mm:g} mm and FocalPlaneXResolution {per_unit / unit_mm:.4g} px/mm"
-    view = math.degrees(2 * math.atan(math.hypot(width, height) / 2 / focal))
+    view = math.degrees(2 * math.atan2(math.hypot(width, height) / 2, focal))
     if not _DIAGONAL_VIEW_DEG[0] <= view <= _DIAGONAL_VIEW_DEG[1]:
         return ExifFocal(None, f"EXIF not used: {evidence} would be a view of {view:.3g} degrees")
     return ExifFocal(focal, evidence)

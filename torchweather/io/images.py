@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -220,7 +222,7 @@ def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:
             f"{source}: a colour PNG of 16 bits per channel is not read without loss here. Convert it to .npy."
         )
     try:
-        with Image.open(source) as picture:
+        with _pillow_warnings(source), Image.open(source) as picture:
             _check_single(picture, source)
             _check_deep_tiff(picture, source)
             pixel_bytes = 2 if picture.mode.startswith("I;16") else _MODE_BYTES.get(picture.mode, 1)
@@ -245,6 +247,22 @@ def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:
     if mode not in ("L", "RGB", "I", "F") and not mode.startswith("I;16"):
         raise TorchweatherError(f"{source}: wanted a grey or RGB picture; got mode {mode}.")
     return pixels, orientation
+
+
+@contextmanager
+def _pillow_warnings(source: Path) -> Iterator[None]:
+    """Within the block Pillow's warnings of damaged tags become the package's own, which name the file.
+
+    That of many pixels is left out: `check_inflated` bounds them.
+    """
+    from PIL import Image
+
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        yield
+    texts = [str(one.message) for one in found if not issubclass(one.category, Image.DecompressionBombWarning)]
+    for text in dict.fromkeys(texts):
+        warnings.warn(f"{source}: damaged: {text.strip()}", TorchweatherWarning, stacklevel=5)
 
 
 def _check_single(picture: Image.Image, source: Path) -> None:

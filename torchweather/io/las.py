@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import MissingExtraError, TorchweatherError, check_one_of
+from torchweather.io.las_header import check_las_header
 from torchweather.io.stored_points import PointField, PointLayout, StoredPoints
 
 __all__ = ["LAS_ENCODINGS", "read_las", "write_las"]
@@ -43,13 +44,20 @@ def read_las(path: str | os.PathLike[str]) -> StoredPoints:
         raise TorchweatherError(f"{source}: cannot be read (no such file).")
     if source.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
         raise MissingExtraError(f"{source}: {_HINT}")
+    check_las_header(source)
     try:
-        las = laspy.read(str(source))
+        with np.errstate(all="ignore"):  # positions are looked at below
+            las = laspy.read(str(source))
         names = [str(name) for name in las.point_format.dimension_names if name not in _RAW]
-        arrays = [np.asarray(las[name]) for name in (*_POSITION, *names)]
+        with np.errstate(all="ignore"):
+            arrays = [np.asarray(las[name]) for name in (*_POSITION, *names)]
         header = _header_bytes(laspy, las.header)
-    except Exception as error:  # laspy and lazrs raise what their parts raise
+    except BaseException as error:  # laspy and lazrs raise what their parts raise, lazrs its panics as BaseException
+        if isinstance(error, (KeyboardInterrupt, SystemExit)) or not _is_of_reader(error):
+            raise
         raise TorchweatherError(f"{source}: cannot be read as LAS ({type(error).__name__}: {error}).") from error
+    if not all(np.isfinite(array).all() for array in arrays[:3]):
+        raise TorchweatherError(f"{source}: cannot be read as LAS: its scale or offset makes no finite positions.")
     fields = tuple(
         PointField(name, array.dtype.str, 1 if array.ndim == 1 else array.shape[1])
         for name, array in zip((*_POSITION, *names), arrays, strict=True)
@@ -91,6 +99,10 @@ def _laspy() -> Any:
         return importlib.import_module("laspy")  # there only with the extra
     except ImportError as error:
         raise MissingExtraError(_HINT) from error
+
+
+def _is_of_reader(error: BaseException) -> bool:
+    return isinstance(error, Exception) or type(error).__name__ == "PanicException"
 
 
 def _header_bytes(laspy: Any, header: Any) -> bytes:

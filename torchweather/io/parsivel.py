@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.core.extras import install_hint
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts
 from torchweather.physics import rain_fall_speed_m_per_s
@@ -40,6 +40,7 @@ _PARSIVEL_LENGTH_MM, _PARSIVEL_WIDTH_MM = 180.0, 30.0
 _TELEGRAM_COLUMNS = 24
 _TELEGRAM_TIME, _TELEGRAM_RATE, _TELEGRAM_MOR, _TELEGRAM_SPECTRUM = 3, 6, 11, 22  # -, [01], [08], [93]
 _TELEGRAM_INTERVAL_S = 30.0
+_STAMP = re.compile(r"\d{2}-\d{2}-\d{4} +\d{2}:\d{2}:\d{2}", re.ASCII)
 
 # Names under which NetCDF files keep the raw Parsivel spectrum, and its class bounds.
 _SPECTRUM_NAMES = ("data_raw", "raw_drop_number", "raw_data")
@@ -117,7 +118,7 @@ def _parsivel_from_variables(
         )
     edges = torch.from_numpy(np.append(lower, upper[-1]))
     speed = torch.from_numpy(0.5 * (speed_lower + speed_upper))
-    oriented = _diameter_first(torch.from_numpy(np.nan_to_num(counts)), edges, speed)
+    oriented = _diameter_first(torch.from_numpy(np.where(np.isnan(counts), 0.0, counts)), edges, speed)
     rate, mor = (next((n for n in names if n in variables), None) for names in (_RATE_NAMES, _MOR_NAMES))
     return spectrum_from_counts(
         oriented,
@@ -164,6 +165,8 @@ def read_parsivel_telegrams(source: Path, fall_speed_tolerance: float) -> DropSp
                 raise TorchweatherError(
                     f"{source}: line {number} has {spectrum.size} classes; wanted {_PARSIVEL_CLASSES**2}."
                 )
+            if not _STAMP.fullmatch(row[_TELEGRAM_TIME].strip()):
+                raise InputValueError(f"got the time {row[_TELEGRAM_TIME][:40]!r}")
             day, clock = row[_TELEGRAM_TIME].split()
             times.append("-".join(reversed(day.split("-"))) + "T" + clock)
             rates.append(float(row[_TELEGRAM_RATE]))

@@ -17,7 +17,7 @@ from torchweather.core.errors import InputValueError, TorchweatherError, Torchwe
 from torchweather.io.stored_points import PointLayout, StoredPoints
 from torchweather.io.viewpoint import points_to_sensor
 
-__all__ = ["INTENSITY_NAMES", "PointCloud", "cloud_from_stored", "exact_dtype", "flat_columns"]
+__all__ = ["FARTHEST_M", "INTENSITY_NAMES", "PointCloud", "cloud_from_stored", "exact_dtype", "flat_columns"]
 
 # Names under which files keep the strength of a return, in the order in which they are sought; case does not matter.
 INTENSITY_NAMES = ("intensity", "reflectivity", "reflectance", "i", "signal")
@@ -35,6 +35,8 @@ _OF_UNIT = {
 }
 # The largest range of whole numbers that float64 holds without a gap.
 _FLOAT64_WHOLE = 2**53
+FARTHEST_M = float(np.finfo(np.float32).max)
+"""Positions beyond this are damaged: float32 does not hold them, and products of them overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +240,13 @@ def _no_returns(
     """Rows of NaN or infinity become range 0, in place; where they were, and what marked them."""
     leading = table[:, :n_leading]
     finite = np.isfinite(leading)
+    far = np.argwhere(finite[:, :3] & (np.abs(leading[:, :3]) > FARTHEST_M))
+    if len(far):
+        row, column = far[0]
+        raise TorchweatherError(
+            f"{source}: wanted positions in metres; got {order[column]} = {table[row, column]} in point {row}. The "
+            "file is damaged, or has other columns or another byte order."
+        )
     if bool(finite.all()):
         return None, None
     lost = np.asarray(~finite[:, :3].any(axis=1))

@@ -20,7 +20,7 @@ from torchweather.io.csv_points import read_csv_points
 from torchweather.io.npz_points import read_npz_points
 from torchweather.io.nuscenes_radar import empty_sweep, is_nuscenes_radar
 from torchweather.io.pcd import read_pcd
-from torchweather.io.point_cloud import PointCloud, exact_dtype, flat_columns
+from torchweather.io.point_cloud import FARTHEST_M, PointCloud, exact_dtype, flat_columns
 from torchweather.io.points import write_points
 from torchweather.io.radar_columns import POSITIONS, RADIAL, SPEEDS, RadarColumns
 from torchweather.io.stored_points import PointLayout, StoredPoints
@@ -337,12 +337,12 @@ def _by_radar_equation(
 
 
 def _check_numbers(six: npt.NDArray[np.floating], lost: npt.NDArray[np.bool_], source: Path) -> None:
-    wrong = np.where(lost[:, None], np.isinf(six), ~np.isfinite(six))
+    wrong = np.where(lost[:, None], np.isinf(six), ~np.isfinite(six)) | (np.abs(six) > FARTHEST_M)
     if bool(wrong.any()):
         row, column = (int(index[0]) for index in np.nonzero(wrong))
         raise TorchweatherError(
             f"{source}: wanted finite numbers, or NaN in the whole position or the power for no detection; got "
-            f"{RADAR_COLUMNS[column]} = {six[row, column]} in row {row}."
+            f"{RADAR_COLUMNS[column]} = {six[row, column]} in row {row}. Is the file damaged?"
         )
 
 

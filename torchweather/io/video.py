@@ -105,13 +105,15 @@ class VideoReader:
         if not self.path.is_file():
             raise TorchweatherError(f"{self.path}: no such file.")
         try:
-            container = av.open(str(self.path))
+            container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as error:
             raise TorchweatherError(f"{self.path}: expected a video; it cannot be read ({error.strerror}).") from error
         with container:
             if not container.streams.video:
                 raise TorchweatherError(f"{self.path}: expected a video; the file holds no pictures.")
             stream = container.streams.video[0]
+            if stream.codec_context is None:
+                raise TorchweatherError(f"{self.path}: expected a video; no decoder is known for its pictures.")
             stream.thread_type = "AUTO"
             self._check(stream.codec_context)
             yield container, stream

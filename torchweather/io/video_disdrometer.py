@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,8 @@ def read_video_netcdf(source: Path, duration_s: float, fall_speed_tolerance: flo
 
     wanted = ("equivolumetric_sphere_diameter", "fall_speed", "area", "time_offset", "base_time")
     try:
-        with netcdf_file(source, "r", mmap=False) as file:
+        # From memory, where a length that the file does not have takes none.
+        with netcdf_file(io.BytesIO(source.read_bytes()), "r", mmap=False) as file:
             missing = [name for name in wanted if name not in file.variables]
             if missing:
                 raise TorchweatherError(
@@ -32,6 +34,9 @@ def read_video_netcdf(source: Path, duration_s: float, fall_speed_tolerance: flo
             )
     except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
         raise TorchweatherError(f"{source}: wanted NetCDF-3; it is truncated or damaged ({error}).") from error
+    shapes = {tuple(one.shape) for one in (diameter, speed, area, offset)}
+    if len(shapes) != 1 or diameter.ndim != 1 or base.numel() != 1:
+        raise TorchweatherError(f"{source}: wanted a number for each drop; got shapes {sorted(shapes)}.")
     good = (diameter > 0) & (speed > 0) & (area > 0)  # missing values are negative in these files
     if not bool(good.any()):
         raise TorchweatherError(f"{source}: wanted drops of a 2D video disdrometer; the file holds none.")

@@ -6,7 +6,6 @@ import io
 import math
 import os
 import zipfile
-import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,8 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.archives import BROKEN_ARCHIVE, read_archive
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
+from torchweather.core.inflation import check_inflated
 from torchweather.core.precision import AtLeastSingle
 from torchweather.core.random import in_parallel, sample_seeds
 from torchweather.core.schema import check_format, check_value, one_of, refuse_unknown
@@ -142,10 +143,9 @@ class Chain(AtLeastSingle):
         """Read what ``save`` wrote."""
         try:
             with zipfile.ZipFile(path) as archive:
-                text = archive.read("chain.yaml")
-                with np.load(io.BytesIO(archive.read("state.npz")), allow_pickle=False) as arrays:
-                    state = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
-        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+                text, arrays = (_part(archive, name, path) for name in ("chain.yaml", "state.npz"))
+            state = {key: torch.from_numpy(value) for key, value in read_archive(path, io.BytesIO(arrays))[0].items()}
+        except BROKEN_ARCHIVE as error:
             raise TorchweatherError(f"{path}: wanted a chain written by Chain.save; {error}.") from error
         values = parse_yaml(text, str(path), "a chain written by Chain.save")
         chain = cls.from_dict(values, owner=str(path))
@@ -154,6 +154,12 @@ class Chain(AtLeastSingle):
         except RuntimeError as error:
             raise TorchweatherError(f"{path}: state.npz does not belong to chain.yaml: {error}") from error
         return chain
+
+
+def _part(archive: zipfile.ZipFile, name: str, path: str | os.PathLike[str]) -> bytes:
+    member = archive.getinfo(name)
+    check_inflated(path, member.file_size, member.compress_size)
+    return archive.read(member)
 
 
 def _entries(values: Mapping[str, Any], owner: str) -> list[Mapping[str, Any]]:

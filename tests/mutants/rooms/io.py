@@ -6,7 +6,7 @@ from tests.mutants.mutant import Mutant
 
 CARLA = "torchweather.datasets.carla"
 LABELS = "torchweather.io.labels"
-ARRAYS = "torchweather.io.arrays"
+ARRAYS = "torchweather.core.archives"
 ROWS = "torchweather.io.row_layout"
 TEST_ROWS = "tests/io/test_row_layout.py"
 

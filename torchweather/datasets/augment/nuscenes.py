@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.augment.folder import kind_of_file
 from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frames import Frame, SensorFile
@@ -23,6 +23,8 @@ __all__ = ["annotation_tables", "is_nuscenes", "nuscenes_frames", "write_points_
 
 TABLES = re.compile(r"^(?P<folder>v1\.0-[^/]+)/sample_data\.json$")
 LIDAR = "LIDAR_TOP"
+# Beyond these a pose is damaged, and its products overflow.
+_FARTHEST_M, _LEAST = 1e12, 1e-12
 # Of lidarseg and panoptic: table and folder, and the ending of the files.
 LABELS = {"lidarseg": "_lidarseg.bin", "panoptic": "_panoptic.npz"}
 Matrix = npt.NDArray[np.float64]
@@ -150,12 +152,12 @@ class _Tables:
         if not FRAME_FILES[kind].takes_depth:
             labels = self._labels_of(row, there) if FRAME_FILES[kind].takes_labels else ()
             return SensorFile(key, kind, path, path, labels)
-        matrix = self.sensors[row["calibrated_sensor_token"]].get("camera_intrinsic") or None
+        matrix = self._sensor(row).get("camera_intrinsic") or None
         cloud = lidar["filename"] if depth_from_lidar and lidar and lidar["filename"] in there else None
         from_lidar = None
         if cloud is not None and lidar is not None:
             from_lidar = _plain(np.linalg.inv(self._global_from_sensor(row)) @ self._global_from_sensor(lidar))
-        plain = None if matrix is None else tuple(tuple(float(value) for value in line) for line in matrix)
+        plain = None if matrix is None else _intrinsic(matrix, self.folder)
         return SensorFile(key, kind, path, path, (), plain, from_lidar, cloud)
 
     def _labels_of(self, row: Mapping[str, Any], there: set[str]) -> tuple[str, ...]:
@@ -170,10 +172,16 @@ class _Tables:
 
     def _global_from_sensor(self, row: Mapping[str, Any]) -> Matrix:
         try:
-            pose, sensor = self.poses[row["ego_pose_token"]], self.sensors[row["calibrated_sensor_token"]]
-        except KeyError as error:
-            raise TorchweatherError(f"{self.folder}: {row['filename']} has no pose or sensor {error}.") from error
-        return _rigid(pose, self.folder) @ _rigid(sensor, self.folder)
+            pose = self.poses[row["ego_pose_token"]]
+        except (KeyError, TypeError) as error:
+            raise TorchweatherError(f"{self.folder}: {row['filename']} has no pose {error}.") from error
+        return _rigid(pose, self.folder) @ _rigid(self._sensor(row), self.folder)
+
+    def _sensor(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            return self.sensors[row["calibrated_sensor_token"]]
+        except (KeyError, TypeError) as error:
+            raise TorchweatherError(f"{self.folder}: {row['filename']} has no sensor {error}.") from error
 
     def _by_token(self, name: str, wanted: Sequence[str]) -> dict[str, dict[str, Any]]:
         return {row["token"]: row for row in self._rows(name, wanted)}
@@ -220,10 +228,12 @@ def _rigid(row: Mapping[str, Any], where: Path) -> Matrix:
     """A row's translation and rotation (quaternion w, x, y, z) as ``(4, 4)``."""
     try:
         turn = np.asarray(row["rotation"], np.float64)
-        w, x, y, z = turn / np.linalg.norm(turn)
         matrix = np.eye(4)
         matrix[:3, 3] = row["translation"]
-    except (TypeError, ValueError) as error:
+        if not np.abs(matrix).max() < _FARTHEST_M or not _LEAST < np.abs(turn).max() < 1.0 / _LEAST:
+            raise InputValueError(f"got {row['translation']!r} and {row['rotation']!r}")
+        w, x, y, z = turn / np.linalg.norm(turn)
+    except (TypeError, ValueError, OverflowError) as error:
         raise TorchweatherError(f"{where}: wanted translation (3) and rotation (4: w, x, y, z); {error}.") from error
     matrix[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -231,6 +241,17 @@ def _rigid(row: Mapping[str, Any], where: Path) -> Matrix:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return matrix
+
+
+def _intrinsic(matrix: Any, where: Path) -> tuple[tuple[float, ...], ...]:
+    """A camera's matrix, ``(3, 3)`` finite numbers."""
+    try:
+        found = np.asarray(matrix, np.float64)
+        if found.shape != (3, 3) or not np.isfinite(found).all():
+            raise InputValueError(f"got {matrix!r}")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TorchweatherError(f"{where}: wanted camera_intrinsic, 3 x 3 finite numbers; {error}.") from error
+    return _plain(found)
 
 
 def _plain(matrix: npt.NDArray[Any]) -> tuple[tuple[float, ...], ...]:

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.archives import read_archive
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.ground import fit_ground
@@ -173,18 +174,19 @@ class OwnVehicleMask:
         Raises:
             ValueError: the file holds no mask.
         """
+        named = path if isinstance(path, (str, Path)) else "the own vehicle"
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return cls(
-                    file["blocked"].astype(bool),
-                    file["nearest_m"].astype(np.float32),
-                    file["farthest_m"].astype(np.float32),
-                    int(file["sweeps"]),
-                    float(file["views"]),
-                )
-        except (KeyError, ValueError, TypeError) as error:
+            found, _ = read_archive(named, None if isinstance(path, (str, Path)) else path)
+            ranges = [found[name].astype(np.float32) for name in ("nearest_m", "farthest_m")]
+            if any(np.isnan(one).any() or (one < 0).any() for one in ranges):
+                raise InputValueError("ranges must be 0 m or more")
+            views = float(found["views"])
+            if not 0 <= views < np.inf:
+                raise InputValueError(f"views must be 0 or more, and finite; got {views:g}")
+            return cls(found["blocked"].astype(bool), *ranges, int(found["sweeps"]), views)
+        except (KeyError, ValueError, TypeError, OverflowError, TorchweatherError) as error:
             raise InputValueError(
-                f"{path}: expected a mask of the own vehicle (.npz); got something else ({error}). Write one with "
+                f"{named}: expected a mask of the own vehicle (.npz); got something else ({error}). Write one with "
                 "own_vehicle_mask(clouds, sensor).save(path)."
             ) from error
 
