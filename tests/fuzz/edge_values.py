@@ -45,7 +45,10 @@ def edge(good: Any, pick: random.Random) -> Any:
         if isinstance(good, Tensor):
             return _tensor(good, pick)
         if isinstance(good, np.ndarray):
-            return _tensor(torch.from_numpy(good.copy()), pick).numpy() if good.dtype.kind in "fiub" else good[:0]
+            if good.dtype.kind not in "fiub":
+                return good[:0]
+            made = _tensor(torch.from_numpy(good.copy()), pick)
+            return (made.float() if made.dtype == torch.bfloat16 else made).numpy()
         if isinstance(good, (int, float, complex)):
             return pick.choice(NUMBERS)
         if isinstance(good, str):

@@ -37,6 +37,9 @@ __all__ = [
 ]
 
 
+_LONGEST_SHOWN = 500  # characters of a value in a message
+
+
 def owner_name(owner: object) -> str:
     """Name under which ``owner`` (a string, a class or an instance) complains."""
     if isinstance(owner, str):
@@ -48,21 +51,36 @@ def _shown(value: object) -> str:
     if isinstance(value, Tensor):
         if not value.numel():
             return "an empty tensor"
+        if not _is_real(value):
+            return f"{value.dtype} of shape {tuple(value.shape)}"
+        value = value.detach().double()
         if value.numel() == 1:
             return f"{value.item():g}"
         return f"a tensor with values {value.min().item():g}..{value.max().item():g}"
-    return repr(value)
+    text = repr(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
+
+
+def _is_real(value: Tensor) -> bool:
+    return not value.is_complex() and value.dtype != torch.bool
 
 
 def _all(value: Any, holds: Any) -> bool:
     if isinstance(value, Tensor):
         if torch.compiler.is_compiling():
             return True
-        return bool(holds(value.detach()).all())
+        if not _is_real(value):
+            return False
+        # Comparisons of torch.uint16 and its like are missing on some devices.
+        return bool(holds(value.detach() if value.is_floating_point() else value.double()).all())
     # numbers.Real: numpy's scalars are numbers too.
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False
-    return bool(holds(torch.tensor(float(value), dtype=torch.float64)))
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number of more digits than float64 has
+        number = math.copysign(math.inf, value)
+    return bool(holds(torch.tensor(number, dtype=torch.float64)))
 
 
 def check_finite(name: str, value: Any, *, unit: str = "", owner: object) -> None:
@@ -101,9 +119,11 @@ def check_between(
 def check_one_of(name: str, value: Any, allowed: Iterable[str], *, owner: object) -> None:
     """Raise `InputValueError` unless ``value`` is one of the ``allowed`` names; the nearest one is suggested."""
     names = list(allowed)
-    if value not in names:
+    # A tensor or an array is no name; asked whether it is, it answers for each element.
+    if hasattr(value, "__array__") or value not in names:
+        shown = _shown(value)
         raise InputValueError(
-            f"{owner_name(owner)}: {name} must be one of {', '.join(names)}; got {value!r}.{nearest_name(value, names)}"
+            f"{owner_name(owner)}: {name} must be one of {', '.join(names)}; got {shown}.{nearest_name(value, names)}"
         )
 
 
@@ -114,7 +134,8 @@ def nearest_name(value: object, names: Iterable[str]) -> str:
         >>> nearest_name("rian", ["rain", "snow"])
         " Did you mean 'rain'?"
     """
-    near = difflib.get_close_matches(str(value), list(names), n=1)
+    # Of a long text the beginning: the time grows with the square of its length.
+    near = difflib.get_close_matches(str(value)[:_LONGEST_SHOWN], list(names), n=1)
     return f" Did you mean {near[0]!r}?" if near else ""
 
 

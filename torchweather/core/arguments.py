@@ -1,0 +1,196 @@
+"""Kinds and shapes of arguments, each declared in one line and refused by name."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchweather.core.exceptions import InputTypeError, InputValueError
+
+__all__ = ["check_arguments"]
+
+Sizes = dict[str, int]
+
+
+def check_arguments(head: str, *values: object) -> None:
+    """Raise unless arguments are of the kinds and shapes that the head of a function declares.
+
+    Kinds are ``float``, ``int``, ``bool``, ``str``, ``path``, ``Mapping``, ``Sequence``, ``Iterable``, ``Callable``,
+    ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any dtype, ``real``, ``floating``, ``whole``,
+    ``mask``) and names of classes; several are parted by ``|``. A tensor's shape stands in brackets: a number, ``3+``
+    for three or more, a letter for a size that is the same wherever it stands, ``...`` for any axes in front. Elements
+    of a sequence stand in square brackets. A compiled graph checks nothing.
+
+    Args:
+        head: such as ``"project(points: floating(..., N, 3+), camera: Camera)"``.
+        values: of the parameters in it, in their order.
+
+    Raises:
+        InputTypeError: an argument of another kind.
+        InputValueError: a tensor of another shape, a path that no file can have.
+
+    Example:
+        >>> check_arguments("mosaic(rgb: real(..., 3, H, W), pattern: str)", torch.rand(3, 4, 6), "RGGB")
+        >>> check_arguments("mosaic(rgb: real(..., 3, H, W), pattern: str)", torch.rand(4, 6), "RGGB")
+        Traceback (most recent call last):
+        torchweather.core.exceptions.InputValueError: mosaic: rgb must have shape (..., 3, H, W); got (4, 6).
+    """
+    if torch.compiler.is_compiling():
+        return
+    owner, parameters = _declared(head)
+    sizes: Sizes = {}
+    for (name, kinds), value in zip(parameters, values, strict=True):
+        fitting = [kind for kind in kinds if kind.fits(value)]
+        if not fitting:
+            words = " or ".join(dict.fromkeys(kind.words for kind in kinds))
+            raise InputTypeError(f"{owner}: {name} must be {words}; got {_shown(value)}.")
+        if isinstance(value, Tensor):
+            _check_shape(owner, name, fitting[0].shape, value, sizes)
+        elif fitting[0].name == "path" and "\0" in str(value):
+            raise InputValueError(f"{owner}: {name} must be the name of a file; got {value!r}, with a null character.")
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One kind of a parameter: its name, the shape in it, the kind of its elements."""
+
+    name: str
+    shape: tuple[str, ...] | None = None
+    element: _Kind | None = None
+
+    @property
+    def words(self) -> str:
+        if self.name in _KINDS:
+            words = _KINDS[self.name][0]
+            return words if self.element is None else f"{words} of {self.element.name}"
+        return f"a {self.name}"
+
+    def fits(self, value: Any) -> bool:
+        if self.name not in _KINDS:  # by name, as most classes are imported for the types alone
+            return any(kind.__name__ == self.name for kind in type(value).__mro__)
+        if not _KINDS[self.name][1](value):
+            return False
+        looked_at = self.element is not None and isinstance(value, (list, tuple))
+        return not looked_at or all(self.element.fits(one) for one in value)  # type: ignore[union-attr]
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, (Tensor, np.ndarray)):
+        return math.prod(value.shape) == 1 and not _is_odd(value)
+    return isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_))
+
+
+def _is_whole(value: Any) -> bool:
+    if isinstance(value, (Tensor, np.ndarray)):
+        return _is_number(value) and float(value.item()).is_integer()
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
+def _is_odd(value: Tensor | np.ndarray[Any, Any]) -> bool:
+    """True for a bool or complex tensor, and for an array of no numbers."""
+    if isinstance(value, Tensor):
+        return value.is_complex() or value.dtype == torch.bool
+    return value.dtype.kind not in "fiu"
+
+
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
+
+
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "None": ("None", lambda value: value is None),
+    "float": ("a number", _is_number),
+    "int": ("a whole number", _is_whole),
+    "bool": ("True or False", lambda value: isinstance(value, (bool, np.bool_))),
+    "str": ("text", lambda value: isinstance(value, str)),
+    "path": ("the path of a file", lambda value: isinstance(value, (str, os.PathLike))),
+    "Mapping": ("a mapping", lambda value: isinstance(value, Mapping)),
+    "Sequence": ("a sequence", _is_sequence),
+    "Iterable": ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, (str, bytes))),
+    "Callable": ("a function", callable),
+    "array": ("an array of real numbers", lambda value: isinstance(value, np.ndarray) and not _is_odd(value)),
+    "Tensor": ("a tensor", lambda value: isinstance(value, Tensor)),
+    "real": ("a tensor of real numbers", lambda value: isinstance(value, Tensor) and not _is_odd(value)),
+    "floating": (
+        "a floating-point tensor",
+        lambda value: isinstance(value, Tensor) and value.is_floating_point(),
+    ),
+    "whole": (
+        "a tensor of whole numbers",
+        lambda value: isinstance(value, Tensor) and not value.is_floating_point() and not _is_odd(value),
+    ),
+    "mask": ("a tensor of True and False", lambda value: isinstance(value, Tensor) and value.dtype == torch.bool),
+}
+
+
+@cache
+def _declared(head: str) -> tuple[str, tuple[tuple[str, tuple[_Kind, ...]], ...]]:
+    """Name of the function, and its parameters with their kinds."""
+    owner, _, rest = head.partition("(")
+    found = []
+    for part in _parted(rest.removesuffix(")"), ","):
+        name, _, kinds = part.partition(":")
+        found.append((name.strip(), tuple(_kind(one.strip()) for one in _parted(kinds, "|"))))
+    return owner, tuple(found)
+
+
+def _kind(text: str) -> _Kind:
+    found = re.fullmatch(r"(\w+)(?:\((.*)\))?(?:\[(.*)\])?", text)
+    assert found is not None, text
+    name, shape, element = found.groups()
+    sizes = None if shape is None else tuple(one.strip() for one in shape.split(",") if one.strip())
+    return _Kind(name, sizes, None if element is None else _kind(element))
+
+
+def _parted(text: str, sign: str) -> list[str]:
+    """Parts of a text between signs that stand in no brackets."""
+    parts, depth = [""], 0
+    for letter in text:
+        depth += (letter in "([") - (letter in ")]")
+        if letter == sign and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
+
+
+def _check_shape(owner: str, name: str, shape: tuple[str, ...] | None, value: Tensor, sizes: Sizes) -> None:
+    if shape is None:
+        return
+    found, wanted = tuple(value.shape), shape
+    if wanted[:1] == ("...",):
+        wanted = wanted[1:]
+        found = found[len(found) - len(wanted) :] if len(found) >= len(wanted) else ()
+    fits = len(found) == len(wanted) and all(
+        _size_fits(size, one, sizes) for size, one in zip(found, wanted, strict=True)
+    )
+    if not fits:
+        words = ", ".join(one.replace("+", " or more") for one in shape)
+        same = [f"{one} = {sizes[one]}" for one in dict.fromkeys(shape) if one in sizes]
+        raise InputValueError(
+            f"{owner}: {name} must have shape ({words}{',' if len(shape) == 1 else ''})"
+            f"{' with ' + ', '.join(same) if same else ''}; got {tuple(value.shape)}."
+        )
+
+
+def _size_fits(size: int, wanted: str, sizes: Sizes) -> bool:
+    if wanted.endswith("+"):
+        return size >= int(wanted[:-1])
+    return size == (int(wanted) if wanted.isdigit() else sizes.setdefault(wanted, size))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, (Tensor, np.ndarray)):
+        return f"{value.dtype} {tuple(value.shape)}"
+    text = repr(value)
+    return text if len(text) <= 200 else f"{text[:197]}..."
