@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import PATCH_LENGTH_LOW_M, Weather, check_drawn
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
@@ -133,6 +134,12 @@ class PatchField:
 
 def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequence[Tensor]) -> Tensor:
     """``Banks.extra_m`` of several weathers together, each weighted by what it takes per metre, ``(B,)`` each."""
+    check_arguments(
+        "mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequence[Tensor])",
+        patches,
+        weathers,
+        takes,
+    )
     total = torch.stack(list(takes)).sum(0).clamp_min(NOTHING)
     shares = [(take / total)[:, None, None] for take in takes]
     return sum(
@@ -143,6 +150,13 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
 
 def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float) -> Tensor:
     """Mean density on the way to places ``(B or 1, ...)``, from ``Banks.extra_m`` or a mean of several."""
+    check_arguments(
+        "mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float)",
+        extra_m,
+        azimuth_rad,
+        range_m,
+        step_m,
+    )
     way_m = range_m.clamp_min(SHORTEST_M)
     return 1.0 + _read(extra_m, azimuth_rad, way_m, step_m) / way_m
 
@@ -168,12 +182,14 @@ def _interpolated(flat: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: fl
 
 def of_beams(values: Tensor, beams: int) -> Tensor:
     """Values of each sample, or of one, ``(B or 1, ...)``, for several beams of each, one sample after the other."""
+    check_arguments("of_beams(values: Tensor, beams: int)", values, beams)
     own = values.shape[0]
     return values.expand(beams, *values.shape[1:]) if own in (1, beams) else values.repeat_interleave(beams // own, 0)
 
 
 def sector_of(azimuth_rad: Tensor) -> Tensor:
     """Number of the sector that an azimuth lies in, the one of ``-pi`` being the first; int64."""
+    check_arguments("sector_of(azimuth_rad: Tensor)", azimuth_rad)
     nearest = torch.round((azimuth_rad + math.pi) * (SECTORS / (2.0 * math.pi))).to(torch.int64)
     return torch.where(nearest >= SECTORS, nearest - SECTORS, nearest)
 
@@ -199,6 +215,7 @@ class PatchyAir(Stage):
     writes: ClassVar[tuple[str, ...]] = ("air.patches",)
 
     def __init__(self, length_m: float, drift_m_per_s: Sequence[float] = (0.0, 0.0)) -> None:
+        check_arguments("PatchyAir(length_m: float, drift_m_per_s: Sequence[float])", length_m, drift_m_per_s)
         super().__init__()
         check_at_least("length_m", length_m, PATCH_LENGTH_LOW_M, unit="m", owner=self)
         self.length_m = float(length_m)
@@ -239,6 +256,7 @@ class PatchyAir(Stage):
 
 def patchy_air(weather: Weather, ego_speed_m_per_s: float = 0.0) -> dict[str, Stage]:
     """The stage of a weather's patches by its name, nothing where it has none."""
+    check_arguments("patchy_air(weather: Weather, ego_speed_m_per_s: float)", weather, ego_speed_m_per_s)
     patchy = [part for part in weather.parts if part.patch_log_std != 0.0]
     if not patchy:
         return {}

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Distribution, Uniform, distribution_from
 from torchweather.core.errors import (
     InputTypeError,
@@ -583,6 +584,7 @@ class Mixture(Weather):
 
     def drawn(self, seed: int) -> Mixture:
         """One of each part."""
+        check_arguments("Mixture.drawn(seed: int)", seed)
         return Mixture(*(part.drawn(seed) for part in self._parts))
 
     def densest(self) -> Mixture:
@@ -638,6 +640,7 @@ def parse_weather(text: str, *, random: bool = False) -> Weather:
         >>> parse_weather("fog:mor=30").mor_m
         30.0
     """
+    check_arguments("parse_weather(text: str, random: bool)", text, random)
     parts = [_parse_one(part) for part in text.split("+")]
     weather = parts[0] if len(parts) == 1 else Mixture(*parts)
     if not random:

@@ -65,7 +65,10 @@ def airlight_argument(value: Sequence[float] | float | str | None, owner: object
                 f"blue) in 0..1, linear; got {value!r}."
             )
         return value
-    values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
+    try:
+        values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        values = ()
     if len(values) != 3 or not all(0.0 <= v <= 1.0 for v in values):
         raise InputValueError(
             f"{owner_name(owner)}: airlight must be one number or (red, green, blue) in 0..1, linear, in units of "

@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of
 
 __all__ = [
@@ -58,6 +59,7 @@ def cfa_colour_index(pattern: str) -> Cell:
         >>> cfa_colour_index("GRBG")
         ((1, 0), (2, 1))
     """
+    check_arguments("cfa_colour_index(pattern: str)", pattern)
     check_one_of("pattern", pattern, PATTERNS, owner="cfa_colour_index")
     return PATTERNS[pattern]
 
@@ -79,6 +81,7 @@ def cfa_index(height: int, width: int, pattern: str, device: torch.device | str 
         tensor([[0, 1, 0, 1],
                 [1, 2, 1, 2]])
     """
+    check_arguments("cfa_index(height: int, width: int, pattern: str)", height, width, pattern)
     cell = torch.tensor(cfa_colour_index(pattern), device=device)
     row_phase = torch.arange(height, device=device) % 2
     column_phase = torch.arange(width, device=device) % 2
@@ -103,6 +106,7 @@ def mosaic(rgb: Tensor, pattern: str, *, matrix: Tensor | None = None) -> Tensor
         tensor([[[1., 0.],
                  [0., 0.]]])
     """
+    check_arguments("mosaic(rgb: Tensor, pattern: str, matrix: Tensor | None)", rgb, pattern, matrix)
     _check_channels(rgb, 3, "mosaic", "rgb", "red, green, blue")
     index = cfa_index(rgb.shape[-2], rgb.shape[-1], pattern, rgb.device)
     red, green, blue = rgb.unbind(-3)
@@ -126,6 +130,7 @@ def split_planes(bayer: Tensor) -> Tensor:
         >>> split_planes(torch.arange(4).reshape(1, 2, 2)).flatten()
         tensor([0, 1, 2, 3])
     """
+    check_arguments("split_planes(bayer: Tensor)", bayer)
     check_even(bayer, "split_planes")
     *batch, _, height, width = bayer.shape
     cells = bayer.reshape(*batch, height // 2, 2, width // 2, 2)
@@ -146,6 +151,7 @@ def join_planes(planes: Tensor) -> Tensor:
         >>> torch.equal(join_planes(split_planes(mosaic_4x4)), mosaic_4x4)
         True
     """
+    check_arguments("join_planes(planes: Tensor)", planes)
     _check_channels(planes, 4, "join_planes", "planes", "the four phases of the cell")
     *batch, _, height, width = planes.shape
     cells = planes.reshape(*batch, 2, 2, height, width)
@@ -176,6 +182,13 @@ def colour_means(
         >>> colour_means(frame, "GBRG")
         tensor([0.2000, 0.4000, 0.8000])
     """
+    check_arguments(
+        "colour_means(bayer: Tensor, pattern: str, region: Sequence | None, mask: Tensor | None)",
+        bayer,
+        pattern,
+        region,
+        mask,
+    )
     cell = cfa_colour_index(pattern)
     check_even(bayer, "colour_means")
     height, width = bayer.shape[-2:]

@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from torchweather.camera.bayer import PATTERNS, RCCB_TO_RGB, cfa_colour_index, check_even
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.core.threads import side_by_side
@@ -93,6 +94,7 @@ def demosaic(
         >>> torch.allclose(demosaic(mosaic(flat, "GRBG"), "GRBG"), flat)
         True
     """
+    check_arguments("demosaic(bayer: Tensor, matrix: Tensor | None, out: Tensor | None)", bayer, matrix, out)
     check_one_of("pattern", pattern, PATTERNS, owner="demosaic")
     check_one_of("method", method, METHODS, owner="demosaic")
     check_even(bayer, "demosaic")

@@ -16,6 +16,7 @@ from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weath
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, TorchweatherWarning, check_one_of
 from torchweather.physics import InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
@@ -133,6 +134,13 @@ class ExtinctionAndAirlight(Stage):
         extinction: str = "mie",
         variant: str | None = None,
     ) -> None:
+        check_arguments(
+            "ExtinctionAndAirlight(wavelengths_nm: Sequence[float], airlight: Sequence[float] | float | str | None, "
+            "variant: str | None)",
+            wavelengths_nm,
+            airlight,
+            variant,
+        )
         super().__init__()
         fog = weather if isinstance(weather, Fog) else weather_from_dict(weather)
         if not isinstance(fog, Fog):
@@ -271,6 +279,7 @@ class Quantise(Stage):
     writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def __init__(self, levels: int = 0) -> None:
+        check_arguments("Quantise(levels: int)", levels)
         super().__init__()
         self.register_buffer("levels", torch.tensor(float(levels)))
         self.levels: Tensor

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from torchweather.core.arguments import check_arguments
+
 __all__ = ["same_aspect", "size_change"]
 
 # Two sizes whose aspect ratios differ by less are one picture in two sizes: rounding to whole pixels leaves up to
@@ -16,6 +18,13 @@ def same_aspect(width: float, height: float, other_width: float, other_height: f
         >>> same_aspect(1936, 1464, 242, 184), same_aspect(1936, 1464, 1242, 375)
         (True, False)
     """
+    check_arguments(
+        "same_aspect(width: float, height: float, other_width: float, other_height: float)",
+        width,
+        height,
+        other_width,
+        other_height,
+    )
     return abs(width * other_height / (height * other_width) - 1) <= SAME_ASPECT
 
 

@@ -23,6 +23,7 @@ from torchweather.camera.through_mosaic import (
     padded_size,
 )
 from torchweather.camera.transform import BayerWeather, CameraResult
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.precision import outside_autocast
 from torchweather.core.random import sizes_of
@@ -151,6 +152,7 @@ class AsBayer(nn.Module):
 
     def with_weather(self, weather: Weather) -> AsBayer:
         """The same for another weather; tables that both need are shared."""
+        check_arguments("AsBayer.with_weather(weather: Weather)", weather)
         inner: Any = self.transform.with_weather(weather)
         return AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
 

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.frame_sizes import size_change
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import (
     InputValueError,
     check_at_least,
@@ -238,6 +239,7 @@ class Camera(Sensor):
 
     def cropped(self, top: int, left: int, height: int, width: int) -> Camera:
         """The camera that sees only a window of the image; even offsets keep the Bayer phase."""
+        check_arguments("Camera.cropped(top: int, left: int, height: int, width: int)", top, left, height, width)
         if top % 2 or left % 2:
             raise InputValueError(f"Camera: top and left must be even to keep the Bayer phase; got {top}, {left}.")
         cx, cy = self.principal_point_px
@@ -253,6 +255,7 @@ class Camera(Sensor):
             >>> Camera.preset("lucid-triton").fitted_to(1242, 375).fy  # fx as well
             729.67...
         """
+        check_arguments("Camera.fitted_to(width: int, height: int)", width, height)
         for name, value in (("width", width), ("height", height)):
             check_at_least(name, value, 1, unit="px", owner="fit_camera")
         change = size_change(self.width, self.height, width, height)
@@ -306,6 +309,7 @@ class Camera(Sensor):
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view on another pixel grid, stretched where the aspect ratio differs (`fitted_to` does not)."""
+        check_arguments("Camera.resized(width: int, height: int)", width, height)
         sx, sy = width / self.width, height / self.height
         cx, cy = self.principal_point_px
         return replace(
@@ -340,6 +344,7 @@ class Camera(Sensor):
 
     def distort(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Brown-Conrady: undistorted normalised coordinates (x/z, y/z) to distorted ones."""
+        check_arguments("Camera.distort(x: Tensor, y: Tensor)", x, y)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         return (
@@ -384,6 +389,7 @@ class Camera(Sensor):
 
     def magnification(self, x: Tensor, y: Tensor) -> Tensor:
         """Areal magnification of the lens distortion at undistorted coordinates; 1 without distortion."""
+        check_arguments("Camera.magnification(x: Tensor, y: Tensor)", x, y)
         if not self.distorted:
             return torch.ones_like(x)
         xx, xy, yx, yy = self.distortion_jacobian(x, y)
@@ -406,6 +412,12 @@ class Camera(Sensor):
             >>> Camera.preset("lucid-triton").ray_directions().shape
             torch.Size([3, 1464, 1936])
         """
+        check_arguments(
+            "Camera.ray_directions(height: int | None, width: int | None, dtype: dtype)",
+            height,
+            width,
+            dtype,
+        )
         h, w = height or self.height, width or self.width
         cx, cy = self.principal_point_px
         x = (torch.arange(w, device=device, dtype=dtype) - cx) / self.fx

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from torchweather.camera.frame_sizes import size_change
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 
 __all__ = ["CameraFit", "fit_camera", "without_distortion"]
 
@@ -54,10 +55,12 @@ def fit_camera(camera: Camera, width: int, height: int) -> CameraFit:
         >>> fit.how, round(fit.camera.fx, 1), round(fit.camera.fy, 1), round(fit.horizontal_view_deg, 1)
         ('cropped', 729.7, 729.7, 80.8)
     """
+    check_arguments("fit_camera(camera: Camera, width: int, height: int)", camera, width, height)
     fitted = camera.fitted_to(width, height)
     return CameraFit(fitted, size_change(camera.width, camera.height, width, height))
 
 
 def without_distortion(camera: Camera) -> Camera:
     """The same camera with an ideal lens."""
+    check_arguments("without_distortion(camera: Camera)", camera)
     return camera.without_distortion()

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchweather.camera.bayer import cfa_index, colour_means
 from torchweather.camera.demosaic import demosaic
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
 from torchweather.core.precision import outside_autocast
 
@@ -57,6 +58,13 @@ def normalise(
         >>> normalise(torch.tensor([64, 1023], dtype=torch.int16), 64, 1023)
         tensor([0., 1.])
     """
+    check_arguments(
+        "normalise(raw: real, black_level: float, white_level: float | None, dtype: dtype)",
+        raw,
+        black_level,
+        white_level,
+        dtype,
+    )
     black, white = _levels(raw.dtype, black_level, white_level, "normalise")
     linear = raw if raw.is_floating_point() else raw.to(dtype)
     if black == 0.0 and white == 1.0:
@@ -86,6 +94,13 @@ def quantise(
         >>> quantise(torch.tensor([-0.5, 0.5, 2.0]), torch.uint8)
         tensor([  0, 128, 255], dtype=torch.uint8)
     """
+    check_arguments(
+        "quantise(linear: floating, dtype: dtype, black_level: float, white_level: float | None)",
+        linear,
+        dtype,
+        black_level,
+        white_level,
+    )
     black, white = _levels(dtype, black_level, white_level, "quantise")
     raw = linear if black == 0.0 and white == 1.0 else linear * (white - black) + black
     if dtype.is_floating_point:
@@ -107,7 +122,10 @@ def white_balance(rgb: Tensor, gains: Tensor | Sequence[float]) -> Tensor:
         >>> white_balance(torch.full((3, 1, 1), 0.25), (2.0, 1.0, 1.5)).flatten()
         tensor([0.5000, 0.2500, 0.3750])
     """
-    return rgb * torch.as_tensor(gains, dtype=rgb.dtype, device=rgb.device)[..., None, None]
+    check_arguments("white_balance(rgb: floating(..., 3, H, W), gains: Tensor | Sequence[float])", rgb, gains)
+    factors = torch.as_tensor(gains, dtype=rgb.dtype, device=rgb.device)
+    check_arguments("white_balance(gains: floating(..., 3))", factors)
+    return rgb * factors[..., None, None]
 
 
 def grey_world_gains(bayer: Tensor, pattern: str) -> Tensor:
@@ -147,7 +165,9 @@ def colour_matrix(rgb: Tensor, matrix: Tensor | Sequence[Sequence[float]]) -> Te
         >>> colour_matrix(torch.tensor([0.1, 0.2, 0.3])[:, None, None], swap).flatten()
         tensor([0.3000, 0.2000, 0.1000])
     """
+    check_arguments("colour_matrix(rgb: floating(..., 3, H, W), matrix: Tensor | Sequence)", rgb, matrix)
     weights = torch.as_tensor(matrix, dtype=rgb.dtype, device=rgb.device)
+    check_arguments("colour_matrix(matrix: floating(3, 3))", weights)
     return torch.einsum("ij,...jhw->...ihw", weights, rgb)
 
 
@@ -167,6 +187,7 @@ def srgb_encode(linear: Tensor) -> Tensor:
         >>> srgb_encode(torch.tensor([0.0, 0.0031308, 0.2140, 1.0]))
         tensor([0.0000, 0.0404, 0.5000, 1.0000])
     """
+    check_arguments("srgb_encode(linear: floating)", linear)
     linear = linear.clamp(0.0, 1.0)
     # The power's base is held above zero: its gradient at 0 is infinite, and would turn into NaN in the unused branch.
     curved = 1.055 * linear.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055
@@ -189,6 +210,7 @@ def srgb_decode(display: Tensor) -> Tensor:
         >>> srgb_decode(torch.tensor([0.0, 0.5, 1.0]))
         tensor([0.0000, 0.2140, 1.0000])
     """
+    check_arguments("srgb_decode(display: floating)", display)
     display = display.clamp(0.0, 1.0)
     curved = ((display.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
     return torch.where(display <= 0.04045, display / 12.92, curved)
@@ -210,6 +232,7 @@ def shoulder_curve(linear: Tensor, knee: float = 1.0) -> Tensor:
         >>> shoulder_curve(torch.tensor([0.5, 0.8, 4.0]), knee=0.8)
         tensor([0.5000, 0.8000, 1.0000])
     """
+    check_arguments("shoulder_curve(linear: floating, knee: float)", linear, knee)
     check_between("knee", knee, 0.0, 1.0, owner="shoulder_curve")
     if knee == 1.0:
         return linear.clamp_max(1.0)
@@ -233,6 +256,7 @@ def compand(linear: Tensor, knots: Sequence[tuple[float, float]]) -> Tensor:
         >>> compand(torch.tensor([1000.0, 65536.0, 2e6]), twelve_bit)
         tensor([1000., 3072., 4095.])
     """
+    check_arguments("compand(linear: floating, knots: Sequence)", linear, knots)
     return _piecewise_linear(linear, _checked_knots(knots, "compand"))
 
 
@@ -251,6 +275,7 @@ def expand(raw: Tensor, knots: Sequence[tuple[float, float]]) -> Tensor:
         >>> expand(torch.tensor([1000.0, 3072.0, 4095.0]), twelve_bit)
         tensor([1.0000e+03, 6.5536e+04, 1.0486e+06])
     """
+    check_arguments("expand(raw: floating, knots: Sequence)", raw, knots)
     return _piecewise_linear(raw, [(code, light) for light, code in _checked_knots(knots, "expand")])
 
 
@@ -295,6 +320,19 @@ def develop(
         >>> develop(torch.full((1, 4, 4), 13700, dtype=torch.uint16), "RGGB").mean((-2, -1)).round(decimals=2)
         tensor([0.4900, 0.4900, 0.4900])
     """
+    check_arguments(
+        "develop(bayer: real(..., 1, H, W), pattern: str, black_level: float, white_level: float | None, "
+        "knots: Sequence | None, matrix: Tensor | Sequence | None, exposure: float, knee: float, method: str)",
+        bayer,
+        pattern,
+        black_level,
+        white_level,
+        knots,
+        matrix,
+        exposure,
+        knee,
+        method,
+    )
     linear = normalise(bayer, black_level, white_level)
     if knots is not None:
         linear = expand(linear, knots)
@@ -318,7 +356,8 @@ def _levels(dtype: torch.dtype, black: float, white: float | None, owner: str) -
     if not dtype.is_floating_point and dtype not in _FULL_SCALE:
         raise InputTypeError(f"{owner}: raw data must be uint8, uint16, int16, int32 or float; got {dtype}.")
     full = 1.0 if dtype.is_floating_point else _FULL_SCALE[dtype]
-    white = full if white is None else float(white)
+    check_arguments(f"{owner}(black_level: float, white_level: float | None)", black, white)
+    black, white = float(black), full if white is None else float(white)
     if not (math.isfinite(black) and math.isfinite(white) and black < white):
         raise InputValueError(
             f"{owner}: white_level must be above black_level, both in raw units; got black_level={black!r} and "
@@ -326,12 +365,16 @@ def _levels(dtype: torch.dtype, black: float, white: float | None, owner: str) -
         )
     if not dtype.is_floating_point and white > full:
         raise InputValueError(f"{owner}: white_level must fit {dtype} (at most {full:g}); got {white!r}.")
-    return float(black), white
+    return black, white
 
 
 def _checked_knots(knots: Sequence[tuple[float, float]], owner: str) -> list[tuple[float, float]]:
-    pairs = [(float(light), float(code)) for light, code in knots]
-    if len(pairs) < 2 or any(b[0] <= a[0] or b[1] <= a[1] for a, b in itertools.pairwise(pairs)):
+    try:
+        pairs = [(float(light), float(code)) for light, code in knots]
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        pairs = []
+    finite = all(math.isfinite(one) for pair in pairs for one in pair)
+    if len(pairs) < 2 or not finite or any(b[0] <= a[0] or b[1] <= a[1] for a, b in itertools.pairwise(pairs)):
         raise InputValueError(
             f"{owner}: knots must be two or more (light, code) pairs, both strictly rising; got {list(knots)!r}."
         )

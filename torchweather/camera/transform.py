@@ -26,6 +26,7 @@ from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.rays import Rays, rays_of
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.moved import renamed_arguments
 from torchweather.core.precision import outside_autocast
@@ -374,6 +375,7 @@ class BayerWeather(WeatherTransform):
         Args:
             ego_speed_m_per_s: forward; its magnitude is at most that of the constructor's.
         """
+        check_arguments("BayerWeather.at_ego_speed(ego_speed_m_per_s: float)", ego_speed_m_per_s)
         stages = self.chain.stages | patchy_air(self.weather.densest(), ego_speed_m_per_s)
         for name, stage in stages.items():
             if isinstance(stage, ParticleVeil):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.io.point_cloud import PointCloud
 
@@ -15,6 +16,7 @@ __all__ = ["collate_indexed", "collate_list", "collate_padded", "join_indexed", 
 
 def collate_list(clouds: Sequence[PointCloud | Tensor]) -> list[Tensor]:
     """The points of each cloud, ``(N_i, C)``, as a list; a ``collate_fn`` for a ``DataLoader``."""
+    check_arguments("collate_list(clouds: Sequence)", clouds)
     points = [cloud.points if isinstance(cloud, PointCloud) else cloud for cloud in clouds]
     if not points or any(cloud.ndim != 2 or cloud.shape[1] != points[0].shape[1] for cloud in points):
         shapes = ", ".join(str(tuple(cloud.shape)) for cloud in points) or "none"
@@ -37,6 +39,7 @@ def collate_padded(clouds: Sequence[PointCloud | Tensor]) -> tuple[Tensor, Tenso
         >>> points.shape, mask.tolist()
         (torch.Size([2, 2, 4]), [[True, True], [True, False]])
     """
+    check_arguments("collate_padded(clouds: Sequence)", clouds)
     points = collate_list(clouds)
     lengths = torch.tensor([cloud.shape[0] for cloud in points], device=points[0].device)
     padded = torch.nn.utils.rnn.pad_sequence(points, batch_first=True)
@@ -45,6 +48,7 @@ def collate_padded(clouds: Sequence[PointCloud | Tensor]) -> tuple[Tensor, Tenso
 
 def split_padded(points: Tensor, mask: Tensor) -> list[Tensor]:
     """The clouds of `collate_padded`, ``(N_i, C)`` each, without the rows that pad."""
+    check_arguments("split_padded(points: Tensor, mask: Tensor)", points, mask)
     if points.ndim != 3 or mask.shape != points.shape[:2] or mask.dtype != torch.bool:
         raise InputValueError(
             f"split_padded: points must be (B, N, C) and mask (B, N) bool; got {tuple(points.shape)} and {mask.dtype} "
@@ -63,6 +67,7 @@ def collate_indexed(clouds: Sequence[PointCloud | Tensor]) -> Tensor:
         >>> collate_indexed([torch.ones(2, 4), torch.ones(1, 4)])[:, 0]
         tensor([0., 0., 1.])
     """
+    check_arguments("collate_indexed(clouds: Sequence)", clouds)
     points = collate_list(clouds)
     _check_index_fits(points[0].dtype, len(points))
     return torch.cat([torch.cat((cloud.new_full((cloud.shape[0], 1), k), cloud), 1) for k, cloud in enumerate(points)])
@@ -75,6 +80,7 @@ def split_indexed(points: Tensor, n_samples: int | None = None) -> list[Tensor]:
         points: ``(N, 1 + C)``; the samples need not be in order.
         n_samples: number of samples; ``None`` takes the highest index + 1. Samples without rows are empty clouds.
     """
+    check_arguments("split_indexed(points: Tensor, n_samples: int | None)", points, n_samples)
     index = _sample_index(points, "split_indexed")
     highest = int(index.max()) + 1 if index.numel() else 0
     count = highest if n_samples is None else n_samples
@@ -95,6 +101,7 @@ def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
             `collate_indexed`.
         like: ``(N, 1 + C)`` the batch that was split.
     """
+    check_arguments("join_indexed(clouds: Sequence[Tensor], like: Tensor)", clouds, like)
     index = _sample_index(like, "join_indexed")
     lengths = torch.bincount(index, minlength=len(clouds)).tolist()
     if [cloud.shape[0] for cloud in clouds] != lengths:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.compose.batches import collate_indexed, collate_list, collate_padded
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, nearest_name
 from torchweather.io.point_cloud import PointCloud
 
@@ -47,6 +48,7 @@ class Collate:
     clouds_as: str = "padded"
 
     def __post_init__(self) -> None:
+        check_arguments("Collate(clouds: Sequence[str])", self.clouds)
         check_one_of("clouds_as", self.clouds_as, CLOUDS_AS, owner=self)
         if isinstance(self.clouds, str):
             raise InputTypeError(

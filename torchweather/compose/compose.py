@@ -17,6 +17,7 @@ from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.depth import SceneDepth
 from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
 from torchweather.compose.transform_spec import TransformSpec, spec_of
+from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
@@ -109,6 +110,19 @@ class Compose(nn.Module):
         history: str | None = None,
         mosaic_clear: bool = False,
     ) -> None:
+        check_arguments(
+            "Compose(transforms: Mapping, weather: Weather | Choice | Sequence | None, depth: str, "
+            "inputs: Mapping | None, seed: int | None, sample_key: str | None, history: str | None, "
+            "mosaic_clear: bool)",
+            transforms,
+            weather,
+            depth,
+            inputs,
+            seed,
+            sample_key,
+            history,
+            mosaic_clear,
+        )
         super().__init__()
         if more or not isinstance(transforms, Mapping):
             raise InputTypeError(_no_mapping(transforms, more))

@@ -19,6 +19,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.sensor_fit import fit_camera
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.compose import Compose
+from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Choice, Distribution, LogUniform
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_between
 from torchweather.core.random import sample_seed
@@ -73,6 +74,7 @@ class RandomWeather(nn.Module):
         seed: int | None = None,
         **options: Any,
     ) -> None:
+        check_arguments("RandomWeather(weather: Weather | Choice | Sequence | None)", weather)
         super().__init__()
         check_between("p", p, 0.0, 1.0, owner=self)
         if weather is None:

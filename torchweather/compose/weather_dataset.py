@@ -9,6 +9,7 @@ import torch
 from torch.utils.data import Dataset
 
 from torchweather.compose.samples import shared
+from torchweather.core.arguments import check_arguments
 from torchweather.core.random import sample_seed
 
 __all__ = ["WeatherDataset"]
@@ -42,6 +43,12 @@ class WeatherDataset(Dataset[Any]):
         seed: int = 0,
         after: Callable[[dict[str, Any], dict[str, Any]], Any] | None = None,
     ) -> None:
+        check_arguments(
+            "WeatherDataset(transform: Callable, seed: int, after: Callable | None)",
+            transform,
+            seed,
+            after,
+        )
         self.dataset, self.transform, self.seed, self.after = dataset, transform, int(seed), after
         self._epoch = shared(torch.zeros((), dtype=torch.int64))
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchweather.core.exceptions import InputTypeError, InputValueError
 
-__all__ = ["check_arguments"]
+__all__ = ["check_arguments", "check_broadcast"]
 
 Sizes = dict[str, int]
 
@@ -25,7 +25,8 @@ Sizes = dict[str, int]
 def check_arguments(head: str, *values: object) -> None:
     """Raise unless arguments are of the kinds and shapes that the head of a function declares.
 
-    Kinds are ``float``, ``int``, ``bool``, ``str``, ``path``, ``Mapping``, ``Sequence``, ``Iterable``, ``Callable``,
+    Kinds are ``float``, ``Quantity`` (a number or a tensor), ``int``, ``bool``, ``str``, ``path``, ``Mapping``,
+    ``Sequence``, ``Iterable``, ``Callable``,
     ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any dtype, ``real``, ``floating``, ``whole``,
     ``mask``) and names of classes; several are parted by ``|``. A tensor's shape stands in brackets: a number, ``3+``
     for three or more, a letter for a size that is the same wherever it stands, ``...`` for any axes in front. Elements
@@ -56,8 +57,26 @@ def check_arguments(head: str, *values: object) -> None:
             raise InputTypeError(f"{owner}: {name} must be {words}; got {_shown(value)}.")
         if isinstance(value, Tensor):
             _check_shape(owner, name, fitting[0].shape, value, sizes)
-        elif fitting[0].name == "path" and "\0" in str(value):
-            raise InputValueError(f"{owner}: {name} must be the name of a file; got {value!r}, with a null character.")
+        elif fitting[0].name == "path":
+            _check_path(owner, name, os.fspath(value))  # type: ignore[call-overload]
+
+
+def check_broadcast(owner: str, **values: object) -> None:
+    """Raise `InputValueError` unless the tensors and arrays among some arguments broadcast.
+
+    Example:
+        >>> check_broadcast("gain", azimuth_rad=torch.zeros(3), elevation_rad=torch.zeros(2, 1), height_m=1.0)
+    """
+    if torch.compiler.is_compiling():
+        return
+    shapes = {name: tuple(value.shape) for name, value in values.items() if isinstance(value, (Tensor, np.ndarray))}
+    if len(set(shapes.values())) < 2:
+        return
+    try:
+        torch.broadcast_shapes(*shapes.values())
+    except RuntimeError as error:
+        words = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InputValueError(f"{owner}: shapes must broadcast; got {words}.") from error
 
 
 @dataclass(frozen=True)
@@ -103,6 +122,10 @@ def _is_odd(value: Tensor | np.ndarray[Any, Any]) -> bool:
     return value.dtype.kind not in "fiu"
 
 
+def _is_quantity(value: Any) -> bool:
+    return not _is_odd(value) if isinstance(value, (Tensor, np.ndarray)) else _is_number(value) or _is_sequence(value)
+
+
 def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
 
@@ -110,6 +133,7 @@ def _is_sequence(value: Any) -> bool:
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "None": ("None", lambda value: value is None),
     "float": ("a number", _is_number),
+    "Quantity": ("a number or a tensor of real numbers", _is_quantity),
     "int": ("a whole number", _is_whole),
     "bool": ("True or False", lambda value: isinstance(value, (bool, np.bool_))),
     "str": ("text", lambda value: isinstance(value, str)),
@@ -162,6 +186,16 @@ def _parted(text: str, sign: str) -> list[str]:
         else:
             parts[-1] += letter
     return parts
+
+
+def _check_path(owner: str, name: str, path: str | bytes) -> None:
+    """Refuse a name that no file can have: a null character, or half a character."""
+    try:
+        if b"\0" not in os.fsencode(path) and not isinstance(path, bytes):
+            return
+    except UnicodeEncodeError:
+        pass
+    raise InputValueError(f"{owner}: {name} must be the name of a file; got {path!r}, which no file can have.")
 
 
 def _check_shape(owner: str, name: str, shape: tuple[str, ...] | None, value: Tensor, sizes: Sizes) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, nearest_name
 
 __all__ = ["Choice", "Distribution", "LogUniform", "Uniform", "distribution_from"]
@@ -86,6 +87,7 @@ class LogUniform(Distribution):
 
     def at(self, u: float) -> float:
         """``low (high / low)^u``."""
+        check_arguments("LogUniform.at(u: float)", u)
         return float(self.low * (self.high / self.low) ** u)
 
     def ends(self) -> tuple[float, float]:
@@ -114,6 +116,7 @@ class Choice(Distribution):
     weights: tuple[float, ...] | None = None
 
     def __init__(self, values: Sequence[Any], weights: Sequence[float] | None = None) -> None:
+        check_arguments("Choice(values: Sequence, weights: Sequence[float] | None)", values, weights)
         if isinstance(values, str) or not len(values):
             raise InputValueError(f"Choice: wanted a list of values, one or more; got {values!r}.")
         if weights is not None:
@@ -128,6 +131,7 @@ class Choice(Distribution):
 
     def at(self, u: float) -> Any:
         """The value in whose share of the weights u lies."""
+        check_arguments("Choice.at(u: float)", u)
         weights = self.weights or (1.0,) * len(self.values)
         left = u * sum(weights)
         for value, weight in zip(self.values, weights, strict=True):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import operator
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -51,6 +52,7 @@ ABSENT = 2.0
 
 # Below this many numbers a thread costs more than it saves.
 THREADED_FROM = 1 << 19
+_MOST_SEED = 1 << 63
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -83,6 +85,10 @@ class Variate:
             from torchweather.core.errors import check_one_of
 
             check_one_of("law", self.law, LAWS, owner=self)
+        if not isinstance(self.shape, (list, tuple)) or not all(
+            isinstance(one, str) or (isinstance(one, int) and one >= 0) for one in self.shape
+        ):
+            raise InputTypeError(f"Variate: shape must hold whole numbers and names of sizes; got {self.shape!r}.")
         object.__setattr__(self, "shape", tuple(self.shape))
 
     def to_dict(self) -> dict[str, Any]:
@@ -109,8 +115,10 @@ def keyed_stream(seed: int, stream: str) -> np.random.Generator:
         >>> float(keyed_stream(7, "jitter.normal").random()) == float(keyed_stream(7, "jitter.normal").random())
         True
     """
-    digest = hashlib.blake2b(stream.encode(), digest_size=8).digest()
-    key = np.array([seed & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
+    if not isinstance(stream, str):
+        raise InputTypeError(f"keyed_stream: stream must be text, such as rain.uniform; got {stream!r}.")
+    digest = hashlib.blake2b(stream.encode("utf-8", "surrogatepass"), digest_size=8).digest()
+    key = np.array([_whole(seed, "seed") & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
 
 
@@ -129,12 +137,26 @@ def sample_seed(seed: int, key: int | str, epoch: int = 0) -> int:
         >>> sample_seed(7, "000042") == sample_seed(7, "000042"), sample_seed(7, "000042") == sample_seed(7, "000043")
         (True, False)
     """
-    return _hashed(f"{int(seed)}/{int(epoch)}/{type(key).__name__}/{key}")
+    if not isinstance(key, (int, str, np.integer)):
+        raise InputTypeError(f"sample_seed: key must be a whole number or text; got {key!r}.")
+    return _hashed(f"{_whole(seed, 'seed')}/{_whole(epoch, 'epoch')}/{type(key).__name__}/{key}")
 
 
 def derived_seed(seed: int, name: str) -> int:
     """The integer of a part of a sample, such as one of its sensors; 63 bits."""
-    return _hashed(f"{int(seed)}.{name}")
+    if not isinstance(name, str):
+        raise InputTypeError(f"derived_seed: name must be text; got {name!r}.")
+    return _hashed(f"{_whole(seed, 'seed')}.{name}")
+
+
+def _whole(value: Any, name: str) -> int:
+    """A whole number, also one of numpy or in a tensor."""
+    try:
+        if not isinstance(value, (bool, np.bool_)):
+            return operator.index(value)
+    except TypeError:
+        pass
+    raise InputTypeError(f"draw: {name} must be a whole number; got {value!r}.")
 
 
 def _hashed(text: str) -> int:
@@ -171,6 +193,7 @@ def draw_variates(
     Returns:
         ``<stage>.<variate>`` to float32 array ``(len(seeds), *sample shape)``.
     """
+    _check_sizes(sizes)
     drawn: dict[str, NDArray[np.float32]] = {}
     tasks = []
     for variate in variates:
@@ -180,6 +203,12 @@ def draw_variates(
         tasks += [(seed, stream, variate, sizes, array[row]) for row, seed in enumerate(seeds)]
     in_parallel(lambda task: _fill(*task), tasks, sum(array.size for array in drawn.values()))
     return drawn
+
+
+def _check_sizes(sizes: Mapping[str, int]) -> None:
+    whole = isinstance(sizes, Mapping) and all(isinstance(size, (int, np.integer)) for size in sizes.values())
+    if not whole or any(size < 0 for size in sizes.values()):
+        raise InputTypeError(f"draw_variates: sizes must be names with whole numbers, 0 or more; got {sizes!r}.")
 
 
 def in_parallel(function: Callable[[T], R], items: Sequence[T], numbers: int) -> list[R]:
@@ -218,6 +247,10 @@ def sample_seeds(
     """
     import torch
 
+    if not isinstance(batch_shape, Sequence) or not all(isinstance(one, int) and one >= 0 for one in batch_shape):
+        raise InputTypeError(f"draw: batch_shape must be whole numbers, 0 or more; got {batch_shape!r}.")
+    if generator is not None and not isinstance(generator, torch.Generator):
+        raise InputTypeError(f"draw: generator must be a torch.Generator; got {generator!r}.")
     number = math.prod(batch_shape)
     if seed is not None and generator is not None:
         raise InputValueError("draw: give either seed or generator, not both.")
@@ -235,6 +268,8 @@ def sample_seeds(
     if seed is not None:
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
             raise InputTypeError(f"draw: seed must be an integer or an integer tensor; got {seed!r}.")
+        if not -_MOST_SEED <= seed <= _MOST_SEED - number:
+            raise InputValueError(f"draw: seed must fit 64 bits with its sign, -2^63 to 2^63; got {seed}.")
         return [int(seed) + row for row in range(number)]
     device = generator.device if generator is not None else "cpu"
     return [int(v) for v in torch.randint(0, 2**63 - 1, (number,), generator=generator, device=device).tolist()]

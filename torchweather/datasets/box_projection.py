@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchweather.camera.depth import project_points
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.datasets.boxes import Boxes
 
 __all__ = ["box_corners", "project_boxes"]
@@ -50,6 +51,12 @@ def project_boxes(boxes: Boxes, camera: Camera, T_camera_from_lidar: Tensor) -> 
         >>> project_boxes(box, camera, mounting)
         tensor([[40., 35., 60., 45.]])
     """
+    check_arguments(
+        "project_boxes(boxes: Boxes, camera: Camera, T_camera_from_lidar: Tensor)",
+        boxes,
+        camera,
+        T_camera_from_lidar,
+    )
     corners = box_corners(boxes).reshape(-1, 3)
     x_px, y_px, depth_m, _ = project_points(corners, T_camera_from_lidar, camera)
     x_px, y_px, depth_m = (values.reshape(-1, 8) for values in (x_px, y_px, depth_m))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.datasets.box_visibility import BoxVisibility, box_visibility
 from torchweather.datasets.boxes import Boxes, points_in_boxes
@@ -79,6 +80,12 @@ def update_boxes(
         >>> update_boxes(car, fog.run(points, fog.draw(points, seed=1)), points).records[0]["lidar_points_before"]
         2
     """
+    check_arguments(
+        "update_boxes(boxes: Boxes, points: Tensor | None, rectangles: Tensor | None)",
+        boxes,
+        points,
+        rectangles,
+    )
     sensor = "lidar" if result is None else getattr(result, "sensor", "")
     if sensor not in _EVIDENCE:
         raise InputTypeError(

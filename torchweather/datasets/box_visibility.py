@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.datasets.boxes import Boxes, points_in_boxes
 from torchweather.pipeline.point_kind import PointKind
@@ -66,6 +67,15 @@ def box_visibility(
         >>> left.points_before, left.points_left, left.transmission
         (tensor([2]), tensor([1]), tensor([0.4000]))
     """
+    check_arguments(
+        "box_visibility(boxes: Boxes, result_points: Tensor, kind: Tensor, transmission: Tensor, "
+        "source: Tensor | None)",
+        boxes,
+        result_points,
+        kind,
+        transmission,
+        source,
+    )
     rows, results = points_before.shape[0], result_points.shape[0]
     if points_before.ndim != 2 or result_points.ndim != 2 or min(points_before.shape[1], result_points.shape[1]) < 3:
         raise InputValueError(

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 
 __all__ = ["Boxes", "points_in_boxes"]
@@ -42,6 +43,16 @@ class Boxes:
     unplaced: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "Boxes(centre_m: Tensor, size_m: Tensor, yaw_rad: Tensor, names: Sequence, records: Sequence, "
+            "unplaced: Sequence)",
+            self.centre_m,
+            self.size_m,
+            self.yaw_rad,
+            self.names,
+            self.records,
+            self.unplaced,
+        )
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "records", tuple(self.records) or ({},) * len(self.names))
         count = len(self.names)
@@ -60,6 +71,7 @@ class Boxes:
 
     def select(self, keep: Tensor) -> Boxes:
         """The boxes where ``keep``, ``(M,)`` bool, is true; entries without a place stay."""
+        check_arguments("Boxes.select(keep: Tensor)", keep)
         chosen = [k for k, wanted in enumerate(keep.tolist()) if wanted]
         index = torch.tensor(chosen, dtype=torch.long, device=self.centre_m.device)
         return replace(
@@ -82,6 +94,7 @@ def points_in_boxes(points: Tensor, boxes: Boxes) -> Tensor:
     Returns:
         ``(..., N, M)`` bool. Memory grows with N M: some 20 bytes for each pair.
     """
+    check_arguments("points_in_boxes(points: Tensor, boxes: Boxes)", points, boxes)
     xyz = points[..., :3]
     xyz = xyz.to(torch.promote_types(xyz.dtype, torch.float32))
     centre, half, yaw = boxes.centre_m.to(xyz), 0.5 * boxes.size_m.to(xyz), boxes.yaw_rad.to(xyz)

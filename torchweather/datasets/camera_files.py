@@ -10,6 +10,7 @@ from typing import Any
 
 from torchweather.camera.frame_sizes import same_aspect
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.core.yaml_file import parse_json, read_json
 from torchweather.datasets.kitti import read_kitti_entries
@@ -69,6 +70,13 @@ def read_camera(
         >>> camera.fx, camera.principal_point_px, camera.k1
         (250.0, (159.5, 119.5), -0.1)
     """
+    check_arguments(
+        "read_camera(path: path, width: int | None, height: int | None, name: str | None)",
+        path,
+        width,
+        height,
+        name,
+    )
     return Camera.from_dict(read_camera_fields(path, width=width, height=height, name=name))
 
 
@@ -76,6 +84,13 @@ def read_camera_fields(
     path: str | os.PathLike[str], *, width: int | None = None, height: int | None = None, name: str | None = None
 ) -> dict[str, Any]:
     """The fields of `Camera` that a calibration file tells, for frames of this size; arguments as `read_camera`."""
+    check_arguments(
+        "read_camera_fields(path: path, width: int | None, height: int | None, name: str | None)",
+        path,
+        width,
+        height,
+        name,
+    )
     source = Path(path)
     fields = _fields(source, _text(source), name, (width, height))
     own = fields.get("width"), fields.get("height")

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between, check_finite
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
 from torchweather.io.row_layout import looks_semantic
@@ -90,6 +91,7 @@ def image_from_carla(image: CarlaImage) -> Tensor:
 
 def image_to_carla(rgb: Tensor) -> npt.NDArray[np.uint8]:
     """BGRA bytes ``(H, W, 4)`` of an image ``(3, H, W)`` uint8, alpha 255; ``.tobytes()`` is CARLA's ``raw_data``."""
+    check_arguments("image_to_carla(rgb: Tensor)", rgb)
     if rgb.ndim != 3 or rgb.shape[0] != 3 or rgb.dtype != torch.uint8:
         raise InputValueError(f"image_to_carla: rgb must be (3, H, W) uint8; got {rgb.dtype} {tuple(rgb.shape)}.")
     array: npt.NDArray[np.uint8] = rgb.detach().cpu().numpy().transpose(1, 2, 0)
@@ -115,6 +117,7 @@ def depth_to_carla(depth_m: Tensor) -> npt.NDArray[np.uint8]:
     """Coded depth ``(H, W, 4)`` of a map ``(1, H, W)`` in metres, to the nearest 60 um; 1000 m and more is the far
     plane.
     """
+    check_arguments("depth_to_carla(depth_m: Tensor)", depth_m)
     if depth_m.ndim != 3 or depth_m.shape[0] != 1 or not bool((depth_m >= 0).all()):
         raise InputValueError(
             f"depth_to_carla: depth_m must be (1, H, W) in metres, 0 or more, inf for sky; got {tuple(depth_m.shape)}"
@@ -175,6 +178,7 @@ def points_from_carla(measurement: CarlaMeasurement, reflectivity: float | None 
         >>> points_from_carla(SimpleNamespace(raw_data=np.float32([10, 2, -1, 0.96]).tobytes()))
         tensor([[10.0000, -2.0000, -1.0000,  0.9600]])
     """
+    check_arguments("points_from_carla(reflectivity: float | None)", reflectivity)
     semantic = _is_semantic(measurement)
     if semantic:
         points = torch.from_numpy(_semantic_rows(measurement))
@@ -201,6 +205,7 @@ def points_to_carla(
         kind: ``(N,)`` `PointKind` of each point, ``result.kind`` of a transform; particles get index 0 and tag 0
             (Unlabeled), where they would keep those of what they hide.
     """
+    check_arguments("points_to_carla(points: Tensor, semantic: bool, kind: Tensor | None)", points, semantic, kind)
     if not semantic:
         rows = _found(points, FLOATS_A_ROW, "points_to_carla")[:, :FLOATS_A_ROW]
         rows[:, 1] = 0.0 - rows[:, 1]
@@ -243,6 +248,7 @@ def detections_from_carla(measurement: CarlaMeasurement, radar: Radar, rcs_dbsm:
         >>> [round(value, 1) for value in detections_from_carla(ahead, Radar(), rcs_dbsm=0.0)[0].tolist()]
         [50.0, 0.0, 0.0, -3.0, -111.1, 0.0]
     """
+    check_arguments("detections_from_carla(radar: Radar, rcs_dbsm: float)", radar, rcs_dbsm)
     check_finite("rcs_dbsm", rcs_dbsm, unit="dBsm", owner="detections_from_carla")
     speed, azimuth, altitude, range_m = torch.from_numpy(_rows(measurement, "detections_from_carla")).double().unbind(1)
     found = torch.zeros(len(speed), 6, dtype=torch.float64)
@@ -267,6 +273,7 @@ def detections_to_carla(detections: Tensor) -> npt.NDArray[np.float32]:
 
     ``.tobytes()`` is CARLA's ``raw_data``. Lost ones are left out; power and cross section have no place there.
     """
+    check_arguments("detections_to_carla(detections: Tensor)", detections)
     x, y, z, speed = _found(detections, 6, "detections_to_carla")[:, :4].T
     flat = np.hypot(x, y)
     return np.stack((speed, 0.0 - np.arctan2(y, x), np.arctan2(z, flat), np.hypot(flat, z)), axis=1).astype(np.float32)

@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.calibration import CameraLidarCalibration
 from torchweather.io.points import read_points
@@ -55,6 +56,7 @@ def read_kitti_points(path: str | os.PathLike[str]) -> Tensor:
     Raises:
         TorchweatherError: the file is missing, truncated, or not float32 rows of four.
     """
+    check_arguments("read_kitti_points(path: path)", path)
     return read_points(path, format="kitti").points
 
 
@@ -83,6 +85,7 @@ def read_kitti_calibration(path: str | os.PathLike[str]) -> CameraLidarCalibrati
     Raises:
         TorchweatherError: the file is missing, holds no ``P2``, or has names but lacks the Velodyne's.
     """
+    check_arguments("read_kitti_calibration(path: path)", path)
     source = Path(path)
     entries = read_kitti_entries(source)
     projection = _projection(entries, source)
@@ -135,6 +138,7 @@ def read_kitti_rectified_from_lidar(path: str | os.PathLike[str]) -> Tensor:
     Raises:
         TorchweatherError: the file is missing or broken, or has names but lacks the Velodyne's.
     """
+    check_arguments("read_kitti_rectified_from_lidar(path: path)", path)
     source = Path(path)
     return _rectified_from_lidar(read_kitti_entries(source), source)[0]
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.boxes import Boxes, checked_transform, turned_back, turned_yaw
@@ -48,6 +49,12 @@ def read_kitti_boxes(
     References:
         A. Geiger et al., Are we ready for autonomous driving?, CVPR 2012; the development kit's readme.
     """
+    check_arguments(
+        "read_kitti_boxes(path: path, T_rectified_from_lidar: Tensor | array | Sequence, frame: int | None)",
+        path,
+        T_rectified_from_lidar,
+        frame,
+    )
     source = Path(path)
     transform = checked_transform(T_rectified_from_lidar, "T_rectified_from_lidar", "read_kitti_boxes")
     try:
@@ -124,6 +131,12 @@ def write_kitti_boxes(path: str | os.PathLike[str], boxes: Boxes, T_rectified_fr
 
     What a record lacks is written as KITTI writes what is unknown: truncation and occlusion -1, alpha -10, image box 0.
     """
+    check_arguments(
+        "write_kitti_boxes(path: path, boxes: Boxes, T_rectified_from_lidar: Tensor | array | Sequence)",
+        path,
+        boxes,
+        T_rectified_from_lidar,
+    )
     transform = checked_transform(T_rectified_from_lidar, "T_rectified_from_lidar", "write_kitti_boxes")
     back = torch.linalg.inv(transform)
     size = boxes.size_m.double().cpu()

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 from torchweather.core.yaml_file import read_json
 from torchweather.datasets.calibration import CameraLidarCalibration
@@ -29,6 +30,7 @@ def read_nuscenes_points(path: str | os.PathLike[str]) -> Tensor:
     Raises:
         TorchweatherError: the file is missing, truncated, or not float32 rows of five.
     """
+    check_arguments("read_nuscenes_points(path: path)", path)
     return read_points(path, format="nuscenes").points
 
 
@@ -43,6 +45,7 @@ def read_nuscenes_calibration(path: str | os.PathLike[str], camera: str = "CAM_F
     Raises:
         TorchweatherError: the file is missing, no json, or lacks the entry.
     """
+    check_arguments("read_nuscenes_calibration(path: path, camera: str)", path, camera)
     source = Path(path)
     content = read_json(source, "a calibration for each camera")
     entries = content if isinstance(content, dict) else {}

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.datasets.box_visibility import BoxVisibility
@@ -46,6 +47,11 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
         >>> boxes_from_nuscenes([car]).size_m.tolist()
         [[4.0, 2.0, 1.5]]
     """
+    check_arguments(
+        "boxes_from_nuscenes(annotations: Iterable, T_lidar_from_boxes: Tensor | array | Sequence | None)",
+        annotations,
+        T_lidar_from_boxes,
+    )
     entries = list(annotations)
     transform = _transform(T_lidar_from_boxes, "boxes_from_nuscenes")
     rows = []
@@ -90,6 +96,13 @@ def boxes_to_nuscenes(
         T_lidar_from_boxes: as it was for reading.
         visibility: of the boxes in weather; sets ``num_lidar_pts`` to the points left.
     """
+    check_arguments(
+        "boxes_to_nuscenes(boxes: Boxes, T_lidar_from_boxes: Tensor | array | Sequence | None, "
+        "visibility: BoxVisibility | None)",
+        boxes,
+        T_lidar_from_boxes,
+        visibility,
+    )
     back = torch.linalg.inv(_transform(T_lidar_from_boxes, "boxes_to_nuscenes"))
     centre = (boxes.centre_m.double().cpu() @ back[:3, :3].T + back[:3, 3]).tolist()
     size = boxes.size_m.double().cpu()[:, [1, 0, 2]].tolist()
@@ -119,6 +132,13 @@ def read_nuscenes_boxes(
     Raises:
         TorchweatherError: the file is missing, no json, has no such sample, or a broken annotation.
     """
+    check_arguments(
+        "read_nuscenes_boxes(path: path, T_lidar_from_boxes: Tensor | array | Sequence | None, "
+        "sample_token: str | None)",
+        path,
+        T_lidar_from_boxes,
+        sample_token,
+    )
     source = Path(path)
     try:
         content = json.loads(source.read_text(encoding="utf-8"))
@@ -150,6 +170,14 @@ def write_nuscenes_boxes(
     visibility: BoxVisibility | None = None,
 ) -> None:
     """Write the annotations of `boxes_to_nuscenes` as a json list."""
+    check_arguments(
+        "write_nuscenes_boxes(path: path, boxes: Boxes, T_lidar_from_boxes: Tensor | array | Sequence | None, "
+        "visibility: BoxVisibility | None)",
+        path,
+        boxes,
+        T_lidar_from_boxes,
+        visibility,
+    )
     annotations = boxes_to_nuscenes(boxes, T_lidar_from_boxes, visibility)
     try:
         text = json.dumps(annotations, indent=1)

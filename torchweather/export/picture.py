@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.camera.tone import develop
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of, check_positive
 
 __all__ = ["ImageToDetector", "MosaicToImage"]
@@ -45,6 +46,7 @@ class ImageToDetector(nn.Module):
         mean: float | Sequence[float] = 0.0,
         std: float | Sequence[float] = 1.0,
     ) -> None:
+        check_arguments("ImageToDetector(mean: float | Sequence[float])", mean)
         super().__init__()
         check_one_of("layout", layout, LAYOUTS, owner=self)
         check_one_of("colour", colour, COLOURS, owner=self)
@@ -101,6 +103,7 @@ class MosaicToImage(ImageToDetector):
         mean: float | Sequence[float] = 0.0,
         std: float | Sequence[float] = 1.0,
     ) -> None:
+        check_arguments("MosaicToImage(mean: float | Sequence[float])", mean)
         super().__init__(layout=layout, colour=colour, dtype=dtype, scale=scale, mean=mean, std=std)
         check_positive("exposure", exposure, owner=self)
         self.pattern, self.exposure = pattern, exposure

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, check_one_of
 from torchweather.io.arrays import read_archive, read_array, write_archive
@@ -46,6 +47,12 @@ class AdcCube:
     layout: tuple[str, ...] = ADC_AXES
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "AdcCube(cube: Tensor, repaired: bool, layout: Sequence)",
+            self.cube,
+            self.repaired,
+            self.layout,
+        )
         object.__setattr__(self, "layout", _checked_layout(self.layout, "AdcCube"))
         if self.cube.ndim != 3 or not self.cube.is_complex() or 0 in self.cube.shape:
             raise InputValueError(
@@ -99,6 +106,13 @@ def read_adc(
         tensor([[[ 3.+1.j, -2.+2.j],
                  [ 0.-1.j,  5.+5.j]]])
     """
+    check_arguments(
+        "read_adc(path: path, layout: Sequence[str] | None, quadrature: str, unsigned_16bit: str)",
+        path,
+        layout,
+        quadrature,
+        unsigned_16bit,
+    )
     source = Path(path)
     check_one_of("quadrature", quadrature, ADC_QUADRATURES, owner="read_adc")
     check_one_of("unsigned_16bit", unsigned_16bit, _REPAIRS, owner="read_adc")
@@ -156,6 +170,7 @@ def write_adc(path: str | os.PathLike[str], frame: AdcCube | Tensor) -> None:
         >>> read_adc(file).cube.shape
         torch.Size([12, 128, 256])
     """
+    check_arguments("write_adc(path: path, frame: AdcCube | Tensor)", path, frame)
     target = Path(path)
     mine = AdcCube(frame) if isinstance(frame, Tensor) else frame
     cube = mine.cube.detach().cpu().resolve_conj().to(torch.complex64).numpy()

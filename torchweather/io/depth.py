@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.depth.sparse import depth_from_disparity
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_array
 from torchweather.io.depth_plausible import check_plausible
@@ -80,6 +81,14 @@ def read_depth(
         >>> read_depth(file, "kitti")
         tensor([[[nan, 10.]]])
     """
+    check_arguments(
+        "read_depth(path: path, encoding: str | None, missing_m: float, fx_px: float | None, baseline_m: float | None)",
+        path,
+        encoding,
+        missing_m,
+        fx_px,
+        baseline_m,
+    )
     source = Path(path)
     _check_encoding(source, encoding)
     if missing_m < 0:

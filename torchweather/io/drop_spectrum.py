@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_finite, check_positive
 from torchweather.physics import rain_fall_speed_m_per_s
 
@@ -167,6 +168,7 @@ def spectrum_from_drops(
         instrument: what measured.
         fall_speed_tolerance: see `read_disdrometer`.
     """
+    check_arguments("spectrum_from_drops(duration_s: float)", duration_s)
     owner = "spectrum_from_drops"
     diameter, speed, area, time, edges = _numbers(
         owner, diameter_mm=diameter_mm, speed_m_per_s=speed_m_per_s, area_mm2=area_mm2, time_s=time_s, edges_mm=edges_mm

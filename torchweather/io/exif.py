@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import TorchweatherError
 
 if TYPE_CHECKING:
@@ -117,6 +118,7 @@ def read_exif_focal(path: str | os.PathLike[str], width: int, height: int) -> Ex
     Raises:
         TorchweatherError: the file is missing.
     """
+    check_arguments("read_exif_focal(path: path, width: int, height: int)", path, width, height)
     from PIL import Image
 
     source = Path(path)

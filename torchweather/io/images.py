@@ -20,6 +20,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.core.inflation import check_inflated
@@ -123,6 +124,7 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
         >>> frame.dtype, frame.shape, info.kind
         (torch.uint16, torch.Size([1, 2, 2]), 'mosaic')
     """
+    check_arguments("read_image(path: path)", path)
     source = Path(path)
     suffix = source.suffix.lower()
     orientation = 1
@@ -163,6 +165,7 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo 
     Raises:
         TorchweatherError: the format cannot hold the image, or the folder does not exist.
     """
+    check_arguments("write_image(path: path, image: Tensor, like: ImageInfo | None)", path, image, like)
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:

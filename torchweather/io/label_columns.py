@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.io.labels import FALLING_SNOW, UNLABELLED
 from torchweather.io.point_cloud import PointCloud
 from torchweather.pipeline.point_kind import PointKind
@@ -30,6 +31,7 @@ def label_columns(cloud: PointCloud) -> dict[str, int]:
         >>> label_columns(PointCloud(torch.zeros(1, 6), ("x", "y", "z", "intensity", "label", "instance_id")))
         {'label': 110, 'instance_id': 0}
     """
+    check_arguments("label_columns(cloud: PointCloud)", cloud)
     found = {}
     for name in cloud.columns[3:]:
         plain = name.lower().replace("_", "")
@@ -48,6 +50,7 @@ def with_labels_of(cloud: PointCloud, points: Tensor, kind: Tensor) -> Tensor:
         points: ``(N, C)`` of the result, in its columns.
         kind: ``(N,)`` `PointKind` of each row.
     """
+    check_arguments("with_labels_of(cloud: PointCloud, points: Tensor, kind: Tensor)", cloud, points, kind)
     labels = label_columns(cloud)
     if not labels:
         return points

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_between
 from torchweather.io.arrays import read_archive
@@ -49,6 +50,7 @@ class PointLabels:
     instances: Tensor
 
     def __post_init__(self) -> None:
+        check_arguments("PointLabels(classes: Tensor, instances: Tensor)", self.classes, self.instances)
         if self.classes.shape != self.instances.shape or not self.classes.ndim:
             raise InputValueError(
                 "PointLabels: classes and instances must have one shape (..., N); got "
@@ -95,6 +97,7 @@ LABEL_FORMATS = (
 
 def label_format(path: str | os.PathLike[str]) -> LabelFormat:
     """The format of a label file, by the ending of its name; SemanticKITTI's where it has none of those."""
+    check_arguments("label_format(path: path)", path)
     name = Path(path).name.lower()
     return next((one for one in LABEL_FORMATS if name.endswith(one.ending)), LABEL_FORMATS[-1])
 
@@ -118,6 +121,7 @@ def read_labels(path: str | os.PathLike[str], n_points: int | None = None) -> Po
         TorchweatherError: the file is missing, truncated, or has another number of labels. An empty file is refused
             unless ``n_points`` is 0.
     """
+    check_arguments("read_labels(path: path, n_points: int | None)", path, n_points)
     source, kind = Path(path), label_format(path)
     if not kind.item_bytes:
         return _read_panoptic(source, n_points)
@@ -146,6 +150,7 @@ def write_labels(path: str | os.PathLike[str], labels: PointLabels) -> None:
         ValueError: labels of a batch.
         TorchweatherError: a class or an instance that the format cannot hold.
     """
+    check_arguments("write_labels(path: path, labels: PointLabels)", path, labels)
     if labels.classes.ndim != 1:
         raise InputValueError(
             f"write_labels: labels must be of one cloud, shape (N,); got {tuple(labels.classes.shape)}. Write each "
@@ -206,6 +211,14 @@ def merge_kind(
         >>> merge_kind(before, torch.tensor([0, 1, 2])).classes
         tensor([ 40, 110,   0])
     """
+    check_arguments(
+        "merge_kind(labels: PointLabels, kind: Tensor, source: Tensor | None, particle_class: int, lost_class: int)",
+        labels,
+        kind,
+        source,
+        particle_class,
+        lost_class,
+    )
     for name, value in (("particle_class", particle_class), ("lost_class", lost_class)):
         check_between(name, value, 0, _HIGHEST, owner="merge_kind")
     rows = labels.classes.shape[-1]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.core.schema import NUMBERS, Key, check_keys, field_keys
 from torchweather.core.yaml_file import read_yaml
@@ -55,6 +56,12 @@ class MapLayout:
     quadratures: bool = False
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "MapLayout(dims: Sequence | None, step_db: float, bottom_db: float)",
+            self.dims,
+            self.step_db,
+            self.bottom_db,
+        )
         if self.dims is not None:
             object.__setattr__(self, "dims", tuple(self.dims))
             for name in self.dims or ():
@@ -154,6 +161,7 @@ def map_layout(name_or_path: str) -> MapLayout:
         >>> map_layout("radiate").range_m["step"]
         0.17361
     """
+    check_arguments("map_layout(name_or_path: str)", name_or_path)
     if not name_or_path.lower().endswith((".yaml", ".yml")):
         check_one_of("layout", name_or_path, MAP_LAYOUTS, owner="map_layout")
         return MAP_LAYOUTS[name_or_path]

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.core.extras import install_hint
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts
@@ -79,6 +80,7 @@ def parsivel_area_mm2(edges_mm: Tensor) -> Tensor:
         >>> parsivel_area_mm2(torch.tensor([1.0, 3.0]))
         tensor([5220.])
     """
+    check_arguments("parsivel_area_mm2(edges_mm: Tensor)", edges_mm)
     diameter = 0.5 * (edges_mm[1:] + edges_mm[:-1])
     return _PARSIVEL_LENGTH_MM * (_PARSIVEL_WIDTH_MM - 0.5 * diameter)
 

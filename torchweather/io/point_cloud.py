@@ -13,6 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, nearest_name
 from torchweather.io.stored_points import PointLayout, StoredPoints
 from torchweather.io.viewpoint import points_to_sensor
@@ -67,6 +68,16 @@ class PointCloud:
     viewpoint: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "PointCloud(points: Tensor, columns: Sequence, grid: Sequence | None, missing: Tensor | None, "
+            "layout: PointLayout | None, viewpoint: Sequence | None)",
+            self.points,
+            self.columns,
+            self.grid,
+            self.missing,
+            self.layout,
+            self.viewpoint,
+        )
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or not self.points.is_floating_point():
             raise InputValueError(

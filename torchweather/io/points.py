@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.io.csv_points import read_csv_points, write_csv_points
 from torchweather.io.las import read_las, write_las
@@ -120,6 +121,18 @@ def read_points(
         >>> read_points(target).points
         tensor([[10.0000,  2.0000, -1.5000,  0.2500]])
     """
+    check_arguments(
+        "read_points(path: path, format: str | None, intensity: str, columns: Sequence[str] | None, "
+        "dtype: dtype | None, bin_columns: str | Sequence[str] | None, intensity_unit: str | None, viewpoint: str)",
+        path,
+        format,
+        intensity,
+        columns,
+        dtype,
+        bin_columns,
+        intensity_unit,
+        viewpoint,
+    )
     source = Path(path)
     if bin_columns is not None:
         stored = read_rows_file(source, stated_fields(bin_columns, bin_dtype))
@@ -167,6 +180,15 @@ def write_points(
         TorchweatherError: what the format cannot hold: other columns or an empty cloud or NaN in KITTI and nuScenes,
             fractions in a whole-number field.
     """
+    check_arguments(
+        "write_points(path: path, cloud: PointCloud | Tensor, format: str | None, encoding: str | None, "
+        "columns: Sequence[str] | None)",
+        path,
+        cloud,
+        format,
+        encoding,
+        columns,
+    )
     target = Path(path)
     kind = _format(target, format, "write_points")
     if format is None and kind in FLOAT32_ROWS and _layout_format(cloud) == ROWS:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import array_to_tensor, read_archive, read_array, write_archive
@@ -78,6 +79,7 @@ def read_power_map(path: str | os.PathLike[str], layout: MapLayout | str | None 
         >>> read_power_map(file).axes.shape
         (3, 2)
     """
+    check_arguments("read_power_map(path: path, layout: MapLayout | str | None)", path, layout)
     source = Path(path)
     known = map_layout(layout) if isinstance(layout, str) else layout or MapLayout()
     suffix = source.suffix.lower()
@@ -108,6 +110,7 @@ def write_power_map(path: str | os.PathLike[str], power_map: RadarPowerMap) -> N
     Raises:
         TorchweatherError: the format cannot hold the map.
     """
+    check_arguments("write_power_map(path: path, power_map: RadarPowerMap)", path, power_map)
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in MAP_SUFFIXES:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, check_one_of, nearest_name
 from torchweather.io.csv_points import read_csv_points
 from torchweather.io.npz_points import read_npz_points
@@ -73,6 +74,17 @@ class RadarPoints:
     layout: PointLayout | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "RadarPoints(points: Tensor, columns: Sequence, power_source: str, rcs_source: str, speed_source: str, "
+            "lost: Tensor | None, layout: PointLayout | None)",
+            self.points,
+            self.columns,
+            self.power_source,
+            self.rcs_source,
+            self.speed_source,
+            self.lost,
+            self.layout,
+        )
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or self.points.shape[1] < 6 or self.points.dtype not in (torch.float32, torch.float64):
             raise InputValueError(
@@ -149,6 +161,15 @@ def read_radar(
         >>> found.power_source
         'radar equation'
     """
+    check_arguments(
+        "read_radar(path: path, radar: Radar | None, format: str | None, speed: str, gain: str, keep: Mapping | None)",
+        path,
+        radar,
+        format,
+        speed,
+        gain,
+        keep,
+    )
     source = Path(path)
     check_one_of("speed", speed, SPEEDS, owner="read_radar")
     check_one_of("gain", gain, GAINS, owner="read_radar")
@@ -220,6 +241,13 @@ def write_radar(
         ValueError: unknown format, column, or shape.
         TorchweatherError: what the format or a field of it cannot hold.
     """
+    check_arguments(
+        "write_radar(path: path, detections: RadarPoints | Tensor, format: str | None, columns: Sequence[str] | None)",
+        path,
+        detections,
+        format,
+        columns,
+    )
     target = Path(path)
     kind = _format(target, format, "write_radar")
     radar_points = RadarPoints(detections) if isinstance(detections, Tensor) else detections

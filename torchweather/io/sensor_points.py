@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from torchweather.core.arguments import check_arguments
 from torchweather.io.point_cloud import PointCloud
 from torchweather.io.points import read_points
 from torchweather.lidar.sensor import Lidar
@@ -39,6 +40,12 @@ def read_sensor_points(path: str | os.PathLike[str], sensor: Lidar, reading: Poi
             takes that of a PCD file's viewpoint.
         reading: what else is known of the file.
     """
+    check_arguments(
+        "read_sensor_points(path: path, sensor: Lidar, reading: PointReading | None)",
+        path,
+        sensor,
+        reading,
+    )
     how = reading or PointReading()
     placed = sensor.rotation is not None or any(sensor.origin_m)
     return read_points(

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.yaml_file import parse_json, parse_yaml
 from torchweather.io.arrays import read_array
@@ -44,6 +45,7 @@ def read_sensor_pose(path: str | os.PathLike[str]) -> Tensor:
         >>> read_sensor_pose(file)[:3, 3].tolist()
         [1.43, 0.0, 2.18]
     """
+    check_arguments("read_sensor_pose(path: path)", path)
     source = Path(path)
     if not source.is_file():
         raise TorchweatherError(f"{source}: no such file; {_WANTED}.")

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
 from torchweather.core.extras import install_hint
@@ -49,6 +50,7 @@ def read_table(path: str | os.PathLike[str]) -> Columns:
         >>> read_table(file)
         {'metric': ['psnr', 'ssim'], 'seed': [1, 2], 'score': [inf, 0.5]}
     """
+    check_arguments("read_table(path: path)", path)
     source = Path(path)
     return _read_parquet(source) if _suffix(source) == ".parquet" else _read_csv(source)
 
@@ -66,6 +68,7 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[Any
         ``read_table`` takes away. CSV has no types: text that looks like numbers throughout a column is read back as
         numbers, an empty text as None.
     """
+    check_arguments("write_table(path: path, columns: Mapping)", path, columns)
     target = Path(path)
     suffix = _suffix(target)
     plain = {name: _plain(name, column) for name, column in columns.items()}

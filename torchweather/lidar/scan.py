@@ -16,6 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_positive
 from torchweather.lidar.laser_blocks import height_blocks
 from torchweather.lidar.sensor import Lidar
@@ -65,6 +66,7 @@ def scan_directions(lidar: Lidar, *, dtype: torch.dtype = torch.float32, device:
                 [ 0.0000, -1.0000,  0.0000],
                 [ 0.0000, -0.8660,  0.5000]])
     """
+    check_arguments("scan_directions(lidar: Lidar, dtype: dtype)", lidar, dtype)
     elevations, offsets, columns = _pattern(lidar, "scan_directions", device)
     azimuth = offsets[:, None] - torch.arange(columns, dtype=torch.float64, device=device) * (TURN_DEG / columns)
     return _unit(elevations[:, None].expand_as(azimuth), azimuth).reshape(-1, 3).to(dtype)
@@ -100,6 +102,12 @@ def recover_ring(points: Tensor, lidar: Lidar, *, origin_heights_m: Sequence[flo
         >>> recover_ring(torch.tensor([[10.0, 0.0, 1.7], [0.0, 9.0, -0.1], [0.0, 0.0, 0.0]]), lidar)
         tensor([ 2,  1, -1])
     """
+    check_arguments(
+        "recover_ring(points: Tensor, lidar: Lidar, origin_heights_m: Sequence[float] | None)",
+        points,
+        lidar,
+        origin_heights_m,
+    )
     _check_points(points, "recover_ring")
     elevations = _elevations(lidar, "recover_ring", points.device)
     heights = _heights(origin_heights_m or lidar.origin_heights_m, elevations, "recover_ring")
@@ -156,6 +164,7 @@ def estimate_elevations(points: Tensor, rings: int) -> tuple[Tensor, Tensor]:
         >>> elevations_deg.round(decimals=3), bool(spread_deg.max() < 1e-3)
         (tensor([-1.,  3.], dtype=torch.float64), True)
     """
+    check_arguments("estimate_elevations(points: Tensor, rings: int)", points, rings)
     _check_points(points, "estimate_elevations")
     check_at_least("rings", rings, 1, owner="estimate_elevations")
     xyz = points[..., :3].reshape(-1, 3).double()
@@ -232,6 +241,15 @@ def empty_beams(
         >>> ring.tolist(), column.sort().values.tolist()
         ([0, 0, 0], [20, 21, 22])
     """
+    check_arguments(
+        "empty_beams(points: Tensor, lidar: Lidar, ring: Tensor | None, origin_heights_m: Sequence[float] | None, "
+        "max_gap_deg: float)",
+        points,
+        lidar,
+        ring,
+        origin_heights_m,
+        max_gap_deg,
+    )
     _check_points(points, "empty_beams")
     if points.ndim != 2:
         raise InputValueError(f"empty_beams: one cloud (N, 3 or more) at a time; got shape {tuple(points.shape)}.")

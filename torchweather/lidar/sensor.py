@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypedDict, Unpack
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
@@ -248,6 +249,7 @@ class Lidar(Sensor):
 
     def near_response(self, range_m: Tensor) -> Tensor:
         """Near-range response xi, 0 to 1, of the shape of ``range_m`` (metres)."""
+        check_arguments("Lidar.near_response(range_m: Tensor)", range_m)
         ramp = (range_m - self.near_start_m) / (self.near_full_m - self.near_start_m)
         response: Tensor = ramp.clamp(0.0, 1.0) ** self.near_power
         return response

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torchweather.atmosphere.density_field import SECTORS, Banks, PatchField, mean_density, mean_extra_m, sector_of
 from torchweather.atmosphere.fog_optics import FogOptics
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, weather_from_dict
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, check_at_least, check_one_of
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam
@@ -266,6 +267,7 @@ class Extinction(Stage):
         fog_extinction: str = "mie",
         variant: str | None = None,
     ) -> None:
+        check_arguments("Extinction(weathers: Sequence, fog_extinction: str)", weathers, fog_extinction)
         super().__init__()
         self.sensor = Lidar.of(sensor)
         if q_eff is not None:
@@ -366,6 +368,14 @@ class ParticleReturns(Stage):
         variant: str | None = None,
         receiver: str = "gate",
     ) -> None:
+        check_arguments(
+            "ParticleReturns(weathers: Sequence, q_back: float | str | None, fog_backscatter: str, "
+            "variant: str | None)",
+            weathers,
+            q_back,
+            fog_backscatter,
+            variant,
+        )
         super().__init__()
         self.sensor = Lidar.of(sensor)
         self.beam = Beam(self.sensor)

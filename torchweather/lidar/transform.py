@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
 from torchweather.atmosphere.weather import Snow, Weather, check_intensities
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
@@ -166,6 +167,16 @@ class LidarWeather(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        check_arguments(
+            "LidarRain(q_back: float | str | None, complete_scan: bool | str, beam_ends: str, "
+            "own_vehicle: OwnVehicleMask | Sequence[float] | str | None, variant: str | None, effects: Sequence)",
+            q_back,
+            complete_scan,
+            beam_ends,
+            own_vehicle,
+            variant,
+            effects,
+        )
         super().__init__()
         self.options = LidarOptions(
             q_eff=q_eff,

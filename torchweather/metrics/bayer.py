@@ -11,6 +11,7 @@ from torch import Tensor
 from torchweather.camera.bayer import PATTERNS, cfa_index, check_even, split_planes
 from torchweather.camera.demosaic import demosaic
 from torchweather.camera.tone import srgb_encode
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, check_positive
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.image_scores import IMAGE_SCORES, image_scores
@@ -74,6 +75,7 @@ def bayer_scores(
         >>> bayer_scores(veiled, clear, ["gmsd"], pattern="RGGB", scored_as="planes")["gmsd"].shape
         torch.Size([4])
     """
+    check_arguments("bayer_scores(gains: Tensor | Sequence[float])", gains)
     check_one_of("pattern", pattern, PATTERNS, owner="bayer_scores")
     check_one_of("scored_as", scored_as, SCORED_AS, owner="bayer_scores")
     check_one_of("encoding", encoding, ENCODINGS, owner="bayer_scores")
@@ -106,6 +108,7 @@ class BayerScore(Collected):
     """
 
     def __init__(self, name: str, *, pattern: str, **options: Any) -> None:
+        check_arguments("BayerScore(name: str)", name)
         super().__init__(name, "mosaic")
         check_one_of("score", name, IMAGE_SCORES, owner=self)
         self.name, self.pattern, self.options = name, pattern, options

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_finite
 from torchweather.core.precision import outside_autocast
 
@@ -29,6 +30,7 @@ def box_iou(first: Tensor, second: Tensor) -> Tensor:
         >>> box_iou(torch.tensor([[0.0, 0.0, 2.0, 2.0]]), torch.tensor([[1.0, 0.0, 3.0, 2.0], [5.0, 5.0, 6.0, 6.0]]))
         tensor([[0.3333, 0.0000]])
     """
+    check_arguments("box_iou(second: Tensor)", second)
     shared = _shared_in_image(first, second, "box_iou")
     area, other = ((boxes[:, 2:] - boxes[:, :2]).prod(-1) for boxes in (first, second))
     return _over_union(shared, area, other)

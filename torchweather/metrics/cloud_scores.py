@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of, owner_name
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import CloudPair, Clouds, Region, cloud_pairs, in_batch_shape
@@ -172,6 +173,7 @@ def cloud_scores(
         >>> {name: round(float(score), 3) for name, score in scores.items()}
         {'sdm': 0.0, 'rmse': 0.5, 'mde': 0.5, 'mmde': 0.5, 'hd': 0.5, 'hd95': 0.5}
     """
+    check_arguments("cloud_scores(region: Region | None)", region)
     chosen = _chosen(names, owner)
     check_one_of("correspondence", correspondence, CORRESPONDENCES, owner=owner)
     check_one_of("direction", direction, DIRECTIONS, owner=owner)
@@ -309,5 +311,11 @@ def chamfer_distance(distorted: Clouds, reference: Clouds, *, squared: bool = Fa
         >>> [float(chamfer_distance(3.0 * clear, clear, squared=squared)) for squared in (False, True)]
         [4.0, 8.0]
     """
+    check_arguments(
+        "chamfer_distance(distorted: Tensor | Sequence[Tensor], reference: Tensor | Sequence[Tensor], squared: bool)",
+        distorted,
+        reference,
+        squared,
+    )
     name = "chamfer_squared" if squared else "chamfer"
     return cloud_scores(distorted, reference, names=(name,), owner="chamfer_distance", **options)[name]

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, owner_name
 
 __all__ = ["CloudPair", "Clouds", "Region", "cloud_pairs", "in_batch_shape", "there"]
@@ -35,6 +36,7 @@ class Region:
     z_m: tuple[float, float] = (-math.inf, math.inf)
 
     def __post_init__(self) -> None:
+        check_arguments("Region(x_m: Sequence, y_m: Sequence, z_m: Sequence)", self.x_m, self.y_m, self.z_m)
         for name, limits in (("x_m", self.x_m), ("y_m", self.y_m), ("z_m", self.z_m)):
             if len(limits) != 2 or not limits[0] < limits[1]:
                 raise InputValueError(f"Region: {name} must be (lowest, highest) in m; got {limits!r}.")

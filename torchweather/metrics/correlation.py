@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between
 from torchweather.metrics.coefficients import INTERVAL, Coefficient, coefficients, undefined, weighted_spearman
 from torchweather.metrics.condition_table import FEWEST, Conditions, join
@@ -129,6 +130,15 @@ def correlate(
         >>> [(each.metric, each.rank, round(each.spearman.value, 2)) for each in found.metrics]
         [('ssim', 1, 1.0), ('gmsd', 2, -0.67)]
     """
+    check_arguments(
+        "correlate(scores: Mapping, performance: Mapping | Sequence[float], performance_column: str, "
+        "resamples: int, seed: int)",
+        scores,
+        performance,
+        performance_column,
+        resamples,
+        seed,
+    )
     if resamples < 1:
         raise InputValueError(f"correlate: resamples must be 1 or more; got {resamples!r}.")
     check_between("highly", highly, 0.0, 1.0, owner="correlate")

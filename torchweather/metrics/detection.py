@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, check_between, check_one_of
 from torchweather.core.extras import install_hint
 from torchweather.core.precision import outside_autocast
@@ -105,6 +106,14 @@ def average_precision(
         >>> car.value, car.recall, car.truths
         (0.5, 0.5, 2)
     """
+    check_arguments(
+        "average_precision(detections: Sequence[Mapping], truths: Sequence[Mapping], thresholds: Sequence[float], "
+        "ranges_m: Sequence)",
+        detections,
+        truths,
+        thresholds,
+        ranges_m,
+    )
     check_one_of("interpolation", interpolation, INTERPOLATIONS, owner="average_precision")
     return [
         AveragePrecision(

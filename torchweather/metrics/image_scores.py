@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.cw_ssim import cw_ssim, cw_ssim_of
@@ -94,6 +95,13 @@ def image_scores(
         >>> sorted(image_scores(0.5 * clear + 0.2, clear, ["psnr", "gmsd"]))
         ['gmsd', 'psnr']
     """
+    check_arguments(
+        "image_scores(distorted: Tensor, reference: Tensor, names: Iterable | None, data_range: float)",
+        distorted,
+        reference,
+        names,
+        data_range,
+    )
     if isinstance(names, str):
         raise InputTypeError(f"image_scores: names must be a list of names such as ['ssim']; got the text {names!r}.")
     chosen = list(IMAGE_SCORES) if names is None else list(names)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import Region, there
@@ -42,6 +43,14 @@ def point_counts(
         >>> point_counts(points, region=Region(x_m=(0.0, 8.0))), point_counts(points, torch.tensor([0, 1, 2]))
         (tensor(1), tensor([1, 1, 1]))
     """
+    check_arguments(
+        "point_counts(points: Tensor, kind: Tensor | None, valid: Tensor | None, region: Region | None, kinds: int)",
+        points,
+        kind,
+        valid,
+        region,
+        kinds,
+    )
     name = "point_counts"
     if not isinstance(points, Tensor) or points.ndim < 2 or points.shape[-1] < 3:
         came = tuple(points.shape) if isinstance(points, Tensor) else type(points).__name__

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.metrics.cloud_scores import cloud_scores
 from torchweather.metrics.clouds import Clouds
@@ -86,6 +87,7 @@ class ImageScore(Collected):
     """
 
     def __init__(self, facts: ScoreFacts, *, data_range: float = 1.0, **options: Any) -> None:
+        check_arguments("ImageScore(facts: ScoreFacts, data_range: float)", facts, data_range)
         super().__init__(getattr(facts.function, "__name__", "score"), "image")
         self.facts, self.data_range, self.options = facts, float(data_range), options
 
@@ -128,6 +130,7 @@ class CloudScore(Collected):
     ideal = 0.0
 
     def __init__(self, name: str, **options: Any) -> None:
+        check_arguments("CloudScore(name: str)", name)
         super().__init__(name, "cloud")
         self.name, self.options = name, options
         self._scored([], [])  # no clouds: name and options are checked here, not in the first update

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import Clouds, Region, cloud_pairs, in_batch_shape
 
@@ -127,6 +128,7 @@ def shape_signature_distance(
         >>> float(sdm(cloud, cloud)), float(sdm(cloud[:1], cloud))
         (0.0, 1.0)
     """
+    check_arguments("sdm(region: Region | None)", region)
     pairs = cloud_pairs(
         distorted,
         reference,

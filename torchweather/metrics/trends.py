@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 
 __all__ = ["SceneTrends", "Trend", "expected_trends"]
@@ -93,6 +94,16 @@ def expected_trends(
         >>> found.expected, found.out_of, found.metrics["gmsd"].verdict
         (1, 2, 'tied')
     """
+    check_arguments(
+        "expected_trends(scores: Mapping, direction: Mapping, tie_within: float, paired: bool, resamples: int, "
+        "seed: int)",
+        scores,
+        direction,
+        tie_within,
+        paired,
+        resamples,
+        seed,
+    )
     _check(tie_within, resamples)
     return {
         scene: _scene(scene, metrics, direction, tie_within, paired, _Bootstrap(resamples, seed))

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import Per, SizeDistribution
@@ -46,6 +47,12 @@ class Binned(SizeDistribution):
         per_size: Per = "diameter",
         particle: str = "drop",
     ) -> None:
+        check_arguments(
+            "Binned(edges_mm: Tensor | Sequence, density_per_m3_mm: Tensor | Sequence, particle: str)",
+            edges_mm,
+            density_per_m3_mm,
+            particle,
+        )
         edges = torch.as_tensor(edges_mm, dtype=torch.float64)
         density = torch.as_tensor(density_per_m3_mm, device=edges.device).to(torch.float64)
         if edges.ndim != 1 or density.ndim < 1 or edges.numel() != density.shape[-1] + 1 or edges.numel() < 2:

@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.efficiency_table import extinction_table, scattering_table
 from torchweather.physics.float64 import Quantity, to_float64
@@ -86,6 +87,14 @@ def extinction_per_m(
         >>> round(float(extinction_per_m(marshall_palmer(25.0), 905.0)), 5)
         0.00278
     """
+    check_arguments(
+        "extinction_per_m(distribution: SizeDistribution, wavelength_nm: float, material: Material | None, "
+        "temperature_c: float)",
+        distribution,
+        wavelength_nm,
+        material,
+        temperature_c,
+    )
     check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="extinction_per_m")
     if q_ext is not None:
         check_at_least("q_ext", q_ext, 0.0, owner="extinction_per_m")
@@ -103,6 +112,7 @@ def cross_section_per_m(distribution: SizeDistribution) -> Tensor:
         >>> bool(cross_section_per_m(marshall_palmer(25.0)) > 0.00138)
         True
     """
+    check_arguments("cross_section_per_m(distribution: SizeDistribution)", distribution)
     if distribution.particle != "melted-flake":
         return distribution.moment(2.0) * (0.25 * math.pi * PER_M_PER_MM2_M3)
     # D_phys = (D^3 / 0.178)^(1/2.078), but at least D / 0.917^(1/3): two powers of the melted diameter.
@@ -128,6 +138,7 @@ def effective_extinction_per_m(extinction_per_m: Quantity, q_eff: float) -> Tens
         >>> float(effective_extinction_per_m(0.002, 1.1))
         0.0011
     """
+    check_arguments("effective_extinction_per_m(extinction_per_m: Quantity, q_eff: float)", extinction_per_m, q_eff)
     check_at_least("q_eff", q_eff, 0.0, owner="effective_extinction_per_m")
     (extinction,) = to_float64(extinction_per_m)
     return extinction * (0.5 * q_eff)
@@ -146,6 +157,7 @@ def rain_q_back(wavelength_nm: float) -> float:
         >>> rain_q_back(905.0)
         0.2
     """
+    check_arguments("rain_q_back(wavelength_nm: float)", wavelength_nm)
     check_between("wavelength_nm", wavelength_nm, 100.0, 1e5, unit="nm", owner="rain_q_back")
     (near, q_near), (far, q_far) = RAIN_Q_BACK_NM
     share = min(max((wavelength_nm - near) / (far - near), 0.0), 1.0)
@@ -182,6 +194,14 @@ def backscatter_per_m_sr(
         >>> f"{float(backscatter_per_m_sr(marshall_palmer(25.0), 905.0)):.2e}"
         '2.20e-05'
     """
+    check_arguments(
+        "backscatter_per_m_sr(distribution: SizeDistribution, wavelength_nm: float, material: Material | None, "
+        "temperature_c: float)",
+        distribution,
+        wavelength_nm,
+        material,
+        temperature_c,
+    )
     check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="backscatter_per_m_sr")
     if q_back is None:
         if distribution.particle != "drop":
@@ -218,6 +238,12 @@ def extinction_and_backscatter(
         >>> round(float(alpha / beta), 1)
         19.7
     """
+    check_arguments(
+        "extinction_and_backscatter(distribution: SizeDistribution, material: Material | None, temperature_c: float)",
+        distribution,
+        material,
+        temperature_c,
+    )
     check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="extinction_and_backscatter")
     bounds, material = _physical_support(distribution, material)
     diameter, width, q = scattering_table(*bounds, float(wavelength_nm), material, float(temperature_c), False)
@@ -243,6 +269,12 @@ def lidar_ratio_sr(distribution: SizeDistribution, wavelength_nm: float, *, temp
         >>> round(float(lidar_ratio_sr(rehearse_fog(30), 905.0)), 1)
         19.7
     """
+    check_arguments(
+        "lidar_ratio_sr(distribution: SizeDistribution, wavelength_nm: float, temperature_c: float)",
+        distribution,
+        wavelength_nm,
+        temperature_c,
+    )
     extinction = extinction_per_m(distribution, wavelength_nm, temperature_c=temperature_c)
     return extinction / backscatter_per_m_sr(distribution, wavelength_nm, temperature_c=temperature_c, q_back="mie")
 
@@ -267,6 +299,14 @@ def single_scattering_albedo(
         >>> round(float(single_scattering_albedo(rehearse_fog(30), 905.0)), 4)
         1.0
     """
+    check_arguments(
+        "single_scattering_albedo(distribution: SizeDistribution, wavelength_nm: float, material: Material | None, "
+        "temperature_c: float)",
+        distribution,
+        wavelength_nm,
+        material,
+        temperature_c,
+    )
     bounds, material = _physical_support(distribution, material)
     diameter, width, q = scattering_table(*bounds, float(wavelength_nm), material, float(temperature_c), True)
     scattered = _integrated(distribution, diameter, width, q.q_sca)

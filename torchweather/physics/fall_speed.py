@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.snow_geometry import melted_diameter_mm
@@ -48,6 +49,7 @@ def rain_fall_speed_m_per_s(diameter_mm: Quantity, law: str = "brandes") -> Tens
         >>> rain_fall_speed_m_per_s(torch.tensor([0.1, 1.0, 5.0])).round(decimals=2)
         tensor([0.2700, 3.9500, 9.1200], dtype=torch.float64)
     """
+    check_arguments("rain_fall_speed_m_per_s(law: str)", law)
     check_one_of("law", law, RAIN_LAWS, owner="rain_fall_speed_m_per_s")
     (diameter,) = to_float64(diameter_mm)
     check_at_least("diameter_mm", diameter, 0.0, unit="mm", owner="rain_fall_speed_m_per_s")
@@ -111,4 +113,5 @@ def flake_fall_speed_m_per_s(physical_diameter_mm: Quantity, *, variant: str = "
         >>> round(float(flake_fall_speed_m_per_s(2.2947)), 2)
         1.01
     """
+    check_arguments("flake_fall_speed_m_per_s(physical_diameter_mm: Quantity)", physical_diameter_mm)
     return snow_fall_speed_m_per_s(melted_diameter_mm(physical_diameter_mm), variant=variant)

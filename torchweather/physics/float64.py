@@ -27,13 +27,12 @@ def to_float64(*values: Quantity) -> tuple[Tensor, ...]:
         (tensor(1., dtype=torch.float64), tensor([2.], dtype=torch.float64))
     """
     device = next((value.device for value in values if isinstance(value, Tensor)), torch.device("cpu"))
-    return tuple(
-        # Stating the type matters: a Python float would first become float32.
-        value.to(device, torch.float64)
-        if isinstance(value, Tensor)
-        else torch.tensor(_number(value), dtype=torch.float64, device=device)
+    # Stating the type matters: a Python float would first become float32.
+    found = tuple(
+        _real(value).to(device, torch.float64) if isinstance(value, Tensor) else _tensor(value, torch.float64, device)
         for value in values
     )
+    return found
 
 
 def to_complex128(*values: complex | Tensor) -> tuple[Tensor, ...]:
@@ -44,12 +43,30 @@ def to_complex128(*values: complex | Tensor) -> tuple[Tensor, ...]:
         (tensor(1.5000+0.1000j, dtype=torch.complex128),)
     """
     device = next((value.device for value in values if isinstance(value, Tensor)), torch.device("cpu"))
-    return tuple(
-        value.to(device, torch.complex128)
-        if isinstance(value, Tensor)
-        else torch.tensor(_number(value, numbers.Complex), dtype=torch.complex128, device=device)
+    found = tuple(
+        value.to(device, torch.complex128) if isinstance(value, Tensor) else _tensor(value, torch.complex128, device)
         for value in values
     )
+    return found
+
+
+def _real(value: Tensor) -> Tensor:
+    if value.is_complex() or value.dtype == torch.bool:
+        raise InputTypeError(f"torchweather.physics: expected real numbers; got {value.dtype} {tuple(value.shape)}.")
+    return value
+
+
+def _tensor(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A tensor of a number, an array or nested lists."""
+    kind = numbers.Complex if dtype.is_complex else numbers.Real
+    try:
+        return torch.tensor(_number(value, kind), dtype=dtype, device=device)
+    except InputTypeError:
+        raise
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise InputTypeError(
+            f"torchweather.physics: expected numbers that make a tensor; got {value!r} ({error})."
+        ) from error
 
 
 def _number(value: Any, kind: type = numbers.Real) -> Any:

@@ -9,6 +9,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of, check_positive
 from torchweather.physics.extinction import extinction_per_m
 from torchweather.physics.float64 import Quantity, to_float64
@@ -68,6 +69,12 @@ def scaled_to_visibility(
         >>> round(0.05 ** -1 * float(torch.exp(-52.0 * extinction_per_m(fog, 550.0))), 6)
         1.0
     """
+    check_arguments(
+        "scaled_to_visibility(distribution: SizeDistribution, mor_m: Quantity, contrast: float)",
+        distribution,
+        mor_m,
+        contrast,
+    )
     wanted = extinction_from_mor(mor_m, contrast)
     return distribution.scaled(wanted / extinction_per_m(distribution, MOR_WAVELENGTH_NM))
 
@@ -86,6 +93,7 @@ def rehearse_fog(nominal_mor_m: int) -> LogNormal:
         >>> round(float(rehearse_fog(50).liquid_water_g_per_m3()), 3)
         0.132
     """
+    check_arguments("rehearse_fog(nominal_mor_m: int)", nominal_mor_m)
     if nominal_mor_m not in REHEARSE:
         raise InputValueError(f"rehearse_fog: nominal_mor_m must be one of 10, 20, 30, 50 m; got {nominal_mor_m!r}.")
     number, log_median, sigma = REHEARSE[int(nominal_mor_m)]
@@ -118,6 +126,7 @@ def deirmendjian_fog(name: str) -> ModifiedGamma:
         >>> round(float(deirmendjian_fog("strong-advection").total_per_m3))
         20000000
     """
+    check_arguments("deirmendjian_fog(name: str)", name)
     check_one_of("name", name, DEIRMENDJIAN, owner="deirmendjian_fog")
     return ModifiedGamma(*DEIRMENDJIAN[name])
 
@@ -138,6 +147,7 @@ def advection_fog(mor_m: Quantity, *, variant: str = "default", contrast: float 
         >>> round(float(advection_fog(100.0, variant="liquid-water").number_per_cm3), 1)
         82.0
     """
+    check_arguments("advection_fog(variant: str, contrast: float)", variant, contrast)
     check_one_of("variant", variant, ("default", "liquid-water"), owner="advection_fog")
     shape = ModifiedGamma(1.0, ADVECTION_ALPHA, 1.0, ADVECTION_MODE_RADIUS_UM)
     if variant == "default":

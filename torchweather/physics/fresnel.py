@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
@@ -48,6 +49,7 @@ def sphere_budget(refractive_index: float, panels: int = 4096) -> SphereBudget:
         >>> [round(v, 3) for v in budget]
         [0.066, 0.885, 0.04, 0.009, 164.986]
     """
+    check_arguments("sphere_budget(refractive_index: float, panels: int)", refractive_index, panels)
     if not refractive_index > 1.0:
         raise InputValueError(
             f"sphere_budget: refractive_index must be a real number above 1; got {refractive_index!r}."

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_positive
 from torchweather.core.precision import AtLeastSingle
 
@@ -57,6 +58,14 @@ class InterpolationTable(AtLeastSingle):
         zero_at_zero: bool = False,
         zero_at_inf: bool = False,
     ) -> None:
+        check_arguments(
+            "InterpolationTable(function: Callable, low: float, high: float, n: int, zero_at_inf: bool)",
+            function,
+            low,
+            high,
+            n,
+            zero_at_inf,
+        )
         super().__init__()
         check_positive("low", low, owner=self)
         if not (high > low and math.isfinite(high)) or n < 2:

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.fall_speed import (
     flake_fall_speed_m_per_s,
@@ -53,6 +54,7 @@ def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: Fall
         >>> round(float(precipitation_rate_mm_per_h(marshall_palmer(10.0))), 1)
         11.6
     """
+    check_arguments("precipitation_rate_mm_per_h(distribution: SizeDistribution)", distribution)
     diameter, width = distribution.quadrature()
     speed = (fall_speed or fall_speed_law(distribution.particle))(diameter)
     water_mm3 = math.pi / 6.0 * diameter**3
@@ -94,6 +96,7 @@ def close_rate(
         >>> round(float(precipitation_rate_mm_per_h(exact)), 6)
         10.0
     """
+    check_arguments("close_rate(distribution: SizeDistribution, rate_mm_per_h: Quantity)", distribution, rate_mm_per_h)
     check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="close_rate")
     carried = precipitation_rate_mm_per_h(distribution, fall_speed)
     return distribution.scaled(rate_mm_per_h / carried.clamp_min(1e-300))

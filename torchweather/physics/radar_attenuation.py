@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.radar_scattering import particle_attenuation_db_per_km
@@ -58,6 +59,11 @@ def rain_attenuation_db_per_km(
         >>> [round(float(rain_attenuation_db_per_km(25.0, model=m)), 2) for m in ("p838", "d3_4")]
         [11.41, 9.86]
     """
+    check_arguments(
+        "rain_attenuation_db_per_km(model: str, polarisation_tilt_rad: float)",
+        model,
+        polarisation_tilt_rad,
+    )
     check_one_of("model", model, RAIN_ATTENUATION_MODELS, owner="rain_attenuation_db_per_km")
     if model == "p838":
         return rain_attenuation_p838_db_per_km(
@@ -94,6 +100,11 @@ def fog_attenuation_coefficient_db_per_km_per_g_per_m3(
         >>> round(float(fog_attenuation_coefficient_db_per_km_per_g_per_m3(77.0, 10.0)), 2)
         3.15
     """
+    check_arguments(
+        "fog_attenuation_coefficient_db_per_km_per_g_per_m3(frequency_ghz: Quantity, temperature_c: Quantity)",
+        frequency_ghz,
+        temperature_c,
+    )
     frequency, celsius = to_float64(frequency_ghz, temperature_c)
     check_between(
         "frequency_ghz",
@@ -130,6 +141,11 @@ def fog_attenuation_db_per_km(
         >>> round(float(fog_attenuation_db_per_km(0.132, 77.0)), 2)
         0.42
     """
+    check_arguments(
+        "fog_attenuation_db_per_km(liquid_water_g_per_m3: Quantity, frequency_ghz: Quantity)",
+        liquid_water_g_per_m3,
+        frequency_ghz,
+    )
     check_one_of("variant", variant, ("default", "d3_4"), owner="fog_attenuation_db_per_km")
     check_at_least("liquid_water_g_per_m3", liquid_water_g_per_m3, 0.0, unit="g/m^3", owner="fog_attenuation_db_per_km")
     water, frequency = to_float64(liquid_water_g_per_m3, frequency_ghz)
@@ -169,6 +185,7 @@ def snow_attenuation_db_per_km(
         >>> round(float(snow_attenuation_db_per_km(1.0)), 2)
         0.19
     """
+    check_arguments("snow_attenuation_db_per_km(rate_mm_per_h: Quantity)", rate_mm_per_h)
     check_one_of("model", model, SNOW_ATTENUATION_MODELS, owner="snow_attenuation_db_per_km")
     if model == "d3_4":
         check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="snow_attenuation_db_per_km")

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_between, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -33,6 +34,7 @@ def radar_constant_db(
         >>> round(float(radar_constant_db(77.0, 12.0, 26.0)), 2)
         -43.17
     """
+    check_arguments("radar_constant_db(frequency_ghz: float)", frequency_ghz)
     check_positive("frequency_ghz", frequency_ghz, unit="GHz", owner="radar_constant_db")
     power, gain, loss = to_float64(transmit_power_dbm, antenna_gain_dbi, loss_db)
     wavelength_m = SPEED_OF_LIGHT_M_PER_S / (1e9 * float(frequency_ghz))
@@ -67,6 +69,12 @@ def received_power_dbm(
         >>> round(float(received_power_dbm(0.0, 50.0, transmit_power_dbm=12.0, antenna_gain_dbi=26.0)), 2)
         -111.13
     """
+    check_arguments(
+        "received_power_dbm(range_m: Quantity, transmit_power_dbm: Quantity, loss_db: float)",
+        range_m,
+        transmit_power_dbm,
+        loss_db,
+    )
     check_positive("range_m", range_m, unit="m", owner="received_power_dbm")
     check_finite("rcs_dbsm", rcs_dbsm, unit="dBsm", owner="received_power_dbm")
     rcs, distance, attenuation = to_float64(rcs_dbsm, range_m, attenuation_db)
@@ -97,6 +105,15 @@ def target_rcs_dbsm(
         >>> round(float(target_rcs_dbsm(-111.128, 50.0, transmit_power_dbm=12.0, antenna_gain_dbi=26.0)), 2)
         0.0
     """
+    check_arguments(
+        "target_rcs_dbsm(power_dbm: Quantity, frequency_ghz: float, transmit_power_dbm: Quantity, "
+        "antenna_gain_dbi: Quantity, loss_db: float)",
+        power_dbm,
+        frequency_ghz,
+        transmit_power_dbm,
+        antenna_gain_dbi,
+        loss_db,
+    )
     check_positive("range_m", range_m, unit="m", owner="target_rcs_dbsm")
     check_finite("power_dbm", power_dbm, unit="dBm", owner="target_rcs_dbsm")
     power, distance, attenuation = to_float64(power_dbm, range_m, attenuation_db)

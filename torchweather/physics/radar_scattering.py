@@ -8,6 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between
 from torchweather.physics.efficiency_table import size_nodes_mm
 from torchweather.physics.extinction import integrated_per_m, support_mm
@@ -70,6 +71,14 @@ def particle_attenuation_db_per_km(
         >>> round(float(particle_attenuation_db_per_km(marshall_palmer(25.0))), 1)
         14.5
     """
+    check_arguments(
+        "particle_attenuation_db_per_km(distribution: SizeDistribution, temperature_c: float | None, "
+        "flake_density_g_per_cm3: float | None, melt_fraction: float)",
+        distribution,
+        temperature_c,
+        flake_density_g_per_cm3,
+        melt_fraction,
+    )
     diameter, width, q, counted = _table_of(
         distribution,
         frequency_ghz,
@@ -109,6 +118,14 @@ def volume_reflectivity_m2_per_m3(
         >>> f"{float(volume_reflectivity_m2_per_m3(marshall_palmer(25.0))):.2e}"
         '1.16e-03'
     """
+    check_arguments(
+        "volume_reflectivity_m2_per_m3(distribution: SizeDistribution, frequency_ghz: float, "
+        "temperature_c: float | None, flake_density_g_per_cm3: float | None)",
+        distribution,
+        frequency_ghz,
+        temperature_c,
+        flake_density_g_per_cm3,
+    )
     diameter, width, q, counted = _table_of(
         distribution,
         frequency_ghz,
@@ -153,6 +170,13 @@ def reflectivity_weighted_fall_speed(
         >>> round(float(mean), 1), round(float(std), 1)
         (4.9, 1.3)
     """
+    check_arguments(
+        "reflectivity_weighted_fall_speed(distribution: SizeDistribution, frequency_ghz: float, "
+        "temperature_c: float | None)",
+        distribution,
+        frequency_ghz,
+        temperature_c,
+    )
     diameter, width, q, counted = _table_of(
         distribution, frequency_ghz, temperature_c, None, melt_fraction, "reflectivity_weighted_fall_speed"
     )

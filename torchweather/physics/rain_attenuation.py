@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_between
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -118,6 +119,13 @@ def rain_attenuation_p838_db_per_km(
         >>> round(float(rain_attenuation_p838_db_per_km(25.0)), 2)
         11.41
     """
+    check_arguments(
+        "rain_attenuation_p838_db_per_km(rate_mm_per_h: Quantity, polarisation_tilt_rad: Quantity, "
+        "elevation_rad: Quantity)",
+        rate_mm_per_h,
+        polarisation_tilt_rad,
+        elevation_rad,
+    )
     check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="rain_attenuation_p838_db_per_km")
     rate, frequency, tilt, elevation = to_float64(rate_mm_per_h, frequency_ghz, polarisation_tilt_rad, elevation_rad)
     k_h, a_h, k_v, a_v = rain_attenuation_coefficients(frequency)

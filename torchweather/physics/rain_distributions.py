@@ -7,6 +7,7 @@ from functools import partial
 
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distributions import Exponential, SizeDistribution
@@ -50,6 +51,12 @@ def marshall_palmer(
         >>> round(float(marshall_palmer(10.0).total_per_m3))
         2458
     """
+    check_arguments(
+        "marshall_palmer(rate_mm_per_h: Quantity, diameter_min_mm: float, diameter_max_mm: float)",
+        rate_mm_per_h,
+        diameter_min_mm,
+        diameter_max_mm,
+    )
     rate, present = rate_and_presence(rate_mm_per_h, "marshall_palmer")
     return Exponential(
         8000.0 * present,

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import TorchweatherWarning, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 from torchweather.physics.optical_constants import ICE_OPTICAL, WATER_OPTICAL
@@ -122,6 +123,7 @@ def water_refractive_index_25c(wavelength_nm: Quantity) -> Tensor:
         >>> round(complex(water_refractive_index_25c(865.0)).real, 4)
         1.3284
     """
+    check_arguments("water_refractive_index_25c(wavelength_nm: Quantity)", wavelength_nm)
     (wavelength,) = to_float64(wavelength_nm)
     _check_optical(wavelength, "water_refractive_index_25c")
     return torch.complex(*_interpolated(wavelength, "water"))
@@ -185,6 +187,11 @@ def water_refractive_index_microwave(frequency_ghz: Quantity, temperature_c: Qua
         >>> print(f"{complex(water_refractive_index_microwave(77.0, 10.0)):.3f}")
         3.356+1.908j
     """
+    check_arguments(
+        "water_refractive_index_microwave(frequency_ghz: Quantity, temperature_c: Quantity)",
+        frequency_ghz,
+        temperature_c,
+    )
     return torch.sqrt(water_permittivity_microwave(frequency_ghz, temperature_c))
 
 
@@ -204,6 +211,11 @@ def ice_permittivity_microwave(frequency_ghz: Quantity, temperature_c: Quantity 
         >>> print(f"{complex(ice_permittivity_microwave(77.0, -5.0)):.4f}")
         3.1839+0.0064j
     """
+    check_arguments(
+        "ice_permittivity_microwave(frequency_ghz: Quantity, temperature_c: Quantity)",
+        frequency_ghz,
+        temperature_c,
+    )
     f, t = to_float64(frequency_ghz, temperature_c)
     check_between("frequency_ghz", f, 1.0, 1000.0, unit="GHz", owner="ice_permittivity_microwave")
     check_between("temperature_c", t, -40.0, 0.0, unit="deg C", owner="ice_permittivity_microwave")
@@ -231,6 +243,11 @@ def ice_refractive_index_microwave(frequency_ghz: Quantity, temperature_c: Quant
         >>> print(f"{complex(ice_refractive_index_microwave(77.0, -5.0)):.4f}")
         1.7843+0.0018j
     """
+    check_arguments(
+        "ice_refractive_index_microwave(frequency_ghz: Quantity, temperature_c: Quantity)",
+        frequency_ghz,
+        temperature_c,
+    )
     return torch.sqrt(ice_permittivity_microwave(frequency_ghz, temperature_c))
 
 
@@ -251,6 +268,7 @@ def maxwell_garnett(matrix: complex | Tensor, inclusion: complex | Tensor, volum
         >>> print(f"{complex(maxwell_garnett(1.0, 3.18, 1.0)):.2f}")
         3.18+0.00j
     """
+    check_arguments("maxwell_garnett(volume_fraction: Quantity)", volume_fraction)
     (fraction,) = to_float64(volume_fraction)
     check_between("volume_fraction", fraction, 0.0, 1.0, owner="maxwell_garnett")
     around, inside = (v.to(fraction.device) for v in to_complex128(matrix, inclusion))
@@ -275,6 +293,7 @@ def snow_refractive_index_microwave(
         >>> print(f"{complex(snow_refractive_index_microwave(77.0, 0.1)):.4f}")
         1.0698+0.0001j
     """
+    check_arguments("snow_refractive_index_microwave(temperature_c: Quantity)", temperature_c)
     (density,) = to_float64(density_g_per_cm3)
     ice = ice_permittivity_microwave(frequency_ghz, temperature_c)
     return torch.sqrt(maxwell_garnett(1.0, ice, density / ICE_DENSITY_G_PER_CM3))
@@ -312,6 +331,13 @@ def wet_snow_refractive_index_microwave(
         >>> print(f"{complex(wet_snow_refractive_index_microwave(77.0, 0.1, 0.3)):.3f}")
         1.154+0.119j
     """
+    check_arguments(
+        "wet_snow_refractive_index_microwave(frequency_ghz: Quantity, density_g_per_cm3: Quantity, "
+        "temperature_c: Quantity)",
+        frequency_ghz,
+        density_g_per_cm3,
+        temperature_c,
+    )
     density, fraction = to_float64(density_g_per_cm3, melt_fraction)
     check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_snow_refractive_index_microwave")
     check_positive("density_g_per_cm3", density, unit="g/cm^3", owner="wet_snow_refractive_index_microwave")

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.snow_geometry import (
@@ -102,6 +103,11 @@ class SizeDistribution(ABC):
 
     def within(self, diameter_min_mm: float, diameter_max_mm: float) -> Self:
         """The same density on another domain, mm; nothing is renormalised."""
+        check_arguments(
+            "Exponential.within(diameter_min_mm: float, diameter_max_mm: float)",
+            diameter_min_mm,
+            diameter_max_mm,
+        )
         return replace(self, diameter_min_mm=diameter_min_mm, diameter_max_mm=diameter_max_mm)
 
     def _aligned(self, *diameters_mm: Quantity) -> tuple[list[Tensor], list[Tensor]]:
@@ -121,6 +127,7 @@ class SizeDistribution(ABC):
         Returns:
             ``(..., K)``, m^-3 mm^-1.
         """
+        check_arguments("Gamma.number_density_per_m3_mm(diameter_mm: Quantity)", diameter_mm)
         (diameter,), parameters = self._aligned(diameter_mm)
         inside = (diameter >= self.diameter_min_mm) & (diameter <= self.diameter_max_mm)
         # The density is evaluated inside the domain only: a power of 0 outside it would spoil gradients.
@@ -139,6 +146,12 @@ class SizeDistribution(ABC):
         Returns:
             mm^order m^-3; of the batch shape, or ``(..., K)`` where an end is given. An empty interval gives 0.
         """
+        check_arguments(
+            "LogNormal.moment(order: float, low_mm: Quantity | None, high_mm: Quantity | None)",
+            order,
+            low_mm,
+            high_mm,
+        )
         (low, high), parameters = self._aligned(
             self.diameter_min_mm if low_mm is None else low_mm, self.diameter_max_mm if high_mm is None else high_mm
         )
@@ -186,6 +199,7 @@ class SizeDistribution(ABC):
         Returns:
             ``(..., K)``, mm.
         """
+        check_arguments("Gamma.sample_diameter_mm(u: Quantity)", u)
         (uniform,), _ = self._aligned(u)
         total = self.total_per_m3
         total = total.unsqueeze(-1) if uniform.ndim and total.ndim else total

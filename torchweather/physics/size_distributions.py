@@ -13,6 +13,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.incomplete_gamma import incomplete_gamma_between
@@ -114,6 +115,12 @@ class Gamma(SizeDistribution):
     slope_per_mm: Quantity
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "Gamma(intercept_per_m3_mm: Quantity, shape: Quantity, slope_per_mm: Quantity)",
+            self.intercept_per_m3_mm,
+            self.shape,
+            self.slope_per_mm,
+        )
         super().__post_init__()
         check_at_least("intercept_per_m3_mm", self.intercept_per_m3_mm, 0.0, unit="m^-3 mm^-(1+mu)", owner=self)
         check_positive("slope_per_mm", self.slope_per_mm, unit="1/mm", owner=self)
@@ -171,6 +178,7 @@ class ModifiedGamma(SizeDistribution):
     per: ClassVar[str] = "radius"
 
     def __post_init__(self) -> None:
+        check_arguments("ModifiedGamma(number_per_cm3: Quantity, gamma: Quantity)", self.number_per_cm3, self.gamma)
         super().__post_init__()
         check_at_least("number_per_cm3", self.number_per_cm3, 0.0, unit="cm^-3", owner=self)
         for name in ("alpha", "gamma", "mode_radius_um"):
@@ -233,6 +241,7 @@ class LogNormal(SizeDistribution):
     per: ClassVar[str] = "radius"
 
     def __post_init__(self) -> None:
+        check_arguments("LogNormal(number_per_cm3: Quantity)", self.number_per_cm3)
         super().__post_init__()
         check_at_least("number_per_cm3", self.number_per_cm3, 0.0, unit="cm^-3", owner=self)
         check_positive("median_radius_um", self.median_radius_um, unit="um", owner=self)

@@ -7,6 +7,7 @@ from functools import partial
 
 import torch
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.precipitation_rate import close_rate
@@ -51,6 +52,11 @@ def sekhon_srivastava(
         >>> round(float(sekhon_srivastava(1.0).total_per_m3))
         868
     """
+    check_arguments(
+        "sekhon_srivastava(diameter_min_mm: float, diameter_max_mm: float)",
+        diameter_min_mm,
+        diameter_max_mm,
+    )
     rate, present = rate_and_presence(rate_mm_per_h, "sekhon_srivastava")
     intercept = (5000.0 if per_size == "radius" else 2500.0) * rate**-0.94 * present
     return Exponential(
@@ -88,6 +94,7 @@ def gunn_marshall(
         >>> float(gunn_marshall(1.0).slope_per_mm)
         2.55
     """
+    check_arguments("gunn_marshall(rate_mm_per_h: Quantity, diameter_max_mm: float)", rate_mm_per_h, diameter_max_mm)
     rate, present = rate_and_presence(rate_mm_per_h, "gunn_marshall")
     intercept = (7600.0 if per_size == "radius" else 3800.0) * rate**-0.87 * present
     return Exponential(
@@ -126,6 +133,11 @@ def brandes_snow(
         >>> round(float(precipitation_rate_mm_per_h(brandes_snow(2.0, -5.0))), 6)
         2.0
     """
+    check_arguments(
+        "brandes_snow(diameter_min_mm: float | None, diameter_max_mm: float)",
+        diameter_min_mm,
+        diameter_max_mm,
+    )
     rate, present = rate_and_presence(rate_mm_per_h, "brandes_snow")
     check_at_least("-temperature_c", _negated(temperature_c), 0.01, unit="deg C", owner="brandes_snow")
     (below_freezing,) = to_float64(_negated(temperature_c))

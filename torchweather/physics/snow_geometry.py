@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -92,6 +93,7 @@ def snow_bulk_density_g_per_cm3(physical_mm: Quantity, *, variant: str = "defaul
         >>> snow_bulk_density_g_per_cm3(torch.tensor([0.1, 1.0, 10.0])).round(decimals=4)
         tensor([0.9170, 0.1780, 0.0213], dtype=torch.float64)
     """
+    check_arguments("snow_bulk_density_g_per_cm3(variant: str)", variant)
     check_one_of("variant", variant, ("default", "d3_4"), owner="snow_bulk_density_g_per_cm3")
     (physical,) = to_float64(physical_mm)
     check_at_least("physical_mm", physical, 0.0, unit="mm", owner="snow_bulk_density_g_per_cm3")
@@ -119,6 +121,12 @@ def wet_flake_diameter_mm(physical_mm: Quantity, melted_mm: Quantity, melt_fract
         >>> wet_flake_diameter_mm(2.2947, 1.0, torch.tensor([0.0, 0.5, 1.0])).round(decimals=3)
         tensor([2.2950, 1.8700, 1.0000], dtype=torch.float64)
     """
+    check_arguments(
+        "wet_flake_diameter_mm(physical_mm: Quantity, melted_mm: Quantity, melt_fraction: Quantity)",
+        physical_mm,
+        melted_mm,
+        melt_fraction,
+    )
     fraction, physical, melted = to_float64(melt_fraction, physical_mm, melted_mm)
     check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_flake_diameter_mm")
     wet = ((1.0 - fraction) * physical**3 + fraction * melted**3) ** (1.0 / 3.0)
@@ -152,6 +160,7 @@ def equal_visibility_rain_rate(
         >>> round(float(equal_visibility_rain_rate(0.25)), 3)
         2.42
     """
+    check_arguments("equal_visibility_rain_rate(fall_speed_m_per_s: Quantity)", fall_speed_m_per_s)
     owner = "equal_visibility_rain_rate"
     check_one_of("variant", variant, ("default", "d3_4"), owner=owner)
     check_at_least("snowfall_mm_per_h", snowfall_mm_per_h, 0.0, unit="mm/h", owner=owner)

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -41,6 +42,7 @@ def extinction_from_mor(mor_m: Quantity, contrast: float = MOR_CONTRAST) -> Tens
         >>> round(float(extinction_from_mor(100.0)), 6)
         0.029957
     """
+    check_arguments("extinction_from_mor(mor_m: Quantity, contrast: float)", mor_m, contrast)
     check_positive("mor_m", mor_m, unit="m", owner="extinction_from_mor", advice="Clear air is mor_m=inf.")
     _check_contrast(contrast, "extinction_from_mor")
     (mor,) = to_float64(mor_m)
@@ -58,6 +60,7 @@ def mor_from_extinction(extinction_per_m: Quantity, contrast: float = MOR_CONTRA
         >>> round(float(mor_from_extinction(0.03)), 2)
         99.86
     """
+    check_arguments("mor_from_extinction(extinction_per_m: Quantity)", extinction_per_m)
     check_at_least("extinction_per_m", extinction_per_m, 0.0, unit="1/m", owner="mor_from_extinction")
     _check_contrast(contrast, "mor_from_extinction")
     (extinction,) = to_float64(extinction_per_m)
@@ -83,6 +86,7 @@ def liquid_water_from_mor_g_per_m3(mor_m: Quantity, law: str = "grabner-kvicera"
         >>> round(float(liquid_water_from_mor_g_per_m3(100.0)), 3)
         0.191
     """
+    check_arguments("liquid_water_from_mor_g_per_m3(mor_m: Quantity, law: str)", mor_m, law)
     owner = "liquid_water_from_mor_g_per_m3"
     check_one_of("law", law, LIQUID_WATER_LAWS, owner=owner)
     check_positive("mor_m", mor_m, unit="m", owner=owner)

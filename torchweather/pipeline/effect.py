@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.registry import load_catalogue, register
@@ -60,7 +61,13 @@ class Parameter:
     def tensor(self, value: float | Sequence[float] | Tensor, owner: object) -> Tensor:
         """A value within the bounds as float32, ``()`` or ``(B,)``; anything else is refused."""
         if isinstance(value, (list, tuple)):
-            value = torch.tensor(value, dtype=torch.float32)
+            try:
+                value = torch.tensor(value, dtype=torch.float32)
+            except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+                raise InputValueError(
+                    f"{type(owner).__name__}: {self.name} must be one number or one for each sample, (B,); got "
+                    f"{value!r}."
+                ) from error
         unit = "" if self.unit == "1" else self.unit
         check_between(self.name, value, self.low, self.high, unit=unit, owner=owner)
         found = torch.as_tensor(value, dtype=torch.float32)
@@ -250,6 +257,7 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
         >>> effect_from_dict({"effect": "lidar.window_loss", "loss_db": 3.0})
         LidarWindowLoss(loss_db=3.0)
     """
+    check_arguments("effect_from_dict(values: Mapping)", values)
     if not isinstance(values, Mapping):
         raise InputTypeError(f"effect_from_dict: wanted a dictionary with effect and its parameters; got {values!r}.")
     load_catalogue()
@@ -275,6 +283,7 @@ def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:
         >>> list(with_effects(chain, [LidarCrosstalk(), LidarRangeNoise(std_m=0.02)]).stages)
         ['detection', 'range_noise', 'crosstalk', 'to_points']
     """
+    check_arguments("with_effects(chain: Chain, effects: Iterable)", chain, effects)
     effects = list(effects)
     unknown = [type(effect).__name__ for effect in effects if effect.id not in EFFECTS]
     if unknown:

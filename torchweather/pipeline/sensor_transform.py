@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Weather
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_between
 from torchweather.core.noise import flat_noise
 from torchweather.core.precision import AtLeastSingle
@@ -72,6 +73,7 @@ class WeatherTransform(AtLeastSingle):
             >>> rain.with_weather(tw.Fog(mor_m=50)).lost
             'nan'
         """
+        check_arguments("LidarWeather.with_weather(weather: Weather)", weather)
         self.refuse_changes()
         return self._built_for(weather)
 

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torchweather.atmosphere.density_field import mean_density, mean_extra_m
 from torchweather.atmosphere.fog_optics import mor_range_m
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather, weather_from_dict
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.lidar.returns.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
 from torchweather.physics import (
@@ -64,6 +65,14 @@ def weather_attenuation_db_per_km(
         >>> round(float(weather_attenuation_db_per_km(Rain(25.0), Radar())), 2)
         11.41
     """
+    check_arguments(
+        "weather_attenuation_db_per_km(weather: Weather, radar: Radar, model: str | None, "
+        "intensity: float | Tensor | None)",
+        weather,
+        radar,
+        model,
+        intensity,
+    )
     chosen = DEFAULT_MODELS[weather.kind] if model is None else model
     check_one_of(f"model of {weather.kind}", chosen, MODELS[weather.kind], owner="weather_attenuation_db_per_km")
     frequency_ghz = radar.frequency_ghz
@@ -248,6 +257,11 @@ class WetRadome(Stage):
         film_db: float = 0.0,
         film_exponent: float = 1.0 / 3.0,
     ) -> None:
+        check_arguments(
+            "WetRadome(rate_mm_per_h: float | Tensor | Sequence[float], film_exponent: float)",
+            rate_mm_per_h,
+            film_exponent,
+        )
         super().__init__()
         rate = torch.as_tensor(rate_mm_per_h, dtype=torch.float32)
         check_at_least("rate_mm_per_h", rate, 0.0, unit="mm/h", owner=self)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.pipeline.as_built import AsBuilt
@@ -253,6 +254,7 @@ class RadarMapWeather(WeatherTransform):
             power_map: of the same axes and scale.
             seed: the same seed gives the same weather; ``None`` draws from torch's global generator.
         """
+        check_arguments("RadarMapWeather.of_map(power_map: RadarPowerMap, seed: int | None)", power_map, seed)
         if power_map.axes != self.axes or power_map.scale != self.scale:
             raise InputValueError(
                 "RadarMapWeather.of_map: the map has other axes or another scale than the transform. Build one with "

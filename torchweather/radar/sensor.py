@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypedDict, Unpack
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.fields import above, at_least, between, check_fields
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S, radar_constant_db, thermal_noise_dbm
@@ -235,6 +236,8 @@ class Radar(Sensor):
         Args:
             azimuth_rad, elevation_rad: of the direction, any shape.
         """
+        check_arguments("Radar.gain_dbi(azimuth_rad: real, elevation_rad: real)", azimuth_rad, elevation_rad)
+        check_broadcast("Radar.gain_dbi", azimuth_rad=azimuth_rad, elevation_rad=elevation_rad)
         across = torch.rad2deg(azimuth_rad) / self.azimuth_beamwidth_deg
         up = torch.rad2deg(elevation_rad) / self.elevation_beamwidth_deg
         down_db = 4.0 * HALF_POWER_DB * (across.square() + up.square())

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.lidar.clouds import FARTHEST_M
@@ -135,6 +136,15 @@ class RadarAttenuation(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        check_arguments(
+            "RadarAttenuation(fog_model: str | None, radome_film_db: float, radome_film_exponent: float, "
+            "clutter: bool, ego_speed_m_per_s: float)",
+            fog_model,
+            radome_film_db,
+            radome_film_exponent,
+            clutter,
+            ego_speed_m_per_s,
+        )
         super().__init__()
         self.options = RadarOptions(
             rain_model=rain_model,

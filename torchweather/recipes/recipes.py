@@ -12,6 +12,7 @@ from torch import nn
 from torchweather.camera.rgb import AsBayer
 from torchweather.compose.compose import Compose
 from torchweather.compose.transform_spec import TRANSFORMS, sensor_of
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.core.yaml_file import dump_yaml
@@ -81,6 +82,7 @@ def read_recipe(name_or_path: str | os.PathLike[str], kind: Kinds = None) -> Rec
         >>> list(read_recipe("multi_sensor/training-mix").transforms)
         ['image', 'points', 'radar']
     """
+    check_arguments("read_recipe(name_or_path: path)", name_or_path)
     kinds = _kinds(kind)
     path = find(name_or_path, kinds)
     values = read_values(path)
@@ -115,6 +117,7 @@ def load_recipe(name_or_path: str | os.PathLike[str], *, kind: Kinds = None, **o
         >>> list(mine.specs), mine.p
         (['image', 'LIDAR_TOP'], 0.5)
     """
+    check_arguments("load_recipe(name_or_path: path)", name_or_path)
     return read_recipe(name_or_path, kind).build(**overrides)
 
 
@@ -138,6 +141,7 @@ def save_recipe(transform: nn.Module | Compose, path: str | os.PathLike[str], *,
         >>> read_recipe(file).options
         {'depth': 40.0}
     """
+    check_arguments("save_recipe(path: path, title: str)", path, title)
     described = _several(transform) if isinstance(transform, Compose) else _one(transform)
     target = Path(path)
     if target.suffix not in SUFFIXES:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import keyed_stream
 from torchweather.lidar.intensity import RETROREFLECTIVE_AT_255, WHITE
@@ -107,6 +108,15 @@ def lidar_view(
         >>> [round(x, 2) for x in view.points[:, 0].tolist()], view.hit.tolist()  # the car, the sky
         ([28.0, 0.0], [True, False])
     """
+    check_arguments(
+        "lidar_view(scene: Scene, lidar: Lidar, directions: Tensor | None, "
+        "T_vehicle_from_lidar: Tensor | Sequence | None, range_noise_seed: int | None)",
+        scene,
+        lidar,
+        directions,
+        T_vehicle_from_lidar,
+        range_noise_seed,
+    )
     beams, grid = _beams(lidar, directions)
     pose = checked_pose("lidar_view", "lidar", T_vehicle_from_lidar, beams, ROOF_MOUNT_M)
     rays = beams @ pose[:3, :3].T

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.scenes.primitives import Box, Capsule, Cylinder, Ellipsoid, FacetMesh, Foliage, Shape
 from torchweather.scenes.scene import Scene, SceneLabel, SceneObject
 
@@ -44,6 +45,12 @@ def object_boxes(
         >>> [round(value, 2) for value in boxes[0, [0, 3, 6]].tolist()]
         [30.15, 4.3, 0.0]
     """
+    check_arguments(
+        "object_boxes(scene: Scene, sensor_from_vehicle: Tensor, labels: Sequence)",
+        scene,
+        sensor_from_vehicle,
+        labels,
+    )
     found = [(k, thing) for k, thing in enumerate(scene.objects) if thing.label in labels]
     pose = sensor_from_vehicle.detach().to("cpu", torch.float64)
     boxes = [_box(thing, pose) for _, thing in found]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between, check_finite
 from torchweather.radar import Scatterers, car_scatterers, corner_scatterers
 from torchweather.radar.sensor import Radar
@@ -145,6 +146,16 @@ def radar_view(
         >>> round(float(view.scatterers.speed_m_per_s[view.of("car 28 m")].mean()), 2)
         -2.0
     """
+    check_arguments(
+        "radar_view(scene: Scene, radar: Radar, T_vehicle_from_radar: Tensor | Sequence | None, "
+        "ego_speed_m_per_s: float, velocity_m_per_s: Mapping | None, reflectors: Sequence[CornerReflector] | None)",
+        scene,
+        radar,
+        T_vehicle_from_radar,
+        ego_speed_m_per_s,
+        velocity_m_per_s,
+        reflectors,
+    )
     check_between("ego_speed_m_per_s", ego_speed_m_per_s, -100.0, 100.0, unit="m/s", owner="radar_view")
     corners = REFLECTORS.get(scene.name, ()) if reflectors is None else tuple(reflectors)
     names = (*(thing.name for thing in scene.objects), *(corner.name for corner in corners))

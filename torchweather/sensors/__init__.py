@@ -5,6 +5,7 @@ from __future__ import annotations
 from torchweather.camera.frame_sizes import same_aspect
 from torchweather.camera.sensor import BAYER_PATTERNS, Camera
 from torchweather.camera.sensor_fit import CameraFit, fit_camera, without_distortion
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_one_of
 from torchweather.lidar.scan import empty_beams, estimate_elevations, recover_ring, scan_directions
 from torchweather.lidar.sensor import INTENSITY_UNITS, RETURN_MODES, Lidar
@@ -52,6 +53,7 @@ def sensor_preset(text: str) -> tuple[str, Camera | Lidar | Radar]:
         >>> sensor_preset("lidar")[0]
         'lidar:ouster-os1-128'
     """
+    check_arguments("sensor_preset(text: str)", text)
     kind, _, name = text.partition(":")
     check_one_of("sensor", kind, SENSOR_CLASSES, owner="torchweather")
     name = name or DEFAULT_PRESETS[kind]

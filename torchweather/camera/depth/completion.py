@@ -12,6 +12,7 @@ from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoin
 from torchweather.camera.depth.hidden_points import unseen_points
 from torchweather.camera.depth.projection import project_points
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least
 
 __all__ = ["CompletedDepth"]
@@ -61,6 +62,12 @@ class CompletedDepth(CompletedSource):
     upper_edge_rad: float = 0.03
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "CompletedDepth(points_xyz: Tensor | array, T_camera_from_lidar: Tensor | array, upper_edge_rad: float)",
+            self.points_xyz,
+            self.T_camera_from_lidar,
+            self.upper_edge_rad,
+        )
         points = torch.as_tensor(self.points_xyz)
         if points.ndim != 2 or points.shape[-1] < 3:
             raise InputValueError(

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import DepthSource, check_depth, warn_of_depth
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least
 
 AUTO = "auto"
@@ -68,6 +69,7 @@ class DepthMap(DepthSource):
     depth_m: Tensor
 
     def __post_init__(self) -> None:
+        check_arguments("DepthMap(depth_m: Tensor | array)", self.depth_m)
         depth = torch.as_tensor(self.depth_m)
         depth = depth if depth.is_floating_point() else depth.to(torch.float32)
         object.__setattr__(self, "depth_m", depth[None] if depth.ndim == 2 else depth)

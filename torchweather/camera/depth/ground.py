@@ -11,6 +11,7 @@ from torch import Tensor
 from torchweather.camera.depth.scene_depth import GUESSED
 from torchweather.camera.depth.source import DepthSource
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_positive
 
 __all__ = ["FlatGround"]
@@ -40,6 +41,11 @@ class FlatGround(DepthSource):
     pitch_rad: float | None = None
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "FlatGround(camera_height_m: float | None, pitch_rad: float | None)",
+            self.camera_height_m,
+            self.pitch_rad,
+        )
         if self.camera_height_m is not None:
             check_positive("camera_height_m", self.camera_height_m, unit="m", owner=self)
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.line_segments import LineSegments, find_segments, grey_levels
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 
 __all__ = ["Horizon", "below_the_sky", "find_horizon", "horizon_of_camera"]
@@ -128,6 +129,7 @@ def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:
         Off by 2.6 px (mean of the seven KITTI frames it was chosen on) and 3.2 px (six others), 10 px at most; the
         principal point alone 7.2 px. A road that climbs or bends within view has no single horizon.
     """
+    check_arguments("find_horizon(rgb: Tensor, camera: Camera)", rgb, camera)
     if rgb.ndim != 3:
         raise InputValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")
     height, width = rgb.shape[-2:]

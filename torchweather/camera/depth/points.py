@@ -14,6 +14,7 @@ from torchweather.camera.depth.projection import project_points
 from torchweather.camera.depth.scene_depth import COMPLETED
 from torchweather.camera.depth.source import DepthSource
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 
 __all__ = ["DepthFromPoints"]
@@ -61,6 +62,7 @@ class DepthFromPoints(DepthSource):
     upper_edge_rad: float = 0.03
 
     def __post_init__(self) -> None:
+        check_arguments("DepthFromPoints(T_camera_from_lidar: Tensor | array)", self.T_camera_from_lidar)
         points = torch.as_tensor(self.points_xyz)
         if points.ndim != 2 or points.shape[-1] < 3:
             raise InputValueError(

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 
 __all__ = ["project_points"]
 
@@ -34,6 +35,15 @@ def project_points(
         >>> project_points(torch.tensor([[0.2, 0.1, 1.0]]), torch.eye(4), camera)
         (tensor([4.]), tensor([2.]), tensor([1.]), tensor([True]))
     """
+    check_arguments(
+        "project_points(points_xyz: Tensor, T_camera_from_lidar: Tensor, camera: Camera, height: int | None, "
+        "width: int | None)",
+        points_xyz,
+        T_camera_from_lidar,
+        camera,
+        height,
+        width,
+    )
     rows, columns = height or camera.height, width or camera.width
     transform = T_camera_from_lidar.to(points_xyz)
     in_camera = points_xyz[:, :3] @ transform[:3, :3].T + transform[:3, 3]

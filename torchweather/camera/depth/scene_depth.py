@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of
 
 __all__ = ["COMPLETED", "CONFIDENCES", "EXACT", "GUESSED", "MEASURED", "SceneDepth", "least_sure"]
@@ -51,6 +52,12 @@ class SceneDepth:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "SceneDepth(sky: Tensor | None, near_mask: Tensor | None, notes: Sequence)",
+            self.sky,
+            self.near_mask,
+            self.notes,
+        )
         check_one_of("confidence", self.confidence, CONFIDENCES, owner=self)
         for name in ("sky", "near_mask"):
             share = getattr(self, name)

@@ -22,6 +22,7 @@ from torchweather.camera.depth.street_walls import (
     view_of_street,
 )
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of, check_positive
 
 __all__ = ["ScenePrior"]
@@ -81,6 +82,7 @@ class ScenePrior(SceneSource):
     horizon: str = "auto"
 
     def __post_init__(self) -> None:
+        check_arguments("ScenePrior(street_half_width_m: float | Sequence | None)", self.street_half_width_m)
         width = self.street_half_width_m
         if width is not None:
             sides = (width, width) if isinstance(width, (int, float)) else tuple(width)

@@ -21,6 +21,7 @@ from torchweather.camera.depth.sky_border import sky_share
 from torchweather.camera.depth.sky_cells import Cells, Floats, Mask, cells_of, enlarged
 from torchweather.camera.depth.sky_growth import colour_model, grow
 from torchweather.camera.depth.sky_seeds import fills_the_frame, sky_seeds
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError
 
 __all__ = ["Sky", "find_sky", "sky_mask"]
@@ -87,6 +88,13 @@ def sky_mask(
         >>> sky_mask(photograph)[0, [5, 40], 40]
         tensor([1., 0.])
     """
+    check_arguments(
+        "sky_mask(rgb: Tensor, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
+        rgb,
+        horizon_row,
+        vanishing_column,
+        returns,
+    )
     if rgb.ndim == 4:
         marks = [None] * len(rgb) if returns is None else returns
         frames = [
@@ -110,7 +118,14 @@ def find_sky(
         >>> find_sky(torch.full((3, 60, 80), 0.2)).found
         False
     """
-    check_arguments(rgb, horizon_row, vanishing_column, returns)
+    check_arguments(
+        "find_sky(rgb: Tensor, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
+        rgb,
+        horizon_row,
+        vanishing_column,
+        returns,
+    )
+    check_sky_arguments(rgb, horizon_row, vanishing_column, returns)
     height, width = rgb.shape[-2:]
     light = rgb.detach().cpu()
     light = light.to(torch.float32) if light.is_floating_point() else light.to(torch.float32) / 255
@@ -194,7 +209,7 @@ def fade_to_horizon(sky: Mask, cells: Cells, height: int, width: int) -> Tensor:
     return (1 - open_end * (1 - fading))[None] * inside
 
 
-def check_arguments(
+def check_sky_arguments(
     rgb: Tensor, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None
 ) -> None:
     """Raise unless a photograph, its vanishing point and its LiDAR returns are as `sky_mask` says."""

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning
 
 __all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of", "warn_of_depth"]
@@ -106,6 +107,15 @@ def scene_of(
 
     A source that looks at one picture at a time is asked for each of the batch.
     """
+    check_arguments(
+        "scene_of(source: DepthSource, camera: Camera, height: int, width: int, image: Tensor, dtype: dtype)",
+        source,
+        camera,
+        height,
+        width,
+        image,
+        dtype,
+    )
     device = image.device
     if not source.one_picture or image.ndim <= 3:
         return source.scene(camera, height, width, device=device, dtype=dtype, image=image)

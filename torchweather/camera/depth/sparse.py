@@ -11,6 +11,7 @@ from torch import Tensor
 from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoints, Sky, at_upper_edge
 from torchweather.camera.depth.hidden_points import unseen_points
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_positive
 
 __all__ = ["CompletedDepthMap", "along_ray_to_axis", "depth_from_disparity"]
@@ -48,6 +49,11 @@ class CompletedDepthMap(CompletedSource):
     upper_edge_rad: float = 0.03
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "CompletedDepthMap(depth_m: Tensor | array, upper_edge_rad: float)",
+            self.depth_m,
+            self.upper_edge_rad,
+        )
         depth_m = torch.as_tensor(self.depth_m).detach().cpu()
         if depth_m.ndim == 2:
             depth_m = depth_m[None]
@@ -123,6 +129,7 @@ def along_ray_to_axis(depth_m: Tensor, camera: Camera) -> Tensor:
         >>> along_ray_to_axis(torch.tensor([[3.0, 3.0, 3.0, 3.0, 5.0]]), camera)[0, [0, 4]]
         tensor([3., 3.])
     """
+    check_arguments("along_ray_to_axis(depth_m: Tensor, camera: Camera)", depth_m, camera)
     if not depth_m.is_floating_point():
         raise InputTypeError(f"along_ray_to_axis: depth_m must be floating point, metres; got {depth_m.dtype}.")
     height, width = depth_m.shape[-2:]
@@ -146,6 +153,12 @@ def depth_from_disparity(disparity_px: Tensor, fx_px: float, baseline_m: float) 
         >>> depth_from_disparity(torch.tensor([40.0, 0.0, -1.0]), fx_px=720.0, baseline_m=0.5)
         tensor([9., nan, nan])
     """
+    check_arguments(
+        "depth_from_disparity(disparity_px: Tensor, fx_px: float, baseline_m: float)",
+        disparity_px,
+        fx_px,
+        baseline_m,
+    )
     check_positive("fx_px", fx_px, unit="px", owner="depth_from_disparity")
     check_positive("baseline_m", baseline_m, unit="m", owner="depth_from_disparity")
     disparity_px = disparity_px if disparity_px.is_floating_point() else disparity_px.to(torch.float32)

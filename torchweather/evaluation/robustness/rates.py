@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between
 
 __all__ = ["Rates", "rates"]
@@ -63,6 +64,7 @@ def rates(
         >>> round(better.mean_corruption_error, 3)
         0.571
     """
+    check_arguments("rates(clear: float, weathers: Mapping, baseline: Mapping | None)", clear, weathers, baseline)
     for name, values in {"clear": [clear], **weathers, **(baseline or {})}.items():
         for value in values:
             if not math.isnan(value):

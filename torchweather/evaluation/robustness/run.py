@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchweather.camera.depth import GUESSED, least_sure
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.core.random import sample_seed
 from torchweather.evaluation.robustness.detector import OnnxDetector
@@ -34,6 +35,7 @@ def conditions_of(source: SuiteRecipe | TransformRecipe) -> list[Condition]:
         >>> [(c.name, c.severity, c.value) for c in conditions_of(read_recipe("camera/fog-30m", "transform"))]
         [('fog-30m', 1, 30.0)]
     """
+    check_arguments("conditions_of(source: SuiteRecipe | TransformRecipe)", source)
     if isinstance(source, SuiteRecipe):
         return source.conditions()
     weather = source.build_weather()

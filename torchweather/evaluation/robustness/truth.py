@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.core.yaml_file import read_json
 from torchweather.io import read_image
@@ -80,6 +81,7 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
     Raises:
         TorchweatherError: the file is missing or no such JSON, or has no category that the detector knows.
     """
+    check_arguments("read_boxes_truth(path: path, classes: Mapping)", path, classes)
     file = Path(path)
     values = read_json(file, "ground truth, COCO's")
     try:
@@ -139,6 +141,13 @@ def read_label_truth(folder: str | os.PathLike[str], stem: str, sensor: str, sha
         sensor: ``camera`` or ``lidar``.
         shape: ``(H, W)`` or ``(N,)``, checked.
     """
+    check_arguments(
+        "read_label_truth(folder: path, stem: str, sensor: str, shape: Sequence)",
+        folder,
+        stem,
+        sensor,
+        shape,
+    )
     for suffix in LABEL_SUFFIXES[sensor]:
         file = Path(folder) / f"{stem}{suffix}"
         if file.is_file():

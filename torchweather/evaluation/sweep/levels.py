@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from torchweather.atmosphere.weather import ALIASES, WEATHERS, Weather, parse_weather
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 
 __all__ = ["Level", "parse_levels"]
@@ -68,6 +69,7 @@ def parse_levels(text: str) -> list[Level]:
         >>> [(level.severity, level.value) for level in parse_levels("fog:mor=30,400,100")]
         [(1, 400.0), (2, 100.0), (3, 30.0)]
     """
+    check_arguments("parse_levels(text: str)", text)
     parts = [_Part(part) for part in text.split("+")]
     lists = [(part, key) for part in parts for key, values in part.arguments.items() if len(values) > 1]
     if not lists:

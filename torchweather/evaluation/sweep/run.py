@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.evaluation.sweep.levels import Level
@@ -160,6 +161,15 @@ def sweep(
         >>> table["value"], [round(score, 1) for score in table["score"]]
         ([400.0, 100.0], [18.8, 11.8])
     """
+    check_arguments(
+        "sweep(subjects: Sequence, levels: Sequence[Level], seeds: Sequence[int], names: Sequence[str] | None, "
+        "progress: Callable | None)",
+        subjects,
+        levels,
+        seeds,
+        names,
+        progress,
+    )
     found = []
     for sample in samples(subjects, levels, seeds, names):
         found.append(sample)

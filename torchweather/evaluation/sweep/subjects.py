@@ -17,6 +17,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import normalise
 from torchweather.camera.transform import BayerWeather
+from torchweather.core.arguments import check_arguments
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult, LidarWeather
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, Region, bayer_scores, cloud_scores, image_scores
@@ -110,6 +111,7 @@ class CameraSubject:
     directions: ClassVar[Mapping[str, str]] = IMAGE_DIRECTIONS
 
     def __post_init__(self) -> None:
+        check_arguments("CameraSubject(name: str, depth_m: Tensor, scene: str)", self.name, self.depth_m, self.scene)
         object.__setattr__(self, "scene", self.scene or self.name)
 
     @property
@@ -314,6 +316,12 @@ class RadarSceneSubject(_Points):
     sensor: ClassVar[str] = "radar"
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "RadarSceneSubject(scatterers: Scatterers, noise_seed: int, options: Mapping)",
+            self.scatterers,
+            self.noise_seed,
+            self.options,
+        )
         super().__post_init__()
         object.__setattr__(self, "_clear", self._frame(None, {}))
 

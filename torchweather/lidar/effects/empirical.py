@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between, check_one_of
 from torchweather.core.random import Variate
 from torchweather.lidar.effects.air import along_beam
@@ -126,6 +127,17 @@ class Empirical(Stage):
         places_m: Sequence[float] = (),
         shares: Sequence[float] = (),
     ) -> None:
+        check_arguments(
+            "Empirical(kind: str, at: Sequence[float], value: Sequence[float], measured_from: float, "
+            "measured_to: float, places_m: Sequence[float], shares: Sequence[float])",
+            kind,
+            at,
+            value,
+            measured_from,
+            measured_to,
+            places_m,
+            shares,
+        )
         super().__init__()
         check_one_of("kind", kind, KINDS, owner=self)
         check_one_of("axis", axis, AXES, owner=self)

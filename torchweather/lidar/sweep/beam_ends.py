@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.arguments import check_arguments
 from torchweather.lidar.sweep.ground import GroundPlane, fit_ground
 from torchweather.lidar.sweep.sweep_raster import SweepRaster
 
@@ -115,6 +116,17 @@ def beam_ends(
         >>> [BeamEnd(e).name for e in ends.end], ends.distance_m.round(1).tolist()
         (['SKY', 'GROUND'], [120.0, 17.0])
     """
+    check_arguments(
+        "beam_ends(points_xyz: array, direction: array, max_range_m: float, direction_ring: array | None, "
+        "origin_height_m: array | float, step_deg: float, ground: GroundPlane | None)",
+        points_xyz,
+        direction,
+        max_range_m,
+        direction_ring,
+        origin_height_m,
+        step_deg,
+        ground,
+    )
     xyz = np.asarray(points_xyz, dtype=np.float64)
     direction = np.asarray(direction, dtype=np.float64)
     if ground is None:

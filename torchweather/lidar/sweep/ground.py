@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.arguments import check_arguments
+
 __all__ = ["GroundPlane", "fit_ground"]
 
 Numbers = npt.NDArray[np.floating[Any]]
@@ -82,6 +84,7 @@ def fit_ground(points_xyz: Numbers) -> GroundPlane | None:
         >>> round(plane.height_m, 3), round(plane.slope_x, 3)
         (-1.7, 0.02)
     """
+    check_arguments("fit_ground(points_xyz: array)", points_xyz)
     x, y, z = points_xyz[:: max(1, len(points_xyz) // _MOST_POINTS), :3].T.astype(np.float64)
     flat = np.hypot(x, y)
     with np.errstate(invalid="ignore"):

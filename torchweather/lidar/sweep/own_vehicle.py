@@ -15,6 +15,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from torchweather.core.archives import read_archive
+from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
@@ -89,6 +90,7 @@ class OwnVehicleMask:
     views: float
 
     def __post_init__(self) -> None:
+        check_arguments("OwnVehicleMask(farthest_m: array)", self.farthest_m)
         shapes = {self.blocked.shape, self.nearest_m.shape, self.farthest_m.shape}
         if len(shapes) != 1 or self.blocked.ndim != 2:
             raise InputValueError(

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.lidar.sweep.scan_pattern import ScanPattern, estimate_pattern, filled
 
@@ -120,6 +121,13 @@ def fit_pattern(
         >>> fit.elevations_deg.round(2).tolist(), fit.columns, fit.sweeps
         ([-1.0, 2.0], 180, 2)
     """
+    check_arguments(
+        "fit_pattern(clouds: Iterable, ring: Sequence | None, rings: int | None, min_range_m: float)",
+        clouds,
+        ring,
+        rings,
+        min_range_m,
+    )
     sweeps = list(clouds)
     columns = [None] * len(sweeps) if ring is None else list(ring)
     if not sweeps or len(columns) != len(sweeps):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.lidar.sweep.scan_pattern import ScanPattern
 
@@ -45,6 +46,15 @@ def scan_count_problem(
         720 beams with a return + 0 without are 720, but 2 rings x 720 columns are 1440 (50.0 % off). The columns are \
 wrong: neighbours stand 1.000 degrees apart, which is 360 columns (360 to 360).
     """
+    check_arguments(
+        "scan_count_problem(pattern: ScanPattern, appended: int, rings: int | None, columns: int | None, "
+        "tolerance: float)",
+        pattern,
+        appended,
+        rings,
+        columns,
+        tolerance,
+    )
     rings = pattern.rings if rings is None else rings
     columns = pattern.columns if columns is None else columns
     beams, wanted = pattern.beams + appended, rings * columns
@@ -67,6 +77,15 @@ def check_scan_counts(
     tolerance: float = _TOLERANCE,
 ) -> None:
     """Raise ``ValueError`` with the evidence where the beams do not make one turn; see `scan_count_problem`."""
+    check_arguments(
+        "check_scan_counts(pattern: ScanPattern, appended: int, rings: int | None, columns: int | None, "
+        "tolerance: float)",
+        pattern,
+        appended,
+        rings,
+        columns,
+        tolerance,
+    )
     problem = scan_count_problem(pattern, appended, rings=rings, columns=columns, tolerance=tolerance)
     if problem is not None:
         raise InputValueError(f"check_scan_counts: {problem}")

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.lidar.sweep.azimuth_step import AzimuthStep, fit_azimuth_step
 from torchweather.lidar.sweep.cone_fit import ConeFit, fit_cones
@@ -170,6 +171,7 @@ def estimate_pattern(
         >>> pattern.found_by
         'file order'
     """
+    check_arguments("estimate_pattern(rings: int | None, min_range_m: float)", rings, min_range_m)
     xyz = _checked(points)
     seen = np.isfinite(xyz).all(1)
     with np.errstate(invalid="ignore", over="ignore"):

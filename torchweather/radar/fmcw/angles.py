@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
+from torchweather.core.arguments import check_arguments
 from torchweather.radar.fmcw.range_doppler import range_doppler, speed_m_per_s_of_bin, transmitter_rotation
 from torchweather.radar.sensor import Radar
 
@@ -30,6 +31,7 @@ def angle_grid(radar: Radar) -> tuple[Tensor, Tensor]:
         >>> [len(axis) for axis in angle_grid(Radar.preset("awr1843-like"))]
         [33, 17]
     """
+    check_arguments("angle_grid(radar: Radar)", radar)
     left, up = (_axis(radar.virtual_half_wavelengths[:, axis]) for axis in (0, 1))
     return left, up
 
@@ -78,6 +80,7 @@ def range_doppler_angle(cube: Tensor, radar: Radar, window_name: str = "hann") -
         >>> range_doppler_angle(torch.zeros(12, 4, 16, dtype=torch.complex64), radar).shape
         torch.Size([33, 17, 4, 16])
     """
+    check_arguments("range_doppler_angle(cube: Tensor, radar: Radar, window_name: str)", cube, radar, window_name)
     channels = range_doppler(cube, radar, window_name)
     speed = speed_m_per_s_of_bin(torch.arange(radar.chirps, device=cube.device), radar)
     channels = channels * transmitter_rotation(speed, radar).T[..., None]

@@ -24,6 +24,7 @@ import warnings
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_positive
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.fmcw.scatterers import Scatterers
@@ -62,6 +63,12 @@ def beat_signal(scatterers: Scatterers, radar: Radar, *, attenuation_db: Tensor 
         >>> beat_signal(corner, radar).shape
         torch.Size([12, 128, 256])
     """
+    check_arguments(
+        "beat_signal(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | None)",
+        scatterers,
+        radar,
+        attenuation_db,
+    )
     _check(scatterers, radar)
     lead, count = scatterers.speed_m_per_s.shape[:-1], scatterers.speed_m_per_s.shape[-1]
     amplitude = _amplitude(scatterers, radar, attenuation_db).reshape(-1, count)

@@ -8,6 +8,7 @@ import warnings
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherWarning, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.radar.fmcw.facet_rcs import far_field_edge_m, triangle_field_m
@@ -43,6 +44,12 @@ def corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: 
         >>> round(10 * math.log10(float(corner_reflector_rcs_m2(0.1, 0.0039))), 1)
         14.4
     """
+    check_arguments(
+        "corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: Tensor | None)",
+        edge_m,
+        wavelength_m,
+        to_radar,
+    )
     owner = "corner_reflector_rcs_m2"
     check_positive("edge_m", edge_m, unit="m", owner=owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
@@ -90,6 +97,15 @@ def facet_scatterers(
         >>> [round(float(v), 1) for v in (seen.range_m, seen.speed_m_per_s, seen.rcs_dbsm)]
         [28.0, 2.0, 19.1]
     """
+    check_arguments(
+        "facet_scatterers(vertices_m: Tensor, radar_position_m: Tensor, velocity_m_per_s: Tensor, "
+        "wavelength_m: float, reflectivity: float)",
+        vertices_m,
+        radar_position_m,
+        velocity_m_per_s,
+        wavelength_m,
+        reflectivity,
+    )
     owner = "facet_scatterers"
     if vertices_m.ndim != 3 or vertices_m.shape[-2:] != (3, 3):
         raise InputValueError(f"{owner}: vertices_m must be (F, 3, 3) in metres; got shape {tuple(vertices_m.shape)}.")
@@ -135,6 +151,16 @@ def corner_scatterers(
         >>> round(float(corner_scatterers(at, facing, edge, still, still, 0.0039).rcs_dbsm), 1)
         14.4
     """
+    check_arguments(
+        "corner_scatterers(position_m: Tensor, facing: Tensor, edge_m: Tensor, radar_position_m: Tensor, "
+        "velocity_m_per_s: Tensor, wavelength_m: float)",
+        position_m,
+        facing,
+        edge_m,
+        radar_position_m,
+        velocity_m_per_s,
+        wavelength_m,
+    )
     owner = "corner_scatterers"
     if position_m.ndim != 2 or position_m.shape != facing.shape or position_m.shape[-1] != 3:
         raise InputValueError(
@@ -175,6 +201,12 @@ def gathered(scatterers: Scatterers, wavelength_m: float, cell_m: float) -> Scat
         >>> gathered(pair, 0.004, 0.1).range_m
         tensor([20.0150], dtype=torch.float64)
     """
+    check_arguments(
+        "gathered(scatterers: Scatterers, wavelength_m: float, cell_m: float)",
+        scatterers,
+        wavelength_m,
+        cell_m,
+    )
     owner = "gathered"
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
     check_positive("cell_m", cell_m, unit="m", owner=owner)

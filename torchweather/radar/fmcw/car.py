@@ -10,6 +10,7 @@ import torch
 from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import check_finite, check_positive
 from torchweather.radar.fmcw.bodies import corner_scatterers, facet_scatterers, gathered
 from torchweather.radar.fmcw.scatterers import Scatterers
@@ -116,6 +117,7 @@ def car_facets(
         >>> (car.amax((0, 1)) - car.amin((0, 1))).round(decimals=2)  # 0.2 m of it is air under the sills
         tensor([4.3000, 1.8000, 1.2700], dtype=torch.float64)
     """
+    check_arguments("car_facets(length_m: float, width_m: float)", length_m, width_m)
     for name, value in (("length_m", length_m), ("width_m", width_m), ("height_m", height_m), ("facet_m", facet_m)):
         check_positive(name, value, unit="m", owner="car_facets")
     scale = np.array([length_m / CAR_LENGTH_M, width_m / CAR_WIDTH_M, height_m / CAR_HEIGHT_M])
@@ -146,6 +148,13 @@ def car_details(
         >>> place.shape[0] == len(CAR_DETAILS)
         True
     """
+    check_arguments(
+        "car_details(length_m: float, width_m: float, height_m: float, details: Sequence)",
+        length_m,
+        width_m,
+        height_m,
+        details,
+    )
     size = torch.tensor([length_m, width_m / 2.0, height_m], dtype=torch.float64)
     place = torch.tensor([detail.place for detail in details], dtype=torch.float64).reshape(-1, 3) * size
     azimuth = torch.deg2rad(torch.tensor([detail.azimuth_deg for detail in details], dtype=torch.float64))
@@ -195,6 +204,17 @@ def car_scatterers(
         >>> bool(car.range_m.min() > 27.9), round(float(car.speed_m_per_s.max()), 2)
         (True, 3.0)
     """
+    check_arguments(
+        "car_scatterers(rear_m: Sequence, wavelength_m: float, velocity_m_per_s: Sequence, facets_m: Tensor | None, "
+        "details: Sequence, reflectivity: float, cell_m: float | None)",
+        rear_m,
+        wavelength_m,
+        velocity_m_per_s,
+        facets_m,
+        details,
+        reflectivity,
+        cell_m,
+    )
     check_finite("rear_m", torch.tensor(rear_m), unit="m", owner="car_scatterers")
     check_finite("yaw_rad", yaw_rad, unit="rad", owner="car_scatterers")
     check_finite("radar_height_m", radar_height_m, unit="m", owner="car_scatterers")

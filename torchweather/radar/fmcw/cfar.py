@@ -28,6 +28,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 from torch.nn import functional
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_between, check_finite
 
 __all__ = ["HANN_CORRELATION", "CellAveragingCfar", "Cfar", "OrderStatisticCfar", "window_correlation"]
@@ -231,6 +232,7 @@ class CellAveragingCfar(Cfar):
         Returns:
             Linear power, in the shape and dtype of ``power``.
         """
+        check_arguments("CellAveragingCfar.threshold(power: Tensor)", power)
         rows, columns = power.shape[-2:] if power.ndim > 1 else (0, 0)
         padded = self._padded(power, 0.0)
         (guard_rows, guard_columns), (train_rows, train_columns) = self.guard, self.training
@@ -317,6 +319,7 @@ class OrderStatisticCfar(Cfar):
     rank: float = 0.75
 
     def __post_init__(self) -> None:
+        check_arguments("OrderStatisticCfar(training: Sequence, rank: float)", self.training, self.rank)
         super().__post_init__()
         if not 0.0 < self.rank <= 1.0:
             raise InputValueError(f"{type(self).__name__}: rank must be above 0 and up to 1; got {self.rank!r}.")

@@ -9,6 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
@@ -67,6 +68,7 @@ def triangle_field_m(
         >>> round(float(field.sum().abs() ** 2), 2), round(4 * math.pi * 0.01**2 / 0.004**2, 2)
         (78.54, 78.54)
     """
+    check_arguments("triangle_field_m(vertices_m: Tensor, to_radar: Tensor)", vertices_m, to_radar)
     owner = "triangle_field_m"
     _check_triangles(vertices_m, owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
@@ -168,6 +170,7 @@ def subdivide(vertices_m: Tensor, max_edge_m: float) -> Tensor:
         >>> subdivide(triangle, 0.26).shape
         torch.Size([4, 3, 3])
     """
+    check_arguments("subdivide(vertices_m: Tensor, max_edge_m: float)", vertices_m, max_edge_m)
     _check_triangles(vertices_m, "subdivide")
     check_positive("max_edge_m", max_edge_m, unit="m", owner="subdivide")
     longest = _longest_edge_m(vertices_m.detach().double()).reshape(-1, vertices_m.shape[-3])

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of
 from torchweather.core.noise import flat_noise
 from torchweather.core.precision import AtLeastSingle, outside_autocast
@@ -61,6 +62,7 @@ def cfar_for(radar: Radar, kind: str = "ca", window_name: str = "hann", **option
         >>> cfar_for(Radar.preset("awr1843-like")).looks
         12
     """
+    check_arguments("cfar_for(radar: Radar, window_name: str)", radar, window_name)
     check_one_of("cfar", kind, CFARS, owner="cfar_for")
     correlation = tuple(window_correlation(window(window_name, length)) for length in (radar.chirps, radar.samples))
     found: Cfar = CFARS[kind](looks=radar.virtual_channels, correlation=correlation, **options)

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.fmcw.windows import noise_bandwidth, window
@@ -67,6 +68,7 @@ def range_doppler(cube: Tensor, radar: Radar, window_name: str = "hann") -> Tens
         >>> range_doppler(torch.zeros(12, 128, 256, dtype=torch.complex64), radar).shape
         torch.Size([12, 128, 256])
     """
+    check_arguments("range_doppler(cube: Tensor, radar: Radar, window_name: str)", cube, radar, window_name)
     check_cube(cube, radar, "range_doppler")
     weights = weights_of(radar, window_name).to(cube.device, cube.dtype)
     found: Tensor = torch.fft.fft2(cube * weights)
@@ -80,6 +82,7 @@ def map_noise_dbm(radar: Radar, window_name: str = "hann") -> float:
         >>> round(map_noise_dbm(Radar.preset("awr1843-like")), 1)
         -131.6
     """
+    check_arguments("map_noise_dbm(radar: Radar, window_name: str)", radar, window_name)
     bandwidth = noise_bandwidth(window_name, radar.samples) * noise_bandwidth(window_name, radar.chirps)
     return radar.noise_power_dbm + 10.0 * math.log10(bandwidth)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_positive
 
 __all__ = ["Scatterers"]
@@ -36,6 +37,12 @@ class Scatterers:
     field_m: Tensor
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "Scatterers(position_m: Tensor, speed_m_per_s: Tensor, field_m: Tensor)",
+            self.position_m,
+            self.speed_m_per_s,
+            self.field_m,
+        )
         shape = self.position_m.shape
         if len(shape) < 2 or shape[-1] != 3:
             raise InputValueError(f"Scatterers: position_m must be (..., M, 3) in metres; got shape {tuple(shape)}.")

@@ -26,6 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Rain, Snow
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, check_between
 from torchweather.core.random import Variate
 from torchweather.radar.attenuation import PathAttenuation
@@ -67,6 +68,13 @@ class VolumeEcho(nn.Module):
         ego_speed_m_per_s: float = 0.0,
         turbulence_m_per_s: float = 0.5,
     ) -> None:
+        check_arguments(
+            "VolumeEcho(radar: Radar, near_m: float, ego_speed_m_per_s: float, turbulence_m_per_s: float)",
+            radar,
+            near_m,
+            ego_speed_m_per_s,
+            turbulence_m_per_s,
+        )
         super().__init__()
         if not isinstance(weather, (Rain, Snow)):
             raise InputTypeError(f"VolumeEcho: weather must be Rain or Snow; got {type(weather).__name__}.")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.power_map.power_map import MapAxes
 from torchweather.radar.sensor import Radar
@@ -55,6 +56,13 @@ def map_state(values: Tensor, axes: MapAxes, sensor: Radar, ego_speed_m_per_s: f
         sensor: the radar.
         ego_speed_m_per_s: of the vehicle, forward.
     """
+    check_arguments(
+        "map_state(values: Tensor, axes: MapAxes, sensor: Radar, ego_speed_m_per_s: float)",
+        values,
+        axes,
+        sensor,
+        ego_speed_m_per_s,
+    )
     along = lines_of_sight(axes, values.device)[0]  # (R, A, 3)
     place = along.reshape(1, -1, 3).expand(values.shape[0], -1, -1)
     points = torch.cat([place, torch.zeros_like(place)], -1)

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_dict
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, check_at_least, check_between
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -50,6 +51,7 @@ def map_noise_floor_dbm(radar: Radar, axes: MapAxes) -> float:
         radar: ``noise_floor_db`` is not looked at, which is of a list of detections.
         axes: of the map.
     """
+    check_arguments("map_noise_floor_dbm(radar: Radar, axes: MapAxes)", radar, axes)
     coherent = radar.samples * radar.virtual_channels * (radar.chirps if "doppler" in axes.dims else 1)
     return radar.noise_power_dbm - 10.0 * math.log10(coherent)
 
@@ -88,6 +90,12 @@ class MapClutter(Stage):
         ego_speed_m_per_s: float = 0.0,
         turbulence_m_per_s: float = 0.5,
     ) -> None:
+        check_arguments(
+            "MapClutter(weather: Weather | Mapping, axes: MapAxes | Mapping, ego_speed_m_per_s: float)",
+            weather,
+            axes,
+            ego_speed_m_per_s,
+        )
         super().__init__()
         self.sensor = Radar.of(sensor)
         self.axes = axes if isinstance(axes, MapAxes) else MapAxes.from_dict(axes)

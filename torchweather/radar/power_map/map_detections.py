@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.radar.fmcw.cfar import CellAveragingCfar, Cfar
 from torchweather.radar.fmcw.detection import local_maxima
 from torchweather.radar.power_map.clutter import map_noise_floor_dbm
@@ -30,6 +31,13 @@ def map_cfar(power_map: RadarPowerMap, sensor: Radar, false_alarm_rate: float = 
         false_alarm_rate: of a cell of noise.
         looks: as of the map.
     """
+    check_arguments(
+        "map_cfar(power_map: RadarPowerMap, sensor: Radar, false_alarm_rate: float, looks: int)",
+        power_map,
+        sensor,
+        false_alarm_rate,
+        looks,
+    )
     taps = oversampled_taps(max(1.0, sensor.range_resolution_m / power_map.range_bin_m)).double()
     shared = [abs(float((taps[lag:] * taps[: len(taps) - lag]).sum())) for lag in range(1, len(taps))]
     last = max((lag for lag, one in enumerate(shared, 1) if one >= LEAST_CORRELATION), default=0)
@@ -72,6 +80,13 @@ def map_detections(
         The azimuths are taken as a circle, which only a turning radar's are: where others end, their first and last
         columns are neighbours of each other.
     """
+    check_arguments(
+        "map_detections(power_map: RadarPowerMap, sensor: Radar, noise_db: float | None, looks: int)",
+        power_map,
+        sensor,
+        noise_db,
+        looks,
+    )
     axes = power_map.axes
     names = ("azimuth", "elevation", "doppler", "range")
     kept = [name for name in names if name in axes.dims]

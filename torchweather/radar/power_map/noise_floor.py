@@ -8,6 +8,7 @@ import torch
 from scipy import special
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.radar.power_map.power_map import RadarPowerMap
 from torchweather.radar.power_map.scale import PowerScale
@@ -32,6 +33,7 @@ def quiet_cells(power_map: RadarPowerMap) -> Tensor:
     Returns:
         Bool, of the map's shape.
     """
+    check_arguments("quiet_cells(power_map: RadarPowerMap)", power_map)
     axis = power_map.axes.dims.index("range")
     decibels = power_map.decibels
     finite = decibels.isfinite()
@@ -75,6 +77,7 @@ def noise_floor_db(power_map: RadarPowerMap, looks: int = 1) -> float:
         >>> abs(noise_floor_db(RadarPowerMap(power, axes, PowerScale("linear")))) < 0.2
         True
     """
+    check_arguments("noise_floor_db(power_map: RadarPowerMap, looks: int)", power_map, looks)
     quiet = power_map.values[quiet_cells(power_map)]
     if power_map.scale.kind == "db_steps":
         byte = quiet.float().sort().values
@@ -105,6 +108,7 @@ def with_noise_scale(power_map: RadarPowerMap, step_db: float = 0.5) -> RadarPow
         power_map: of bytes.
         step_db: of one level away from the noise.
     """
+    check_arguments("with_noise_scale(power_map: RadarPowerMap, step_db: float)", power_map, step_db)
     scale = PowerScale.from_noise(power_map.values[quiet_cells(power_map)], step_db)
     return power_map.with_scale(scale)
 
@@ -121,6 +125,7 @@ def noise_correlation(power_map: RadarPowerMap, lags: int = 4) -> list[float]:
     Note:
         For complex Gaussian noise it is the square of the amplitude's correlation.
     """
+    check_arguments("noise_correlation(power_map: RadarPowerMap, lags: int)", power_map, lags)
     axis = power_map.axes.dims.index("range")
     chosen = quiet_cells(power_map).movedim(axis, 0).flatten(1)
     lines = power_map.decibels.movedim(axis, 0).flatten(1)

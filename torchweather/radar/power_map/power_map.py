@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_finite
 from torchweather.radar.power_map.scale import PowerScale
 
@@ -54,6 +55,13 @@ class MapAxes:
     speed_m_per_s: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "MapAxes(dims: Sequence, range_m: Sequence, azimuth_rad: Sequence | None, speed_m_per_s: Sequence | None)",
+            self.dims,
+            self.range_m,
+            self.azimuth_rad,
+            self.speed_m_per_s,
+        )
         dims = tuple(self.dims)
         unknown = [name for name in dims if name not in MAP_DIMENSIONS]
         if unknown or len(set(dims)) != len(dims) or any(name not in dims for name in NEEDED):
@@ -99,6 +107,17 @@ class MapAxes:
             clockwise: seen from above, as radars of Navtech turn.
             first_range_m: middle of the first bin; ``None``: half a bin.
         """
+        check_arguments(
+            "MapAxes.of_turn(bins: int, bin_m: float, azimuths: int, dims: Sequence[str], start_rad: float, "
+            "clockwise: bool, first_range_m: float | None)",
+            bins,
+            bin_m,
+            azimuths,
+            dims,
+            start_rad,
+            clockwise,
+            first_range_m,
+        )
         first = 0.5 * bin_m if first_range_m is None else first_range_m
         turn = (-1.0 if clockwise else 1.0) * 2.0 * math.pi / azimuths
         return cls(
@@ -139,6 +158,7 @@ class MapAxes:
 
     def axis(self, name: str, like: Tensor | None = None) -> Tensor:
         """Values of an axis, ``(n,)``; a dimension that the map lacks is the one value 0."""
+        check_arguments("MapAxes.axis(name: str, like: Tensor | None)", name, like)
         values = getattr(self, MAP_DIMENSIONS[name])
         found = torch.tensor((0.0,) if values is None else values, dtype=torch.float64)
         return found if like is None else found.to(like)
@@ -195,6 +215,13 @@ class RadarPowerMap:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "RadarPowerMap(values: Tensor, axes: MapAxes, scale: PowerScale, notes: Sequence)",
+            self.values,
+            self.axes,
+            self.scale,
+            self.notes,
+        )
         if tuple(self.values.shape) != self.axes.shape:
             named = " x ".join(f"{name} {size}" for name, size in zip(self.axes.dims, self.axes.shape, strict=True))
             raise InputValueError(f"RadarPowerMap: values must have shape {named}; got {tuple(self.values.shape)}.")

@@ -24,6 +24,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
@@ -53,6 +54,7 @@ def oversampled_taps(oversampling: float) -> Tensor:
         >>> round(float((taps[1:] * taps[:-1]).sum().abs()), 4), round(float((taps[2:] * taps[:-2]).sum().abs()), 4)
         (0.6667, 0.1667)
     """
+    check_arguments("oversampled_taps(oversampling: float)", oversampling)
     if oversampling == 0:
         return torch.ones(1)
     half = math.ceil(2.0 * oversampling - 1e-9) - 1
@@ -99,6 +101,15 @@ class MapReceiver(Stage):
         looks: int = 1,
         oversampling: float = 1.0,
     ) -> None:
+        check_arguments(
+            "MapReceiver(axes: MapAxes | Mapping, scale: PowerScale | Mapping, "
+            "noise_floor_db: float | Sequence | None, looks: int, oversampling: float)",
+            axes,
+            scale,
+            noise_floor_db,
+            looks,
+            oversampling,
+        )
         super().__init__()
         self.axes = axes if isinstance(axes, MapAxes) else MapAxes.from_dict(axes)
         self.scale = scale if isinstance(scale, PowerScale) else PowerScale.from_dict(scale)

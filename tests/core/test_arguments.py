@@ -1,0 +1,127 @@
+"""Kinds and shapes of arguments, declared by the head of a function."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torchweather
+from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import InputTypeError, InputValueError
+from torchweather.image import demosaic
+from torchweather.io import read_points
+from torchweather.radar import range_doppler
+from torchweather.sensors import Camera, Lidar, Radar
+
+CAMERA = Camera.from_intrinsics(20.0, 20.0, 7.5, 5.5, 16, 12)
+FITTING: list[tuple[str, Any]] = [
+    ("float", 1),
+    ("float", np.float32(2.5)),
+    ("float", torch.tensor([1.0])),
+    ("int", np.int64(3)),
+    ("int", torch.tensor(3)),
+    ("bool", np.bool_(True)),
+    ("Quantity", [1.0, 2.0]),
+    ("Quantity", torch.arange(3)),
+    ("Mapping", OrderedDict()),
+    ("Sequence[Tensor]", [torch.zeros(1)]),
+    ("Iterable", iter([1])),
+    ("Callable", len),
+    ("path", Path("a")),
+    ("Camera | None", None),
+    ("Camera | None", CAMERA),
+    ("array", np.arange(3)),
+    ("mask", torch.tensor([True])),
+    ("whole", torch.tensor([1], dtype=torch.uint8)),
+    ("real(..., 3)", torch.zeros(5, 2, 3)),
+    ("floating(2+)", torch.zeros(7)),
+    ("dtype", torch.float32),
+]
+OTHER: list[tuple[str, Any, str]] = [
+    ("float", True, "a must be a number; got True"),
+    ("float", "3", "a must be a number; got '3'"),
+    ("float", torch.tensor([1.0, 2.0]), r"a must be a number; got torch.float32 \(2,\)"),
+    ("int", 2.5, "a must be a whole number"),
+    ("bool", 1, "a must be True or False"),
+    ("str", 5, "a must be text"),
+    ("Tensor", [1.0], "a must be a tensor"),
+    ("real", torch.tensor([1j]), "a must be a tensor of real numbers; got torch.complex64"),
+    ("floating", torch.arange(3), "a must be a floating-point tensor; got torch.int64"),
+    ("Quantity", torch.tensor([True]), "a must be a number or a tensor of real numbers"),
+    ("Sequence", "abc", "a must be a sequence"),
+    ("Sequence[Tensor]", [torch.zeros(1), 2], "a must be a sequence of Tensor"),
+    ("Camera | None", object(), "a must be a Camera or None"),
+    ("array", np.array(["a"]), "a must be an array of real numbers"),
+    ("path", 5, "a must be the path of a file"),
+]
+
+
+@pytest.mark.parametrize(("kind", "value"), FITTING)
+def test_values_that_fit(kind: str, value: Any) -> None:
+    check_arguments(f"f(a: {kind})", value)
+
+
+@pytest.mark.parametrize(("kind", "value", "message"), OTHER)
+def test_values_of_another_kind_are_named(kind: str, value: Any, message: str) -> None:
+    with pytest.raises(InputTypeError, match=f"^f: {message}"):
+        check_arguments(f"f(a: {kind})", value)
+
+
+def test_a_message_stays_short() -> None:
+    with pytest.raises(InputTypeError) as caught:
+        check_arguments("f(a: float)", "x" * 10**6)
+    assert len(str(caught.value)) < 300
+
+
+def test_shapes_are_compared_with_each_other() -> None:
+    head = "f(points: real(..., N, 3+), kind: whole(N))"
+    check_arguments(head, torch.zeros(2, 5, 4), torch.zeros(5, dtype=torch.int64))
+    with pytest.raises(InputValueError, match=r"f: kind must have shape \(N,\) with N = 5; got \(6,\)"):
+        check_arguments(head, torch.zeros(5, 4), torch.zeros(6, dtype=torch.int64))
+    with pytest.raises(InputValueError, match=r"points must have shape \(\.\.\., N, 3 or more\).*; got \(5, 2\)"):
+        check_arguments(head, torch.zeros(5, 2), torch.zeros(5, dtype=torch.int64))
+
+
+@pytest.mark.parametrize("path", ["a\0b", "\ud800", b"a"])
+def test_names_that_no_file_can_have(path: Any) -> None:
+    with pytest.raises((InputValueError, InputTypeError), match="read_points: path must be the"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: demosaic("x", "RGGB"),
+        lambda: range_doppler(torch.ones(1, 2, 4, dtype=torch.complex64), "radar"),
+        lambda: CAMERA.resized("3", 4),
+        lambda: Radar().gain_dbi(torch.zeros(3), torch.zeros(4)),
+        lambda: Lidar(905.0).with_pose("here"),
+    ],
+)
+def test_public_functions_name_the_argument(call: Any) -> None:
+    with pytest.raises((InputTypeError, InputValueError), match=r"^[\w.]+: \w+ (must|expected)|^\w+: expected"):
+        call()
+
+
+def test_every_head_names_parameters_of_its_function() -> None:
+    """A parameter that was renamed is renamed in its head, too, and has its value there."""
+    for file in Path(inspect.getfile(torchweather)).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func) != "check_arguments":
+                continue
+            head = node.args[0]
+            if not isinstance(head, ast.Constant):
+                continue
+            names = re.findall(r"(\w+): ", head.value.partition("(")[2])
+            values = [ast.unparse(value).removeprefix("self.") for value in node.args[1:]]
+            assert len(names) == len(values), f"{file}: {head.value}"
+            if not any(value in ("factors", "weights") for value in values):
+                assert names == values, f"{file}: {head.value}"
