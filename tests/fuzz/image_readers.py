@@ -82,7 +82,9 @@ def _depth(encoding: str | None) -> Callable[[Path], Any]:
     def read(path: Path) -> Any:
         found = io.read_depth(path, encoding)
         known = found[~found.isnan()]  # NaN is unknown, infinity is sky, 0 a colour of CARLA
-        assert bool((known >= 0).all() if encoding == "carla" else (known > 0).all()), f"depths of {float(known.min())} m"
+        assert bool((known >= 0).all() if encoding == "carla" else (known > 0).all()), (
+            f"depths of {float(known.min())} m"
+        )
         return found.shape
 
     return read

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import PATCH_LENGTH_LOW_M, Weather, check_drawn
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
@@ -46,6 +46,7 @@ __all__ = [
 ]
 
 WAVES = 64
+_MOST_BEAMS = 1 << 40
 AZIMUTHS = 192  # of the layout, and so 1.9 degrees apart
 STEPS_PER_LENGTH, LENGTHS = 8, 16  # ranges are an eighth of a patch apart, up to 16 patches; beyond, the density is 1
 NODES = STEPS_PER_LENGTH * LENGTHS + 1
@@ -140,6 +141,10 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
         weathers,
         takes,
     )
+    if len(takes) != len(weathers) or not takes or any(take.shape != takes[0].shape for take in takes):
+        raise InputValueError(
+            f"mean_extra_m: takes must be a tensor (B,) for each of {len(weathers)} weathers; got {len(takes)}."
+        )
     total = torch.stack(list(takes)).sum(0).clamp_min(NOTHING)
     shares = [(take / total)[:, None, None] for take in takes]
     return sum(
@@ -151,12 +156,17 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
 def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float) -> Tensor:
     """Mean density on the way to places ``(B or 1, ...)``, from ``Banks.extra_m`` or a mean of several."""
     check_arguments(
-        "mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float)",
+        "mean_density(extra_m: floating(S, A, R), azimuth_rad: real, range_m: real, step_m: float)",
         extra_m,
         azimuth_rad,
         range_m,
         step_m,
     )
+    check_broadcast("mean_density", azimuth_rad=azimuth_rad, range_m=range_m)
+    if max(azimuth_rad.ndim, range_m.ndim) < 2:
+        raise InputValueError(
+            f"mean_density: places must be (B or 1, ...); got {tuple(azimuth_rad.shape)} and {tuple(range_m.shape)}."
+        )
     way_m = range_m.clamp_min(SHORTEST_M)
     return 1.0 + _read(extra_m, azimuth_rad, way_m, step_m) / way_m
 
@@ -183,7 +193,9 @@ def _interpolated(flat: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: fl
 def of_beams(values: Tensor, beams: int) -> Tensor:
     """Values of each sample, or of one, ``(B or 1, ...)``, for several beams of each, one sample after the other."""
     check_arguments("of_beams(values: Tensor, beams: int)", values, beams)
-    own = values.shape[0]
+    own = values.shape[0] if values.ndim else 0
+    if not 0 < beams < _MOST_BEAMS or not own or beams % own:
+        raise InputValueError(f"of_beams: beams must be a multiple of the {own} samples; got {beams}.")
     return values.expand(beams, *values.shape[1:]) if own in (1, beams) else values.repeat_interleave(beams // own, 0)
 
 

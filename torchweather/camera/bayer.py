@@ -106,7 +106,7 @@ def mosaic(rgb: Tensor, pattern: str, *, matrix: Tensor | None = None) -> Tensor
         tensor([[[1., 0.],
                  [0., 0.]]])
     """
-    check_arguments("mosaic(rgb: Tensor, pattern: str, matrix: Tensor | None)", rgb, pattern, matrix)
+    check_arguments("mosaic(rgb: real, pattern: str, matrix: real(3, 3) | None)", rgb, pattern, matrix)
     _check_channels(rgb, 3, "mosaic", "rgb", "red, green, blue")
     index = cfa_index(rgb.shape[-2], rgb.shape[-1], pattern, rgb.device)
     red, green, blue = rgb.unbind(-3)
@@ -183,7 +183,7 @@ def colour_means(
         tensor([0.2000, 0.4000, 0.8000])
     """
     check_arguments(
-        "colour_means(bayer: Tensor, pattern: str, region: Sequence | None, mask: Tensor | None)",
+        "colour_means(bayer: floating(..., 1, H, W), pattern: str, region: Sequence | None, mask: Tensor | None)",
         bayer,
         pattern,
         region,
@@ -194,7 +194,8 @@ def colour_means(
     height, width = bayer.shape[-2:]
     weight: Tensor | None = None
     if region is not None:
-        top, bottom, left, right = region
+        numbers = len(region) == 4 and all(isinstance(one, (int, float)) for one in region)
+        top, bottom, left, right = region if numbers else (0.0,) * 4
         if not (0 <= top < bottom <= 1 and 0 <= left < right <= 1):
             raise InputValueError(
                 "colour_means: region must be (top, bottom, left, right) as shares of the frame with "
@@ -205,6 +206,10 @@ def colour_means(
         inside_rows = (row >= top) & (row < bottom)
         weight = (inside_rows[:, None] & (column >= left) & (column < right)).to(bayer.dtype)
     if mask is not None:
+        if mask.ndim < 2 or tuple(mask.shape[-2:]) != (height, width):
+            raise InputValueError(
+                f"colour_means: mask must be (H, W) or (..., 1, H, W) of the frame; got {tuple(mask.shape)}."
+            )
         weight = mask.to(bayer.dtype) if weight is None else weight * mask.to(bayer.dtype)
     sums: dict[int, list[tuple[Tensor, Tensor]]] = {0: [], 1: [], 2: []}
     for i in (0, 1):

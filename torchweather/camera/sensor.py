@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.frame_sizes import size_change
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import (
     InputValueError,
     check_at_least,
@@ -194,6 +194,7 @@ class Camera(Sensor):
         cls, horizontal_rad: float, vertical_rad: float, width: int, height: int, **more: Any
     ) -> Camera:
         """A distortion-free camera from its full angles of view, radians."""
+        check_arguments("Camera.from_field_of_view(width: int, height: int)", width, height)
         check_between("horizontal_rad", horizontal_rad, 1e-3, math.pi - 1e-3, unit="rad", owner=cls)
         check_between("vertical_rad", vertical_rad, 1e-3, math.pi - 1e-3, unit="rad", owner=cls)
         fx = width / 2 / math.tan(horizontal_rad / 2)
@@ -344,7 +345,8 @@ class Camera(Sensor):
 
     def distort(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Brown-Conrady: undistorted normalised coordinates (x/z, y/z) to distorted ones."""
-        check_arguments("Camera.distort(x: Tensor, y: Tensor)", x, y)
+        check_arguments("Camera.distort(x: floating, y: floating)", x, y)
+        check_broadcast("Camera.distort", x=x, y=y)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         return (

@@ -239,6 +239,7 @@ class BayerWeather(WeatherTransform):
         Returns:
             ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
         """
+        check_arguments("BayerWeather(bayer: Tensor(..., 1, H, W))", bayer)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal, out=out)
@@ -264,6 +265,7 @@ class BayerWeather(WeatherTransform):
         generator: torch.Generator | None = None,
     ) -> CameraResult:
         """The frame, and with it transmission, airlight and particle mask; arguments as ``forward``."""
+        check_arguments("BayerWeather(bayer: Tensor(..., 1, H, W))", bayer)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal)
@@ -395,6 +397,12 @@ class BayerWeather(WeatherTransform):
         ego_speeds_m_per_s: Sequence[float] | None = None,
     ) -> Iterator[dict[str, Tensor]]:
         """Noise of successive frames of an image ``(..., C, H, W)``."""
+        check_arguments(
+            f"{type(self).__name__}(image: Tensor(..., C, H, W), frames: int, ego_speeds_m_per_s: Sequence | None)",
+            image,
+            frames,
+            ego_speeds_m_per_s,
+        )
         check_at_least("frames", frames, 1, owner=self)
         check_positive("frame_interval_s", frame_interval_s, unit="s", owner=self)
         if ego_speeds_m_per_s is not None and len(ego_speeds_m_per_s) != frames:
@@ -495,11 +503,16 @@ class BayerWeather(WeatherTransform):
                 f"vehicle's frame; got {tuple(normal.shape) if isinstance(normal, Tensor) else type(normal).__name__}."
             )
         shared = normal.ndim == 3 or normal.shape[:-3].numel() == 1
+        if not shared and normal.shape[:-3] != batch:
+            raise InputValueError(
+                f"{type(self).__name__}: normal must have the batch {tuple(batch)}; got {tuple(normal.shape)}."
+            )
         spread = normal if shared else normal.expand(*batch, 3, height, width)
         return spread.reshape(-1, 3, height, width).to(linear)
 
     def scene_of(self, image: Tensor, depth: Tensor | SceneDepth | None) -> SceneDepth:
         """Depth of an image ``(..., C, H, W)``: as given at the call, else from the constructor's source."""
+        check_arguments("BayerWeather(image: Tensor(..., C, H, W))", image)
         height, width = image.shape[-2:]
         if isinstance(depth, SceneDepth):
             check_depth(depth.depth_m, height, width, owner=self)

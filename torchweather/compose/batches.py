@@ -16,7 +16,7 @@ __all__ = ["collate_indexed", "collate_list", "collate_padded", "join_indexed", 
 
 def collate_list(clouds: Sequence[PointCloud | Tensor]) -> list[Tensor]:
     """The points of each cloud, ``(N_i, C)``, as a list; a ``collate_fn`` for a ``DataLoader``."""
-    check_arguments("collate_list(clouds: Sequence)", clouds)
+    check_arguments("collate_list(clouds: Sequence[Tensor] | Sequence[PointCloud])", clouds)
     points = [cloud.points if isinstance(cloud, PointCloud) else cloud for cloud in clouds]
     if not points or any(cloud.ndim != 2 or cloud.shape[1] != points[0].shape[1] for cloud in points):
         shapes = ", ".join(str(tuple(cloud.shape)) for cloud in points) or "none"

@@ -261,6 +261,7 @@ class Compose(nn.Module):
         number = self._number(data)
         if draw is None:
             draw = self.draw(sample, seed=seed)
+        check_arguments("Compose(draw: Draw | Sequence[Draw])", draw)
         draws = [draw] if isinstance(draw, Draw) else list(draw)
         if len(draws) != (1 if number is None else number):
             raise InputValueError(f"Compose: wanted a draw for each of {number or 1} samples; got {len(draws)}.")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, nearest_name
+from torchweather.core.errors import InputValueError, check_between, nearest_name
 
 __all__ = ["Choice", "Distribution", "LogUniform", "Uniform", "distribution_from"]
 
@@ -88,6 +88,7 @@ class LogUniform(Distribution):
     def at(self, u: float) -> float:
         """``low (high / low)^u``."""
         check_arguments("LogUniform.at(u: float)", u)
+        check_between("u", u, 0.0, 1.0, owner=self)
         return float(self.low * (self.high / self.low) ** u)
 
     def ends(self) -> tuple[float, float]:

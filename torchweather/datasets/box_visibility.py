@@ -68,9 +68,10 @@ def box_visibility(
         (tensor([2]), tensor([1]), tensor([0.4000]))
     """
     check_arguments(
-        "box_visibility(boxes: Boxes, result_points: Tensor, kind: Tensor, transmission: Tensor, "
-        "source: Tensor | None)",
+        "box_visibility(boxes: Boxes, points_before: Tensor, result_points: Tensor, kind: Tensor, "
+        "transmission: Tensor, source: Tensor | None)",
         boxes,
+        points_before,
         result_points,
         kind,
         transmission,

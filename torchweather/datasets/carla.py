@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_between, check_finite
+from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_finite
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
 from torchweather.io.row_layout import looks_semantic
 from torchweather.physics.radar_equation import received_power_dbm
@@ -144,6 +144,7 @@ def camera_from_carla(image: Any, **more: Any) -> Camera:
         >>> camera_from_carla(SimpleNamespace(width=800, height=600, fov=90.0)).intrinsics
         (400.0, 400.0, 399.5, 299.5)
     """
+    _check_has(image, "camera_from_carla", "width", "height", "fov")
     check_between("fov", image.fov, 0.1, 179.0, unit="degrees", owner="camera_from_carla")
     focal_px = round(0.5 * image.width / math.tan(0.5 * math.radians(image.fov)), 9)
     return Camera(**{"width": image.width, "height": image.height, "fx": focal_px, "fy": focal_px, **more})
@@ -179,6 +180,7 @@ def points_from_carla(measurement: CarlaMeasurement, reflectivity: float | None 
         tensor([[10.0000, -2.0000, -1.0000,  0.9600]])
     """
     check_arguments("points_from_carla(reflectivity: float | None)", reflectivity)
+    _check_has(measurement, "points_from_carla", "raw_data")
     semantic = _is_semantic(measurement)
     if semantic:
         points = torch.from_numpy(_semantic_rows(measurement))
@@ -249,6 +251,7 @@ def detections_from_carla(measurement: CarlaMeasurement, radar: Radar, rcs_dbsm:
         [50.0, 0.0, 0.0, -3.0, -111.1, 0.0]
     """
     check_arguments("detections_from_carla(radar: Radar, rcs_dbsm: float)", radar, rcs_dbsm)
+    _check_has(measurement, "detections_from_carla", "raw_data")
     check_finite("rcs_dbsm", rcs_dbsm, unit="dBsm", owner="detections_from_carla")
     speed, azimuth, altitude, range_m = torch.from_numpy(_rows(measurement, "detections_from_carla")).double().unbind(1)
     found = torch.zeros(len(speed), 6, dtype=torch.float64)
@@ -301,7 +304,12 @@ def pose_from_carla(transform: Any) -> Tensor:
     matrix: Tensor | Sequence[Sequence[float]] = (
         transform.get_matrix() if hasattr(transform, "get_matrix") else transform
     )
-    found = torch.as_tensor(matrix, dtype=torch.float64)
+    try:
+        found = torch.as_tensor(np.asarray(matrix, np.float64))
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputTypeError(
+            f"pose_from_carla: transform must be a carla.Transform or its matrix of numbers; got {matrix!r:.100}."
+        ) from error
     if found.shape != (4, 4):
         raise InputValueError(
             "pose_from_carla: transform must be a carla.Transform or its matrix, (4, 4) in metres; got shape "
@@ -316,6 +324,7 @@ def pose_from_carla(transform: Any) -> Tensor:
 
 def _bgra(image: CarlaImage, owner: str) -> npt.NDArray[np.uint8]:
     """``(H, W, 4)`` bytes, a view of the buffer."""
+    _check_has(image, owner, "raw_data", "width", "height")
     flat: npt.NDArray[np.uint8] = np.frombuffer(image.raw_data, np.uint8)
     wanted = 4 * image.width * image.height
     if flat.size != wanted or not wanted:
@@ -324,6 +333,18 @@ def _bgra(image: CarlaImage, owner: str) -> npt.NDArray[np.uint8]:
             f"{wanted} bytes; got {flat.size}."
         )
     return flat.reshape(image.height, image.width, 4)
+
+
+def _check_has(sensor_data: object, owner: str, *names: str) -> None:
+    """Refuse what is none of CARLA's objects."""
+    missing = [name for name in names if not hasattr(sensor_data, name)]
+    if missing:
+        raise InputTypeError(f"{owner}: expected an object of CARLA with {', '.join(names)}; got {sensor_data!r:.100}.")
+    if "raw_data" in names:
+        try:
+            memoryview(sensor_data.raw_data)  # type: ignore[attr-defined]
+        except TypeError as error:
+            raise InputTypeError(f"{owner}: raw_data of {sensor_data!r:.100} must be bytes.") from error
 
 
 def _is_semantic(measurement: CarlaMeasurement) -> bool:

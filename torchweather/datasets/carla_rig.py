@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_one_of
 from torchweather.datasets.carla import (
     CAR_RCS_DBSM,
@@ -88,6 +89,7 @@ class CarlaRig:
         report: Callable[[str], object] | None = None,
         waiting_frames: int = 16,
     ) -> None:
+        check_arguments("CarlaRig(sensors: Mapping)", sensors)
         if not sensors:
             raise InputValueError("CarlaRig: sensors must name at least one, such as {'points': 'lidar'}; got none.")
         for kind in sensors.values():

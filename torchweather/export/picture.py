@@ -46,7 +46,9 @@ class ImageToDetector(nn.Module):
         mean: float | Sequence[float] = 0.0,
         std: float | Sequence[float] = 1.0,
     ) -> None:
-        check_arguments("ImageToDetector(mean: float | Sequence[float])", mean)
+        check_arguments(
+            "ImageToDetector(mean: float | Sequence[float] | Tensor, std: float | Sequence[float] | Tensor)", mean, std
+        )
         super().__init__()
         check_one_of("layout", layout, LAYOUTS, owner=self)
         check_one_of("colour", colour, COLOURS, owner=self)

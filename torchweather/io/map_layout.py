@@ -76,6 +76,7 @@ class MapLayout:
                         f"MapLayout: {name} must be a list of numbers, or first and step; got {dict(given)!r}."
                     )
             elif given is not None:
+                check_arguments(f"MapLayout({name}: Sequence[float])", given)
                 object.__setattr__(self, name, tuple(float(one) for one in given))
 
     def axes_of(self, shape: Sequence[int], source: Path) -> MapAxes:

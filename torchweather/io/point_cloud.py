@@ -78,6 +78,7 @@ class PointCloud:
             self.layout,
             self.viewpoint,
         )
+        check_arguments("PointCloud(columns: Sequence[str])", self.columns)
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or not self.points.is_floating_point():
             raise InputValueError(
@@ -89,10 +90,10 @@ class PointCloud:
                 f"PointCloud: columns must be {self.points.shape[1]} different names, one for each column of points; "
                 f"got {', '.join(self.columns)}."
             )
-        if self.grid is not None and self.grid[0] * self.grid[1] != self.points.shape[0]:
+        if self.grid is not None and (len(self.grid) != 2 or self.grid[0] * self.grid[1] != self.points.shape[0]):
             raise InputValueError(
                 f"PointCloud: grid (H, W) must have a cell for each of the {self.points.shape[0]} points; got "
-                f"{self.grid[0]} x {self.grid[1]}."
+                f"{self.grid!r}."
             )
         if self.missing is not None and self.missing.shape != self.points.shape:
             raise InputValueError(

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.io.stored_points import PADDING, PointField, row_dtype
 
@@ -85,6 +86,7 @@ def stated_fields(columns: str | Sequence[str], dtype: str = "float32") -> tuple
         >>> [one.dtype for one in stated_fields("x,y,z,intensity,ring:uint16")]
         ['<f4', '<f4', '<f4', '<f4', '<u2']
     """
+    check_arguments("bin_columns(columns: str | Sequence[str])", columns)
     words = [word.strip() for word in columns.split(",")] if isinstance(columns, str) else list(columns)
     fields = []
     for word in words:

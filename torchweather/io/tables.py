@@ -13,7 +13,7 @@ from typing import Any
 
 from torchweather.core.arguments import check_arguments
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
 from torchweather.core.extras import install_hint
 
 __all__ = ["TABLE_SUFFIXES", "read_table", "text_cell", "write_table"]
@@ -181,6 +181,8 @@ def _read_parquet(source: Path) -> Columns:
 
 def _plain(name: str, column: Sequence[Any]) -> list[Any]:
     """Values as Python's own numbers and text; numbers and text do not share a column."""
+    if isinstance(column, str) or not hasattr(column, "__iter__"):
+        raise InputTypeError(f"write_table: column {name} must be a sequence of values; got {column!r:.100}.")
     values = [_plain_value(name, value) for value in column]
     if len({isinstance(value, str) for value in values if value is not None}) > 1:
         raise InputValueError(f"write_table: column {name} must hold numbers or text, not both.")

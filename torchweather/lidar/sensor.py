@@ -249,7 +249,7 @@ class Lidar(Sensor):
 
     def near_response(self, range_m: Tensor) -> Tensor:
         """Near-range response xi, 0 to 1, of the shape of ``range_m`` (metres)."""
-        check_arguments("Lidar.near_response(range_m: Tensor)", range_m)
+        check_arguments("Lidar.near_response(range_m: real)", range_m)
         ramp = (range_m - self.near_start_m) / (self.near_full_m - self.near_start_m)
         response: Tensor = ramp.clamp(0.0, 1.0) ** self.near_power
         return response

@@ -219,6 +219,7 @@ class _PartExtinction(nn.Module):
         elif isinstance(weather, (Rain, Snow)):
             at_rest = replace(weather, rate_mm_per_h=0.0)
             self.table = copy.deepcopy(_falling_table(at_rest, float(sensor.wavelength_nm), published))
+        check_arguments("Extinction(q_eff: float)", q_eff)
         self.register_buffer("q_eff", torch.tensor(float(q_eff)))
         self.register_buffer(weather.intensity_name, torch.as_tensor(weather.intensity, dtype=torch.float32))
 

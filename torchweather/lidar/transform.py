@@ -323,6 +323,7 @@ class LidarWeather(WeatherTransform):
         generator: torch.Generator | None = None,
     ) -> LidarResult:
         """The cloud, and what happened to each of its points; arguments as ``forward``."""
+        check_arguments("LidarWeather(points: Tensor(..., N, 4+))", points)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
@@ -652,6 +653,7 @@ def _of_first(noise: Tensor, first_row: Tensor) -> Tensor:
 
 def _from_numpy(array: NDArray[Any]) -> Tensor:
     # A simulator's buffer may be read-only, which torch warns of: that one is copied.
+    check_arguments("LidarWeather.on_numpy(points: array)", array)
     return torch.from_numpy(np.require(array, requirements=("C", "W")))
 
 

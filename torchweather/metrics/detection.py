@@ -155,6 +155,7 @@ def matched_boxes(
         Classes in order of their names, then thresholds, then ranges.
     """
     _check_arguments(detections, truths, thresholds, ranges_m)
+    check_arguments("average_precision(overlap: Callable, ignored_overlap: Callable | None)", overlap, ignored_overlap)
     beside = ignored_overlap or COVERAGES.get(overlap, overlap)
     ranged = [*map(tuple, ranges_m)] != [EVERYWHERE]
     seen = [ImageBoxes(each, f"detections[{k}]", scored=True) for k, each in enumerate(detections)]

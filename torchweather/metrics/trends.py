@@ -142,6 +142,7 @@ def _scene(
     paired: bool,
     bootstrap: _Bootstrap,
 ) -> SceneTrends:
+    check_arguments("expected_trends(scores: Mapping)", metrics)
     counts = {len(levels) for levels in metrics.values()}
     if len(counts) > 1:
         raise InputValueError(

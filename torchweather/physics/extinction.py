@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_one_of
 from torchweather.physics.efficiency_table import extinction_table, scattering_table
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import SizeDistribution
@@ -95,7 +95,7 @@ def extinction_per_m(
         material,
         temperature_c,
     )
-    check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="extinction_per_m")
+    _check_wavelength(wavelength_nm, "extinction_per_m")
     if q_ext is not None:
         check_at_least("q_ext", q_ext, 0.0, owner="extinction_per_m")
         return cross_section_per_m(distribution) * q_ext
@@ -202,7 +202,7 @@ def backscatter_per_m_sr(
         material,
         temperature_c,
     )
-    check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="backscatter_per_m_sr")
+    _check_wavelength(wavelength_nm, "backscatter_per_m_sr")
     if q_back is None:
         if distribution.particle != "drop":
             q_back = FLAKE_Q_BACK
@@ -244,7 +244,7 @@ def extinction_and_backscatter(
         material,
         temperature_c,
     )
-    check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="extinction_and_backscatter")
+    _check_wavelength(wavelength_nm, "extinction_and_backscatter")
     bounds, material = _physical_support(distribution, material)
     diameter, width, q = scattering_table(*bounds, float(wavelength_nm), material, float(temperature_c), False)
     extinction = _integrated(distribution, diameter, width, q.q_ext)
@@ -394,3 +394,8 @@ def support_mm(distribution: SizeDistribution, order: float = 2.0) -> tuple[floa
     # A batch of which nothing is left (rate 0, visibility inf) has no size of its own.
     low = low if low > 0 else float(rungs[0])
     return (low, high) if math.isfinite(high) and high > low else (low, max(2.0 * low, distribution.span_mm()[1]))
+
+
+def _check_wavelength(wavelength_nm: float, owner: str) -> None:
+    check_arguments(f"{owner}(wavelength_nm: float)", wavelength_nm)
+    check_between("wavelength_nm", wavelength_nm, 1.0, 1e9, unit="nm", owner=owner)

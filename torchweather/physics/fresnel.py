@@ -50,7 +50,8 @@ def sphere_budget(refractive_index: float, panels: int = 4096) -> SphereBudget:
         [0.066, 0.885, 0.04, 0.009, 164.986]
     """
     check_arguments("sphere_budget(refractive_index: float, panels: int)", refractive_index, panels)
-    if not refractive_index > 1.0:
+    check_between("panels", panels, 1, 1 << 24, owner="sphere_budget")
+    if not 1.0 < refractive_index <= 1e6:
         raise InputValueError(
             f"sphere_budget: refractive_index must be a real number above 1; got {refractive_index!r}."
         )

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_broadcast
 from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
@@ -17,6 +18,8 @@ __all__ = ["MieEfficiencies", "mie_coefficients", "mie_efficiencies"]
 Real = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
+# Water at radio frequencies has 9, metals have below 100; squares of smaller size parameters underflow.
+_INDEX_MAX, _SIZE_PARAMETER_MIN = 1e3, 1e-30
 SIZE_PARAMETER_MAX = 1e5  # tested to 3e4; beyond, the series is too slow to be wanted
 _BLOCK_ELEMENTS = 1_000_000  # orders times sizes that one block of the series holds in memory
 _BUCKET_RATIO = 1.7  # sizes within this ratio share a block: small spheres do not pay for the orders of large ones
@@ -92,6 +95,8 @@ def mie_coefficients(size_parameter: float, refractive_index: complex) -> tuple[
         0.51631-0.49973j 0.73767-0.43990j
     """
     x, m, _ = _checked(size_parameter, refractive_index, "mie_coefficients")
+    if x.size != 1:
+        raise InputValueError(f"mie_coefficients: expected one sphere; got shape {x.shape}.")
     a, b = _coefficients(x.reshape(1), m.reshape(1))
     return torch.from_numpy(a[1:, 0].copy()), torch.from_numpy(b[1:, 0].copy())
 
@@ -100,13 +105,21 @@ def _checked(size_parameter: Any, refractive_index: Any, owner: str) -> tuple[Re
     tensors = [v for v in (size_parameter, refractive_index) if isinstance(v, Tensor)]
     device = tensors[0].device if tensors else torch.device("cpu")
     size, index = (*to_float64(size_parameter), *to_complex128(refractive_index))
+    check_broadcast(owner, size_parameter=size, refractive_index=index)
     x, m = np.broadcast_arrays(size.detach().cpu().numpy(), index.detach().cpu().numpy())
     if x.size:
         check_positive("size_parameter", torch.from_numpy(x.copy()), owner=owner)
         check_between("size_parameter", torch.from_numpy(x.copy()), 0.0, SIZE_PARAMETER_MAX, owner=owner)
         check_positive("the real part of refractive_index", torch.from_numpy(m.real.copy()), owner=owner)
-        if not np.isfinite(m).all():
-            raise InputValueError(f"{owner}: refractive_index must be finite; got NaN or infinity.")
+        if not np.isfinite(m).all() or float(np.abs(m).max()) > _INDEX_MAX:
+            raise InputValueError(
+                f"{owner}: refractive_index must be finite and at most {_INDEX_MAX:g}; got {complex(m.flat[0])}."
+            )
+        if float(x.min()) < _SIZE_PARAMETER_MIN:
+            raise InputValueError(
+                f"{owner}: size_parameter must be {_SIZE_PARAMETER_MIN:g} or more; got {float(x.min()):g}. Smaller "
+                "spheres are Rayleigh's."
+            )
         if not bool((m.imag >= 0).all()):
             raise InputValueError(f"{owner}: refractive_index must be n + i k with k >= 0 (not n - i k); got k < 0.")
     return x, m, device

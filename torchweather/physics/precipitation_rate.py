@@ -54,9 +54,13 @@ def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: Fall
         >>> round(float(precipitation_rate_mm_per_h(marshall_palmer(10.0))), 1)
         11.6
     """
-    check_arguments("precipitation_rate_mm_per_h(distribution: SizeDistribution)", distribution)
+    check_arguments(
+        "precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: Callable | None)",
+        distribution,
+        fall_speed,
+    )
     diameter, width = distribution.quadrature()
-    speed = (fall_speed or fall_speed_law(distribution.particle))(diameter)
+    speed = (fall_speed_law(distribution.particle) if fall_speed is None else fall_speed)(diameter)
     water_mm3 = math.pi / 6.0 * diameter**3
     if distribution.particle == "flake":
         water_mm3 = water_mm3 * snow_bulk_density_g_per_cm3(diameter)

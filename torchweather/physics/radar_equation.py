@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import check_between, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -35,7 +35,7 @@ def radar_constant_db(
         -43.17
     """
     check_arguments("radar_constant_db(frequency_ghz: float)", frequency_ghz)
-    check_positive("frequency_ghz", frequency_ghz, unit="GHz", owner="radar_constant_db")
+    check_between("frequency_ghz", frequency_ghz, 1e-6, 1e6, unit="GHz", owner="radar_constant_db")
     power, gain, loss = to_float64(transmit_power_dbm, antenna_gain_dbi, loss_db)
     wavelength_m = SPEED_OF_LIGHT_M_PER_S / (1e9 * float(frequency_ghz))
     return power + gain - loss + 20.0 * math.log10(wavelength_m) - 30.0 * math.log10(4.0 * math.pi)
@@ -75,6 +75,14 @@ def received_power_dbm(
         transmit_power_dbm,
         loss_db,
     )
+    check_broadcast(
+        "received_power_dbm",
+        rcs_dbsm=rcs_dbsm,
+        range_m=range_m,
+        transmit_power_dbm=transmit_power_dbm,
+        antenna_gain_dbi=antenna_gain_dbi,
+        attenuation_db=attenuation_db,
+    )
     check_positive("range_m", range_m, unit="m", owner="received_power_dbm")
     check_finite("rcs_dbsm", rcs_dbsm, unit="dBsm", owner="received_power_dbm")
     rcs, distance, attenuation = to_float64(rcs_dbsm, range_m, attenuation_db)
@@ -113,6 +121,14 @@ def target_rcs_dbsm(
         transmit_power_dbm,
         antenna_gain_dbi,
         loss_db,
+    )
+    check_broadcast(
+        "target_rcs_dbsm",
+        power_dbm=power_dbm,
+        range_m=range_m,
+        transmit_power_dbm=transmit_power_dbm,
+        antenna_gain_dbi=antenna_gain_dbi,
+        attenuation_db=attenuation_db,
     )
     check_positive("range_m", range_m, unit="m", owner="target_rcs_dbsm")
     check_finite("power_dbm", power_dbm, unit="dBm", owner="target_rcs_dbsm")

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import TorchweatherWarning, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 from torchweather.physics.optical_constants import ICE_OPTICAL, WATER_OPTICAL
@@ -272,6 +272,7 @@ def maxwell_garnett(matrix: complex | Tensor, inclusion: complex | Tensor, volum
     (fraction,) = to_float64(volume_fraction)
     check_between("volume_fraction", fraction, 0.0, 1.0, owner="maxwell_garnett")
     around, inside = (v.to(fraction.device) for v in to_complex128(matrix, inclusion))
+    check_broadcast("maxwell_garnett", matrix=around, inclusion=inside, volume_fraction=fraction)
     y = fraction * (inside - around) / (inside + 2.0 * around)
     return around * (1.0 + 2.0 * y) / (1.0 - y)
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_at_least, check_one_of
+from torchweather.core.arguments import check_arguments, check_broadcast
+from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.snow_geometry import (
     ICE_DENSITY_G_PER_CM3,
@@ -59,6 +59,11 @@ class SizeDistribution(ABC):
     """Size to which the stated number parameter refers; ``number_density_per_m3_mm`` is always per diameter."""
 
     def __post_init__(self) -> None:
+        check_arguments(
+            f"{type(self).__name__}(diameter_min_mm: float, diameter_max_mm: float)",
+            self.diameter_min_mm,
+            self.diameter_max_mm,
+        )
         check_at_least("diameter_min_mm", self.diameter_min_mm, 0.0, unit="mm", owner=self)
         if not self.diameter_max_mm > self.diameter_min_mm:
             raise InputValueError(
@@ -152,6 +157,8 @@ class SizeDistribution(ABC):
             low_mm,
             high_mm,
         )
+        check_between("order", order, 0.0, 100.0, owner=self)
+        check_broadcast(type(self).__name__, low_mm=low_mm, high_mm=high_mm)
         (low, high), parameters = self._aligned(
             self.diameter_min_mm if low_mm is None else low_mm, self.diameter_max_mm if high_mm is None else high_mm
         )

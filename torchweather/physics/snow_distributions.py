@@ -151,7 +151,8 @@ def brandes_snow(
 
 
 def _negated(temperature_c: Quantity) -> Quantity:
-    return -temperature_c
+    (temperature,) = to_float64(temperature_c)
+    return -temperature
 
 
 def brandes_table4(row: str | float) -> Gamma:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -128,6 +128,7 @@ def wet_flake_diameter_mm(physical_mm: Quantity, melted_mm: Quantity, melt_fract
         melt_fraction,
     )
     fraction, physical, melted = to_float64(melt_fraction, physical_mm, melted_mm)
+    check_broadcast("wet_flake_diameter_mm", physical_mm=physical, melted_mm=melted, melt_fraction=fraction)
     check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_flake_diameter_mm")
     wet = ((1.0 - fraction) * physical**3 + fraction * melted**3) ** (1.0 / 3.0)
     return torch.where(fraction > 0, wet, physical)

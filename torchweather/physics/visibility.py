@@ -60,7 +60,7 @@ def mor_from_extinction(extinction_per_m: Quantity, contrast: float = MOR_CONTRA
         >>> round(float(mor_from_extinction(0.03)), 2)
         99.86
     """
-    check_arguments("mor_from_extinction(extinction_per_m: Quantity)", extinction_per_m)
+    check_arguments("mor_from_extinction(extinction_per_m: Quantity, contrast: float)", extinction_per_m, contrast)
     check_at_least("extinction_per_m", extinction_per_m, 0.0, unit="1/m", owner="mor_from_extinction")
     _check_contrast(contrast, "mor_from_extinction")
     (extinction,) = to_float64(extinction_per_m)
@@ -116,4 +116,5 @@ def mor_from_liquid_water_m(liquid_water_g_per_m3: Quantity, law: str = "grabner
 
 
 def _check_contrast(contrast: float, owner: str) -> None:
+    check_arguments(f"{owner}(contrast: float)", contrast)
     check_between("contrast", contrast, 1e-6, 1.0 - 1e-6, owner=owner)

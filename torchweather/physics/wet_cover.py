@@ -18,7 +18,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
+from torchweather.core.errors import InputTypeError
 
 __all__ = ["wet_cover_loss_db", "wet_cover_series_db"]
 
@@ -51,7 +52,9 @@ def wet_cover_loss_db(
         >>> wet_cover_loss_db(rain, age, 0.5, 1.0, 1.0 / 3.0, 10.0)
         tensor(1.2358)
     """
-    check_arguments("wet_cover_loss_db(rain_mm_per_h: Tensor, age_min: Tensor)", rain_mm_per_h, age_min)
+    check_arguments("wet_cover_loss_db(rain_mm_per_h: floating, age_min: real)", rain_mm_per_h, age_min)
+    check_broadcast("wet_cover_loss_db", rain_mm_per_h=rain_mm_per_h, age_min=age_min)
+    loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))
     dry = _over_time(drying_min, rain_mm_per_h)
     wet = torch.exp(_log_wetness(rain_mm_per_h, film_exponent) - age_min.to(rain_mm_per_h) / dry).amax(-1)
     return loss_db + film_db * wet
@@ -80,7 +83,7 @@ def wet_cover_series_db(
         >>> wet_cover_series_db(rain, time, 0.0, 1.0, 1.0 / 3.0, 1.0)
         tensor([0.0000, 2.0000, 2.0000, 0.7358, 0.2707])
     """
-    check_arguments("wet_cover_series_db(rain_mm_per_h: Tensor, time_min: Tensor)", rain_mm_per_h, time_min)
+    check_arguments("wet_cover_series_db(rain_mm_per_h: floating(..., T), time_min: real(T))", rain_mm_per_h, time_min)
     # A running maximum of logarithms that grow with time: double precision, for series of many drying times.
     rain = rain_mm_per_h.double()
     elapsed = (time_min - time_min[..., :1]).double() / _over_time(drying_min, rain)
@@ -98,4 +101,7 @@ def _log_wetness(rain_mm_per_h: Tensor, film_exponent: Value) -> Tensor:
 
 def _over_time(value: Value, like: Tensor) -> Tensor:
     """A value shaped to broadcast over times ``(..., T)``."""
-    return torch.as_tensor(value, dtype=like.dtype, device=like.device)[..., None]
+    try:
+        return torch.as_tensor(value, dtype=like.dtype, device=like.device)[..., None]
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise InputTypeError(f"wet_cover: expected a number or a tensor of numbers; got {value!r:.100}.") from error

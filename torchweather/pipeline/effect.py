@@ -263,6 +263,8 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
     load_catalogue()
     arguments = dict(values)
     name = arguments.pop("effect", None)
+    if not all(isinstance(key, str) for key in arguments):
+        raise InputTypeError(f"effect_from_dict: keys must be text; got {list(arguments)!r:.200}.")
     check_one_of("effect", name, EFFECTS, owner="effect_from_dict")
     return EFFECTS[name](**arguments)
 
@@ -285,6 +287,7 @@ def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:
     """
     check_arguments("with_effects(chain: Chain, effects: Iterable)", chain, effects)
     effects = list(effects)
+    check_arguments("with_effects(effects: Sequence[Effect])", effects)
     unknown = [type(effect).__name__ for effect in effects if effect.id not in EFFECTS]
     if unknown:
         raise InputValueError(

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.schema import ANY, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import parse_yaml, read_yaml
@@ -88,7 +89,11 @@ class Sensor:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Build the sensor from plain values; unknown keys are refused with the nearest name."""
+        check_arguments(f"{cls.__name__}.from_dict(values: Mapping)", values)
         known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        needed = [field.name for field in fields(cls) if field.default is field.default_factory is MISSING]  # type: ignore[arg-type]
+        if missing := [name for name in needed if name not in values]:
+            raise InputTypeError(f"{cls.__name__}: needs {', '.join(needed)}; missing {', '.join(missing)}.")
         for key in values:
             if key not in known:
                 raise InputValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")

@@ -260,6 +260,7 @@ class RadarAttenuation(WeatherTransform):
         **known: Tensor,
     ) -> RadarResult:
         """The detections, and what happened to each of them; arguments as ``forward``."""
+        check_arguments("RadarAttenuation(points: Tensor(..., N, 6+))", points)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
@@ -319,6 +320,7 @@ class RadarAttenuation(WeatherTransform):
             dtype('float32')
         """
         with torch.no_grad():
+            check_arguments("RadarAttenuation.on_numpy(points: array)", points)
             detections = torch.from_numpy(np.require(points, requirements=("C", "W")))
             found = self(detections, self.draw(detections, seed=seed))
         if isinstance(found, list):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torchweather
-from torchweather.core.errors import InputValueError, TorchweatherError, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
 
 __all__ = ["KINDS", "SUFFIXES", "find", "name_of", "ready_made", "recipes_folder"]
 
@@ -28,8 +28,14 @@ def recipes_folder() -> Path:
     raise TorchweatherError(f"{package / '_recipes'}: the ready-made recipes are missing; install torchweather again.")
 
 
+def _check_kinds(kinds: object) -> None:
+    if not isinstance(kinds, (list, tuple, set, frozenset)) or not all(isinstance(one, str) for one in kinds):
+        raise InputTypeError(f"torchweather: kind must be one of {', '.join(KINDS)}, or several; got {kinds!r}.")
+
+
 def ready_made(kinds: Sequence[str] = KINDS) -> dict[str, Path]:
     """Files of the ready-made recipes by name, kind by kind."""
+    _check_kinds(kinds)
     found: dict[str, dict[str, Path]] = {kind: {} for kind in kinds}
     for path in sorted(recipes_folder().rglob("*.yaml")):
         line = KIND_LINE.search(path.read_text(encoding="utf-8"))
@@ -44,6 +50,7 @@ def find(name_or_path: str | os.PathLike[str], kinds: Sequence[str] = KINDS) -> 
     Raises:
         ValueError: no recipe of the name and the kinds, or several of one kind.
     """
+    _check_kinds(kinds)
     if isinstance(name_or_path, os.PathLike) or str(name_or_path).endswith(SUFFIXES):
         return Path(name_or_path)
     wanted = str(name_or_path)

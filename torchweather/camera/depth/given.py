@@ -69,7 +69,7 @@ class DepthMap(DepthSource):
     depth_m: Tensor
 
     def __post_init__(self) -> None:
-        check_arguments("DepthMap(depth_m: Tensor | array)", self.depth_m)
+        check_arguments("DepthMap(depth_m: real | array)", self.depth_m)
         depth = torch.as_tensor(self.depth_m)
         depth = depth if depth.is_floating_point() else depth.to(torch.float32)
         object.__setattr__(self, "depth_m", depth[None] if depth.ndim == 2 else depth)

@@ -62,7 +62,11 @@ class DepthFromPoints(DepthSource):
     upper_edge_rad: float = 0.03
 
     def __post_init__(self) -> None:
-        check_arguments("DepthFromPoints(T_camera_from_lidar: Tensor | array)", self.T_camera_from_lidar)
+        check_arguments(
+            "DepthFromPoints(points_xyz: real | array, T_camera_from_lidar: real | array)",
+            self.points_xyz,
+            self.T_camera_from_lidar,
+        )
         points = torch.as_tensor(self.points_xyz)
         if points.ndim != 2 or points.shape[-1] < 3:
             raise InputValueError(

@@ -36,8 +36,8 @@ def project_points(
         (tensor([4.]), tensor([2.]), tensor([1.]), tensor([True]))
     """
     check_arguments(
-        "project_points(points_xyz: Tensor, T_camera_from_lidar: Tensor, camera: Camera, height: int | None, "
-        "width: int | None)",
+        "project_points(points_xyz: floating(N, 3+), T_camera_from_lidar: real(4, 4), camera: Camera, "
+        "height: int | None, width: int | None)",
         points_xyz,
         T_camera_from_lidar,
         camera,

@@ -66,7 +66,9 @@ def rates(
     """
     check_arguments("rates(clear: float, weathers: Mapping, baseline: Mapping | None)", clear, weathers, baseline)
     for name, values in {"clear": [clear], **weathers, **(baseline or {})}.items():
+        check_arguments("rates(weathers: Sequence)", values)
         for value in values:
+            check_arguments("rates(weathers: float)", value)
             if not math.isnan(value):
                 check_between(f"performance ({name})", value, 0.0, 1.0, owner="rates")
     if not weathers or not all(len(values) for values in weathers.values()):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.yaml_file import read_json
 from torchweather.io import read_image
 from torchweather.io.labels import read_labels
@@ -148,6 +148,9 @@ def read_label_truth(folder: str | os.PathLike[str], stem: str, sensor: str, sha
         sensor,
         shape,
     )
+    check_one_of("sensor", sensor, LABEL_SUFFIXES, owner="read_label_truth")
+    if len(shape) != (1 if sensor == "lidar" else 2):
+        raise InputValueError(f"read_label_truth: shape must be (H, W) of an image or (N,) of a cloud; got {shape!r}.")
     for suffix in LABEL_SUFFIXES[sensor]:
         file = Path(folder) / f"{stem}{suffix}"
         if file.is_file():

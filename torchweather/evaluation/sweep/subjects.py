@@ -187,6 +187,7 @@ class _Points:
     """Points need no depth."""
 
     def __post_init__(self) -> None:
+        check_arguments("Subject(name: str, scene: str, region: Region | None)", self.name, self.scene, self.region)
         object.__setattr__(self, "scene", self.scene or self.name)
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import InputValueError
 
 __all__ = ["GroundPlane", "fit_ground"]
 
@@ -85,6 +86,8 @@ def fit_ground(points_xyz: Numbers) -> GroundPlane | None:
         (-1.7, 0.02)
     """
     check_arguments("fit_ground(points_xyz: array)", points_xyz)
+    if points_xyz.ndim != 2 or points_xyz.shape[1] < 3:
+        raise InputValueError(f"fit_ground: points_xyz must be (N, 3 or more); got {points_xyz.shape}.")
     x, y, z = points_xyz[:: max(1, len(points_xyz) // _MOST_POINTS), :3].T.astype(np.float64)
     flat = np.hypot(x, y)
     with np.errstate(invalid="ignore"):

@@ -90,7 +90,12 @@ class OwnVehicleMask:
     views: float
 
     def __post_init__(self) -> None:
-        check_arguments("OwnVehicleMask(farthest_m: array)", self.farthest_m)
+        check_arguments(
+            "OwnVehicleMask(blocked: ndarray, nearest_m: array, farthest_m: array)",
+            self.blocked,
+            self.nearest_m,
+            self.farthest_m,
+        )
         shapes = {self.blocked.shape, self.nearest_m.shape, self.farthest_m.shape}
         if len(shapes) != 1 or self.blocked.ndim != 2:
             raise InputValueError(

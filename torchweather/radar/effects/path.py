@@ -177,7 +177,12 @@ class PerClass(Parameter):
 
     def tensor(self, value: float | Sequence[float] | Tensor, owner: object) -> Tensor:
         """The values within the bounds as float32; anything else is refused."""
-        found = torch.as_tensor(value, dtype=torch.float32)
+        try:
+            found = torch.as_tensor(value, dtype=torch.float32)
+        except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+            raise InputValueError(
+                f"{type(owner).__name__}: {self.name} must be numbers; got {value!r:.100}."
+            ) from error
         if found.ndim > 2:
             raise InputValueError(
                 f"{type(owner).__name__}: {self.name} must be one number, one for each class, (classes,), or those for "

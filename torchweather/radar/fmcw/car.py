@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import check_finite, check_positive
+from torchweather.core.errors import check_between, check_finite, check_positive
 from torchweather.radar.fmcw.bodies import corner_scatterers, facet_scatterers, gathered
 from torchweather.radar.fmcw.scatterers import Scatterers
 
@@ -155,6 +155,9 @@ def car_details(
         height_m,
         details,
     )
+    for name, metres in (("length_m", length_m), ("width_m", width_m), ("height_m", height_m)):
+        check_between(name, metres, 0.1, 100.0, unit="m", owner="car_details")
+    check_arguments("car_details(details: Sequence[CarDetail])", details)
     size = torch.tensor([length_m, width_m / 2.0, height_m], dtype=torch.float64)
     place = torch.tensor([detail.place for detail in details], dtype=torch.float64).reshape(-1, 3) * size
     azimuth = torch.deg2rad(torch.tensor([detail.azimuth_deg for detail in details], dtype=torch.float64))

@@ -82,6 +82,12 @@ class Cfar:
     correlation: tuple[tuple[float, ...], tuple[float, ...]] = (HANN_CORRELATION, HANN_CORRELATION)
 
     def __post_init__(self) -> None:
+        check_arguments(
+            f"{type(self).__name__}(false_alarm_rate: float, looks: int, correlation: Sequence[Sequence])",
+            self.false_alarm_rate,
+            self.looks,
+            self.correlation,
+        )
         # Tuples, so that lists from a file serve as well and the detector can be hashed.
         object.__setattr__(self, "guard", _cells("guard", self.guard, self))
         object.__setattr__(self, "training", _cells("training", self.training, self))

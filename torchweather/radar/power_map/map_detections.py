@@ -101,6 +101,7 @@ def map_detections(
     strongest, which = flat.max(1)  # (rows, R)
     over_noise = torch.exp(math.log(10.0) / 10.0 * (strongest.clamp_min(NONE_DB) - floor_db))
     detector = map_cfar(power_map, sensor, looks=looks) if cfar is None else cfar
+    check_arguments("map_detections(cfar: CellAveragingCfar | OrderStatisticCfar)", detector)
     if strongest.shape[0] > 2:
         row, column = local_maxima(over_noise).nonzero(as_tuple=True)
     else:

@@ -9,7 +9,7 @@ from scipy import special
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.radar.power_map.power_map import RadarPowerMap
 from torchweather.radar.power_map.scale import PowerScale
 
@@ -127,6 +127,7 @@ def noise_correlation(power_map: RadarPowerMap, lags: int = 4) -> list[float]:
     """
     check_arguments("noise_correlation(power_map: RadarPowerMap, lags: int)", power_map, lags)
     axis = power_map.axes.dims.index("range")
+    check_between("lags", lags, 1, len(power_map.axes.range_m) - 1, owner="noise_correlation")
     chosen = quiet_cells(power_map).movedim(axis, 0).flatten(1)
     lines = power_map.decibels.movedim(axis, 0).flatten(1)
     values = lines[chosen].double()
@@ -140,5 +141,9 @@ def noise_correlation(power_map: RadarPowerMap, lags: int = 4) -> list[float]:
     for lag in range(1, lags + 1):
         both = chosen[:-lag] & chosen[lag:]
         first, second = power[:-lag][both], power[lag:][both]
+        if len(first) < 2:
+            raise InputValueError(
+                f"noise_correlation: no two quiet cells lie {lag} bins apart. Give fewer lags, or a larger map."
+            )
         found.append(float(torch.corrcoef(torch.stack([first, second]))[0, 1]))
     return found

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_finite
+from torchweather.core.errors import InputValueError, check_finite, check_one_of
 from torchweather.radar.power_map.scale import PowerScale
 
 __all__ = ["MAP_DIMENSIONS", "MapAxes", "RadarPowerMap"]
@@ -159,6 +159,7 @@ class MapAxes:
     def axis(self, name: str, like: Tensor | None = None) -> Tensor:
         """Values of an axis, ``(n,)``; a dimension that the map lacks is the one value 0."""
         check_arguments("MapAxes.axis(name: str, like: Tensor | None)", name, like)
+        check_one_of("name", name, MAP_DIMENSIONS, owner="MapAxes.axis")
         values = getattr(self, MAP_DIMENSIONS[name])
         found = torch.tensor((0.0,) if values is None else values, dtype=torch.float64)
         return found if like is None else found.to(like)

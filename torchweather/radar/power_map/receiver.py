@@ -55,6 +55,7 @@ def oversampled_taps(oversampling: float) -> Tensor:
         (0.6667, 0.1667)
     """
     check_arguments("oversampled_taps(oversampling: float)", oversampling)
+    check_between("oversampling", oversampling, 0.0, 1e4, owner="oversampled_taps")
     if oversampling == 0:
         return torch.ones(1)
     half = math.ceil(2.0 * oversampling - 1e-9) - 1
