@@ -153,7 +153,8 @@ INFINITE = frozenset(
         "fit_pattern",  # intervals of a ring that shows nothing
         "box_visibility",  # of a box without points
         "rates",
-        "draw_sequence",
+        "Camera.distort",  # rays far beside the picture
+        "RadarMapWeather.run",  # clutter of 0 W in dB
     )
 )
 
@@ -221,7 +222,7 @@ def _target(group: str, name: str, call: Callable[..., Any], signed: Any = None)
     optional: dict[str, Callable[[], Any]] = {}
     last = name.rpartition(".")[2]
     for one in parameters.values():
-        if one.name == "self" or one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL):
+        if one.name in ("self", "device") or one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL):
             continue
         make = BY_CALL.get(f"{name}.{one.name}") or BY_CALL.get(f"{last}.{one.name}") or BY_NAME.get(one.name)
         if one.default is not one.empty and f"{name}.{one.name}" not in BY_CALL:
@@ -230,7 +231,7 @@ def _target(group: str, name: str, call: Callable[..., Any], signed: Any = None)
             arguments[one.name] = make or _by_annotation(str(one.annotation))
     # Size distributions may have no largest diameter.
     returns = str(getattr(inspect.signature(signed or call), "return_annotation", "")).strip("'")
-    finite = last not in INFINITE and returns not in DISTRIBUTIONS and not isinstance(call, type)
+    finite = not {name, last} & INFINITE and returns not in DISTRIBUTIONS and not isinstance(call, type)
     return Target(group, name, call, arguments, optional, finite=finite)
 
 

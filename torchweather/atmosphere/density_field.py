@@ -167,6 +167,9 @@ def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: 
         raise InputValueError(
             f"mean_density: places must be (B or 1, ...); got {tuple(azimuth_rad.shape)} and {tuple(range_m.shape)}."
         )
+    batch = torch.broadcast_shapes(azimuth_rad.shape, range_m.shape)[0]
+    if batch not in (1, len(extra_m)):
+        raise InputValueError(f"mean_density: places must be of {len(extra_m)} samples or of one; got {batch}.")
     way_m = range_m.clamp_min(SHORTEST_M)
     return 1.0 + _read(extra_m, azimuth_rad, way_m, step_m) / way_m
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_one_of
+from torchweather.core.errors import InputValueError, check_between, check_one_of
 
 __all__ = [
     "PATTERNS",
@@ -82,6 +82,8 @@ def cfa_index(height: int, width: int, pattern: str, device: torch.device | str 
                 [1, 2, 1, 2]])
     """
     check_arguments("cfa_index(height: int, width: int, pattern: str)", height, width, pattern)
+    check_between("height", height, 0, 1 << 31, unit="px", owner="cfa_index")
+    check_between("width", width, 0, 1 << 31, unit="px", owner="cfa_index")
     cell = torch.tensor(cfa_colour_index(pattern), device=device)
     row_phase = torch.arange(height, device=device) % 2
     column_phase = torch.arange(width, device=device) % 2

@@ -172,6 +172,7 @@ class AsBayer(nn.Module):
         generator: torch.Generator | None = None,
     ) -> RgbResult:
         """The image, and with it transmission, airlight, particle mask and how sure the depth is."""
+        check_arguments("AsBayer(rgb: Tensor(..., 3, H, W))", rgb)
         if self.transform.must_draw(noise, seed, generator):
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)

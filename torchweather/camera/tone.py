@@ -166,7 +166,10 @@ def colour_matrix(rgb: Tensor, matrix: Tensor | Sequence[Sequence[float]]) -> Te
         tensor([0.3000, 0.2000, 0.1000])
     """
     check_arguments("colour_matrix(rgb: floating(..., 3, H, W), matrix: Tensor | Sequence)", rgb, matrix)
-    weights = torch.as_tensor(matrix, dtype=rgb.dtype, device=rgb.device)
+    try:
+        weights = torch.as_tensor(matrix, dtype=rgb.dtype, device=rgb.device)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputTypeError(f"colour_matrix: matrix must be numbers, (3, 3); got {matrix!r:.100}.") from error
     check_arguments("colour_matrix(matrix: floating(3, 3))", weights)
     return torch.einsum("ij,...jhw->...ihw", weights, rgb)
 

@@ -193,6 +193,7 @@ class BayerWeather(WeatherTransform):
             control = as_exposure_control(exposure_control, owner=self)
             stages = {"exposure_meter": control.meter(), **stages, "exposure_control": control}
         stages["quantise"] = Quantise()
+        check_arguments("BayerWeather(effects: Sequence)", effects)
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
         self.chain = with_effects(Chain(stages), built)
         self.as_built = AsBuilt.of(self.chain)
@@ -497,7 +498,11 @@ class BayerWeather(WeatherTransform):
 
     def _normal(self, normal: Tensor, bayer: Tensor, linear: Tensor) -> Tensor:
         batch, (height, width) = bayer.shape[:-3], linear.shape[-2:]
-        if not isinstance(normal, Tensor) or tuple(normal.shape[-3:]) != (3, height, width):
+        if (
+            not isinstance(normal, Tensor)
+            or not normal.is_floating_point()
+            or tuple(normal.shape[-3:]) != (3, height, width)
+        ):
             raise InputValueError(
                 f"{type(self).__name__}: normal must be a tensor (..., 3, {height}, {width}) of unit normals in the "
                 f"vehicle's frame; got {tuple(normal.shape) if isinstance(normal, Tensor) else type(normal).__name__}."

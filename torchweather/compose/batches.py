@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.io.point_cloud import PointCloud
 
 __all__ = ["collate_indexed", "collate_list", "collate_padded", "join_indexed", "split_indexed", "split_padded"]
@@ -83,7 +83,8 @@ def split_indexed(points: Tensor, n_samples: int | None = None) -> list[Tensor]:
     check_arguments("split_indexed(points: Tensor, n_samples: int | None)", points, n_samples)
     index = _sample_index(points, "split_indexed")
     highest = int(index.max()) + 1 if index.numel() else 0
-    count = highest if n_samples is None else n_samples
+    count = highest if n_samples is None else int(n_samples)
+    check_between("n_samples", count, 0, 1 << 31, owner="split_indexed")
     if highest > count:
         raise InputValueError(
             f"split_indexed: n_samples must be {highest} or more, the highest index + 1; got {n_samples}."

@@ -135,6 +135,7 @@ class Compose(nn.Module):
         self.specs = {key: _spec(key, transform) for key, transform in transforms.items()}
         if not self.specs:
             raise InputValueError("Compose: wanted a transform for at least one key; got none.")
+        check_arguments("Compose(p: float)", p)
         self.weather = _candidates(weather, transforms)
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
         self.mosaic_clear = bool(mosaic_clear)

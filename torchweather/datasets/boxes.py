@@ -72,6 +72,10 @@ class Boxes:
     def select(self, keep: Tensor) -> Boxes:
         """The boxes where ``keep``, ``(M,)`` bool, is true; entries without a place stay."""
         check_arguments("Boxes.select(keep: Tensor)", keep)
+        if tuple(keep.shape) != (len(self),):
+            raise InputValueError(
+                f"Boxes.select: keep must be ({len(self)},), one for each box; got {tuple(keep.shape)}."
+            )
         chosen = [k for k, wanted in enumerate(keep.tolist()) if wanted]
         index = torch.tensor(chosen, dtype=torch.long, device=self.centre_m.device)
         return replace(

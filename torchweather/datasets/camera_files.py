@@ -11,7 +11,7 @@ from typing import Any
 from torchweather.camera.frame_sizes import same_aspect
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import TorchweatherError, nearest_name
+from torchweather.core.errors import TorchweatherError, check_at_least, nearest_name
 from torchweather.core.yaml_file import parse_json, read_json
 from torchweather.datasets.kitti import read_kitti_entries
 from torchweather.datasets.yaml_calibration import camera_fields_from_yaml
@@ -296,6 +296,7 @@ def _intrinsics(rows: Any, source: Path, name: str) -> dict[str, Any]:
 def _check_middle(fields: Mapping[str, Any], source: Path) -> None:
     """Raise where the frame cannot be of the calibration's size, which the file does not tell."""
     for axis, side in (("cx", "width"), ("cy", "height")):
+        check_at_least(side, fields[side], 1, unit="px", owner="read_camera")
         share = (fields[axis] + 0.5) / fields[side]
         if not _MIDDLE[0] <= share <= _MIDDLE[1]:
             raise TorchweatherError(

@@ -207,6 +207,8 @@ def read_kitti_entries(path: str | os.PathLike[str]) -> dict[str, list[float]]:
         TorchweatherError: the file is missing, or a line is no name with numbers.
     """
     source = Path(path)
+    if not source.name:
+        raise TorchweatherError(f"{source}: expected the file of a KITTI calibration; got a folder.")
     cameras, velodyne = (source.with_name(name) for name in RAW_CALIBRATIONS)
     if source.name not in RAW_CALIBRATIONS:
         return _named_numbers(source)

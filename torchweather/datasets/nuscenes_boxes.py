@@ -56,6 +56,7 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
     transform = _transform(T_lidar_from_boxes, "boxes_from_nuscenes")
     rows = []
     for number, entry in enumerate(entries):
+        check_arguments("boxes_from_nuscenes(annotations: Mapping)", entry)
         try:
             parts = [[float(value) for value in entry[key]] for key in ("translation", "size", "rotation")]
             if [len(part) for part in parts] != [3, 3, 4]:

@@ -125,7 +125,7 @@ def spectrum_from_counts(
     check_at_least("counts", counts, 0, owner=owner)
     check_positive("speed_m_per_s", speed, unit="m/s", owner=owner)
     check_positive("area_mm2", area, unit="mm^2", owner=owner)
-    _check_interval(duration_s, fall_speed_tolerance, owner)
+    duration_s = _check_interval(duration_s, fall_speed_tolerance, owner)
     diameter = 0.5 * (edges[1:] + edges[:-1])
     law = rain_fall_speed_m_per_s(diameter)[:, None]
     counts = torch.where((speed - law).abs() <= fall_speed_tolerance * law, counts, 0.0)
@@ -180,7 +180,7 @@ def spectrum_from_drops(
         shapes = ", ".join(str(tuple(value.shape)) for value in (diameter, speed, area, time))
         raise InputValueError(f"{owner}: diameters, speeds, areas and times must be (N,) each; got {shapes}.")
     check_positive("area_mm2", area, unit="mm^2", owner=owner)
-    _check_interval(duration_s, fall_speed_tolerance, owner)
+    duration_s = _check_interval(duration_s, fall_speed_tolerance, owner)
     span = float(time.max() - time.min()) / duration_s
     if not span < _MOST_INTERVALS:
         raise InputValueError(
@@ -228,10 +228,12 @@ def _edges(edges: Tensor, owner: str) -> Tensor:
     return edges
 
 
-def _check_interval(duration_s: float, fall_speed_tolerance: float, owner: str) -> None:
+def _check_interval(duration_s: float, fall_speed_tolerance: float, owner: str) -> float:
+    check_arguments(f"{owner}(duration_s: float, fall_speed_tolerance: float)", duration_s, fall_speed_tolerance)
     check_positive("duration_s", duration_s, unit="s", owner=owner)
     check_finite("duration_s", duration_s, unit="s", owner=owner)
     check_at_least("fall_speed_tolerance", fall_speed_tolerance, 0, owner=owner)
+    return float(duration_s)
 
 
 def _check_result(density: Tensor, rate: Tensor, owner: str) -> None:

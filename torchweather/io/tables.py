@@ -73,6 +73,8 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[Any
     suffix = _suffix(target)
     plain = {name: _plain(name, column) for name, column in columns.items()}
     _check_columns(plain, str(target))
+    for text in (cell for column in ([*plain], *plain.values()) for cell in column if isinstance(cell, str)):
+        _check_writable(text, target)
     if suffix == ".parquet":
         pyarrow, parquet = _pyarrow()
         with atomic_write(target) as unfinished:
@@ -82,6 +84,14 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[Any
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([text_cell(name) for name in plain])
         writer.writerows([text_cell(cell) for cell in row] for row in zip(*plain.values(), strict=True))
+
+
+def _check_writable(text: str, target: Path) -> None:
+    """Refuse text that is no Unicode, such as half a character of a damaged name."""
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise InputValueError(f"{target}: expected text that is Unicode; got {text!r:.100}.") from error
 
 
 def text_cell(cell: Any) -> Any:

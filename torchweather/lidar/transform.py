@@ -300,6 +300,7 @@ class LidarWeather(WeatherTransform):
             The input's shape, columns and dtype; rows more with ``complete_scan``; a shorter cloud (a list of them for
             a batch) with ``lost="drop"``.
         """
+        check_arguments("LidarWeather(points: Tensor(..., N, 4+))", points)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)

@@ -207,6 +207,7 @@ def _chosen(names: Iterable[str], owner: object) -> tuple[str, ...]:
         raise InputTypeError(
             f"{owner_name(owner)}: names must be a list of names such as ['hd']; got the text {names!r}."
         )
+    check_arguments(f"{owner_name(owner)}(names: Iterable)", names)
     chosen = tuple(dict.fromkeys(names))
     for name in chosen:
         check_one_of("names", name, ("sdm", *_OF_DISTANCES), owner=owner)

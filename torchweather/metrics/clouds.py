@@ -38,6 +38,7 @@ class Region:
     def __post_init__(self) -> None:
         check_arguments("Region(x_m: Sequence, y_m: Sequence, z_m: Sequence)", self.x_m, self.y_m, self.z_m)
         for name, limits in (("x_m", self.x_m), ("y_m", self.y_m), ("z_m", self.z_m)):
+            check_arguments(f"Region({name}: Sequence[float])", limits)
             if len(limits) != 2 or not limits[0] < limits[1]:
                 raise InputValueError(f"Region: {name} must be (lowest, highest) in m; got {limits!r}.")
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, nearest_name
 
 __all__ = ["CONDITION_COLUMNS", "FEWEST", "Conditions", "join"]
@@ -238,6 +239,7 @@ def _check_lengths(which: str, table: Table) -> None:
 
 def _numbers(values: Iterable[Any], name: str) -> Floats:
     """A column as float64; None is NaN, and so is the text that CSV and JSON have for it."""
+    check_arguments(f"correlate({name.split()[0] if name.split() else 'scores'}: Iterable)", values)
     found = []
     for value in values:
         try:

@@ -53,6 +53,7 @@ class Binned(SizeDistribution):
             density_per_m3_mm,
             particle,
         )
+        check_arguments("Binned(per_size: str, particle: str)", per_size, particle)
         edges = torch.as_tensor(edges_mm, dtype=torch.float64)
         density = torch.as_tensor(density_per_m3_mm, device=edges.device).to(torch.float64)
         if edges.ndim != 1 or density.ndim < 1 or edges.numel() != density.shape[-1] + 1 or edges.numel() < 2:

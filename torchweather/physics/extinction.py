@@ -203,6 +203,7 @@ def backscatter_per_m_sr(
         temperature_c,
     )
     _check_wavelength(wavelength_nm, "backscatter_per_m_sr")
+    _check_wavelength(wavelength_nm, "backscatter_per_m_sr")
     if q_back is None:
         if distribution.particle != "drop":
             q_back = FLAKE_Q_BACK
@@ -275,6 +276,7 @@ def lidar_ratio_sr(distribution: SizeDistribution, wavelength_nm: float, *, temp
         wavelength_nm,
         temperature_c,
     )
+    _check_wavelength(wavelength_nm, "lidar_ratio_sr")
     extinction = extinction_per_m(distribution, wavelength_nm, temperature_c=temperature_c)
     return extinction / backscatter_per_m_sr(distribution, wavelength_nm, temperature_c=temperature_c, q_back="mie")
 
@@ -307,6 +309,7 @@ def single_scattering_albedo(
         material,
         temperature_c,
     )
+    _check_wavelength(wavelength_nm, "single_scattering_albedo")
     bounds, material = _physical_support(distribution, material)
     diameter, width, q = scattering_table(*bounds, float(wavelength_nm), material, float(temperature_c), True)
     scattered = _integrated(distribution, diameter, width, q.q_sca)

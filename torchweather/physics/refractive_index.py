@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
-from torchweather.core.errors import TorchweatherWarning, check_between, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherWarning, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 from torchweather.physics.optical_constants import ICE_OPTICAL, WATER_OPTICAL
 from torchweather.physics.snow_geometry import ICE_DENSITY_G_PER_CM3
@@ -106,6 +106,11 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
         + a[7] * density**2
     )
     n = torch.sqrt((2.0 * lorentz_lorenz + 1.0) / (1.0 - lorentz_lorenz))
+    if not bool(n.isfinite().all()):
+        raise InputValueError(
+            "water_refractive_index: wavelength_nm lies where the formula has no value. IAPWS R9-97 holds "
+            "from 200 to 1100 nm."
+        )
     _, k = _interpolated(wavelength, "water")
     return torch.complex(*_same_shape(n, k))
 

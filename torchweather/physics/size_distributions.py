@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import check_at_least, check_one_of, check_positive
+from torchweather.core.errors import InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.incomplete_gamma import incomplete_gamma_between
 from torchweather.physics.size_distribution import Per, SizeDistribution
@@ -141,6 +141,8 @@ class Gamma(SizeDistribution):
 
     def _span_mm(self) -> tuple[float, float]:
         _, mu, slope = self._parameters()
+        if not slope.numel() or not mu.numel():
+            raise InputValueError(f"{type(self).__name__}: expected one distribution or more; got none.")
         high = float(((70.0 + 4.0 * mu.clamp_min(0.0)) / slope).detach().max())
         return 1e-5 / float(slope.detach().max()), high
 

@@ -130,6 +130,8 @@ def wet_flake_diameter_mm(physical_mm: Quantity, melted_mm: Quantity, melt_fract
     fraction, physical, melted = to_float64(melt_fraction, physical_mm, melted_mm)
     check_broadcast("wet_flake_diameter_mm", physical_mm=physical, melted_mm=melted, melt_fraction=fraction)
     check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_flake_diameter_mm")
+    for name, diameter in (("physical_mm", physical), ("melted_mm", melted)):
+        check_between(name, diameter, 0.0, 1e6, unit="mm", owner="wet_flake_diameter_mm")
     wet = ((1.0 - fraction) * physical**3 + fraction * melted**3) ** (1.0 / 3.0)
     return torch.where(fraction > 0, wet, physical)
 
@@ -166,6 +168,8 @@ def equal_visibility_rain_rate(
     check_one_of("variant", variant, ("default", "d3_4"), owner=owner)
     check_at_least("snowfall_mm_per_h", snowfall_mm_per_h, 0.0, unit="mm/h", owner=owner)
     check_positive("diameter_mm", diameter_mm, unit="mm", owner=owner)
+    check_positive("fall_speed_m_per_s", fall_speed_m_per_s, unit="m/s", owner=owner)
+    check_between("fall_speed_m_per_s", fall_speed_m_per_s, 0.0, 100.0, unit="m/s", owner=owner)
     snowfall, density, diameter, speed = to_float64(
         snowfall_mm_per_h, density_g_per_cm3, diameter_mm, fall_speed_m_per_s
     )

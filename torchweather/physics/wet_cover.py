@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
-from torchweather.core.errors import InputTypeError
+from torchweather.core.errors import InputTypeError, check_at_least
 
 __all__ = ["wet_cover_loss_db", "wet_cover_series_db"]
 
@@ -54,6 +54,7 @@ def wet_cover_loss_db(
     """
     check_arguments("wet_cover_loss_db(rain_mm_per_h: floating, age_min: real)", rain_mm_per_h, age_min)
     check_broadcast("wet_cover_loss_db", rain_mm_per_h=rain_mm_per_h, age_min=age_min)
+    check_at_least("age_min", age_min, 0.0, unit="min", owner="wet_cover_loss_db")
     loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))
     dry = _over_time(drying_min, rain_mm_per_h)
     wet = torch.exp(_log_wetness(rain_mm_per_h, film_exponent) - age_min.to(rain_mm_per_h) / dry).amax(-1)

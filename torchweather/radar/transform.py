@@ -239,6 +239,7 @@ class RadarAttenuation(WeatherTransform):
             The input's shape, columns and dtype; rows more with ``clutter`` and with effects that list more; a shorter
             list (of lists for a batch) with ``lost="drop"``.
         """
+        check_arguments("RadarAttenuation(points: Tensor(..., N, 6+))", points)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import check_between
 
 __all__ = ["project_points"]
 
@@ -44,6 +45,7 @@ def project_points(
         height,
         width,
     )
+    check_between("T_camera_from_lidar", T_camera_from_lidar, -1e9, 1e9, unit="m", owner="project_points")
     rows, columns = height or camera.height, width or camera.width
     transform = T_camera_from_lidar.to(points_xyz)
     in_camera = points_xyz[:, :3] @ transform[:3, :3].T + transform[:3, 3]

@@ -129,7 +129,7 @@ def along_ray_to_axis(depth_m: Tensor, camera: Camera) -> Tensor:
         >>> along_ray_to_axis(torch.tensor([[3.0, 3.0, 3.0, 3.0, 5.0]]), camera)[0, [0, 4]]
         tensor([3., 3.])
     """
-    check_arguments("along_ray_to_axis(depth_m: Tensor, camera: Camera)", depth_m, camera)
+    check_arguments("along_ray_to_axis(depth_m: Tensor(..., H, W), camera: Camera)", depth_m, camera)
     if not depth_m.is_floating_point():
         raise InputTypeError(f"along_ray_to_axis: depth_m must be floating point, metres; got {depth_m.dtype}.")
     height, width = depth_m.shape[-2:]

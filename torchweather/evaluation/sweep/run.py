@@ -51,6 +51,8 @@ def plan(subjects: Sequence[Subject], levels: Sequence[Level]) -> list[tuple[Sub
     Raises:
         ValueError: no subject and level go together, or two weathers have one name.
     """
+    if odd := [one for one in subjects if not (hasattr(one, "indoors") and hasattr(one, "name"))]:
+        raise InputTypeError(f"sweep: expected subjects, such as CameraSubject; got {odd[0]!r:.100}.")
     series = {(level.name, level.severity) for level in levels}
     if len(series) < len(levels):
         raise InputValueError("sweep: wanted each weather once; got one twice. Give all its levels in one list.")

@@ -130,6 +130,10 @@ def beam_ends(
     )
     xyz = np.asarray(points_xyz, dtype=np.float64)
     direction = np.asarray(direction, dtype=np.float64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3 or direction.ndim != 2 or direction.shape[1] != 3:
+        raise InputValueError(
+            f"beam_ends: points_xyz and direction must be (N, 3) and (M, 3); got {xyz.shape} and {direction.shape}."
+        )
     if ground is None:
         ground = fit_ground(xyz)
     count = len(direction)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.lidar.sweep.azimuth_step import AzimuthStep, fit_azimuth_step
 from torchweather.lidar.sweep.cone_fit import ConeFit, fit_cones
 from torchweather.lidar.sweep.frame_fit import FrameOffset, fit_frame
@@ -172,6 +172,7 @@ def estimate_pattern(
         'file order'
     """
     check_arguments("estimate_pattern(rings: int | None, min_range_m: float)", rings, min_range_m)
+    check_between("min_range_m", min_range_m, 0.0, 1e6, unit="m", owner="estimate_pattern")
     xyz = _checked(points)
     seen = np.isfinite(xyz).all(1)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, check_between
 
 __all__ = ["Neighbour", "SweepRaster", "long_runs"]
 
@@ -60,6 +60,7 @@ class SweepRaster:
         ring: npt.NDArray[np.integer[Any]] | None,
         direction_ring: npt.NDArray[np.integer[Any]] | None,
     ) -> None:
+        check_between("step_deg", step_deg, 1e-3, TURN_DEG, unit="degrees", owner="beam_ends")
         self.columns = max(1, round(TURN_DEG / step_deg))
         self.step_deg = TURN_DEG / self.columns
         x, y, z = points_xyz.T

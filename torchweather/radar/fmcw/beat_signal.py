@@ -24,7 +24,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_positive
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S
 from torchweather.radar.fmcw.scatterers import Scatterers
@@ -153,6 +153,7 @@ def _amplitude(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | No
     gain = 2.0 * (radar.gain_dbi(scatterers.azimuth_rad, scatterers.elevation_rad) - radar.antenna_gain_dbi)
     if attenuation_db is not None:
         check_at_least("attenuation_db", attenuation_db, 0.0, unit="dB", owner="beat_signal")
+        check_broadcast("beat_signal", attenuation_db=attenuation_db, scatterers=gain)
         gain = gain - attenuation_db
     there = scatterers.field_m != 0
     range_m = torch.where(there, scatterers.range_m, torch.ones_like(scatterers.range_m))

@@ -152,7 +152,7 @@ def corner_scatterers(
         14.4
     """
     check_arguments(
-        "corner_scatterers(position_m: Tensor, facing: Tensor, edge_m: Tensor, radar_position_m: Tensor, "
+        "corner_scatterers(position_m: floating, facing: floating, edge_m: Tensor, radar_position_m: Tensor, "
         "velocity_m_per_s: Tensor, wavelength_m: float)",
         position_m,
         facing,

@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import check_between, check_finite, check_positive
+from torchweather.core.errors import InputValueError, check_between, check_finite, check_positive
 from torchweather.radar.fmcw.bodies import corner_scatterers, facet_scatterers, gathered
 from torchweather.radar.fmcw.scatterers import Scatterers
 
@@ -120,6 +120,7 @@ def car_facets(
     check_arguments("car_facets(length_m: float, width_m: float)", length_m, width_m)
     for name, value in (("length_m", length_m), ("width_m", width_m), ("height_m", height_m), ("facet_m", facet_m)):
         check_positive(name, value, unit="m", owner="car_facets")
+        check_between(name, value, 1e-3, 100.0, unit="m", owner="car_facets")
     scale = np.array([length_m / CAR_LENGTH_M, width_m / CAR_WIDTH_M, height_m / CAR_HEIGHT_M])
 
     outline = PchipInterpolator(LEVELS[:, 0], LEVELS[:, 1:])  # monotone: never beyond the named sizes
@@ -221,6 +222,11 @@ def car_scatterers(
     check_finite("rear_m", torch.tensor(rear_m), unit="m", owner="car_scatterers")
     check_finite("yaw_rad", yaw_rad, unit="rad", owner="car_scatterers")
     check_finite("radar_height_m", radar_height_m, unit="m", owner="car_scatterers")
+    if len(rear_m) != 2 or len(velocity_m_per_s) != 3:
+        raise InputValueError(
+            f"car_scatterers: rear_m must be (x, y) and velocity_m_per_s (x, y, z); got {rear_m!r} and "
+            f"{velocity_m_per_s!r}."
+        )
     skin = car_facets() if facets_m is None else facets_m
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     turn = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=skin.dtype, device=skin.device)

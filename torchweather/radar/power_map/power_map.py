@@ -253,6 +253,7 @@ class RadarPowerMap:
 
 
 def _numbers(name: str, values: Sequence[float] | Tensor) -> tuple[float, ...]:
+    check_arguments(f"MapAxes({name}: real | array | Sequence[float])", values)
     listed = values.detach().double().tolist() if isinstance(values, Tensor) else [float(value) for value in values]
     if not listed:
         raise InputValueError(f"MapAxes: {name} must hold one value or more; got none.")
