@@ -620,6 +620,7 @@ ALIASES = {
 
 def weather_from_dict(values: Mapping[str, Any]) -> Weather:
     """The weather that ``to_dict`` wrote: ``{"kind": "rain", "rate_mm_per_h": 25.0, ...}``."""
+    check_arguments("weather_from_dict(values: Mapping)", values)
     check_value(values, MAPPING, "torchweather", "weather")
     kind = values.get("kind")
     if kind == "mixture":

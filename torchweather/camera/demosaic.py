@@ -94,7 +94,14 @@ def demosaic(
         >>> torch.allclose(demosaic(mosaic(flat, "GRBG"), "GRBG"), flat)
         True
     """
-    check_arguments("demosaic(bayer: Tensor, matrix: Tensor | None, out: Tensor | None)", bayer, matrix, out)
+    check_arguments(
+        "demosaic(bayer: Tensor, pattern: str, method: str, matrix: Tensor | None, out: Tensor | None)",
+        bayer,
+        pattern,
+        method,
+        matrix,
+        out,
+    )
     check_one_of("pattern", pattern, PATTERNS, owner="demosaic")
     check_one_of("method", method, METHODS, owner="demosaic")
     check_even(bayer, "demosaic")

@@ -135,10 +135,12 @@ class ExtinctionAndAirlight(Stage):
         variant: str | None = None,
     ) -> None:
         check_arguments(
-            "ExtinctionAndAirlight(wavelengths_nm: Sequence[float], airlight: Sequence[float] | float | str | None, "
-            "variant: str | None)",
+            "ExtinctionAndAirlight(weather: Fog | Mapping, wavelengths_nm: Sequence[float], "
+            "airlight: Sequence[float] | float | str | None, extinction: str, variant: str | None)",
+            weather,
             wavelengths_nm,
             airlight,
+            extinction,
             variant,
         )
         super().__init__()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import check_between
 
 __all__ = ["same_aspect", "size_change"]
 
@@ -25,6 +26,9 @@ def same_aspect(width: float, height: float, other_width: float, other_height: f
         other_width,
         other_height,
     )
+    sizes = {"width": width, "height": height, "other_width": other_width, "other_height": other_height}
+    for name, value in sizes.items():
+        check_between(name, value, 1e-6, 1e9, owner="same_aspect")
     return abs(width * other_height / (height * other_width) - 1) <= SAME_ASPECT
 
 

@@ -93,6 +93,12 @@ class AsBayer(nn.Module):
     data_shape: ClassVar[tuple[str, ...]] = ("3", "H", "W")
 
     def __init__(self, transform: BayerWeather, *, through_mosaic: bool = False, method: str = "malvar") -> None:
+        check_arguments(
+            "AsBayer(transform: BayerWeather, through_mosaic: bool, method: str)",
+            transform,
+            through_mosaic,
+            method,
+        )
         super().__init__()
         if not isinstance(transform, BayerWeather):
             raise InputTypeError(
@@ -137,6 +143,7 @@ class AsBayer(nn.Module):
         Returns:
             ``(..., 3, H, W)`` in the dtype of ``rgb``. The inputs are not changed.
         """
+        check_arguments("AsBayer(rgb: Tensor(..., 3, H, W))", rgb)
         if self.transform.must_draw(noise, seed, generator):
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)

@@ -187,6 +187,15 @@ class Camera(Sensor):
         cls, fx: float, fy: float, cx: float, cy: float, width: int, height: int, **more: Any
     ) -> Camera:
         """A camera from its calibration matrix, pixels; every other field by keyword."""
+        check_arguments(
+            "Camera.from_intrinsics(fx: float, fy: float, cx: float, cy: float, width: int, height: int)",
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        )
         return cls.from_dict({"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **more})
 
     @classmethod
@@ -194,7 +203,13 @@ class Camera(Sensor):
         cls, horizontal_rad: float, vertical_rad: float, width: int, height: int, **more: Any
     ) -> Camera:
         """A distortion-free camera from its full angles of view, radians."""
-        check_arguments("Camera.from_field_of_view(width: int, height: int)", width, height)
+        check_arguments(
+            "Camera.from_field_of_view(horizontal_rad: float, vertical_rad: float, width: int, height: int)",
+            horizontal_rad,
+            vertical_rad,
+            width,
+            height,
+        )
         check_between("horizontal_rad", horizontal_rad, 1e-3, math.pi - 1e-3, unit="rad", owner=cls)
         check_between("vertical_rad", vertical_rad, 1e-3, math.pi - 1e-3, unit="rad", owner=cls)
         fx = width / 2 / math.tan(horizontal_rad / 2)
@@ -359,6 +374,7 @@ class Camera(Sensor):
 
         Coordinates that the lens cannot reach, outside the picture, become those of its outermost ray.
         """
+        check_arguments("Camera.undistort(x: Tensor, y: Tensor)", x, y)
         if not self.distorted:
             return x, y
         xu, yu, fold = x, y, self._fold_radius()

@@ -145,6 +145,7 @@ def grey_world_gains(bayer: Tensor, pattern: str) -> Tensor:
         >>> grey_world_gains(torch.tensor([[[0.2, 0.4], [0.4, 0.1]]]), "RGGB")
         tensor([2., 1., 4.])
     """
+    check_arguments("grey_world_gains(bayer: Tensor, pattern: str)", bayer, pattern)
     means = colour_means(bayer, pattern)
     return torch.where(means > 0, means[..., 1:2] / means.clamp_min(torch.finfo(means.dtype).tiny), 1.0)
 
@@ -325,12 +326,14 @@ def develop(
     """
     check_arguments(
         "develop(bayer: real(..., 1, H, W), pattern: str, black_level: float, white_level: float | None, "
-        "knots: Sequence | None, matrix: Tensor | Sequence | None, exposure: float, knee: float, method: str)",
+        "knots: Sequence | None, gains: Tensor | Sequence[float] | str, matrix: Tensor | Sequence | None, "
+        "exposure: float, knee: float, method: str)",
         bayer,
         pattern,
         black_level,
         white_level,
         knots,
+        gains,
         matrix,
         exposure,
         knee,

@@ -132,6 +132,28 @@ class BayerWeather(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        check_arguments(
+            "BayerWeather(weather: Weather, camera: Camera, airlight: Sequence[float] | float | str | None, "
+            "layer_top_m: float, sky: str | None, extinction: str, near_m: float, far_m: float, "
+            "min_listed_coverage: float, max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
+            "rate_capacity_mm_per_h: float | None, variant: str | None, effects: Sequence, p: float)",
+            weather,
+            camera,
+            airlight,
+            layer_top_m,
+            sky,
+            extinction,
+            near_m,
+            far_m,
+            min_listed_coverage,
+            max_listed_density,
+            ego_speed_m_per_s,
+            drop_radiance,
+            rate_capacity_mm_per_h,
+            variant,
+            effects,
+            p,
+        )
         super().__init__()
         self.options = CameraOptions(
             depth=depth,
@@ -246,6 +268,7 @@ class BayerWeather(WeatherTransform):
             return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal, out=out)
         state = self._state(bayer, depth, normal)
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, bayer.shape[:-3])
+        check_arguments("BayerWeather(out: Tensor | None)", out)
         if out is not None:
             self._run_into(state, out)
             return out

@@ -48,7 +48,7 @@ class Collate:
     clouds_as: str = "padded"
 
     def __post_init__(self) -> None:
-        check_arguments("Collate(clouds: Sequence[str])", self.clouds)
+        check_arguments("Collate(clouds_as: str)", self.clouds_as)
         check_one_of("clouds_as", self.clouds_as, CLOUDS_AS, owner=self)
         if isinstance(self.clouds, str):
             raise InputTypeError(

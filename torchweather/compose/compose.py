@@ -111,11 +111,10 @@ class Compose(nn.Module):
         mosaic_clear: bool = False,
     ) -> None:
         check_arguments(
-            "Compose(transforms: Mapping, weather: Weather | Choice | Sequence | None, depth: str, "
-            "inputs: Mapping | None, seed: int | None, sample_key: str | None, history: str | None, "
-            "mosaic_clear: bool)",
-            transforms,
+            "Compose(weather: Weather | Choice | Sequence | None, p: float, depth: str, inputs: Mapping | None, "
+            "seed: int | None, sample_key: str | None, history: str | None, mosaic_clear: bool)",
             weather,
+            p,
             depth,
             inputs,
             seed,

@@ -74,7 +74,14 @@ class RandomWeather(nn.Module):
         seed: int | None = None,
         **options: Any,
     ) -> None:
-        check_arguments("RandomWeather(weather: Weather | Choice | Sequence | None)", weather)
+        check_arguments(
+            "RandomWeather(weather: Weather | Choice | Sequence | None, p: float, camera: Camera | str | None, "
+            "seed: int | None)",
+            weather,
+            p,
+            camera,
+            seed,
+        )
         super().__init__()
         check_between("p", p, 0.0, 1.0, owner=self)
         if weather is None:

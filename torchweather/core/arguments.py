@@ -97,6 +97,8 @@ class _Kind:
     def fits(self, value: Any) -> bool:
         if self.name not in _KINDS:  # by name, as most classes are imported for the types alone
             return any(kind.__name__ == self.name for kind in type(value).__mro__)
+        if self.element is not None and self.element.name in ("float", "int") and _is_row(value):
+            return True
         if not _KINDS[self.name][1](value):
             return False
         looked_at = self.element is not None and isinstance(value, (list, tuple))
@@ -124,6 +126,11 @@ def _is_odd(value: Tensor | np.ndarray[Any, Any]) -> bool:
 
 def _is_quantity(value: Any) -> bool:
     return not _is_odd(value) if isinstance(value, (Tensor, np.ndarray)) else _is_number(value) or _is_sequence(value)
+
+
+def _is_row(value: Any) -> bool:
+    """True for an array or a tensor of numbers, which serves as a sequence of them."""
+    return isinstance(value, (Tensor, np.ndarray)) and value.ndim > 0 and not _is_odd(value)
 
 
 def _is_sequence(value: Any) -> bool:
@@ -191,7 +198,9 @@ def _parted(text: str, sign: str) -> list[str]:
 def _check_path(owner: str, name: str, path: str | bytes) -> None:
     """Refuse a name that no file can have: a null character, or half a character."""
     try:
-        if b"\0" not in os.fsencode(path) and not isinstance(path, bytes):
+        name_bytes = max(map(len, os.fsencode(path).split(os.sep.encode())))
+        # 255 bytes are the most of every usual file system.
+        if b"\0" not in os.fsencode(path) and not isinstance(path, bytes) and name_bytes <= 255:
             return
     except UnicodeEncodeError:
         pass

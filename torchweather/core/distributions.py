@@ -48,6 +48,7 @@ class Uniform(Distribution):
     high: float
 
     def __post_init__(self) -> None:
+        check_arguments("Uniform(low: float, high: float)", self.low, self.high)
         _check_ends(self, self.low, self.high)
 
     def at(self, u: float) -> float:
@@ -81,6 +82,7 @@ class LogUniform(Distribution):
     high: float
 
     def __post_init__(self) -> None:
+        check_arguments("LogUniform(low: float, high: float)", self.low, self.high)
         _check_ends(self, self.low, self.high)
         if not self.low > 0:
             raise InputValueError(f"LogUniform: low must be above 0; got {self.low!r}. Uniform takes 0.")

@@ -81,8 +81,10 @@ def update_boxes(
         2
     """
     check_arguments(
-        "update_boxes(boxes: Boxes, points: Tensor | None, rectangles: Tensor | None)",
+        "update_boxes(boxes: Boxes, result: LidarResult | RadarResult | CameraResult | RgbResult | None, "
+        "points: Tensor | None, rectangles: Tensor | None)",
         boxes,
+        result,
         points,
         rectangles,
     )

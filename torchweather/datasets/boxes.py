@@ -98,7 +98,7 @@ def points_in_boxes(points: Tensor, boxes: Boxes) -> Tensor:
     Returns:
         ``(..., N, M)`` bool. Memory grows with N M: some 20 bytes for each pair.
     """
-    check_arguments("points_in_boxes(points: Tensor, boxes: Boxes)", points, boxes)
+    check_arguments("points_in_boxes(points: real(..., N, 3+), boxes: Boxes)", points, boxes)
     xyz = points[..., :3]
     xyz = xyz.to(torch.promote_types(xyz.dtype, torch.float32))
     centre, half, yaw = boxes.centre_m.to(xyz), 0.5 * boxes.size_m.to(xyz), boxes.yaw_rad.to(xyz)
@@ -135,6 +135,7 @@ def turned_back(yaw_rad: Tensor, plane: Tensor, rotation: Tensor) -> Tensor:
 
 def checked_transform(transform: Tensor, name: str, owner: str) -> Tensor:
     """A rigid transform ``(4, 4)`` as float64."""
+    check_arguments(f"{owner}({name}: real | array | Sequence)", transform)
     matrix = torch.as_tensor(transform, dtype=torch.float64).cpu()
     rotation = matrix[:3, :3] if matrix.shape == (4, 4) else torch.zeros(3, 3, dtype=torch.float64)
     # Calibration files print seven digits; 1e-3 tells a rotation from anything else.

@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from torchweather.camera.sensor import Camera
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_finite
 
 __all__ = ["CameraLidarCalibration"]
@@ -28,6 +29,12 @@ class CameraLidarCalibration:
     assumption: str = ""
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "CameraLidarCalibration(camera_matrix: Tensor, T_camera_from_lidar: Tensor, assumption: str)",
+            self.camera_matrix,
+            self.T_camera_from_lidar,
+            self.assumption,
+        )
         for name, shape in (("camera_matrix", (3, 3)), ("T_camera_from_lidar", (4, 4))):
             value = getattr(self, name)
             if not isinstance(value, Tensor) or tuple(value.shape) != shape or not value.is_floating_point():

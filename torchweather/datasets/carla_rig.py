@@ -89,7 +89,18 @@ class CarlaRig:
         report: Callable[[str], object] | None = None,
         waiting_frames: int = 16,
     ) -> None:
-        check_arguments("CarlaRig(sensors: Mapping)", sensors)
+        check_arguments(
+            "CarlaRig(transform: Callable, sensors: Mapping, deliver: Callable | None, radar: Radar | None, "
+            "rcs_dbsm: float, reflectivity: float | None, report: Callable | None, waiting_frames: int)",
+            transform,
+            sensors,
+            deliver,
+            radar,
+            rcs_dbsm,
+            reflectivity,
+            report,
+            waiting_frames,
+        )
         if not sensors:
             raise InputValueError("CarlaRig: sensors must name at least one, such as {'points': 'lidar'}; got none.")
         for kind in sensors.values():

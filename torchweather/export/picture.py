@@ -47,7 +47,14 @@ class ImageToDetector(nn.Module):
         std: float | Sequence[float] = 1.0,
     ) -> None:
         check_arguments(
-            "ImageToDetector(mean: float | Sequence[float] | Tensor, std: float | Sequence[float] | Tensor)", mean, std
+            "ImageToDetector(layout: str, colour: str, dtype: str, scale: float, "
+            "mean: float | Sequence[float] | Tensor, std: float | Sequence[float] | Tensor)",
+            layout,
+            colour,
+            dtype,
+            scale,
+            mean,
+            std,
         )
         super().__init__()
         check_one_of("layout", layout, LAYOUTS, owner=self)
@@ -105,7 +112,18 @@ class MosaicToImage(ImageToDetector):
         mean: float | Sequence[float] = 0.0,
         std: float | Sequence[float] = 1.0,
     ) -> None:
-        check_arguments("MosaicToImage(mean: float | Sequence[float])", mean)
+        check_arguments(
+            "MosaicToImage(pattern: str, exposure: float, layout: str, colour: str, dtype: str, scale: float, "
+            "mean: float | Sequence[float], std: float | Sequence[float])",
+            pattern,
+            exposure,
+            layout,
+            colour,
+            dtype,
+            scale,
+            mean,
+            std,
+        )
         super().__init__(layout=layout, colour=colour, dtype=dtype, scale=scale, mean=mean, std=std)
         check_positive("exposure", exposure, owner=self)
         self.pattern, self.exposure = pattern, exposure

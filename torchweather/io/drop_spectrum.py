@@ -113,6 +113,21 @@ def spectrum_from_counts(
         >>> round(float(found.density_per_m3_mm))        # 540 / (0.0054 m2 60 s 4 m/s 0.2 mm)
         2083
     """
+    check_arguments(
+        "spectrum_from_counts(counts: Tensor, edges_mm: Tensor, speed_m_per_s: Tensor, duration_s: float, "
+        "area_mm2: Tensor, time_s: Tensor, instrument: str, fall_speed_tolerance: float, "
+        "reported_rate_mm_per_h: Tensor | None, reported_mor_m: Tensor | None)",
+        counts,
+        edges_mm,
+        speed_m_per_s,
+        duration_s,
+        area_mm2,
+        time_s,
+        instrument,
+        fall_speed_tolerance,
+        reported_rate_mm_per_h,
+        reported_mor_m,
+    )
     owner = "spectrum_from_counts"
     counts, edges, speed, area, time = _numbers(
         owner, counts=counts, edges_mm=edges_mm, speed_m_per_s=speed_m_per_s, area_mm2=area_mm2, time_s=time_s
@@ -168,7 +183,18 @@ def spectrum_from_drops(
         instrument: what measured.
         fall_speed_tolerance: see `read_disdrometer`.
     """
-    check_arguments("spectrum_from_drops(duration_s: float)", duration_s)
+    check_arguments(
+        "spectrum_from_drops(diameter_mm: Tensor, speed_m_per_s: Tensor, area_mm2: Tensor, time_s: Tensor, "
+        "edges_mm: Tensor, duration_s: float, instrument: str, fall_speed_tolerance: float)",
+        diameter_mm,
+        speed_m_per_s,
+        area_mm2,
+        time_s,
+        edges_mm,
+        duration_s,
+        instrument,
+        fall_speed_tolerance,
+    )
     owner = "spectrum_from_drops"
     diameter, speed, area, time, edges = _numbers(
         owner, diameter_mm=diameter_mm, speed_m_per_s=speed_m_per_s, area_mm2=area_mm2, time_s=time_s, edges_mm=edges_mm

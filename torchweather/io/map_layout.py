@@ -57,10 +57,14 @@ class MapLayout:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "MapLayout(dims: Sequence | None, step_db: float, bottom_db: float)",
+            "MapLayout(dims: Sequence | None, scale: str | None, step_db: float, bottom_db: float, key: str | None, "
+            "quadratures: bool)",
             self.dims,
+            self.scale,
             self.step_db,
             self.bottom_db,
+            self.key,
+            self.quadratures,
         )
         if self.dims is not None:
             object.__setattr__(self, "dims", tuple(self.dims))

@@ -123,13 +123,15 @@ def read_points(
     """
     check_arguments(
         "read_points(path: path, format: str | None, intensity: str, columns: Sequence[str] | None, "
-        "dtype: dtype | None, bin_columns: str | Sequence[str] | None, intensity_unit: str | None, viewpoint: str)",
+        "dtype: dtype | None, bin_columns: str | Sequence[str] | None, bin_dtype: str, intensity_unit: str | None, "
+        "viewpoint: str)",
         path,
         format,
         intensity,
         columns,
         dtype,
         bin_columns,
+        bin_dtype,
         intensity_unit,
         viewpoint,
     )

@@ -21,6 +21,8 @@ IDENTITY: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def _matrix(value: Any, rows: int, columns: int) -> Tensor | None:
+    if isinstance(value, Tensor) and value.is_complex():
+        return None
     try:
         found = torch.as_tensor(value, dtype=torch.float64).cpu()
     except (TypeError, ValueError, RuntimeError):

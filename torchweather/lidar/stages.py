@@ -109,6 +109,7 @@ class ToEnergy(_SensorStage):
     photons_at_threshold: Tensor
 
     def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        check_arguments("ToEnergy(sensor: Lidar | Mapping)", sensor)
         super().__init__(sensor)
         self.beam = Beam(self.sensor)
         self.register_buffer("margin_db", torch.tensor(self.sensor.margin_db))
@@ -268,7 +269,15 @@ class Extinction(Stage):
         fog_extinction: str = "mie",
         variant: str | None = None,
     ) -> None:
-        check_arguments("Extinction(weathers: Sequence, fog_extinction: str)", weathers, fog_extinction)
+        check_arguments(
+            "Extinction(weathers: Sequence, sensor: Lidar | Mapping, q_eff: float | None, fog_extinction: str, "
+            "variant: str | None)",
+            weathers,
+            sensor,
+            q_eff,
+            fog_extinction,
+            variant,
+        )
         super().__init__()
         self.sensor = Lidar.of(sensor)
         if q_eff is not None:
@@ -370,9 +379,10 @@ class ParticleReturns(Stage):
         receiver: str = "gate",
     ) -> None:
         check_arguments(
-            "ParticleReturns(weathers: Sequence, q_back: float | str | None, fog_backscatter: str, "
-            "variant: str | None)",
+            "ParticleReturns(weathers: Sequence, sensor: Lidar | Mapping, q_back: float | str | None, "
+            "fog_backscatter: str, variant: str | None)",
             weathers,
+            sensor,
             q_back,
             fog_backscatter,
             variant,
@@ -714,6 +724,7 @@ class ToPoints(_SensorStage):
     range_noise_m: Tensor
 
     def __init__(self, sensor: Lidar | Mapping[str, Any]) -> None:
+        check_arguments("ToPoints(sensor: Lidar | Mapping)", sensor)
         super().__init__(sensor)
         self.register_buffer("photons_at_threshold", torch.tensor(float(self.sensor.photons_at_threshold)))
         self.register_buffer("range_noise_m", torch.tensor(float(self.sensor.range_noise_m)))

@@ -168,14 +168,23 @@ class LidarWeather(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         check_arguments(
-            "LidarRain(q_back: float | str | None, complete_scan: bool | str, beam_ends: str, "
-            "own_vehicle: OwnVehicleMask | Sequence[float] | str | None, variant: str | None, effects: Sequence)",
+            "LidarRain(weather: Weather, sensor: Lidar, q_eff: float | None, q_back: float | str | None, "
+            "fog_extinction: str, fog_backscatter: str, lost: str, complete_scan: bool | str, beam_ends: str, "
+            "own_vehicle: OwnVehicleMask | Sequence[float] | str | None, variant: str | None, effects: Sequence, "
+            "p: float)",
+            weather,
+            sensor,
+            q_eff,
             q_back,
+            fog_extinction,
+            fog_backscatter,
+            lost,
             complete_scan,
             beam_ends,
             own_vehicle,
             variant,
             effects,
+            p,
         )
         super().__init__()
         self.options = LidarOptions(

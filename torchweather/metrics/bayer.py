@@ -75,7 +75,17 @@ def bayer_scores(
         >>> bayer_scores(veiled, clear, ["gmsd"], pattern="RGGB", scored_as="planes")["gmsd"].shape
         torch.Size([4])
     """
-    check_arguments("bayer_scores(gains: Tensor | Sequence[float])", gains)
+    check_arguments(
+        "bayer_scores(distorted: Tensor, reference: Tensor, pattern: str, scored_as: str, encoding: str, "
+        "gains: Tensor | Sequence[float], data_range: float)",
+        distorted,
+        reference,
+        pattern,
+        scored_as,
+        encoding,
+        gains,
+        data_range,
+    )
     check_one_of("pattern", pattern, PATTERNS, owner="bayer_scores")
     check_one_of("scored_as", scored_as, SCORED_AS, owner="bayer_scores")
     check_one_of("encoding", encoding, ENCODINGS, owner="bayer_scores")
@@ -108,7 +118,7 @@ class BayerScore(Collected):
     """
 
     def __init__(self, name: str, *, pattern: str, **options: Any) -> None:
-        check_arguments("BayerScore(name: str)", name)
+        check_arguments("BayerScore(name: str, pattern: str)", name, pattern)
         super().__init__(name, "mosaic")
         check_one_of("score", name, IMAGE_SCORES, owner=self)
         self.name, self.pattern, self.options = name, pattern, options

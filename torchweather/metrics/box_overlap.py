@@ -30,7 +30,7 @@ def box_iou(first: Tensor, second: Tensor) -> Tensor:
         >>> box_iou(torch.tensor([[0.0, 0.0, 2.0, 2.0]]), torch.tensor([[1.0, 0.0, 3.0, 2.0], [5.0, 5.0, 6.0, 6.0]]))
         tensor([[0.3333, 0.0000]])
     """
-    check_arguments("box_iou(second: Tensor)", second)
+    check_arguments("box_iou(first: Tensor, second: Tensor)", first, second)
     shared = _shared_in_image(first, second, "box_iou")
     area, other = ((boxes[:, 2:] - boxes[:, :2]).prod(-1) for boxes in (first, second))
     return _over_union(shared, area, other)
@@ -96,6 +96,7 @@ def bev_iou(first: Tensor, second: Tensor) -> Tensor:
         >>> bev_iou(car, across)  # 4 of 12 square metres
         tensor([[0.3333]])
     """
+    check_arguments("bev_iou(first: Tensor, second: Tensor)", first, second)
     shared = _shared_on_ground(first, second, "bev_iou")
     return _over_union(shared, first[:, 2] * first[:, 3], second[:, 2] * second[:, 3])
 

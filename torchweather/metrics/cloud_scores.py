@@ -173,7 +173,20 @@ def cloud_scores(
         >>> {name: round(float(score), 3) for name, score in scores.items()}
         {'sdm': 0.0, 'rmse': 0.5, 'mde': 0.5, 'mmde': 0.5, 'hd': 0.5, 'hd95': 0.5}
     """
-    check_arguments("cloud_scores(region: Region | None)", region)
+    check_arguments(
+        "cloud_scores(distorted: Tensor | Sequence[Tensor], reference: Tensor | Sequence[Tensor], "
+        "correspondence: str, direction: str, distorted_valid: Tensor | Sequence[Tensor] | None, "
+        "reference_valid: Tensor | Sequence[Tensor] | None, region: Region | None, seed: int, search: str)",
+        distorted,
+        reference,
+        correspondence,
+        direction,
+        distorted_valid,
+        reference_valid,
+        region,
+        seed,
+        search,
+    )
     chosen = _chosen(names, owner)
     check_one_of("correspondence", correspondence, CORRESPONDENCES, owner=owner)
     check_one_of("direction", direction, DIRECTIONS, owner=owner)

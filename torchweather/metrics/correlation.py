@@ -131,13 +131,15 @@ def correlate(
         [('ssim', 1, 1.0), ('gmsd', 2, -0.67)]
     """
     check_arguments(
-        "correlate(scores: Mapping, performance: Mapping | Sequence[float], performance_column: str, "
-        "resamples: int, seed: int)",
+        "correlate(scores: Mapping, performance: Mapping | Sequence[float], by: Sequence[str] | None, "
+        "performance_column: str, resamples: int, seed: int, highly: float)",
         scores,
         performance,
+        by,
         performance_column,
         resamples,
         seed,
+        highly,
     )
     if resamples < 1:
         raise InputValueError(f"correlate: resamples must be 1 or more; got {resamples!r}.")

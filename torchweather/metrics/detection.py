@@ -108,10 +108,11 @@ def average_precision(
     """
     check_arguments(
         "average_precision(detections: Sequence[Mapping], truths: Sequence[Mapping], thresholds: Sequence[float], "
-        "ranges_m: Sequence)",
+        "interpolation: str, ranges_m: Sequence)",
         detections,
         truths,
         thresholds,
+        interpolation,
         ranges_m,
     )
     check_one_of("interpolation", interpolation, INTERPOLATIONS, owner="average_precision")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_one_of
 from torchweather.core.precision import outside_autocast
 
@@ -46,6 +47,7 @@ def double_validation(simulated: Tensor, measured: Tensor, *, centre: str = "med
         >>> float(found.bias), float(found.scatter)
         (4.0, 0.0)
     """
+    check_arguments("double_validation(simulated: Tensor, measured: Tensor, centre: str)", simulated, measured, centre)
     name = "double_validation"
     check_one_of("centre", centre, CENTRES, owner=name)
     for which, sample in (("simulated", simulated), ("measured", measured)):

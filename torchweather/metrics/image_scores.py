@@ -96,10 +96,9 @@ def image_scores(
         ['gmsd', 'psnr']
     """
     check_arguments(
-        "image_scores(distorted: Tensor, reference: Tensor, names: Iterable | None, data_range: float)",
+        "image_scores(distorted: Tensor, reference: Tensor, data_range: float)",
         distorted,
         reference,
-        names,
         data_range,
     )
     if isinstance(names, str):

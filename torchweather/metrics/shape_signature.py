@@ -128,7 +128,17 @@ def shape_signature_distance(
         >>> float(sdm(cloud, cloud)), float(sdm(cloud[:1], cloud))
         (0.0, 1.0)
     """
-    check_arguments("sdm(region: Region | None)", region)
+    check_arguments(
+        "sdm(distorted: Tensor | Sequence[Tensor], reference: Tensor | Sequence[Tensor], "
+        "distorted_valid: Tensor | Sequence[Tensor] | None, reference_valid: Tensor | Sequence[Tensor] | None, "
+        "region: Region | None, seed: int)",
+        distorted,
+        reference,
+        distorted_valid,
+        reference_valid,
+        region,
+        seed,
+    )
     pairs = cloud_pairs(
         distorted,
         reference,

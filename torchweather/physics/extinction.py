@@ -88,12 +88,12 @@ def extinction_per_m(
         0.00278
     """
     check_arguments(
-        "extinction_per_m(distribution: SizeDistribution, wavelength_nm: float, material: Material | None, "
-        "temperature_c: float)",
+        "extinction_per_m(distribution: SizeDistribution, wavelength_nm: float, "
+        "temperature_c: float, q_ext: float | None)",
         distribution,
         wavelength_nm,
-        material,
         temperature_c,
+        q_ext,
     )
     _check_wavelength(wavelength_nm, "extinction_per_m")
     if q_ext is not None:
@@ -195,11 +195,9 @@ def backscatter_per_m_sr(
         '2.20e-05'
     """
     check_arguments(
-        "backscatter_per_m_sr(distribution: SizeDistribution, wavelength_nm: float, material: Material | None, "
-        "temperature_c: float)",
+        "backscatter_per_m_sr(distribution: SizeDistribution, wavelength_nm: float, temperature_c: float)",
         distribution,
         wavelength_nm,
-        material,
         temperature_c,
     )
     _check_wavelength(wavelength_nm, "backscatter_per_m_sr")
@@ -240,9 +238,9 @@ def extinction_and_backscatter(
         19.7
     """
     check_arguments(
-        "extinction_and_backscatter(distribution: SizeDistribution, material: Material | None, temperature_c: float)",
+        "extinction_and_backscatter(distribution: SizeDistribution, wavelength_nm: float, temperature_c: float)",
         distribution,
-        material,
+        wavelength_nm,
         temperature_c,
     )
     _check_wavelength(wavelength_nm, "extinction_and_backscatter")
@@ -302,11 +300,9 @@ def single_scattering_albedo(
         1.0
     """
     check_arguments(
-        "single_scattering_albedo(distribution: SizeDistribution, wavelength_nm: float, material: Material | None, "
-        "temperature_c: float)",
+        "single_scattering_albedo(distribution: SizeDistribution, wavelength_nm: float, temperature_c: float)",
         distribution,
         wavelength_nm,
-        material,
         temperature_c,
     )
     _check_wavelength(wavelength_nm, "single_scattering_albedo")
@@ -401,4 +397,5 @@ def support_mm(distribution: SizeDistribution, order: float = 2.0) -> tuple[floa
 
 def _check_wavelength(wavelength_nm: float, owner: str) -> None:
     check_arguments(f"{owner}(wavelength_nm: float)", wavelength_nm)
+    check_positive("wavelength_nm", wavelength_nm, unit="nm", owner=owner)
     check_between("wavelength_nm", wavelength_nm, 1.0, 1e9, unit="nm", owner=owner)

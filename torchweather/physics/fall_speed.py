@@ -49,7 +49,7 @@ def rain_fall_speed_m_per_s(diameter_mm: Quantity, law: str = "brandes") -> Tens
         >>> rain_fall_speed_m_per_s(torch.tensor([0.1, 1.0, 5.0])).round(decimals=2)
         tensor([0.2700, 3.9500, 9.1200], dtype=torch.float64)
     """
-    check_arguments("rain_fall_speed_m_per_s(law: str)", law)
+    check_arguments("rain_fall_speed_m_per_s(diameter_mm: Quantity, law: str)", diameter_mm, law)
     check_one_of("law", law, RAIN_LAWS, owner="rain_fall_speed_m_per_s")
     (diameter,) = to_float64(diameter_mm)
     check_at_least("diameter_mm", diameter, 0.0, unit="mm", owner="rain_fall_speed_m_per_s")
@@ -96,6 +96,7 @@ def snow_fall_speed_m_per_s(melted_diameter_mm: Quantity, *, variant: str = "def
         >>> round(float(snow_fall_speed_m_per_s(1.0)), 2)
         1.01
     """
+    check_arguments("snow_fall_speed_m_per_s(melted_diameter_mm: Quantity, variant: str)", melted_diameter_mm, variant)
     check_one_of("variant", variant, ("default", "d3_4"), owner="snow_fall_speed_m_per_s")
     (melted,) = to_float64(melted_diameter_mm)
     check_at_least("melted_diameter_mm", melted, 0.0, unit="mm", owner="snow_fall_speed_m_per_s")
@@ -113,5 +114,9 @@ def flake_fall_speed_m_per_s(physical_diameter_mm: Quantity, *, variant: str = "
         >>> round(float(flake_fall_speed_m_per_s(2.2947)), 2)
         1.01
     """
-    check_arguments("flake_fall_speed_m_per_s(physical_diameter_mm: Quantity)", physical_diameter_mm)
+    check_arguments(
+        "flake_fall_speed_m_per_s(physical_diameter_mm: Quantity, variant: str)",
+        physical_diameter_mm,
+        variant,
+    )
     return snow_fall_speed_m_per_s(melted_diameter_mm(physical_diameter_mm), variant=variant)

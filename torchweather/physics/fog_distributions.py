@@ -147,7 +147,7 @@ def advection_fog(mor_m: Quantity, *, variant: str = "default", contrast: float 
         >>> round(float(advection_fog(100.0, variant="liquid-water").number_per_cm3), 1)
         82.0
     """
-    check_arguments("advection_fog(variant: str, contrast: float)", variant, contrast)
+    check_arguments("advection_fog(mor_m: Quantity, variant: str, contrast: float)", mor_m, variant, contrast)
     check_one_of("variant", variant, ("default", "liquid-water"), owner="advection_fog")
     shape = ModifiedGamma(1.0, ADVECTION_ALPHA, 1.0, ADVECTION_MODE_RADIUS_UM)
     if variant == "default":
@@ -173,6 +173,7 @@ def default_fog(mor_m: Quantity, contrast: float = MOR_CONTRAST) -> LogNormal:
         >>> extinction_per_m(fog, 550.0).round(decimals=4)
         tensor([0.0599, 0.0150], dtype=torch.float64)
     """
+    check_arguments("default_fog(mor_m: Quantity, contrast: float)", mor_m, contrast)
     check_positive("mor_m", mor_m, unit="m", owner="default_fog", advice="Clear air is mor_m=inf.")
     (mor,) = to_float64(mor_m)
     log_median, sigma = _rehearse_between(mor)

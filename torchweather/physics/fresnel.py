@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
@@ -106,6 +106,12 @@ def axial_q_back(
         >>> round(float(axial_q_back(1.328)), 3)
         0.094
     """
+    check_arguments(
+        "axial_q_back(diameter_mm: Quantity | None, wavelength_nm: Quantity | None)",
+        diameter_mm,
+        wavelength_nm,
+    )
+    check_broadcast("axial_q_back", index=refractive_index, diameter_mm=diameter_mm, wavelength_nm=wavelength_nm)
     m = _checked_index(refractive_index, "axial_q_back")
     reflected = normal_reflectance(torch.complex(m.real, torch.zeros_like(m.real)))
     rear = (1.0 - reflected) ** 2 * (m.real / (2.0 - m.real)) ** 2

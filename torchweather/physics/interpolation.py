@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_positive
+from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.core.precision import AtLeastSingle
 
 __all__ = ["InterpolationTable"]
@@ -59,15 +59,19 @@ class InterpolationTable(AtLeastSingle):
         zero_at_inf: bool = False,
     ) -> None:
         check_arguments(
-            "InterpolationTable(function: Callable, low: float, high: float, n: int, zero_at_inf: bool)",
+            "InterpolationTable(function: Callable, low: float, high: float, n: int, log_values: bool, "
+            "zero_at_zero: bool, zero_at_inf: bool)",
             function,
             low,
             high,
             n,
+            log_values,
+            zero_at_zero,
             zero_at_inf,
         )
         super().__init__()
         check_positive("low", low, owner=self)
+        check_between("n", n, 2, 1 << 20, owner=self)
         if not (high > low and math.isfinite(high)) or n < 2:
             raise InputValueError(
                 f"InterpolationTable: wanted low < high < inf and 2 nodes or more; got {low!r}, {high!r}, n={n!r}."

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_broadcast
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
@@ -64,6 +64,7 @@ def mie_efficiencies(size_parameter: Quantity, refractive_index: complex | Tenso
         >>> [round(float(v), 5) for v in (q.q_ext, q.q_sca, q.q_back)]
         [3.10543, 3.10543, 2.92534]
     """
+    check_arguments("mie_efficiencies(size_parameter: Quantity)", size_parameter)
     x, m, device = _checked(size_parameter, refractive_index, "mie_efficiencies")
     shape = x.shape
     x, m = x.ravel(), m.ravel()
@@ -94,6 +95,7 @@ def mie_coefficients(size_parameter: float, refractive_index: complex) -> tuple[
         >>> print(f"{complex(a[0]):.5f} {complex(b[0]):.5f}")
         0.51631-0.49973j 0.73767-0.43990j
     """
+    check_arguments("mie_coefficients(size_parameter: float)", size_parameter)
     x, m, _ = _checked(size_parameter, refractive_index, "mie_coefficients")
     if x.size != 1:
         raise InputValueError(f"mie_coefficients: expected one sphere; got shape {x.shape}.")

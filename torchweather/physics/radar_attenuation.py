@@ -60,9 +60,14 @@ def rain_attenuation_db_per_km(
         [11.41, 9.86]
     """
     check_arguments(
-        "rain_attenuation_db_per_km(model: str, polarisation_tilt_rad: float)",
+        "rain_attenuation_db_per_km(rate_mm_per_h: Quantity, frequency_ghz: float, model: str, "
+        "temperature_c: float, polarisation_tilt_rad: float, elevation_rad: float)",
+        rate_mm_per_h,
+        frequency_ghz,
         model,
+        temperature_c,
         polarisation_tilt_rad,
+        elevation_rad,
     )
     check_one_of("model", model, RAIN_ATTENUATION_MODELS, owner="rain_attenuation_db_per_km")
     if model == "p838":
@@ -142,9 +147,12 @@ def fog_attenuation_db_per_km(
         0.42
     """
     check_arguments(
-        "fog_attenuation_db_per_km(liquid_water_g_per_m3: Quantity, frequency_ghz: Quantity)",
+        "fog_attenuation_db_per_km(liquid_water_g_per_m3: Quantity, frequency_ghz: Quantity, "
+        "temperature_c: Quantity, variant: str)",
         liquid_water_g_per_m3,
         frequency_ghz,
+        temperature_c,
+        variant,
     )
     check_one_of("variant", variant, ("default", "d3_4"), owner="fog_attenuation_db_per_km")
     check_at_least("liquid_water_g_per_m3", liquid_water_g_per_m3, 0.0, unit="g/m^3", owner="fog_attenuation_db_per_km")
@@ -185,7 +193,15 @@ def snow_attenuation_db_per_km(
         >>> round(float(snow_attenuation_db_per_km(1.0)), 2)
         0.19
     """
-    check_arguments("snow_attenuation_db_per_km(rate_mm_per_h: Quantity)", rate_mm_per_h)
+    check_arguments(
+        "snow_attenuation_db_per_km(rate_mm_per_h: Quantity, frequency_ghz: float, model: str, "
+        "temperature_c: float, melt_fraction: float)",
+        rate_mm_per_h,
+        frequency_ghz,
+        model,
+        temperature_c,
+        melt_fraction,
+    )
     check_one_of("model", model, SNOW_ATTENUATION_MODELS, owner="snow_attenuation_db_per_km")
     if model == "d3_4":
         check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="snow_attenuation_db_per_km")

@@ -34,7 +34,14 @@ def radar_constant_db(
         >>> round(float(radar_constant_db(77.0, 12.0, 26.0)), 2)
         -43.17
     """
-    check_arguments("radar_constant_db(frequency_ghz: float)", frequency_ghz)
+    check_arguments(
+        "radar_constant_db(frequency_ghz: float, transmit_power_dbm: Quantity, antenna_gain_dbi: Quantity, "
+        "loss_db: float)",
+        frequency_ghz,
+        transmit_power_dbm,
+        antenna_gain_dbi,
+        loss_db,
+    )
     check_between("frequency_ghz", frequency_ghz, 1e-6, 1e6, unit="GHz", owner="radar_constant_db")
     power, gain, loss = to_float64(transmit_power_dbm, antenna_gain_dbi, loss_db)
     wavelength_m = SPEED_OF_LIGHT_M_PER_S / (1e9 * float(frequency_ghz))
@@ -70,10 +77,15 @@ def received_power_dbm(
         -111.13
     """
     check_arguments(
-        "received_power_dbm(range_m: Quantity, transmit_power_dbm: Quantity, loss_db: float)",
+        "received_power_dbm(rcs_dbsm: Quantity, range_m: Quantity, frequency_ghz: float, "
+        "transmit_power_dbm: Quantity, antenna_gain_dbi: Quantity, loss_db: float, attenuation_db: Quantity)",
+        rcs_dbsm,
         range_m,
+        frequency_ghz,
         transmit_power_dbm,
+        antenna_gain_dbi,
         loss_db,
+        attenuation_db,
     )
     check_broadcast(
         "received_power_dbm",
@@ -114,13 +126,15 @@ def target_rcs_dbsm(
         0.0
     """
     check_arguments(
-        "target_rcs_dbsm(power_dbm: Quantity, frequency_ghz: float, transmit_power_dbm: Quantity, "
-        "antenna_gain_dbi: Quantity, loss_db: float)",
+        "target_rcs_dbsm(power_dbm: Quantity, range_m: Quantity, frequency_ghz: float, "
+        "transmit_power_dbm: Quantity, antenna_gain_dbi: Quantity, loss_db: float, attenuation_db: Quantity)",
         power_dbm,
+        range_m,
         frequency_ghz,
         transmit_power_dbm,
         antenna_gain_dbi,
         loss_db,
+        attenuation_db,
     )
     check_broadcast(
         "target_rcs_dbsm",
@@ -154,6 +168,11 @@ def thermal_noise_dbm(bandwidth_hz: Quantity, noise_figure_db: Quantity = 0.0) -
         >>> round(float(thermal_noise_dbm(12.5e6, 14.0)), 2)
         -89.01
     """
+    check_arguments(
+        "thermal_noise_dbm(bandwidth_hz: Quantity, noise_figure_db: Quantity)",
+        bandwidth_hz,
+        noise_figure_db,
+    )
     check_positive("bandwidth_hz", bandwidth_hz, unit="Hz", owner="thermal_noise_dbm")
     check_between("noise_figure_db", noise_figure_db, 0.0, 100.0, unit="dB", owner="thermal_noise_dbm")
     bandwidth, figure = to_float64(bandwidth_hz, noise_figure_db)

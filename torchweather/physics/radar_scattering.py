@@ -72,9 +72,10 @@ def particle_attenuation_db_per_km(
         14.5
     """
     check_arguments(
-        "particle_attenuation_db_per_km(distribution: SizeDistribution, temperature_c: float | None, "
-        "flake_density_g_per_cm3: float | None, melt_fraction: float)",
+        "particle_attenuation_db_per_km(distribution: SizeDistribution, frequency_ghz: float, "
+        "temperature_c: float | None, flake_density_g_per_cm3: float | None, melt_fraction: float)",
         distribution,
+        frequency_ghz,
         temperature_c,
         flake_density_g_per_cm3,
         melt_fraction,
@@ -120,11 +121,12 @@ def volume_reflectivity_m2_per_m3(
     """
     check_arguments(
         "volume_reflectivity_m2_per_m3(distribution: SizeDistribution, frequency_ghz: float, "
-        "temperature_c: float | None, flake_density_g_per_cm3: float | None)",
+        "temperature_c: float | None, flake_density_g_per_cm3: float | None, melt_fraction: float)",
         distribution,
         frequency_ghz,
         temperature_c,
         flake_density_g_per_cm3,
+        melt_fraction,
     )
     diameter, width, q, counted = _table_of(
         distribution,
@@ -172,10 +174,11 @@ def reflectivity_weighted_fall_speed(
     """
     check_arguments(
         "reflectivity_weighted_fall_speed(distribution: SizeDistribution, frequency_ghz: float, "
-        "temperature_c: float | None)",
+        "temperature_c: float | None, melt_fraction: float)",
         distribution,
         frequency_ghz,
         temperature_c,
+        melt_fraction,
     )
     diameter, width, q, counted = _table_of(
         distribution, frequency_ghz, temperature_c, None, melt_fraction, "reflectivity_weighted_fall_speed"

@@ -80,6 +80,7 @@ def rain_attenuation_coefficients(frequency_ghz: Quantity) -> RainCoefficients:
         >>> [round(float(c), 4) for c in rain_attenuation_coefficients(77.0)]
         [1.132, 0.7177, 1.1276, 0.7073]
     """
+    check_arguments("rain_attenuation_coefficients(frequency_ghz: Quantity)", frequency_ghz)
     (frequency,) = to_float64(frequency_ghz)
     check_between("frequency_ghz", frequency, 1.0, 1000.0, unit="GHz", owner="rain_attenuation_coefficients")
     log_f = torch.log10(frequency)
@@ -120,9 +121,10 @@ def rain_attenuation_p838_db_per_km(
         11.41
     """
     check_arguments(
-        "rain_attenuation_p838_db_per_km(rate_mm_per_h: Quantity, polarisation_tilt_rad: Quantity, "
-        "elevation_rad: Quantity)",
+        "rain_attenuation_p838_db_per_km(rate_mm_per_h: Quantity, frequency_ghz: Quantity, "
+        "polarisation_tilt_rad: Quantity, elevation_rad: Quantity)",
         rate_mm_per_h,
+        frequency_ghz,
         polarisation_tilt_rad,
         elevation_rad,
     )

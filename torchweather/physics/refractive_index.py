@@ -88,6 +88,11 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
         >>> print(f"{complex(water_refractive_index(905.0)):.4f}")
         1.3276+0.0000j
     """
+    check_arguments(
+        "water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity)",
+        wavelength_nm,
+        temperature_c,
+    )
     wavelength, t = to_float64(wavelength_nm, temperature_c)
     _check_optical(wavelength, "water_refractive_index")
     check_between("temperature_c", t, -20.0, 60.0, unit="deg C", owner="water_refractive_index")
@@ -147,6 +152,7 @@ def ice_refractive_index(wavelength_nm: Quantity) -> Tensor:
         >>> print(f"{complex(ice_refractive_index(1550.0)):.4f}")
         1.2906+0.0004j
     """
+    check_arguments("ice_refractive_index(wavelength_nm: Quantity)", wavelength_nm)
     (wavelength,) = to_float64(wavelength_nm)
     _check_optical(wavelength, "ice_refractive_index")
     return torch.complex(*_interpolated(wavelength, "ice"))
@@ -166,6 +172,11 @@ def water_permittivity_microwave(frequency_ghz: Quantity, temperature_c: Quantit
         >>> print(f"{complex(water_permittivity_microwave(77.0, 10.0)):.3f}")
         7.624+12.804j
     """
+    check_arguments(
+        "water_permittivity_microwave(frequency_ghz: Quantity, temperature_c: Quantity)",
+        frequency_ghz,
+        temperature_c,
+    )
     f, t = to_float64(frequency_ghz, temperature_c)
     check_between("frequency_ghz", f, 1.0, 1000.0, unit="GHz", owner="water_permittivity_microwave")
     check_between("temperature_c", t, -20.0, 60.0, unit="deg C", owner="water_permittivity_microwave")
@@ -299,7 +310,13 @@ def snow_refractive_index_microwave(
         >>> print(f"{complex(snow_refractive_index_microwave(77.0, 0.1)):.4f}")
         1.0698+0.0001j
     """
-    check_arguments("snow_refractive_index_microwave(temperature_c: Quantity)", temperature_c)
+    check_arguments(
+        "snow_refractive_index_microwave(frequency_ghz: Quantity, density_g_per_cm3: Quantity, "
+        "temperature_c: Quantity)",
+        frequency_ghz,
+        density_g_per_cm3,
+        temperature_c,
+    )
     (density,) = to_float64(density_g_per_cm3)
     ice = ice_permittivity_microwave(frequency_ghz, temperature_c)
     return torch.sqrt(maxwell_garnett(1.0, ice, density / ICE_DENSITY_G_PER_CM3))
@@ -339,9 +356,10 @@ def wet_snow_refractive_index_microwave(
     """
     check_arguments(
         "wet_snow_refractive_index_microwave(frequency_ghz: Quantity, density_g_per_cm3: Quantity, "
-        "temperature_c: Quantity)",
+        "melt_fraction: Quantity, temperature_c: Quantity)",
         frequency_ghz,
         density_g_per_cm3,
+        melt_fraction,
         temperature_c,
     )
     density, fraction = to_float64(density_g_per_cm3, melt_fraction)

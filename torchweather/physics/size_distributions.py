@@ -48,6 +48,11 @@ class Exponential(SizeDistribution):
     per_size: Per = "diameter"
 
     def __post_init__(self) -> None:
+        check_arguments(
+            "Exponential(intercept_per_m3_mm: Quantity, slope_per_mm: Quantity)",
+            self.intercept_per_m3_mm,
+            self.slope_per_mm,
+        )
         super().__post_init__()
         check_at_least("intercept_per_m3_mm", self.intercept_per_m3_mm, 0.0, unit="m^-3 mm^-1", owner=self)
         check_positive("slope_per_mm", self.slope_per_mm, unit="1/mm", owner=self)
@@ -89,6 +94,7 @@ class Exponential(SizeDistribution):
 
     def scaled(self, factor: Quantity) -> Self:
         """The same shape with ``factor`` times as many particles."""
+        check_arguments("Exponential.scaled(factor: Quantity)", factor)
         return replace(self, intercept_per_m3_mm=_times(self.intercept_per_m3_mm, factor))
 
 
@@ -180,7 +186,13 @@ class ModifiedGamma(SizeDistribution):
     per: ClassVar[str] = "radius"
 
     def __post_init__(self) -> None:
-        check_arguments("ModifiedGamma(number_per_cm3: Quantity, gamma: Quantity)", self.number_per_cm3, self.gamma)
+        check_arguments(
+            "ModifiedGamma(number_per_cm3: Quantity, alpha: Quantity, gamma: Quantity, mode_radius_um: Quantity)",
+            self.number_per_cm3,
+            self.alpha,
+            self.gamma,
+            self.mode_radius_um,
+        )
         super().__post_init__()
         check_at_least("number_per_cm3", self.number_per_cm3, 0.0, unit="cm^-3", owner=self)
         for name in ("alpha", "gamma", "mode_radius_um"):
@@ -243,7 +255,12 @@ class LogNormal(SizeDistribution):
     per: ClassVar[str] = "radius"
 
     def __post_init__(self) -> None:
-        check_arguments("LogNormal(number_per_cm3: Quantity)", self.number_per_cm3)
+        check_arguments(
+            "LogNormal(number_per_cm3: Quantity, median_radius_um: Quantity, sigma: Quantity)",
+            self.number_per_cm3,
+            self.median_radius_um,
+            self.sigma,
+        )
         super().__post_init__()
         check_at_least("number_per_cm3", self.number_per_cm3, 0.0, unit="cm^-3", owner=self)
         check_positive("median_radius_um", self.median_radius_um, unit="um", owner=self)

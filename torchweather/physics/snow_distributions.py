@@ -53,7 +53,8 @@ def sekhon_srivastava(
         868
     """
     check_arguments(
-        "sekhon_srivastava(diameter_min_mm: float, diameter_max_mm: float)",
+        "sekhon_srivastava(rate_mm_per_h: Quantity, diameter_min_mm: float, diameter_max_mm: float)",
+        rate_mm_per_h,
         diameter_min_mm,
         diameter_max_mm,
     )
@@ -94,7 +95,12 @@ def gunn_marshall(
         >>> float(gunn_marshall(1.0).slope_per_mm)
         2.55
     """
-    check_arguments("gunn_marshall(rate_mm_per_h: Quantity, diameter_max_mm: float)", rate_mm_per_h, diameter_max_mm)
+    check_arguments(
+        "gunn_marshall(rate_mm_per_h: Quantity, diameter_min_mm: float, diameter_max_mm: float)",
+        rate_mm_per_h,
+        diameter_min_mm,
+        diameter_max_mm,
+    )
     rate, present = rate_and_presence(rate_mm_per_h, "gunn_marshall")
     intercept = (7600.0 if per_size == "radius" else 3800.0) * rate**-0.87 * present
     return Exponential(
@@ -134,7 +140,10 @@ def brandes_snow(
         2.0
     """
     check_arguments(
-        "brandes_snow(diameter_min_mm: float | None, diameter_max_mm: float)",
+        "brandes_snow(rate_mm_per_h: Quantity, temperature_c: Quantity, diameter_min_mm: float | None, "
+        "diameter_max_mm: float)",
+        rate_mm_per_h,
+        temperature_c,
         diameter_min_mm,
         diameter_max_mm,
     )
@@ -171,6 +180,7 @@ def brandes_table4(row: str | float) -> Gamma:
         >>> round(float(brandes_table4("2.59").total_per_m3), 1)
         375.4
     """
+    check_arguments("brandes_table4(row: str | float)", row)
     name = row if isinstance(row, str) else {float(one): one for one in BRANDES_TABLE4}.get(row, str(row))
     check_one_of("row", name, BRANDES_TABLE4, owner="brandes_table4")
     intercept, mu, slope = BRANDES_TABLE4[name]

@@ -56,6 +56,7 @@ def physical_diameter_mm(melted_mm: Quantity) -> Tensor:
         >>> round(float(physical_diameter_mm(1.0)), 4)
         2.2947
     """
+    check_arguments("physical_diameter_mm(melted_mm: Quantity)", melted_mm)
     (melted,) = to_float64(melted_mm)
     check_at_least("melted_mm", melted, 0.0, unit="mm", owner="physical_diameter_mm")
     power = 1.0 / (3.0 + SNOW_DENSITY_EXPONENT)
@@ -73,6 +74,7 @@ def melted_diameter_mm(physical_mm: Quantity) -> Tensor:
         >>> round(float(melted_diameter_mm(20.0)), 3)
         4.48
     """
+    check_arguments("melted_diameter_mm(physical_mm: Quantity)", physical_mm)
     (physical,) = to_float64(physical_mm)
     check_at_least("physical_mm", physical, 0.0, unit="mm", owner="melted_diameter_mm")
     loose = (SNOW_DENSITY_AT_1MM_G_PER_CM3 * physical ** (3.0 + SNOW_DENSITY_EXPONENT)) ** (1.0 / 3.0)
@@ -93,7 +95,7 @@ def snow_bulk_density_g_per_cm3(physical_mm: Quantity, *, variant: str = "defaul
         >>> snow_bulk_density_g_per_cm3(torch.tensor([0.1, 1.0, 10.0])).round(decimals=4)
         tensor([0.9170, 0.1780, 0.0213], dtype=torch.float64)
     """
-    check_arguments("snow_bulk_density_g_per_cm3(variant: str)", variant)
+    check_arguments("snow_bulk_density_g_per_cm3(physical_mm: Quantity, variant: str)", physical_mm, variant)
     check_one_of("variant", variant, ("default", "d3_4"), owner="snow_bulk_density_g_per_cm3")
     (physical,) = to_float64(physical_mm)
     check_at_least("physical_mm", physical, 0.0, unit="mm", owner="snow_bulk_density_g_per_cm3")
@@ -163,7 +165,15 @@ def equal_visibility_rain_rate(
         >>> round(float(equal_visibility_rain_rate(0.25)), 3)
         2.42
     """
-    check_arguments("equal_visibility_rain_rate(fall_speed_m_per_s: Quantity)", fall_speed_m_per_s)
+    check_arguments(
+        "equal_visibility_rain_rate(snowfall_mm_per_h: Quantity, density_g_per_cm3: Quantity, "
+        "diameter_mm: Quantity, fall_speed_m_per_s: Quantity, variant: str)",
+        snowfall_mm_per_h,
+        density_g_per_cm3,
+        diameter_mm,
+        fall_speed_m_per_s,
+        variant,
+    )
     owner = "equal_visibility_rain_rate"
     check_one_of("variant", variant, ("default", "d3_4"), owner=owner)
     check_at_least("snowfall_mm_per_h", snowfall_mm_per_h, 0.0, unit="mm/h", owner=owner)

@@ -107,6 +107,7 @@ def mor_from_liquid_water_m(liquid_water_g_per_m3: Quantity, law: str = "grabner
         >>> round(float(mor_from_liquid_water_m(0.191, "grabner-kvicera")))
         100
     """
+    check_arguments("mor_from_liquid_water_m(liquid_water_g_per_m3: Quantity, law: str)", liquid_water_g_per_m3, law)
     owner = "mor_from_liquid_water_m"
     check_one_of("law", law, LIQUID_WATER_LAWS, owner=owner)
     check_positive("liquid_water_g_per_m3", liquid_water_g_per_m3, unit="g/m^3", owner=owner)

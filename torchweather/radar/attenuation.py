@@ -169,6 +169,15 @@ class PathAttenuation(Stage):
         fog_model: str = "p840",
         snow_model: str = "dsd_mie",
     ) -> None:
+        check_arguments(
+            "PathAttenuation(weathers: Sequence, sensor: Radar | Mapping, rain_model: str, fog_model: str, "
+            "snow_model: str)",
+            weathers,
+            sensor,
+            rain_model,
+            fog_model,
+            snow_model,
+        )
         super().__init__()
         self.sensor = Radar.of(sensor)
         self.models = {"rain": rain_model, "fog": fog_model, "snow": snow_model}
@@ -258,8 +267,11 @@ class WetRadome(Stage):
         film_exponent: float = 1.0 / 3.0,
     ) -> None:
         check_arguments(
-            "WetRadome(rate_mm_per_h: float | Tensor | Sequence[float], film_exponent: float)",
+            "WetRadome(rate_mm_per_h: float | Tensor | Sequence[float], loss_db: float, film_db: float, "
+            "film_exponent: float)",
             rate_mm_per_h,
+            loss_db,
+            film_db,
             film_exponent,
         )
         super().__init__()

@@ -28,6 +28,7 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.density_field import mean_density
 from torchweather.atmosphere.weather import Rain, Snow, Weather, weather_from_dict
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.lidar.returns.beam_particles import RATE_HIGH_MM_PER_H, RATE_LOW_MM_PER_H, RATE_NODES
@@ -187,6 +188,17 @@ class VolumeClutter(Stage):
         ego_speed_m_per_s: float = 0.0,
         turbulence_m_per_s: float = 0.5,
     ) -> None:
+        check_arguments(
+            "VolumeClutter(weather: Weather | Mapping, sensor: Radar | Mapping, share: float, capacity: int, "
+            "near_m: float, ego_speed_m_per_s: float, turbulence_m_per_s: float)",
+            weather,
+            sensor,
+            share,
+            capacity,
+            near_m,
+            ego_speed_m_per_s,
+            turbulence_m_per_s,
+        )
         super().__init__()
         self.sensor = Radar.of(sensor)
         built = weather if isinstance(weather, Weather) else weather_from_dict(weather)

@@ -121,6 +121,31 @@ class RadarMapWeather(WeatherTransform):
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        check_arguments(
+            "RadarMapWeather(weather: Weather, sensor: Radar, axes: MapAxes, scale: PowerScale, "
+            "noise_floor_db: float | Sequence[float] | None, looks: int, oversampling: float | None, "
+            "rain_model: str, fog_model: str, snow_model: str, radome_loss_db: float, radome_film_db: float, "
+            "radome_film_exponent: float, clutter: bool, clutter_share: float, ego_speed_m_per_s: float, "
+            "effects: Sequence, p: float)",
+            weather,
+            sensor,
+            axes,
+            scale,
+            noise_floor_db,
+            looks,
+            oversampling,
+            rain_model,
+            fog_model,
+            snow_model,
+            radome_loss_db,
+            radome_film_db,
+            radome_film_exponent,
+            clutter,
+            clutter_share,
+            ego_speed_m_per_s,
+            effects,
+            p,
+        )
         super().__init__()
         self.options = RadarMapOptions(
             axes=axes,
@@ -203,6 +228,7 @@ class RadarMapWeather(WeatherTransform):
         Returns:
             The same shape and dtype.
         """
+        check_arguments("RadarMapWeather(values: Tensor)", values)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.forward(values, chosen.draw(values, seed=seeds))
@@ -223,6 +249,7 @@ class RadarMapWeather(WeatherTransform):
         generator: torch.Generator | None = None,
     ) -> RadarMapResult:
         """The map, and what happened to it; arguments as ``forward``."""
+        check_arguments("RadarMapWeather(values: Tensor)", values)
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.run(values, chosen.draw(values, seed=seeds))

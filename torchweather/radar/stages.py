@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.random import Variate
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.registry import register
@@ -46,6 +47,7 @@ class RadarDetection(Stage):
     margin_db: Tensor
 
     def __init__(self, sensor: Radar | Mapping[str, Any]) -> None:
+        check_arguments("RadarDetection(sensor: Radar | Mapping)", sensor)
         super().__init__()
         self.sensor = Radar.of(sensor)
         self.register_buffer("margin_db", torch.tensor(float(self.sensor.margin_db)))

@@ -137,13 +137,25 @@ class RadarAttenuation(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         check_arguments(
-            "RadarAttenuation(fog_model: str | None, radome_film_db: float, radome_film_exponent: float, "
-            "clutter: bool, ego_speed_m_per_s: float)",
+            "RadarAttenuation(weather: Weather, sensor: Radar, rain_model: str | None, fog_model: str | None, "
+            "snow_model: str | None, radome_loss_db: float, radome_film_db: float, radome_film_exponent: float, "
+            "clutter: bool, clutter_points: int, ego_speed_m_per_s: float, lost: str, variant: str | None, "
+            "effects: Sequence, p: float)",
+            weather,
+            sensor,
+            rain_model,
             fog_model,
+            snow_model,
+            radome_loss_db,
             radome_film_db,
             radome_film_exponent,
             clutter,
+            clutter_points,
             ego_speed_m_per_s,
+            lost,
+            variant,
+            effects,
+            p,
         )
         super().__init__()
         self.options = RadarOptions(

@@ -37,6 +37,7 @@ class ConstantDepth(DepthSource):
     depth_m: float
 
     def __post_init__(self) -> None:
+        check_arguments("ConstantDepth(depth_m: float)", self.depth_m)
         check_at_least("depth_m", self.depth_m, 0.0, unit="m", owner=self)
 
     def __call__(

@@ -63,9 +63,14 @@ class DepthFromPoints(DepthSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "DepthFromPoints(points_xyz: real | array, T_camera_from_lidar: real | array)",
+            "DepthFromPoints(points_xyz: real | array, T_camera_from_lidar: real | array, fill: str, above: str, "
+            "skyline_window_px: int, upper_edge_rad: float)",
             self.points_xyz,
             self.T_camera_from_lidar,
+            self.fill,
+            self.above,
+            self.skyline_window_px,
+            self.upper_edge_rad,
         )
         points = torch.as_tensor(self.points_xyz)
         if points.ndim != 2 or points.shape[-1] < 3:

@@ -53,9 +53,13 @@ class SceneDepth:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "SceneDepth(sky: Tensor | None, near_mask: Tensor | None, notes: Sequence)",
+            "SceneDepth(depth_m: Tensor, confidence: str, sky: Tensor | None, near_mask: Tensor | None, "
+            "horizon_row: float | None, notes: Sequence)",
+            self.depth_m,
+            self.confidence,
             self.sky,
             self.near_mask,
+            self.horizon_row,
             self.notes,
         )
         check_one_of("confidence", self.confidence, CONFIDENCES, owner=self)

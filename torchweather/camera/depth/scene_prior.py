@@ -82,7 +82,18 @@ class ScenePrior(SceneSource):
     horizon: str = "auto"
 
     def __post_init__(self) -> None:
-        check_arguments("ScenePrior(street_half_width_m: float | Sequence | None)", self.street_half_width_m)
+        check_arguments(
+            "ScenePrior(street_half_width_m: float | Sequence | None, camera_height_m: float | None, "
+            "farthest_m: float | None, boxes: Tensor | None, sky: Tensor | Callable | None, "
+            "near_mask: Tensor | str | None, horizon: str)",
+            self.street_half_width_m,
+            self.camera_height_m,
+            self.farthest_m,
+            self.boxes,
+            self.sky,
+            self.near_mask,
+            self.horizon,
+        )
         width = self.street_half_width_m
         if width is not None:
             sides = (width, width) if isinstance(width, (int, float)) else tuple(width)

@@ -138,7 +138,7 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
     Nothing stands 0 m before a lens: 0 is how projected LiDARs write "no value", and would stay clear in any fog. The
     values are not looked at while a graph is traced.
     """
-    check_arguments("check_depth(depth_m: Tensor)", depth_m)
+    check_arguments("check_depth(depth_m: Tensor, height: int | None, width: int | None)", depth_m, height, width)
     name = owner if isinstance(owner, str) else type(owner).__name__
     wanted = f"(..., 1, {'H' if height is None else height}, {'W' if width is None else width})"
     wrong_size = height is not None and width is not None and tuple(depth_m.shape[-2:]) != (height, width)

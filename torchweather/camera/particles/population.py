@@ -22,7 +22,8 @@ from torchweather.camera.particles.streaks import Marks, add_listed, add_static
 from torchweather.camera.particles.tables import MarkOptics, particle_tables
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
-from torchweather.core.errors import InputValueError
+from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import InputValueError, check_at_least
 from torchweather.core.random import ABSENT, Variate
 from torchweather.core.threads import side_by_side
 from torchweather.pipeline.tiling import is_exporting
@@ -112,6 +113,17 @@ class Population(nn.Module):
     ) -> None:
         super().__init__()
         self.weather, self.camera = weather, camera
+        check_arguments(
+            "ParticleVeil(near_m: float, far_m: float, rate_capacity_mm_per_h: float | None, ego_speed_m_per_s: float, "
+            "min_listed_coverage: float, max_listed_density: float)",
+            near_m,
+            far_m,
+            rate_capacity_mm_per_h,
+            ego_speed_m_per_s,
+            min_listed_coverage,
+            max_listed_density,
+        )
+        check_at_least("near_m", near_m, 1e-3, unit="m", owner="ParticleVeil")
         self.near_m, self.far_m = float(near_m), float(far_m)
         focus = math.inf if camera.focus_distance_m is None else camera.focus_distance_m
         self.optics = MarkOptics(camera.exposure_s, camera.aperture_m, focus, camera.lens_blur_px, published_blend)

@@ -19,6 +19,7 @@ from torchweather.camera.particles.population import AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
@@ -104,6 +105,23 @@ class ParticleVeil(Stage):
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
     ) -> None:
+        check_arguments(
+            "ParticleVeil(weathers: Sequence, camera: Camera | Mapping, near_m: float, far_m: float, "
+            "min_listed_coverage: float, max_listed_density: float, ego_speed_m_per_s: float, "
+            "ambient: Sequence[float] | float | str | None, drop_radiance: str, "
+            "rate_capacity_mm_per_h: float | None, variant: str | None)",
+            weathers,
+            camera,
+            near_m,
+            far_m,
+            min_listed_coverage,
+            max_listed_density,
+            ego_speed_m_per_s,
+            ambient,
+            drop_radiance,
+            rate_capacity_mm_per_h,
+            variant,
+        )
         super().__init__()
         self.camera = Camera.of(camera)
         check_positive("near_m", near_m, unit="m", owner=self)

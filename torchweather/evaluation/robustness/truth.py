@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.yaml_file import read_json
 from torchweather.io import read_image
 from torchweather.io.labels import read_labels
@@ -82,6 +82,8 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
         TorchweatherError: the file is missing or no such JSON, or has no category that the detector knows.
     """
     check_arguments("read_boxes_truth(path: path, classes: Mapping)", path, classes)
+    if not classes or not all(isinstance(name, str) for name in classes.values()):
+        raise InputTypeError(f"read_boxes_truth: classes must be numbers with names; got {classes!r:.200}.")
     file = Path(path)
     values = read_json(file, "ground truth, COCO's")
     try:

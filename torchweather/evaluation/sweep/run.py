@@ -90,6 +90,13 @@ def samples(
     Yields:
         Samples by subject, level and seed.
     """
+    check_arguments(
+        "samples(subjects: Sequence, levels: Sequence[Level], seeds: Sequence[int], names: Sequence[str] | None)",
+        subjects,
+        levels,
+        seeds,
+        names,
+    )
     if not seeds or len(set(seeds)) < len(seeds):
         raise InputValueError(f"sweep: wanted one or more seeds that differ; got {list(seeds)}.")
     todo = plan(subjects, levels)

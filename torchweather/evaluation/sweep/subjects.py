@@ -111,7 +111,19 @@ class CameraSubject:
     directions: ClassVar[Mapping[str, str]] = IMAGE_DIRECTIONS
 
     def __post_init__(self) -> None:
-        check_arguments("CameraSubject(name: str, depth_m: Tensor, scene: str)", self.name, self.depth_m, self.scene)
+        check_arguments(
+            "CameraSubject(name: str, data: Tensor, depth_m: Tensor, camera: Camera, scene: str, indoors: bool, "
+            "options: Mapping, scene_depth: SceneDepth | None, through_mosaic: bool)",
+            self.name,
+            self.data,
+            self.depth_m,
+            self.camera,
+            self.scene,
+            self.indoors,
+            self.options,
+            self.scene_depth,
+            self.through_mosaic,
+        )
         object.__setattr__(self, "scene", self.scene or self.name)
 
     @property
@@ -318,8 +330,9 @@ class RadarSceneSubject(_Points):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "RadarSceneSubject(scatterers: Scatterers, noise_seed: int, options: Mapping)",
+            "RadarSceneSubject(scatterers: Scatterers, radar: Radar, noise_seed: int, options: Mapping)",
             self.scatterers,
+            self.radar,
             self.noise_seed,
             self.options,
         )

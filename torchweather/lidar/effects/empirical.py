@@ -128,13 +128,15 @@ class Empirical(Stage):
         shares: Sequence[float] = (),
     ) -> None:
         check_arguments(
-            "Empirical(kind: str, at: Sequence[float], value: Sequence[float], measured_from: float, "
-            "measured_to: float, places_m: Sequence[float], shares: Sequence[float])",
+            "Empirical(kind: str, axis: str, at: Sequence[float], value: Sequence[float], measured_from: float, "
+            "measured_to: float, of: str, places_m: Sequence[float], shares: Sequence[float])",
             kind,
+            axis,
             at,
             value,
             measured_from,
             measured_to,
+            of,
             places_m,
             shares,
         )

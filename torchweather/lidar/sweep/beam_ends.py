@@ -118,11 +118,12 @@ def beam_ends(
         (['SKY', 'GROUND'], [120.0, 17.0])
     """
     check_arguments(
-        "beam_ends(points_xyz: array, direction: array, max_range_m: float, direction_ring: array | None, "
-        "origin_height_m: array | float, step_deg: float, ground: GroundPlane | None)",
+        "beam_ends(points_xyz: array, direction: array, max_range_m: float, ring: array | None, "
+        "direction_ring: array | None, origin_height_m: array | float, step_deg: float, ground: GroundPlane | None)",
         points_xyz,
         direction,
         max_range_m,
+        ring,
         direction_ring,
         origin_height_m,
         step_deg,

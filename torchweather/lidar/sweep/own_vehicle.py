@@ -91,10 +91,12 @@ class OwnVehicleMask:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "OwnVehicleMask(blocked: ndarray, nearest_m: array, farthest_m: array)",
+            "OwnVehicleMask(blocked: ndarray, nearest_m: array, farthest_m: array, sweeps: int, views: float)",
             self.blocked,
             self.nearest_m,
             self.farthest_m,
+            self.sweeps,
+            self.views,
         )
         shapes = {self.blocked.shape, self.nearest_m.shape, self.farthest_m.shape}
         if len(shapes) != 1 or self.blocked.ndim != 2:

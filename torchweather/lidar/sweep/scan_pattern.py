@@ -171,7 +171,13 @@ def estimate_pattern(
         >>> pattern.found_by
         'file order'
     """
-    check_arguments("estimate_pattern(rings: int | None, min_range_m: float)", rings, min_range_m)
+    check_arguments(
+        "estimate_pattern(points: Tensor | array, ring: Tensor | array | None, rings: int | None, min_range_m: float)",
+        points,
+        ring,
+        rings,
+        min_range_m,
+    )
     check_between("min_range_m", min_range_m, 0.0, 1e6, unit="m", owner="estimate_pattern")
     xyz = _checked(points)
     seen = np.isfinite(xyz).all(1)

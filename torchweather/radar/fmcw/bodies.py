@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, TorchweatherWarning, check_finite, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherWarning, check_between, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.radar.fmcw.facet_rcs import far_field_edge_m, triangle_field_m
 from torchweather.radar.fmcw.scatterers import Scatterers
@@ -54,6 +54,10 @@ def corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: 
     check_positive("edge_m", edge_m, unit="m", owner=owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
     edge, wavelength = to_float64(edge_m, wavelength_m)
+    check_between("edge_m", edge_m, 1e-6, 1e6, unit="m", owner=owner)
+    check_between("wavelength_m", wavelength_m, 1e-9, 1e6, unit="m", owner=owner)
+    if to_radar is not None and (to_radar.is_complex() or to_radar.shape[-1:] != (3,)):
+        raise InputValueError(f"{owner}: to_radar must be (..., 3) real; got {to_radar.dtype} {tuple(to_radar.shape)}.")
     if to_radar is None:
         aperture = edge**2 / math.sqrt(3.0)
     else:
@@ -110,6 +114,7 @@ def facet_scatterers(
     if vertices_m.ndim != 3 or vertices_m.shape[-2:] != (3, 3):
         raise InputValueError(f"{owner}: vertices_m must be (F, 3, 3) in metres; got shape {tuple(vertices_m.shape)}.")
     _check_vector("radar_position_m", radar_position_m, "m", owner)
+    check_arguments("facet_scatterers(vertices_m: floating)", vertices_m)
     from_radar = vertices_m - radar_position_m.to(vertices_m)
     position = from_radar.mean(-2)
     range_m = torch.linalg.vector_norm(position, dim=-1, keepdim=True)

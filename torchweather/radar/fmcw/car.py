@@ -117,7 +117,13 @@ def car_facets(
         >>> (car.amax((0, 1)) - car.amin((0, 1))).round(decimals=2)  # 0.2 m of it is air under the sills
         tensor([4.3000, 1.8000, 1.2700], dtype=torch.float64)
     """
-    check_arguments("car_facets(length_m: float, width_m: float)", length_m, width_m)
+    check_arguments(
+        "car_facets(length_m: float, width_m: float, height_m: float, facet_m: float)",
+        length_m,
+        width_m,
+        height_m,
+        facet_m,
+    )
     for name, value in (("length_m", length_m), ("width_m", width_m), ("height_m", height_m), ("facet_m", facet_m)):
         check_positive(name, value, unit="m", owner="car_facets")
         check_between(name, value, 1e-3, 100.0, unit="m", owner="car_facets")
@@ -209,11 +215,14 @@ def car_scatterers(
         (True, 3.0)
     """
     check_arguments(
-        "car_scatterers(rear_m: Sequence, wavelength_m: float, velocity_m_per_s: Sequence, facets_m: Tensor | None, "
-        "details: Sequence, reflectivity: float, cell_m: float | None)",
+        "car_scatterers(rear_m: Sequence, wavelength_m: float, yaw_rad: float, velocity_m_per_s: Sequence, "
+        "radar_height_m: float, facets_m: Tensor | None, details: Sequence, reflectivity: float, "
+        "cell_m: float | None)",
         rear_m,
         wavelength_m,
+        yaw_rad,
         velocity_m_per_s,
+        radar_height_m,
         facets_m,
         details,
         reflectivity,

@@ -68,7 +68,13 @@ def triangle_field_m(
         >>> round(float(field.sum().abs() ** 2), 2), round(4 * math.pi * 0.01**2 / 0.004**2, 2)
         (78.54, 78.54)
     """
-    check_arguments("triangle_field_m(vertices_m: Tensor, to_radar: Tensor)", vertices_m, to_radar)
+    check_arguments(
+        "triangle_field_m(vertices_m: Tensor, to_radar: Tensor, wavelength_m: Quantity, reflectivity: Quantity)",
+        vertices_m,
+        to_radar,
+        wavelength_m,
+        reflectivity,
+    )
     owner = "triangle_field_m"
     _check_triangles(vertices_m, owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
@@ -112,6 +118,15 @@ def isosceles_triangle_rcs_m2(
         >>> round(float(isosceles_triangle_rcs_m2(0.02, 0.03, 0.0, 0.00389341)), 5)
         0.07461
     """
+    check_arguments(
+        "isosceles_triangle_rcs_m2(base_m: Quantity, height_m: Quantity, angle_rad: Quantity, "
+        "wavelength_m: Quantity, reflectivity: Quantity)",
+        base_m,
+        height_m,
+        angle_rad,
+        wavelength_m,
+        reflectivity,
+    )
     owner = "isosceles_triangle_rcs_m2"
     for name, value in (("base_m", base_m), ("height_m", height_m), ("wavelength_m", wavelength_m)):
         check_positive(name, value, unit="m", owner=owner)
@@ -244,6 +259,9 @@ def _longest_edge_m(corners_m: Tensor) -> Tensor:
 
 
 def _check_triangles(vertices_m: Tensor, owner: str) -> None:
+    check_arguments(f"{owner}(vertices_m: floating(..., 3, 3))", vertices_m)
+    if vertices_m.ndim < 3:
+        raise InputValueError(f"{owner}: vertices_m must be (..., F, 3, 3); got {tuple(vertices_m.shape)}.")
     if vertices_m.ndim < 3 or vertices_m.shape[-2:] != (3, 3):
         raise InputValueError(
             f"{owner}: vertices_m must be (..., F, 3, 3) in metres: facet, corner, x y z; "
@@ -256,6 +274,7 @@ def _check_triangles(vertices_m: Tensor, owner: str) -> None:
 
 def _one_a_facet(to_radar: Tensor, vertices_m: Tensor, owner: str) -> Tensor:
     """The directions as ``(..., 1 or F, 3)``."""
+    check_arguments(f"{owner}(to_radar: floating(..., 3))", to_radar)
     per_target = to_radar.ndim == 1 or to_radar.ndim == vertices_m.ndim - 2
     toward = to_radar[..., None, :] if per_target else to_radar
     facets = vertices_m.shape[:-2]

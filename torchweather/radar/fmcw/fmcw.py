@@ -62,7 +62,7 @@ def cfar_for(radar: Radar, kind: str = "ca", window_name: str = "hann", **option
         >>> cfar_for(Radar.preset("awr1843-like")).looks
         12
     """
-    check_arguments("cfar_for(radar: Radar, window_name: str)", radar, window_name)
+    check_arguments("cfar_for(radar: Radar, kind: str, window_name: str)", radar, kind, window_name)
     check_one_of("cfar", kind, CFARS, owner="cfar_for")
     correlation = tuple(window_correlation(window(window_name, length)) for length in (radar.chirps, radar.samples))
     found: Cfar = CFARS[kind](looks=radar.virtual_channels, correlation=correlation, **options)
@@ -124,6 +124,25 @@ class FmcwRadar(AtLeastSingle):
         fog_model: str = "p840",
         snow_model: str = "dsd_mie",
     ) -> None:
+        check_arguments(
+            "FmcwRadar(radar: Radar, weather: Weather | None, window_name: str, angles_per_cell: int, "
+            "dynamic_db: float, noise: bool, clutter: bool, ego_speed_m_per_s: float, radome_loss_db: float, "
+            "radome_film_db: float, radome_film_exponent: float, rain_model: str, fog_model: str, snow_model: str)",
+            radar,
+            weather,
+            window_name,
+            angles_per_cell,
+            dynamic_db,
+            noise,
+            clutter,
+            ego_speed_m_per_s,
+            radome_loss_db,
+            radome_film_db,
+            radome_film_exponent,
+            rain_model,
+            fog_model,
+            snow_model,
+        )
         super().__init__()
         Radar.check(radar, "radar", "awr1843-like", owner=self)
         if weather is not None and not isinstance(weather, Weather):

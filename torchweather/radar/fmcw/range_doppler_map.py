@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.radar.fmcw.windows import WINDOWS, window
 from torchweather.radar.sensor import Radar
@@ -46,6 +47,7 @@ class RangeDopplerMap(nn.Module):
     doppler_sin: Tensor
 
     def __init__(self, radar: Radar, window_name: str = "hann") -> None:
+        check_arguments("RangeDopplerMap(radar: Radar, window_name: str)", radar, window_name)
         super().__init__()
         Radar.check(radar, "radar", "awr1843-like", owner=self)
         check_one_of("window_name", window_name, WINDOWS, owner=self)

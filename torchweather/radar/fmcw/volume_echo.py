@@ -69,7 +69,9 @@ class VolumeEcho(nn.Module):
         turbulence_m_per_s: float = 0.5,
     ) -> None:
         check_arguments(
-            "VolumeEcho(radar: Radar, near_m: float, ego_speed_m_per_s: float, turbulence_m_per_s: float)",
+            "VolumeEcho(weather: Rain | Snow, radar: Radar, near_m: float, ego_speed_m_per_s: float, "
+            "turbulence_m_per_s: float)",
+            weather,
             radar,
             near_m,
             ego_speed_m_per_s,

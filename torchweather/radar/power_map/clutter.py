@@ -91,10 +91,15 @@ class MapClutter(Stage):
         turbulence_m_per_s: float = 0.5,
     ) -> None:
         check_arguments(
-            "MapClutter(weather: Weather | Mapping, axes: MapAxes | Mapping, ego_speed_m_per_s: float)",
+            "MapClutter(weather: Weather | Mapping, sensor: Radar | Mapping, axes: MapAxes | Mapping, share: float, "
+            "near_m: float, ego_speed_m_per_s: float, turbulence_m_per_s: float)",
             weather,
+            sensor,
             axes,
+            share,
+            near_m,
             ego_speed_m_per_s,
+            turbulence_m_per_s,
         )
         super().__init__()
         self.sensor = Radar.of(sensor)

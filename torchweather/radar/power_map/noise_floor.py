@@ -78,6 +78,7 @@ def noise_floor_db(power_map: RadarPowerMap, looks: int = 1) -> float:
         True
     """
     check_arguments("noise_floor_db(power_map: RadarPowerMap, looks: int)", power_map, looks)
+    check_between("looks", looks, 1, 1 << 16, owner="noise_floor_db")
     quiet = power_map.values[quiet_cells(power_map)]
     if power_map.scale.kind == "db_steps":
         byte = quiet.float().sort().values

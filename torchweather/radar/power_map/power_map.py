@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_finite, check_one_of
+from torchweather.core.errors import InputValueError, check_between, check_finite, check_one_of
 from torchweather.radar.power_map.scale import PowerScale
 
 __all__ = ["MAP_DIMENSIONS", "MapAxes", "RadarPowerMap"]
@@ -56,10 +56,12 @@ class MapAxes:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "MapAxes(dims: Sequence, range_m: Sequence, azimuth_rad: Sequence | None, speed_m_per_s: Sequence | None)",
+            "MapAxes(dims: Sequence, range_m: Sequence, azimuth_rad: Sequence | None, "
+            "elevation_rad: Sequence | None, speed_m_per_s: Sequence | None)",
             self.dims,
             self.range_m,
             self.azimuth_rad,
+            self.elevation_rad,
             self.speed_m_per_s,
         )
         dims = tuple(self.dims)
@@ -118,6 +120,8 @@ class MapAxes:
             clockwise,
             first_range_m,
         )
+        for name, value in (("bins", bins), ("azimuths", azimuths)):
+            check_between(name, value, 1, 1 << 20, owner="MapAxes.of_turn")
         first = 0.5 * bin_m if first_range_m is None else first_range_m
         turn = (-1.0 if clockwise else 1.0) * 2.0 * math.pi / azimuths
         return cls(
@@ -187,6 +191,8 @@ class MapAxes:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> MapAxes:
         """The inverse of ``to_dict``."""
+        for name, value in values.items():
+            check_arguments(f"MapAxes.from_dict({name}: Sequence | None)", value)
         given: dict[str, Any] = {key: None if value is None else tuple(value) for key, value in values.items()}
         return cls(**given)
 

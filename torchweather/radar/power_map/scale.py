@@ -13,6 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_finite, check_one_of, check_positive
 
 __all__ = ["SCALE_KINDS", "PowerScale"]
@@ -46,6 +47,7 @@ class PowerScale:
     edges_db: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        check_arguments("PowerScale(kind: str, edges_db: Sequence | None)", self.kind, self.edges_db)
         check_one_of("kind", self.kind, SCALE_KINDS, owner=self)
         if (self.edges_db is not None) != (self.kind == "db_steps"):
             raise InputValueError(
