@@ -155,6 +155,9 @@ INFINITE = frozenset(
         "rates",
         "Camera.distort",  # rays far beside the picture
         "RadarMapWeather.run",  # clutter of 0 W in dB
+        "RadarClutter.run",  # signal of no detection in dB
+        "project_boxes",  # of a box behind the camera
+        "estimate_pattern",
     )
 )
 

@@ -156,7 +156,8 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
 def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float) -> Tensor:
     """Mean density on the way to places ``(B or 1, ...)``, from ``Banks.extra_m`` or a mean of several."""
     check_arguments(
-        "mean_density(extra_m: floating(S, A, R), azimuth_rad: real, range_m: real, step_m: float)",
+        f"mean_density(extra_m: floating(S, {AZIMUTHS + 1}, {NODES}), azimuth_rad: floating, "
+        "range_m: floating, step_m: float)",
         extra_m,
         azimuth_rad,
         range_m,

@@ -95,7 +95,7 @@ def demosaic(
         True
     """
     check_arguments(
-        "demosaic(bayer: Tensor, pattern: str, method: str, matrix: Tensor | None, out: Tensor | None)",
+        "demosaic(bayer: Tensor, pattern: str, method: str, matrix: real(3, 3) | None, out: Tensor | None)",
         bayer,
         pattern,
         method,

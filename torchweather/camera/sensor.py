@@ -326,6 +326,8 @@ class Camera(Sensor):
     def resized(self, width: int, height: int) -> Camera:
         """The same view on another pixel grid, stretched where the aspect ratio differs (`fitted_to` does not)."""
         check_arguments("Camera.resized(width: int, height: int)", width, height)
+        check_between("width", width, 1, 1 << 24, unit="px", owner="Camera.resized")
+        check_between("height", height, 1, 1 << 24, unit="px", owner="Camera.resized")
         sx, sy = width / self.width, height / self.height
         cx, cy = self.principal_point_px
         return replace(

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_between
+from torchweather.core.errors import InputTypeError, InputValueError, check_between
 from torchweather.io.point_cloud import PointCloud
 
 __all__ = ["collate_indexed", "collate_list", "collate_padded", "join_indexed", "split_indexed", "split_padded"]
@@ -123,6 +123,8 @@ def _sample_index(points: Tensor, owner: str) -> Tensor:
         raise InputValueError(
             f"{owner}: points must be (N, 1 + C), the first column the sample's number; got {tuple(points.shape)}."
         )
+    if points.dtype in (torch.uint16, torch.uint32, torch.uint64, torch.bool) or points.is_complex():
+        raise InputTypeError(f"{owner}: points must be floating point or int64; got {points.dtype}.")
     column = points[:, 0]
     index = column.long()
     if not bool(((index == column) & (column >= 0)).all()):

@@ -133,6 +133,12 @@ def _is_row(value: Any) -> bool:
     return isinstance(value, (Tensor, np.ndarray)) and value.ndim > 0 and not _is_odd(value)
 
 
+def _is_iterable(value: Any) -> bool:
+    if isinstance(value, (Tensor, np.ndarray)):
+        return value.ndim > 0
+    return isinstance(value, Iterable) and not isinstance(value, (str, bytes))
+
+
 def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
 
@@ -147,7 +153,7 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "path": ("the path of a file", lambda value: isinstance(value, (str, os.PathLike))),
     "Mapping": ("a mapping", lambda value: isinstance(value, Mapping)),
     "Sequence": ("a sequence", _is_sequence),
-    "Iterable": ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, (str, bytes))),
+    "Iterable": ("a sequence", _is_iterable),
     "Callable": ("a function", callable),
     "array": ("an array of real numbers", lambda value: isinstance(value, np.ndarray) and not _is_odd(value)),
     "Tensor": ("a tensor", lambda value: isinstance(value, Tensor)),

@@ -123,7 +123,9 @@ class Choice(Distribution):
         if isinstance(values, str) or not len(values):
             raise InputValueError(f"Choice: wanted a list of values, one or more; got {values!r}.")
         if weights is not None:
-            good = len(weights) == len(values) and all(math.isfinite(one) and one >= 0 for one in weights)
+            weights = weights.tolist() if hasattr(weights, "tolist") else weights
+            one_each = len(weights) == len(values) and not any(isinstance(one, list) for one in weights)
+            good = one_each and all(math.isfinite(one) and one >= 0 for one in weights)
             if not good or not sum(weights) > 0:
                 raise InputValueError(
                     f"Choice: wanted a weight of 0 or more for each of {len(values)} values, not all 0; got "

@@ -81,7 +81,7 @@ class Variate:
     columns: int = 0
 
     def __post_init__(self) -> None:
-        if self.law not in LAWS:
+        if not isinstance(self.law, str) or self.law not in LAWS:
             from torchweather.core.errors import check_one_of
 
             check_one_of("law", self.law, LAWS, owner=self)

@@ -117,7 +117,7 @@ def depth_to_carla(depth_m: Tensor) -> npt.NDArray[np.uint8]:
     """Coded depth ``(H, W, 4)`` of a map ``(1, H, W)`` in metres, to the nearest 60 um; 1000 m and more is the far
     plane.
     """
-    check_arguments("depth_to_carla(depth_m: Tensor)", depth_m)
+    check_arguments("depth_to_carla(depth_m: floating)", depth_m)
     if depth_m.ndim != 3 or depth_m.shape[0] != 1 or not bool((depth_m >= 0).all()):
         raise InputValueError(
             f"depth_to_carla: depth_m must be (1, H, W) in metres, 0 or more, inf for sky; got {tuple(depth_m.shape)}"

@@ -188,6 +188,7 @@ def write_adc(path: str | os.PathLike[str], frame: AdcCube | Tensor) -> None:
 
 
 def _checked_layout(layout: Sequence[str], owner: str) -> tuple[str, ...]:
+    check_arguments(f"{owner}(layout: Sequence[str])", layout)
     axes = tuple(layout)
     if sorted(axes) not in (sorted(ADC_AXES), ["chirp", "sample"]):
         raise InputValueError(

@@ -259,6 +259,8 @@ def _check_interval(duration_s: float, fall_speed_tolerance: float, owner: str) 
     check_positive("duration_s", duration_s, unit="s", owner=owner)
     check_finite("duration_s", duration_s, unit="s", owner=owner)
     check_at_least("fall_speed_tolerance", fall_speed_tolerance, 0, owner=owner)
+    if fall_speed_tolerance > 1e9 and not math.isinf(fall_speed_tolerance):
+        raise InputValueError(f"{owner}: fall_speed_tolerance must be a share, or inf; got {fall_speed_tolerance:g}.")
     return float(duration_s)
 
 

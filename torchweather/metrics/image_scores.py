@@ -103,6 +103,7 @@ def image_scores(
     )
     if isinstance(names, str):
         raise InputTypeError(f"image_scores: names must be a list of names such as ['ssim']; got the text {names!r}.")
+    check_arguments("image_scores(names: Iterable | None)", names)
     chosen = list(IMAGE_SCORES) if names is None else list(names)
     for name in chosen:
         check_one_of("score", name, IMAGE_SCORES, owner="image_scores")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import check_at_least, check_between, check_one_of
+from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.efficiency_table import extinction_table, scattering_table
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import SizeDistribution
@@ -97,7 +97,7 @@ def extinction_per_m(
     )
     _check_wavelength(wavelength_nm, "extinction_per_m")
     if q_ext is not None:
-        check_at_least("q_ext", q_ext, 0.0, owner="extinction_per_m")
+        check_between("q_ext", q_ext, 0.0, 1e6, owner="extinction_per_m")
         return cross_section_per_m(distribution) * q_ext
     bounds, material = _physical_support(distribution, material)
     diameter, width, efficiency = extinction_table(*bounds, float(wavelength_nm), material, float(temperature_c))

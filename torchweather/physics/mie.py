@@ -19,7 +19,7 @@ Real = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 # Water at radio frequencies has 9, metals have below 100; squares of smaller size parameters underflow.
-_INDEX_MAX, _SIZE_PARAMETER_MIN = 1e3, 1e-30
+_INDEX_MAX, _SIZE_PARAMETER_MIN = 1e3, 1e-12
 SIZE_PARAMETER_MAX = 1e5  # tested to 3e4; beyond, the series is too slow to be wanted
 _BLOCK_ELEMENTS = 1_000_000  # orders times sizes that one block of the series holds in memory
 _BUCKET_RATIO = 1.7  # sizes within this ratio share a block: small spheres do not pay for the orders of large ones

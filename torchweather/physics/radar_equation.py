@@ -43,6 +43,7 @@ def radar_constant_db(
         loss_db,
     )
     check_between("frequency_ghz", frequency_ghz, 1e-6, 1e6, unit="GHz", owner="radar_constant_db")
+    _check_shapes("radar_constant_db", transmit_power_dbm=transmit_power_dbm, antenna_gain_dbi=antenna_gain_dbi)
     power, gain, loss = to_float64(transmit_power_dbm, antenna_gain_dbi, loss_db)
     wavelength_m = SPEED_OF_LIGHT_M_PER_S / (1e9 * float(frequency_ghz))
     return power + gain - loss + 20.0 * math.log10(wavelength_m) - 30.0 * math.log10(4.0 * math.pi)
@@ -87,7 +88,7 @@ def received_power_dbm(
         loss_db,
         attenuation_db,
     )
-    check_broadcast(
+    _check_shapes(
         "received_power_dbm",
         rcs_dbsm=rcs_dbsm,
         range_m=range_m,
@@ -136,7 +137,7 @@ def target_rcs_dbsm(
         loss_db,
         attenuation_db,
     )
-    check_broadcast(
+    _check_shapes(
         "target_rcs_dbsm",
         power_dbm=power_dbm,
         range_m=range_m,
@@ -177,3 +178,9 @@ def thermal_noise_dbm(bandwidth_hz: Quantity, noise_figure_db: Quantity = 0.0) -
     check_between("noise_figure_db", noise_figure_db, 0.0, 100.0, unit="dB", owner="thermal_noise_dbm")
     bandwidth, figure = to_float64(bandwidth_hz, noise_figure_db)
     return 10.0 * torch.log10(BOLTZMANN_J_PER_K * NOISE_TEMPERATURE_K / MILLIWATT_W * bandwidth) + figure
+
+
+def _check_shapes(owner: str, **values: Quantity) -> None:
+    """Refuse what does not broadcast, nested lists included."""
+    names = list(values)
+    check_broadcast(owner, **dict(zip(names, to_float64(*values.values()), strict=True)))

@@ -64,6 +64,8 @@ class SizeDistribution(ABC):
             self.diameter_min_mm,
             self.diameter_max_mm,
         )
+        object.__setattr__(self, "diameter_min_mm", float(self.diameter_min_mm))
+        object.__setattr__(self, "diameter_max_mm", float(self.diameter_max_mm))
         check_at_least("diameter_min_mm", self.diameter_min_mm, 0.0, unit="mm", owner=self)
         if not self.diameter_max_mm > self.diameter_min_mm:
             raise InputValueError(

@@ -294,6 +294,8 @@ class LogNormal(SizeDistribution):
 
     def _span_mm(self) -> tuple[float, float]:
         _, log_median_mm, sigma = (parameter.detach() for parameter in self._parameters())
+        if not log_median_mm.numel() or not sigma.numel():
+            raise InputValueError(f"{type(self).__name__}: expected one distribution or more; got none.")
         high = float((log_median_mm + 8.0 * sigma + 6.0 * sigma**2).max())
         return math.exp(float((log_median_mm - 8.0 * sigma).min())), math.exp(high)
 

@@ -58,6 +58,7 @@ def sekhon_srivastava(
         diameter_min_mm,
         diameter_max_mm,
     )
+    check_one_of("per_size", per_size, ("radius", "diameter"), owner="sekhon_srivastava")
     rate, present = rate_and_presence(rate_mm_per_h, "sekhon_srivastava")
     intercept = (5000.0 if per_size == "radius" else 2500.0) * rate**-0.94 * present
     return Exponential(
@@ -101,6 +102,7 @@ def gunn_marshall(
         diameter_min_mm,
         diameter_max_mm,
     )
+    check_one_of("per_size", per_size, ("radius", "diameter"), owner="gunn_marshall")
     rate, present = rate_and_presence(rate_mm_per_h, "gunn_marshall")
     intercept = (7600.0 if per_size == "radius" else 3800.0) * rate**-0.87 * present
     return Exponential(

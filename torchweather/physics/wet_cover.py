@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
-from torchweather.core.errors import InputTypeError, check_at_least
+from torchweather.core.errors import InputTypeError, check_at_least, check_between
 
 __all__ = ["wet_cover_loss_db", "wet_cover_series_db"]
 
@@ -102,6 +102,8 @@ def _log_wetness(rain_mm_per_h: Tensor, film_exponent: Value) -> Tensor:
 
 def _over_time(value: Value, like: Tensor) -> Tensor:
     """A value shaped to broadcast over times ``(..., T)``."""
+    check_arguments("wet_cover(value: Quantity)", value)
+    check_between("value", torch.as_tensor(value), -1e6, 1e6, owner="wet_cover")
     try:
         return torch.as_tensor(value, dtype=like.dtype, device=like.device)[..., None]
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 from torchweather.scenes.primitives import Point
 
@@ -29,6 +30,7 @@ def checked_pose(
         pose = torch.eye(4, dtype=like.dtype, device=like.device)
         pose[:3, 3] = like.new_tensor(mount_m)
         return pose
+    check_arguments("pose(pose: real | array | Sequence)", given)
     pose = torch.as_tensor(given, dtype=like.dtype, device=like.device)
     last = pose.new_tensor([0.0, 0.0, 0.0, 1.0])
     if pose.shape == (4, 4) and bool(torch.isfinite(pose).all()) and torch.equal(pose[3], last):

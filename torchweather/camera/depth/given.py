@@ -13,7 +13,7 @@ from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import DepthSource, check_depth, warn_of_depth
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputTypeError, InputValueError, check_at_least
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_between
 
 AUTO = "auto"
 """Names the depth that is guessed from the picture."""
@@ -51,6 +51,8 @@ class ConstantDepth(DepthSource):
         image: Tensor | None = None,
     ) -> Tensor:
         """Depth ``(1, H, W)``, metres."""
+        check_between("height", height, 1, 1 << 24, unit="px", owner=self)
+        check_between("width", width, 1, 1 << 24, unit="px", owner=self)
         return torch.full((1, height, width), float(self.depth_m), device=device, dtype=dtype)
 
 

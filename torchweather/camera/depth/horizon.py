@@ -14,7 +14,7 @@ from torch import Tensor
 from torchweather.camera.depth.line_segments import LineSegments, find_segments, grey_levels
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, check_between
 
 __all__ = ["Horizon", "below_the_sky", "find_horizon", "horizon_of_camera"]
 
@@ -130,6 +130,7 @@ def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:
         principal point alone 7.2 px. A road that climbs or bends within view has no single horizon.
     """
     check_arguments("find_horizon(rgb: real(3, H, W), camera: Camera)", rgb, camera)
+    check_between("rgb", rgb, 0.0, 65535.0, owner="find_horizon")
     if rgb.ndim != 3:
         raise InputValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")
     height, width = rgb.shape[-2:]

@@ -23,7 +23,7 @@ from torchweather.camera.particles.tables import MarkOptics, particle_tables
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_at_least
+from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import ABSENT, Variate
 from torchweather.core.threads import side_by_side
 from torchweather.pipeline.tiling import is_exporting
@@ -123,6 +123,8 @@ class Population(nn.Module):
             min_listed_coverage,
             max_listed_density,
         )
+        if rate_capacity_mm_per_h is not None:
+            check_between("rate_capacity_mm_per_h", rate_capacity_mm_per_h, 0.0, 1e4, owner="ParticleVeil")
         check_at_least("near_m", near_m, 1e-3, unit="m", owner="ParticleVeil")
         self.near_m, self.far_m = float(near_m), float(far_m)
         focus = math.inf if camera.focus_distance_m is None else camera.focus_distance_m

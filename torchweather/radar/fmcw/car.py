@@ -237,6 +237,7 @@ def car_scatterers(
             f"{velocity_m_per_s!r}."
         )
     skin = car_facets() if facets_m is None else facets_m
+    check_arguments("car_scatterers(facets_m: floating(F, 3, 3))", skin)
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     turn = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=skin.dtype, device=skin.device)
     at, radar, velocity = (

@@ -189,6 +189,8 @@ def subdivide(vertices_m: Tensor, max_edge_m: float) -> Tensor:
     _check_triangles(vertices_m, "subdivide")
     check_positive("max_edge_m", max_edge_m, unit="m", owner="subdivide")
     check_between("max_edge_m", max_edge_m, 1e-9, 1e9, unit="m", owner="subdivide")
+    if not vertices_m.numel():
+        return vertices_m
     longest = _longest_edge_m(vertices_m.detach().double()).reshape(-1, vertices_m.shape[-3])
     # A rounding above a whole number of parts is none.
     parts = torch.ceil(longest.amax(0) / max_edge_m * (1.0 - 1e-9)).clamp_min(1).long()

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_between
+from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -58,6 +58,7 @@ def oversampled_taps(oversampling: float) -> Tensor:
     check_between("oversampling", oversampling, 0.0, 1e4, owner="oversampled_taps")
     if oversampling == 0:
         return torch.ones(1)
+    check_at_least("oversampling", oversampling, 0.5, owner="oversampled_taps", advice="0 is white noise.")
     half = math.ceil(2.0 * oversampling - 1e-9) - 1
     lag = torch.arange(-half, half + 1, dtype=torch.float64) / oversampling
     taps = torch.sinc(lag) + 0.5 * (torch.sinc(lag - 1.0) + torch.sinc(lag + 1.0))
