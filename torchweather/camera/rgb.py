@@ -94,8 +94,7 @@ class AsBayer(nn.Module):
 
     def __init__(self, transform: BayerWeather, *, through_mosaic: bool = False, method: str = "malvar") -> None:
         check_arguments(
-            "AsBayer(transform: BayerWeather, through_mosaic: bool, method: str)",
-            transform,
+            "AsBayer(through_mosaic: bool, method: str)",
             through_mosaic,
             method,
         )
@@ -143,7 +142,8 @@ class AsBayer(nn.Module):
         Returns:
             ``(..., 3, H, W)`` in the dtype of ``rgb``. The inputs are not changed.
         """
-        check_arguments("AsBayer(rgb: Tensor(..., 3, H, W))", rgb)
+        if not isinstance(rgb, Tensor) or rgb.ndim < 3:
+            check_rgb(rgb, "AsBayer")  # refuses it
         if self.transform.must_draw(noise, seed, generator):
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
@@ -179,7 +179,8 @@ class AsBayer(nn.Module):
         generator: torch.Generator | None = None,
     ) -> RgbResult:
         """The image, and with it transmission, airlight, particle mask and how sure the depth is."""
-        check_arguments("AsBayer(rgb: Tensor(..., 3, H, W))", rgb)
+        if not isinstance(rgb, Tensor) or rgb.ndim < 3:
+            check_rgb(rgb, "AsBayer")  # refuses it
         if self.transform.must_draw(noise, seed, generator):
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)

@@ -59,7 +59,7 @@ def normalise(
         tensor([0., 1.])
     """
     check_arguments(
-        "normalise(raw: real, black_level: float, white_level: float | None, dtype: dtype)",
+        "normalise(raw: Tensor, black_level: float, white_level: float | None, dtype: dtype)",
         raw,
         black_level,
         white_level,

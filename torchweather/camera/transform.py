@@ -133,12 +133,10 @@ class BayerWeather(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         check_arguments(
-            "BayerWeather(weather: Weather, camera: Camera, airlight: Sequence[float] | float | str | None, "
-            "layer_top_m: float, sky: str | None, extinction: str, near_m: float, far_m: float, "
-            "min_listed_coverage: float, max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
-            "rate_capacity_mm_per_h: float | None, variant: str | None, effects: Sequence, p: float)",
-            weather,
-            camera,
+            "BayerWeather(airlight: Sequence[float] | float | str | None, layer_top_m: float, sky: str | None, "
+            "extinction: str, near_m: float, far_m: float, min_listed_coverage: float, max_listed_density: float, "
+            "ego_speed_m_per_s: float, drop_radiance: str, rate_capacity_mm_per_h: float | None, "
+            "variant: str | None, p: float)",
             airlight,
             layer_top_m,
             sky,
@@ -151,7 +149,6 @@ class BayerWeather(WeatherTransform):
             drop_radiance,
             rate_capacity_mm_per_h,
             variant,
-            effects,
             p,
         )
         super().__init__()
@@ -262,7 +259,8 @@ class BayerWeather(WeatherTransform):
         Returns:
             ``(..., 1, H, W)`` in the dtype of ``bayer``. The inputs are not changed.
         """
-        check_arguments("BayerWeather(bayer: Tensor(..., 1, H, W))", bayer)
+        if not isinstance(bayer, Tensor) or bayer.ndim < 3:
+            check_bayer(bayer, self.camera, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal, out=out)
@@ -289,7 +287,8 @@ class BayerWeather(WeatherTransform):
         generator: torch.Generator | None = None,
     ) -> CameraResult:
         """The frame, and with it transmission, airlight and particle mask; arguments as ``forward``."""
-        check_arguments("BayerWeather(bayer: Tensor(..., 1, H, W))", bayer)
+        if not isinstance(bayer, Tensor) or bayer.ndim < 3:
+            check_bayer(bayer, self.camera, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal)
@@ -540,7 +539,7 @@ class BayerWeather(WeatherTransform):
 
     def scene_of(self, image: Tensor, depth: Tensor | SceneDepth | None) -> SceneDepth:
         """Depth of an image ``(..., C, H, W)``: as given at the call, else from the constructor's source."""
-        check_arguments("BayerWeather(image: Tensor(..., C, H, W))", image)
+        check_arguments("BayerWeather(image: Tensor(..., H, W))", image)
         height, width = image.shape[-2:]
         if isinstance(depth, SceneDepth):
             check_depth(depth.depth_m, height, width, owner=self)

@@ -309,7 +309,8 @@ class LidarWeather(WeatherTransform):
             The input's shape, columns and dtype; rows more with ``complete_scan``; a shorter cloud (a list of them for
             a batch) with ``lost="drop"``.
         """
-        check_arguments("LidarWeather(points: Tensor(..., N, 4+))", points)
+        if not isinstance(points, Tensor) or points.ndim < 2:
+            check_points(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
@@ -333,7 +334,8 @@ class LidarWeather(WeatherTransform):
         generator: torch.Generator | None = None,
     ) -> LidarResult:
         """The cloud, and what happened to each of its points; arguments as ``forward``."""
-        check_arguments("LidarWeather(points: Tensor(..., N, 4+))", points)
+        if not isinstance(points, Tensor) or points.ndim < 2:
+            check_points(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)

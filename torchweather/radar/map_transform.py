@@ -122,15 +122,10 @@ class RadarMapWeather(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         check_arguments(
-            "RadarMapWeather(weather: Weather, sensor: Radar, axes: MapAxes, scale: PowerScale, "
-            "noise_floor_db: float | Sequence[float] | None, looks: int, oversampling: float | None, "
-            "rain_model: str, fog_model: str, snow_model: str, radome_loss_db: float, radome_film_db: float, "
-            "radome_film_exponent: float, clutter: bool, clutter_share: float, ego_speed_m_per_s: float, "
-            "effects: Sequence, p: float)",
-            weather,
-            sensor,
-            axes,
-            scale,
+            "RadarMapWeather(noise_floor_db: float | Sequence[float] | None, looks: int, "
+            "oversampling: float | None, rain_model: str, fog_model: str, snow_model: str, radome_loss_db: float, "
+            "radome_film_db: float, radome_film_exponent: float, clutter: bool, clutter_share: float, "
+            "ego_speed_m_per_s: float, effects: Sequence, p: float)",
             noise_floor_db,
             looks,
             oversampling,
@@ -228,7 +223,8 @@ class RadarMapWeather(WeatherTransform):
         Returns:
             The same shape and dtype.
         """
-        check_arguments("RadarMapWeather(values: Tensor)", values)
+        if not isinstance(values, Tensor):
+            self._check_values(values)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.forward(values, chosen.draw(values, seed=seeds))
@@ -249,7 +245,8 @@ class RadarMapWeather(WeatherTransform):
         generator: torch.Generator | None = None,
     ) -> RadarMapResult:
         """The map, and what happened to it; arguments as ``forward``."""
-        check_arguments("RadarMapWeather(values: Tensor)", values)
+        if not isinstance(values, Tensor):
+            self._check_values(values)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.run(values, chosen.draw(values, seed=seeds))

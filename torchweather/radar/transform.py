@@ -137,15 +137,8 @@ class RadarAttenuation(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         check_arguments(
-            "RadarAttenuation(weather: Weather, sensor: Radar, rain_model: str | None, fog_model: str | None, "
-            "snow_model: str | None, radome_loss_db: float, radome_film_db: float, radome_film_exponent: float, "
-            "clutter: bool, clutter_points: int, ego_speed_m_per_s: float, lost: str, variant: str | None, "
-            "effects: Sequence, p: float)",
-            weather,
-            sensor,
-            rain_model,
-            fog_model,
-            snow_model,
+            "RadarAttenuation(radome_loss_db: float, radome_film_db: float, radome_film_exponent: float, "
+            "clutter: bool, clutter_points: int, ego_speed_m_per_s: float, lost: str, variant: str | None, p: float)",
             radome_loss_db,
             radome_film_db,
             radome_film_exponent,
@@ -154,7 +147,6 @@ class RadarAttenuation(WeatherTransform):
             ego_speed_m_per_s,
             lost,
             variant,
-            effects,
             p,
         )
         super().__init__()
@@ -251,7 +243,8 @@ class RadarAttenuation(WeatherTransform):
             The input's shape, columns and dtype; rows more with ``clutter`` and with effects that list more; a shorter
             list (of lists for a batch) with ``lost="drop"``.
         """
-        check_arguments("RadarAttenuation(points: Tensor(..., N, 6+))", points)
+        if not isinstance(points, Tensor) or points.ndim < 2:
+            check_detections(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
@@ -273,7 +266,8 @@ class RadarAttenuation(WeatherTransform):
         **known: Tensor,
     ) -> RadarResult:
         """The detections, and what happened to each of them; arguments as ``forward``."""
-        check_arguments("RadarAttenuation(points: Tensor(..., N, 6+))", points)
+        if not isinstance(points, Tensor) or points.ndim < 2:
+            check_detections(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
