@@ -141,7 +141,12 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
         weathers,
         takes,
     )
-    if len(takes) != len(weathers) or not takes or any(take.shape != takes[0].shape for take in takes):
+    compiling = torch.compiler.is_compiling()  # a comparison of sizes would fix them in a graph
+    if (
+        len(takes) != len(weathers)
+        or not takes
+        or (not compiling and any(take.shape != takes[0].shape for take in takes))
+    ):
         raise InputValueError(
             f"mean_extra_m: takes must be a tensor (B,) for each of {len(weathers)} weathers; got {len(takes)}."
         )
@@ -168,8 +173,9 @@ def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: 
         raise InputValueError(
             f"mean_density: places must be (B or 1, ...); got {tuple(azimuth_rad.shape)} and {tuple(range_m.shape)}."
         )
-    batch = torch.broadcast_shapes(azimuth_rad.shape, range_m.shape)[0]
-    if batch not in (1, len(extra_m)):
+    compiling = torch.compiler.is_compiling()  # a comparison of sizes would fix them in a graph
+    batch = 1 if compiling else torch.broadcast_shapes(azimuth_rad.shape, range_m.shape)[0]
+    if batch != 1 and batch != len(extra_m):
         raise InputValueError(f"mean_density: places must be of {len(extra_m)} samples or of one; got {batch}.")
     way_m = range_m.clamp_min(SHORTEST_M)
     return 1.0 + _read(extra_m, azimuth_rad, way_m, step_m) / way_m
@@ -198,7 +204,7 @@ def of_beams(values: Tensor, beams: int) -> Tensor:
     """Values of each sample, or of one, ``(B or 1, ...)``, for several beams of each, one sample after the other."""
     check_arguments("of_beams(values: Tensor, beams: int)", values, beams)
     own = values.shape[0] if values.ndim else 0
-    if not 0 < beams < _MOST_BEAMS or not own or beams % own:
+    if not torch.compiler.is_compiling() and (not 0 <= beams < _MOST_BEAMS or not own or beams % own):
         raise InputValueError(f"of_beams: beams must be a multiple of the {own} samples; got {beams}.")
     return values.expand(beams, *values.shape[1:]) if own in (1, beams) else values.repeat_interleave(beams // own, 0)
 

@@ -530,7 +530,7 @@ class BayerWeather(WeatherTransform):
                 f"vehicle's frame; got {tuple(normal.shape) if isinstance(normal, Tensor) else type(normal).__name__}."
             )
         shared = normal.ndim == 3 or normal.shape[:-3].numel() == 1
-        if not shared and normal.shape[:-3] != batch:
+        if not shared and not torch.compiler.is_compiling() and normal.shape[:-3] != batch:
             raise InputValueError(
                 f"{type(self).__name__}: normal must have the batch {tuple(batch)}; got {tuple(normal.shape)}."
             )

@@ -111,7 +111,7 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
         + a[7] * density**2
     )
     n = torch.sqrt((2.0 * lorentz_lorenz + 1.0) / (1.0 - lorentz_lorenz))
-    if not bool(n.isfinite().all()):
+    if not torch.compiler.is_compiling() and not bool(n.isfinite().all()):
         raise InputValueError(
             "water_refractive_index: wavelength_nm lies where the formula has no value. IAPWS R9-97 holds "
             "from 200 to 1100 nm."

@@ -129,7 +129,7 @@ def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:
         Off by 2.6 px (mean of the seven KITTI frames it was chosen on) and 3.2 px (six others), 10 px at most; the
         principal point alone 7.2 px. A road that climbs or bends within view has no single horizon.
     """
-    check_arguments("find_horizon(rgb: real(3, H, W), camera: Camera)", rgb, camera)
+    check_arguments("find_horizon(rgb: real, camera: Camera)", rgb, camera)
     check_between("rgb", rgb, 0.0, 65535.0, owner="find_horizon")
     if rgb.ndim != 3:
         raise InputValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")
