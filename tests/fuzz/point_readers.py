@@ -234,7 +234,8 @@ READERS = (
     Reader("points-npz", "a.npz", _npz_columns, _through),
     Reader("points-csv", "a.csv", given(CSV, BARE_CSV), _through),
     Reader("points-las", "a.las", _las, _through),
-    Reader("points-laz", "a.laz", _laz, _points),
+    # Lazrs reserves what a chunk says of its layers, up to 36 GB, before it reads; it does not touch it.
+    Reader("points-laz", "a.laz", _laz, _points, memory_bytes=80 << 30),
     Reader("radar-pcd", "a.pcd", lambda folder: _nuscenes_radar(folder) + _radar_files("pcd")(folder), _radar),
     Reader("radar-npz", "a.npz", _radar_files("npz"), _radar),
     Reader("radar-csv", "a.csv", _radar_files("csv"), _radar),

@@ -24,6 +24,7 @@ class Reader:
         make: files of the kind, made in an empty folder.
         read: takes the path of the file; what it gives must be finite.
         beside: further files by name, made in an empty folder; they stay as they are.
+        memory_bytes: address space that a read may take.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Reader:
     make: Callable[[Path], Sequence[bytes]]
     read: Callable[[Path], Any]
     beside: Callable[[Path], Mapping[str, bytes]] = _nothing
+    memory_bytes: int = 2 << 30
 
 
 def saved(folder: Path, name: str, write: Callable[[Path], Any]) -> bytes:

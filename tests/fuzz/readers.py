@@ -58,7 +58,7 @@ def fuzz_reader(reader: Reader, count: int, seed: int, *, first: int = 0, until:
             return outcome_of(lambda: reader.read(path))
 
         numbers = range(first, first + count) if first >= 0 else range(-len(contents), 0)
-        for number, outcome in watched(work, numbers):
+        for number, outcome in watched(work, numbers, reader.memory_bytes):
             repeat = ""
             if outcome.fault:
                 repeat = (

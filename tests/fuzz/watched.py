@@ -16,34 +16,36 @@ from tests.fuzz.outcome import HANG_S, Outcome
 
 __all__ = ["watched"]
 
-MEMORY_BYTES = 2 << 30  # above what the process has when it begins
 _PER_CHILD = 5000
 
 
-def watched(work: Callable[[int], Outcome], numbers: Sequence[int]) -> Iterator[tuple[int, Outcome]]:
+def watched(
+    work: Callable[[int], Outcome], numbers: Sequence[int], memory_bytes: int = 2 << 30
+) -> Iterator[tuple[int, Outcome]]:
     """The outcome of each number.
 
     Args:
         work: answers one number; runs in a forked child with a limit of its address space.
         numbers: in order.
+        memory_bytes: address space above that of the process when it begins.
     """
     at = 0
     while at < len(numbers):
         part = numbers[at : at + _PER_CHILD]
         done = 0
-        for outcome in _child(work, part):
+        for outcome in _child(work, part, memory_bytes):
             yield part[done], outcome
             done += 1
         at += done
 
 
-def _child(work: Callable[[int], Outcome], numbers: Sequence[int]) -> Iterator[Outcome]:
+def _child(work: Callable[[int], Outcome], numbers: Sequence[int], memory_bytes: int) -> Iterator[Outcome]:
     """Outcomes of a child, the last one a death or a hang where it did not come to its end."""
     ours, theirs = os.pipe()
     pid = os.fork()
     if pid == 0:
         os.close(ours)
-        _run(work, numbers, theirs)
+        _run(work, numbers, theirs, memory_bytes)
     os.close(theirs)
     done, rest = 0, b""
     try:
@@ -71,7 +73,7 @@ def _child(work: Callable[[int], Outcome], numbers: Sequence[int]) -> Iterator[O
             os.waitpid(pid, 0)
 
 
-def _run(work: Callable[[int], Outcome], numbers: Sequence[int], theirs: int) -> None:
+def _run(work: Callable[[int], Outcome], numbers: Sequence[int], theirs: int, memory_bytes: int) -> None:
     """The child's part; it never comes back. Libraries in C and Rust write to its standard error as they like."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     loud = os.dup(2)
@@ -79,7 +81,7 @@ def _run(work: Callable[[int], Outcome], numbers: Sequence[int], theirs: int) ->
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             size = int(file.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY_BYTES, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_AS, (size + memory_bytes, resource.RLIM_INFINITY))
         for number in numbers:
             line = json.dumps(asdict(work(number))) + "\n"
             left = line.encode()

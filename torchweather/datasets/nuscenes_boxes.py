@@ -61,7 +61,7 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
             parts = [[float(value) for value in entry[key]] for key in ("translation", "size", "rotation")]
             if [len(part) for part in parts] != [3, 3, 4]:
                 raise InputValueError(f"{[len(part) for part in parts]} numbers")
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise TorchweatherError(
                 f"annotation {number}: wanted translation (3), size (3: width, length, height) and rotation (4: w, x, "
                 f"y, z); {type(error).__name__}: {error}."

@@ -47,7 +47,7 @@ def read_las(path: str | os.PathLike[str]) -> StoredPoints:
     check_las_header(source)
     try:
         with np.errstate(all="ignore"):  # positions are looked at below
-            las = laspy.read(str(source))
+            las = laspy.read(str(source), laz_backend=_backend(laspy))
         names = [str(name) for name in las.point_format.dimension_names if name not in _RAW]
         with np.errstate(all="ignore"):
             arrays = [np.asarray(las[name]) for name in (*_POSITION, *names)]
@@ -99,6 +99,11 @@ def _laspy() -> Any:
         return importlib.import_module("laspy")  # there only with the extra
     except ImportError as error:
         raise MissingExtraError(_HINT) from error
+
+
+def _backend(laspy: Any) -> Any:
+    """Lazrs point after point where it is there: its other reader ends the process for a damaged table of chunks."""
+    return laspy.LazBackend.Lazrs if laspy.LazBackend.Lazrs.is_available() else laspy.LazBackend.detect_available()
 
 
 def _is_of_reader(error: BaseException) -> bool:

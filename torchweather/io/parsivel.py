@@ -224,7 +224,8 @@ def _seconds(source: Path, variable: Any) -> npt.NDArray[np.float64]:
         raise TorchweatherError(f"{source}: wanted time as hours since 2024-07-22 or the like; got {units!r}.")
     step = {"second": 1.0, "minute": 60.0, "hour": 3600.0, "day": 86400.0}[found[1]]
     start = np.datetime64(f"{found[2]}T{found[3] or '00:00:00'}", "s").astype(np.float64)
-    return start + step * _numbers(variable)
+    with np.errstate(over="ignore"):  # what overflows is refused as a time
+        return np.asarray(start + step * _numbers(variable))
 
 
 def _text(value: Any) -> str:

@@ -211,5 +211,6 @@ def _completed(layout: MapLayout, arrays: dict[str, npt.NDArray[Any]]) -> MapLay
         if name in arrays:
             found[name] = tuple(np.asarray(arrays[name], np.float64).reshape(-1).tolist())
         elif radians in arrays:
-            found[name] = tuple(np.rad2deg(np.asarray(arrays[radians], np.float64)).reshape(-1).tolist())
+            with np.errstate(over="ignore"):  # infinity is refused as an axis
+                found[name] = tuple(np.rad2deg(np.asarray(arrays[radians], np.float64)).reshape(-1).tolist())
     return replace(layout, **found)

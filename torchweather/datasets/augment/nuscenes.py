@@ -193,6 +193,11 @@ class _Tables:
             lacks = [key for key in wanted if key not in row]
             if lacks:
                 raise TorchweatherError(f"{path}: a row lacks {', '.join(lacks)}; it has {', '.join(row)}.")
+            odd = [key for key in wanted if key.endswith(("token", "filename")) and not isinstance(row[key], str)]
+            if odd:
+                raise TorchweatherError(
+                    f"{path}: {', '.join(odd)} must be text in every row; got {row[odd[0]]!r:.100}."
+                )
             if name == "sample_data":
                 row.setdefault("is_key_frame", str(row["filename"]).startswith("samples/"))
         return rows

@@ -11,6 +11,7 @@ from typing import Any, overload
 
 from numpy.typing import NDArray
 
+from torchweather.core.archives import BROKEN_ARCHIVE
 from torchweather.core.errors import TorchweatherError
 from torchweather.io.arrays import read_archive
 
@@ -37,7 +38,7 @@ class NpzFile:
 
     def __call__(self) -> Frame:
         """The arrays of the file."""
-        with contextlib.suppress(OSError, zipfile.BadZipFile), zipfile.ZipFile(self.path) as archive:
+        with contextlib.suppress(*BROKEN_ARCHIVE), zipfile.ZipFile(self.path) as archive:
             # `read_archive` says what is wrong with a file that cannot be opened, and reads no more than is stated.
             stated = sum(member.file_size for member in archive.infolist())
             if stated > MOST_BYTES:
