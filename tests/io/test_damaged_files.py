@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,7 +45,7 @@ def test_calibrations_are_finite(tmp_path: Path, number: str) -> None:
 
 @pytest.mark.parametrize("place", [3, 4, 12, 15])
 def test_labels_are_finite_in_every_number(tmp_path: Path, place: int) -> None:
-    words = "Car 0 0 -1.57 10 10 20 20 1.6 1.8 4 0 1 20 -1.57 0.7".split()
+    words = ["Car", "0", "0", "-1.57", "10", "10", "20", "20", "1.6", "1.8", "4", "0", "1", "20", "-1.57", "0.7"]
     words[place] = "1e400"
     (tmp_path / "a.txt").write_text(" ".join(words))
     with pytest.raises(TorchweatherError, match="line 1: .*infinity"):
@@ -194,3 +196,26 @@ def test_a_video_with_text_that_is_no_unicode_is_read(tmp_path: Path) -> None:
     assert b"somewhere" in content
     (tmp_path / "a.mp4").write_bytes(content.replace(b"somewhere", b"\xf0\x00\xff\xfe\xf0\xf0\xf0\xf0\xf0"))
     assert len(list(VideoReader(tmp_path / "a.mp4"))) == 1
+
+
+@pytest.mark.parametrize(
+    "read", [io.read_image, io.read_points, io.read_table, io.read_depth, datasets.read_camera, io.read_disdrometer]
+)
+def test_named_pipes_are_refused_at_once(tmp_path: Path, read: Callable[[Path], Any]) -> None:
+    for suffix in (".bin", ".csv", ".npz", ".yaml"):
+        path = tmp_path / f"{read.__name__}{suffix}"
+        os.mkfifo(path)
+        with pytest.raises(TorchweatherError):
+            read(path)
+
+
+def test_a_packed_line_without_an_end_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.dat.gz").write_bytes(gzip.compress(bytes(4 << 20)))
+    with pytest.raises(TorchweatherError, match="a line of more than"):
+        io.read_disdrometer(tmp_path / "a.dat.gz")
+
+
+def test_a_cloud_of_thousands_of_columns_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(",".join(f"c{k}" for k in range(200_000)) + "\n")
+    with pytest.raises(TorchweatherError, match="got 200,000 columns"):
+        io.read_points(tmp_path / "a.csv")

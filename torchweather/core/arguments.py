@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.exceptions import InputTypeError, InputValueError
+from torchweather.core.file_names import check_no_device
 
 __all__ = ["check_arguments", "check_broadcast"]
 
@@ -202,11 +203,12 @@ def _parted(text: str, sign: str) -> list[str]:
 
 
 def _check_path(owner: str, name: str, path: str | bytes) -> None:
-    """Refuse a name that no file can have: a null character, or half a character."""
+    """Refuse a name that no file can have, a null character or half a character, and what never ends."""
     try:
         name_bytes = max(map(len, os.fsencode(path).split(os.sep.encode())))
         # 255 bytes are the most of every usual file system.
         if b"\0" not in os.fsencode(path) and not isinstance(path, bytes) and name_bytes <= 255:
+            check_no_device(path)
             return
     except UnicodeEncodeError:
         pass

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import PurePath
 
-__all__ = ["is_hidden", "stem"]
+from torchweather.core.exceptions import TorchweatherError
+
+__all__ = ["check_no_device", "is_hidden", "stem"]
 
 
 def is_hidden(path: PurePath) -> bool:
@@ -30,3 +33,15 @@ def stem(path: str | os.PathLike[str]) -> tuple[str, str]:
         if suffix and pure.name.lower().endswith(suffix.lower()):
             return pure.name[: len(pure.name) - len(suffix)], pure.name[len(pure.name) - len(suffix) :]
     return pure.name, ""
+
+
+def check_no_device(path: str | os.PathLike[str]) -> None:
+    """Raise `TorchweatherError` for a named pipe, a socket or a device: reading may wait, or never end."""
+    try:
+        mode = os.stat(path).st_mode
+    except OSError:
+        return  # no such file: said by who opens it
+    if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode) or stat.S_ISSOCK(mode) or stat.S_ISBLK(mode):
+        raise TorchweatherError(
+            f"{path}: expected a file; got a pipe, a socket or a device. Write its content to a file."
+        )

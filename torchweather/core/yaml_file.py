@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 import yaml
 
 from torchweather.core.exceptions import TorchweatherError
+from torchweather.core.file_names import check_no_device
 
 __all__ = ["dump_yaml", "parse_json", "parse_yaml", "read_json", "read_yaml"]
 
@@ -77,6 +78,7 @@ def read_yaml(
 
 def _text(path: str | os.PathLike[str], wanted: str, max_bytes: float) -> str:
     file = Path(path)
+    check_no_device(file)
     try:
         if (size := file.stat().st_size) > max_bytes:
             raise TorchweatherError(f"{file}: expected {wanted}, {max_bytes} bytes at most; got {size} bytes.")

@@ -19,6 +19,7 @@ __all__ = ["CSV_COLUMNS", "read_csv_points", "write_csv_points"]
 # RADIATE's columns; a file without names is taken to have these.
 CSV_COLUMNS = ("x", "y", "z", "intensity", "ring")
 _LINE_ENDS = {"lf": "\n", "crlf": "\r\n"}
+_MOST_COLUMNS = 1000  # each is looked at by itself
 
 
 def read_csv_points(path: str | os.PathLike[str]) -> StoredPoints:
@@ -39,6 +40,11 @@ def read_csv_points(path: str | os.PathLike[str]) -> StoredPoints:
     encoding = "crlf" if "\r\n" in text else "lf"
     lines = text.removeprefix("\ufeff").split("\n")
     first = [word.strip() for word in lines[0].split(",")]
+    if len(first) > _MOST_COLUMNS:
+        raise TorchweatherError(
+            f"{source}: wanted a point a line, {_MOST_COLUMNS} columns at most; got {len(first):,} columns. Is it "
+            "a table of something else?"
+        )
     named = not all(_is_number(word) for word in first) and any(first)
     if not named and not text.strip():
         raise TorchweatherError(

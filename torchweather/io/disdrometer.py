@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_at_least, check_positive
+from torchweather.core.file_names import check_no_device
 from torchweather.io.drop_spectrum import DropSpectrum
 from torchweather.io.parsivel import read_parsivel_netcdf, read_parsivel_telegrams
 from torchweather.io.video_disdrometer import read_video_netcdf
@@ -29,6 +30,7 @@ def read_disdrometer(
         TorchweatherError: the file is missing, truncated, or of none of these formats.
     """
     source = Path(path)
+    check_no_device(source)
     check_positive("duration_s", duration_s, unit="s", owner="read_disdrometer")
     check_at_least("fall_speed_tolerance", fall_speed_tolerance, 0.0, owner="read_disdrometer")
     try:

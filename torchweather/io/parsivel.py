@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import math
 import re
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from torch import Tensor
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.core.extras import install_hint
+from torchweather.core.inflation import check_inflated
 from torchweather.io.drop_spectrum import DropSpectrum, spectrum_from_counts
 from torchweather.physics import rain_fall_speed_m_per_s
 
@@ -41,6 +43,7 @@ _PARSIVEL_LENGTH_MM, _PARSIVEL_WIDTH_MM = 180.0, 30.0
 _TELEGRAM_COLUMNS = 24
 _TELEGRAM_TIME, _TELEGRAM_RATE, _TELEGRAM_MOR, _TELEGRAM_SPECTRUM = 3, 6, 11, 22  # -, [01], [08], [93]
 _TELEGRAM_INTERVAL_S = 30.0
+_LONGEST_LINE = 1 << 20
 _STAMP = re.compile(r"\d{2}-\d{2}-\d{4} +\d{2}:\d{2}:\d{2}", re.ASCII)
 
 # Names under which NetCDF files keep the raw Parsivel spectrum, and its class bounds.
@@ -94,7 +97,9 @@ def read_parsivel_netcdf(source: Path, fall_speed_tolerance: float) -> DropSpect
             return _parsivel_from_variables(source, file.variables, dict(file.attrs), fall_speed_tolerance)
     except ImportError as error:  # also from File(): h5netcdf imports without h5py and fails only then
         raise TorchweatherError(f"{source}: NetCDF-4 files need h5netcdf and h5py. {install_hint('io')}") from error
-    except (OSError, RuntimeError, KeyError) as error:
+    except TorchweatherError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise TorchweatherError(f"{source}: wanted NetCDF; it is truncated or damaged ({error}).") from error
 
 
@@ -110,6 +115,9 @@ def _parsivel_from_variables(
             f"{source}: wanted a Parsivel file with time, {' or '.join(_INTERVAL_NAMES)}, one of "
             f"{', '.join(_SPECTRUM_NAMES)} and the bounds of its classes; got {', '.join(list(variables)[:40])}."
         )
+    stored = source.stat().st_size
+    for name in (spectrum_name, *bounds, *speeds, interval, "time"):
+        check_inflated(source, math.prod(variables[name].shape) * 8, stored)
     lower, upper = (_numbers(variables[name]) for name in bounds)
     speed_lower, speed_upper = (_numbers(variables[name]) for name in speeds)
     counts = _numbers(variables[spectrum_name])
@@ -203,7 +211,15 @@ def _telegram_rows(source: Path) -> Iterator[list[str]]:
         packed = file.read(2) == b"\x1f\x8b"
     opened: Callable[..., IO[str]] = gzip.open if packed else open
     with opened(source, "rt", encoding="ascii", newline="") as text:
-        yield from (row for row in csv.reader(text) if row)
+        yield from (row for row in csv.reader(_lines(text, source)) if row)
+
+
+def _lines(text: IO[str], source: Path) -> Iterator[str]:
+    """Lines of a text, none longer than a telegram can be: a packed file may inflate to gigabytes of one line."""
+    while line := text.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise TorchweatherError(f"{source}: wanted telegrams; got a line of more than {_LONGEST_LINE} characters.")
+        yield line
 
 
 def _numbers(variable: Any) -> npt.NDArray[np.float64]:
