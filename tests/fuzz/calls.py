@@ -7,7 +7,9 @@ repeats one.
 from __future__ import annotations
 
 import argparse
+import os
 import random
+import tempfile
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -53,6 +55,7 @@ def one_call(target: Target, seed: int, number: int) -> Outcome:
 def fuzz_calls(chosen: Sequence[Target], count: int, seed: int, *, first: int = 0) -> dict[str, Counts]:
     """Outcomes by group of ``count`` calls for each target."""
     found: dict[str, Counts] = {}
+    os.chdir(tempfile.mkdtemp(prefix="fuzz-calls-"))  # names such as "x" are written to
     jobs = [(target, number) for target in chosen for number in range(first, first + count)]
     begin = time.monotonic()
     for at, outcome in watched(lambda at: one_call(*_with_seed(jobs[at], seed)), range(len(jobs))):

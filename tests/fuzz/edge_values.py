@@ -17,7 +17,7 @@ __all__ = ["edge"]
 NUMBERS: tuple[Any, ...] = (
     math.nan, math.inf, -math.inf, 0, 0.0, -0.0, -1, -1.0, 1, 2, 3, 0.5, 1e-320, 1e-30, 1e-6, 1e3, 1e6, 1e9, 1e30, 1e300,
     -1e30, 2**31, 2**63, 2**64, 10**30, True, False, 1 + 2j, np.float32(2.5), np.float64("nan"), np.int64(3), np.bool_(True),
-    7, 255, 1.0000001,
+    7, 65536, 1.0000001,
 )  # fmt: skip
 OTHERS: tuple[Callable[[], Any], ...] = (
     lambda: None, lambda: "", lambda: "x", lambda: "nan", lambda: "3", lambda: "rain", lambda: "a" * 1000, lambda: "\x00",

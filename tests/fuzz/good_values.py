@@ -375,6 +375,7 @@ _FILE = lambda name: lambda: folder() / name  # noqa: E731
 _CLOUDS = lambda: [cloud()[None, :, :3], cloud()[None, :, :3] + 0.01]  # noqa: E731
 
 BY_CALL: Mapping[str, Callable[[], Any]] = {
+    "joss_rain.kind": lambda: "widespread",
     "of_beams.beams": lambda: 4,
     "CameraLidarCalibration.camera_matrix": lambda: torch.eye(3),
     "CameraLidarCalibration.T_camera_from_lidar": lambda: EYE,

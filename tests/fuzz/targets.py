@@ -153,6 +153,7 @@ INFINITE = frozenset(
         "fit_pattern",  # intervals of a ring that shows nothing
         "box_visibility",  # of a box without points
         "rates",
+        "isosceles_triangle_rcs_m2",  # sides beyond the earth
         "Camera.distort",  # rays far beside the picture
         "RadarMapWeather.run",  # clutter of 0 W in dB
         "RadarClutter.run",  # signal of no detection in dB

@@ -203,6 +203,7 @@ def _interpolated(flat: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: fl
 def of_beams(values: Tensor, beams: int) -> Tensor:
     """Values of each sample, or of one, ``(B or 1, ...)``, for several beams of each, one sample after the other."""
     check_arguments("of_beams(values: Tensor, beams: int)", values, beams)
+    beams = beams if torch.compiler.is_compiling() else int(beams)
     own = values.shape[0] if values.ndim else 0
     if not torch.compiler.is_compiling() and (not 0 <= beams < _MOST_BEAMS or not own or beams % own):
         raise InputValueError(f"of_beams: beams must be a multiple of the {own} samples; got {beams}.")
@@ -211,7 +212,7 @@ def of_beams(values: Tensor, beams: int) -> Tensor:
 
 def sector_of(azimuth_rad: Tensor) -> Tensor:
     """Number of the sector that an azimuth lies in, the one of ``-pi`` being the first; int64."""
-    check_arguments("sector_of(azimuth_rad: Tensor)", azimuth_rad)
+    check_arguments("sector_of(azimuth_rad: real)", azimuth_rad)
     nearest = torch.round((azimuth_rad + math.pi) * (SECTORS / (2.0 * math.pi))).to(torch.int64)
     return torch.where(nearest >= SECTORS, nearest - SECTORS, nearest)
 

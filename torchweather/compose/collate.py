@@ -50,7 +50,7 @@ class Collate:
     def __post_init__(self) -> None:
         check_arguments("Collate(clouds_as: str)", self.clouds_as)
         check_one_of("clouds_as", self.clouds_as, CLOUDS_AS, owner=self)
-        if isinstance(self.clouds, str):
+        if not hasattr(self.clouds, "__len__") or isinstance(self.clouds, str):
             raise InputTypeError(
                 f"Collate: clouds must be a sequence of keys, ({self.clouds!r},); got {self.clouds!r}."
             )

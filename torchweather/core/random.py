@@ -194,6 +194,8 @@ def draw_variates(
         ``<stage>.<variate>`` to float32 array ``(len(seeds), *sample shape)``.
     """
     _check_sizes(sizes)
+    if not isinstance(seeds, Sequence) or isinstance(seeds, str):
+        raise InputTypeError(f"draw_variates: seeds must be a sequence of whole numbers; got {seeds!r:.200}.")
     if not isinstance(variates, (list, tuple)) or not all(isinstance(one, Variate) for one in variates):
         raise InputTypeError(f"draw_variates: variates must be a sequence of Variate; got {variates!r:.200}.")
     drawn: dict[str, NDArray[np.float32]] = {}

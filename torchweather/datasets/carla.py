@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_finite
+from torchweather.core.errors import InputTypeError, InputValueError, check_between
 from torchweather.io.depth import CARLA_FAR_M, CARLA_FULL, carla_depth_m
 from torchweather.io.row_layout import looks_semantic
 from torchweather.physics.radar_equation import received_power_dbm
@@ -180,6 +180,7 @@ def points_from_carla(measurement: CarlaMeasurement, reflectivity: float | None 
         tensor([[10.0000, -2.0000, -1.0000,  0.9600]])
     """
     check_arguments("points_from_carla(reflectivity: float | None)", reflectivity)
+    reflectivity = None if reflectivity is None else float(reflectivity)
     _check_has(measurement, "points_from_carla", "raw_data")
     semantic = _is_semantic(measurement)
     if semantic:
@@ -252,7 +253,7 @@ def detections_from_carla(measurement: CarlaMeasurement, radar: Radar, rcs_dbsm:
     """
     check_arguments("detections_from_carla(radar: Radar, rcs_dbsm: float)", radar, rcs_dbsm)
     _check_has(measurement, "detections_from_carla", "raw_data")
-    check_finite("rcs_dbsm", rcs_dbsm, unit="dBsm", owner="detections_from_carla")
+    check_between("rcs_dbsm", rcs_dbsm, -300.0, 300.0, unit="dBsm", owner="detections_from_carla")
     speed, azimuth, altitude, range_m = torch.from_numpy(_rows(measurement, "detections_from_carla")).double().unbind(1)
     found = torch.zeros(len(speed), 6, dtype=torch.float64)
     found[:, 0] = range_m * torch.cos(altitude) * torch.cos(azimuth)

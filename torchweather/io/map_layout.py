@@ -80,7 +80,9 @@ class MapLayout:
                         f"MapLayout: {name} must be a list of numbers, or first and step; got {dict(given)!r}."
                     )
             elif given is not None:
-                check_arguments(f"MapLayout({name}: Sequence[float])", given)
+                check_arguments(
+                    f"MapLayout({name}: Sequence[float])", given.tolist() if hasattr(given, "tolist") else given
+                )
                 object.__setattr__(self, name, tuple(float(one) for one in given))
 
     def axes_of(self, shape: Sequence[int], source: Path) -> MapAxes:

@@ -90,7 +90,11 @@ class PointCloud:
                 f"PointCloud: columns must be {self.points.shape[1]} different names, one for each column of points; "
                 f"got {', '.join(self.columns)}."
             )
-        if self.grid is not None and (len(self.grid) != 2 or self.grid[0] * self.grid[1] != self.points.shape[0]):
+        if self.grid is not None and (
+            len(self.grid) != 2
+            or not all(isinstance(one, int) for one in self.grid)
+            or self.grid[0] * self.grid[1] != self.points.shape[0]
+        ):
             raise InputValueError(
                 f"PointCloud: grid (H, W) must have a cell for each of the {self.points.shape[0]} points; got "
                 f"{self.grid!r}."

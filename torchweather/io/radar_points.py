@@ -85,6 +85,7 @@ class RadarPoints:
             self.lost,
             self.layout,
         )
+        check_arguments("RadarPoints(columns: Sequence[str])", self.columns)
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or self.points.shape[1] < 6 or self.points.dtype not in (torch.float32, torch.float64):
             raise InputValueError(

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.exceptions import InputTypeError
+from torchweather.core.exceptions import InputTypeError, InputValueError
 
 __all__ = ["Quantity", "to_complex128", "to_float64"]
 
+_SMALLEST, _LARGEST = 1e-100, 1e100  # products of several beyond these leave the range of float64
 Quantity: TypeAlias = float | int | Tensor
 """A plain number or a tensor; every physics function takes either."""
 
@@ -75,4 +76,6 @@ def _number(value: Any, kind: type = numbers.Real) -> Any:
         return value
     if isinstance(value, bool) or not isinstance(value, kind):
         raise InputTypeError(f"torchweather.physics: expected a number or a tensor of numbers; got {value!r}.")
+    if 0.0 < abs(value) < _SMALLEST or _LARGEST < abs(value) < float("inf"):
+        raise InputValueError(f"torchweather.physics: no quantity is as small or large as {value!r}. Check its unit.")
     return value

@@ -176,6 +176,7 @@ def thermal_noise_dbm(bandwidth_hz: Quantity, noise_figure_db: Quantity = 0.0) -
     )
     check_positive("bandwidth_hz", bandwidth_hz, unit="Hz", owner="thermal_noise_dbm")
     check_between("noise_figure_db", noise_figure_db, 0.0, 100.0, unit="dB", owner="thermal_noise_dbm")
+    _check_shapes("thermal_noise_dbm", bandwidth_hz=bandwidth_hz, noise_figure_db=noise_figure_db)
     bandwidth, figure = to_float64(bandwidth_hz, noise_figure_db)
     return 10.0 * torch.log10(BOLTZMANN_J_PER_K * NOISE_TEMPERATURE_K / MILLIWATT_W * bandwidth) + figure
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
-from torchweather.core.errors import InputTypeError, check_at_least, check_between
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_between
 
 __all__ = ["wet_cover_loss_db", "wet_cover_series_db"]
 
@@ -103,8 +103,10 @@ def _log_wetness(rain_mm_per_h: Tensor, film_exponent: Value) -> Tensor:
 def _over_time(value: Value, like: Tensor) -> Tensor:
     """A value shaped to broadcast over times ``(..., T)``."""
     check_arguments("wet_cover(value: Quantity)", value)
-    check_between("value", torch.as_tensor(value), -1e6, 1e6, owner="wet_cover")
     try:
+        check_between("value", torch.as_tensor(value), -1e3, 1e3, owner="wet_cover")
         return torch.as_tensor(value, dtype=like.dtype, device=like.device)[..., None]
+    except InputValueError:
+        raise
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise InputTypeError(f"wet_cover: expected a number or a tensor of numbers; got {value!r:.100}.") from error

@@ -169,6 +169,14 @@ class RadarAttenuation(WeatherTransform):
         self._check_p(p)
         Radar.check(sensor, "sensor", "imaging-77ghz", owner=self)
         check_one_of("lost", lost, LOST_AS, owner=self)
+        check_arguments(
+            "RadarAttenuation(rain_model: str | None, fog_model: str | None, snow_model: str | None, "
+            "effects: Sequence)",
+            rain_model,
+            fog_model,
+            snow_model,
+            effects,
+        )
         if variant is not None:
             check_one_of("variant", variant, ("d3_4",), owner=self)
             given = [model for model in (rain_model, fog_model, snow_model) if model is not None]

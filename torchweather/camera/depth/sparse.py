@@ -133,6 +133,8 @@ def along_ray_to_axis(depth_m: Tensor, camera: Camera) -> Tensor:
     if not depth_m.is_floating_point():
         raise InputTypeError(f"along_ray_to_axis: depth_m must be floating point, metres; got {depth_m.dtype}.")
     height, width = depth_m.shape[-2:]
+    if not depth_m.numel():
+        return depth_m
     ray = camera.ray_directions(height, width, device=depth_m.device, dtype=torch.float64)
     along_axis: Tensor = depth_m / torch.linalg.vector_norm(ray, dim=0)
     return along_axis.to(depth_m.dtype)

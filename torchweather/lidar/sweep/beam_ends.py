@@ -158,8 +158,8 @@ def beam_ends(
     end[obstacle] = BeamEnd.OBSTACLE
     distance_m[obstacle] = enclosing_m[obstacle]
     own = own_vehicle
-    if own is not None and (own.dtype != np.bool_ or own.shape != end.shape):
-        raise InputValueError(f"beam_ends: own_vehicle must be a mask {end.shape}; got {own.dtype} {own.shape}.")
+    if own is not None and (not isinstance(own, np.ndarray) or own.dtype != np.bool_ or own.shape != end.shape):
+        raise InputValueError(f"beam_ends: own_vehicle must be a mask {end.shape}; got {own!r:.100}.")
     if own is None:
         # Among returns from something above the ground, it is that which does not return: a dark vehicle, a pane.
         sides = (left, right, above, below)
