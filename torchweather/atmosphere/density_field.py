@@ -174,7 +174,7 @@ def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: 
             f"mean_density: places must be (B or 1, ...); got {tuple(azimuth_rad.shape)} and {tuple(range_m.shape)}."
         )
     compiling = torch.compiler.is_compiling()  # a comparison of sizes would fix them in a graph
-    batch = 1 if compiling else torch.broadcast_shapes(azimuth_rad.shape, range_m.shape)[0]
+    batch = 1 if compiling else max(azimuth_rad.shape[0], range_m.shape[0])
     if batch != 1 and batch != len(extra_m):
         raise InputValueError(f"mean_density: places must be of {len(extra_m)} samples or of one; got {batch}.")
     way_m = range_m.clamp_min(SHORTEST_M)

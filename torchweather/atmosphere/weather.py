@@ -623,6 +623,7 @@ def weather_from_dict(values: Mapping[str, Any]) -> Weather:
     check_arguments("weather_from_dict(values: Mapping)", values)
     check_value(values, MAPPING, "torchweather", "weather")
     kind = values.get("kind")
+    check_arguments("weather_from_dict(kind: str | None)", kind)
     if kind == "mixture":
         check_value(values.get("parts"), ROWS, "Mixture", "parts")
         return Mixture(*(weather_from_dict(part) for part in values["parts"]))

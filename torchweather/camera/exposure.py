@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of
 from torchweather.pipeline.registry import register
@@ -172,6 +173,7 @@ def as_exposure_control(value: str | ExposureControl | Mapping[str, Any], owner:
 
 
 def _checked_window(window: Sequence[float], owner: object) -> tuple[float, float, float, float]:
+    check_arguments("exposure_window(window: Sequence[float])", window)
     values = tuple(float(value) for value in window)
     if len(values) != 4 or not (0 <= values[0] < values[2] <= 1 and 0 <= values[1] < values[3] <= 1):
         raise InputValueError(

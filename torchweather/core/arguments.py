@@ -74,7 +74,7 @@ def check_broadcast(owner: str, **values: object) -> None:
     if len(set(shapes.values())) < 2:
         return
     try:
-        torch.broadcast_shapes(*shapes.values())
+        torch.broadcast_shapes(*shapes.values())  # type: ignore[no-untyped-call]
     except RuntimeError as error:
         words = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
         raise InputValueError(f"{owner}: shapes must broadcast; got {words}.") from error

@@ -70,12 +70,16 @@ def _tensor(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
         ) from error
 
 
-def _number(value: Any, kind: type = numbers.Real) -> Any:
+def _number(value: Any, kind: Any = numbers.Real) -> Any:
     """A plain number, an array of them or nested lists; anything else is refused."""
     if isinstance(value, (np.ndarray, list, tuple)):
         return value
     if isinstance(value, bool) or not isinstance(value, kind):
         raise InputTypeError(f"torchweather.physics: expected a number or a tensor of numbers; got {value!r}.")
-    if 0.0 < abs(value) < _SMALLEST or _LARGEST < abs(value) < float("inf"):
+    try:
+        size = abs(complex(value))  # numpy's float32 does not compare with the bounds
+    except OverflowError:
+        size = 2.0 * _LARGEST
+    if 0.0 < size < _SMALLEST or _LARGEST < size < float("inf"):
         raise InputValueError(f"torchweather.physics: no quantity is as small or large as {value!r}. Check its unit.")
     return value

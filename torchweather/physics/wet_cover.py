@@ -56,6 +56,7 @@ def wet_cover_loss_db(
     check_broadcast("wet_cover_loss_db", rain_mm_per_h=rain_mm_per_h, age_min=age_min)
     check_at_least("age_min", age_min, 0.0, unit="min", owner="wet_cover_loss_db")
     loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))
+    check_between("drying_min", torch.as_tensor(drying_min), 1e-3, 1e6, unit="min", owner="wet_cover_loss_db")
     dry = _over_time(drying_min, rain_mm_per_h)
     wet = torch.exp(_log_wetness(rain_mm_per_h, film_exponent) - age_min.to(rain_mm_per_h) / dry).amax(-1)
     return loss_db + film_db * wet

@@ -186,13 +186,13 @@ class OwnVehicleMask:
         named = path if isinstance(path, (str, Path)) else "the own vehicle"
         try:
             found, _ = read_archive(named, None if isinstance(path, (str, Path)) else path)
-            ranges = [found[name].astype(np.float32) for name in ("nearest_m", "farthest_m")]
-            if any(np.isnan(one).any() or (one < 0).any() for one in ranges):
+            nearest, farthest = (found[name].astype(np.float32) for name in ("nearest_m", "farthest_m"))
+            if any(np.isnan(one).any() or (one < 0).any() for one in (nearest, farthest)):
                 raise InputValueError("ranges must be 0 m or more")
             views = float(found["views"])
             if not 0 <= views < np.inf:
                 raise InputValueError(f"views must be 0 or more, and finite; got {views:g}")
-            return cls(found["blocked"].astype(bool), *ranges, int(found["sweeps"]), views)
+            return cls(found["blocked"].astype(bool), nearest, farthest, int(found["sweeps"]), views)
         except (KeyError, ValueError, TypeError, OverflowError, TorchweatherError) as error:
             raise InputValueError(
                 f"{named}: expected a mask of the own vehicle (.npz); got something else ({error}). Write one with "
