@@ -1,5 +1,6 @@
 """Wrong and extreme arguments: of another type, shape or dtype, not finite, negative, huge, empty."""
 
+# ruff: noqa: E501
 from __future__ import annotations
 
 import math

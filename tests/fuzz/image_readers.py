@@ -1,5 +1,6 @@
 """Readers of pictures, depth, disparity, videos and photographs' tags."""
 
+# ruff: noqa: SIM105
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence

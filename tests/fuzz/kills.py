@@ -5,6 +5,7 @@ its end. Then its files must be those of a run that nobody disturbed, and at no 
 under its final name.
 """
 
+# ruff: noqa: SIM117
 from __future__ import annotations
 
 import argparse

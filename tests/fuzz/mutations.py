@@ -1,5 +1,6 @@
 """Damage to the bytes of a file: flips, runs, cuts, copies, splices, numbers and tokens that no writer makes."""
 
+# ruff: noqa: E501
 from __future__ import annotations
 
 import random

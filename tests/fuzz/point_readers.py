@@ -1,5 +1,6 @@
 """Readers of points: clouds of LiDARs, detections and maps of radars, labels, poses of sensors."""
 
+# ruff: noqa: E501
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -113,7 +114,7 @@ HEIGHT 1
 VIEWPOINT 0 0 0 1 0 0 0
 POINTS 4
 DATA binary
-"""  # noqa: E501
+"""
 
 
 def _nuscenes_radar(_: Path) -> list[bytes]:

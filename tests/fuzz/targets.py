@@ -1,5 +1,6 @@
 """Public calls that are fuzzed: every public callable that has no place among the exceptions, and methods of objects."""
 
+# ruff: noqa: E501, RUF005
 from __future__ import annotations
 
 import enum

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
 from torchweather.camera.state import CameraState
+from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage

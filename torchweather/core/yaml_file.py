@@ -21,7 +21,7 @@ from torchweather.core.file_names import check_no_device
 
 __all__ = ["dump_yaml", "parse_json", "parse_yaml", "read_json", "read_yaml"]
 
-MAX_BYTES = 16 * 2**20
+MAX_BYTES = 4 * 2**20
 MAX_DEPTH = 50
 TOO_DEEP = f"it is nested more than {MAX_DEPTH} levels deep"
 MAX_ALIASED = 100_000  # values that aliases may unfold into
