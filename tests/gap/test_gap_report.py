@@ -443,7 +443,7 @@ VALID: dict[str, Any] = {
             "format must be 'torchweather-model/1'",
         ),
         (yaml.safe_dump({**VALID, "effects": 3}), "effects must be a list of effects; got 3"),
-        (yaml.safe_dump({**VALID, "effects": [3]}), r"effects\[0\]: .*wanted a dictionary"),
+        (yaml.safe_dump({**VALID, "effects": [3]}), r"effects\[0\]: .*values must be a mapping"),
         (yaml.safe_dump({**VALID, "effects": [{"effect": "lidar.no"}]}), r"effects\[0\]: .*effect must be one of"),
         (
             yaml.safe_dump({**VALID, "effects": [{"effect": "lidar.window_loss", "loss": 1}]}),

@@ -116,7 +116,7 @@ def test_exported_table_gives_the_same_numbers(tmp_path: Path) -> None:
     [
         ({"low": 0.0, "high": 1.0}, "low must be above 0"),
         ({"low": 2.0, "high": 1.0}, "low < high"),
-        ({"low": 1.0, "high": 2.0, "n": 1}, "2 nodes"),
+        ({"low": 1.0, "high": 2.0, "n": 1}, "n must lie in 2.."),
     ],
 )
 def test_bad_ranges_are_refused(arguments: dict, message: str) -> None:

@@ -82,8 +82,9 @@ def cfa_index(height: int, width: int, pattern: str, device: torch.device | str 
                 [1, 2, 1, 2]])
     """
     check_arguments("cfa_index(height: int, width: int, pattern: str)", height, width, pattern)
-    check_between("height", height, 0, 1 << 31, unit="px", owner="cfa_index")
-    check_between("width", width, 0, 1 << 31, unit="px", owner="cfa_index")
+    for name, size in (("height", height), ("width", width)):
+        if isinstance(size, int):  # a traced graph's is no number yet
+            check_between(name, size, 0, 1 << 31, unit="px", owner="cfa_index")
     cell = torch.tensor(cfa_colour_index(pattern), device=device)
     row_phase = torch.arange(height, device=device) % 2
     column_phase = torch.arange(width, device=device) % 2

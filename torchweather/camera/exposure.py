@@ -164,7 +164,7 @@ def as_exposure_control(value: str | ExposureControl | Mapping[str, Any], owner:
         return value
     if isinstance(value, Mapping):
         return ExposureControl(**value)
-    if value not in EXPOSURE_CONTROLS:
+    if not isinstance(value, str) or value not in EXPOSURE_CONTROLS:
         raise InputValueError(
             f"{type(owner).__name__}: exposure_control must be None, {', '.join(map(repr, EXPOSURE_CONTROLS))} or an "
             f"ExposureControl; got {value!r}."

@@ -439,6 +439,9 @@ class Camera(Sensor):
             dtype,
         )
         h, w = height or self.height, width or self.width
+        for name, size in (("height", h), ("width", w)):
+            if isinstance(size, int):  # a traced graph's is no number yet
+                check_between(name, size, 1, 1 << 20, unit="px", owner="Camera.ray_directions")
         cx, cy = self.principal_point_px
         x = (torch.arange(w, device=device, dtype=dtype) - cx) / self.fx
         y = (torch.arange(h, device=device, dtype=dtype) - cy) / self.fy

@@ -91,6 +91,7 @@ def check_finite(name: str, value: Any, *, unit: str = "", owner: object) -> Non
 
 def check_at_least(name: str, value: Any, low: float, *, unit: str = "", owner: object, advice: str = "") -> None:
     """Raise `InputValueError` unless ``value`` (a number or a tensor) is at least ``low``; NaN is refused."""
+    low = float(low)  # a whole number may have more digits than a tensor takes
     if not _all(value, lambda v: v >= low):
         raise InputValueError(
             f"{owner_name(owner)}: {name} must be {low:g}{_unit(unit)} or more; got {_shown(value)}.{_then(advice)}"

@@ -531,6 +531,7 @@ class LidarWeather(WeatherTransform):
 
     def _checked_way(self, way_m: Tensor, points: Tensor) -> Tensor:
         """Ways to the beams' ends ``(B, N)``."""
+        check_arguments(f"{type(self).__name__}(reach_m: real)", way_m)
         if way_m.shape != points.shape[:-1]:
             raise InputValueError(
                 f"{type(self).__name__}: reach_m must have shape {tuple(points.shape[:-1])}, a way in metres for every "

@@ -15,7 +15,7 @@ from torchweather.physics.fall_speed import (
     rain_fall_speed_m_per_s,
     snow_fall_speed_m_per_s,
 )
-from torchweather.physics.float64 import Quantity
+from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.size_distribution import SizeDistribution
 from torchweather.physics.snow_geometry import snow_bulk_density_g_per_cm3
 
@@ -103,4 +103,5 @@ def close_rate(
     check_arguments("close_rate(distribution: SizeDistribution, rate_mm_per_h: Quantity)", distribution, rate_mm_per_h)
     check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="close_rate")
     carried = precipitation_rate_mm_per_h(distribution, fall_speed)
-    return distribution.scaled(rate_mm_per_h / carried.clamp_min(1e-300))
+    (rate,) = to_float64(rate_mm_per_h)
+    return distribution.scaled(rate / carried.clamp_min(1e-300))

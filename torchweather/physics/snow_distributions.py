@@ -183,7 +183,8 @@ def brandes_table4(row: str | float) -> Gamma:
         375.4
     """
     check_arguments("brandes_table4(row: str | float)", row)
-    name = row if isinstance(row, str) else {float(one): one for one in BRANDES_TABLE4}.get(row, str(row))
+    check_arguments("brandes_table4(row: str | float)", row)
+    name = row if isinstance(row, str) else {float(one): one for one in BRANDES_TABLE4}.get(float(row), str(row))
     check_one_of("row", name, BRANDES_TABLE4, owner="brandes_table4")
     intercept, mu, slope = BRANDES_TABLE4[name]
     return Gamma(intercept, mu, slope, particle="flake")

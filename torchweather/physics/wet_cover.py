@@ -52,7 +52,16 @@ def wet_cover_loss_db(
         >>> wet_cover_loss_db(rain, age, 0.5, 1.0, 1.0 / 3.0, 10.0)
         tensor(1.2358)
     """
-    check_arguments("wet_cover_loss_db(rain_mm_per_h: floating, age_min: real)", rain_mm_per_h, age_min)
+    check_arguments(
+        "wet_cover_loss_db(rain_mm_per_h: floating, age_min: real, loss_db: Quantity, film_db: Quantity, "
+        "film_exponent: Quantity, drying_min: Quantity)",
+        rain_mm_per_h,
+        age_min,
+        loss_db,
+        film_db,
+        film_exponent,
+        drying_min,
+    )
     check_broadcast("wet_cover_loss_db", rain_mm_per_h=rain_mm_per_h, age_min=age_min)
     check_at_least("age_min", age_min, 0.0, unit="min", owner="wet_cover_loss_db")
     loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))

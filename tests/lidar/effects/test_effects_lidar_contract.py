@@ -470,7 +470,7 @@ def test_a_transform_refuses_what_is_no_effect() -> None:
         ValueError, match=r"effect must be one of lidar.beam_divergence.*Did you mean 'lidar.window_loss'"
     ):
         rain(effects=[{"effect": "lidar.window_los"}])
-    with pytest.raises(TypeError, match="wanted a dictionary with effect and its parameters; got 3"):
+    with pytest.raises(TypeError, match="values must be a mapping; got 3"):
         rain(effects=[3])
 
 

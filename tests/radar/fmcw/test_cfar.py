@@ -367,7 +367,7 @@ def test_a_second_target_hides_the_weaker_one_from_cell_averaging_only() -> None
     ],
 )
 def test_bad_parameters(detector: type[Detector], arguments: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=f"{detector.__name__}: {message}"):
+    with pytest.raises((TypeError, ValueError), match=f"{detector.__name__}: {message}"):
         detector(**arguments)  # type: ignore[arg-type]
 
 

@@ -301,7 +301,7 @@ def test_bad_input_is_named() -> None:
     facet, toward = isosceles(0.02, 0.03), direction(0.1)
     with pytest.raises(ValueError, match=r"vertices_m must be \(\.\.\., F, 3, 3\).*\(3, 3\)"):
         triangle_field_m(facet[0], toward, WAVELENGTH_M)
-    with pytest.raises(TypeError, match="floating point"):
+    with pytest.raises(TypeError, match="floating-point tensor"):
         triangle_field_m(facet.long(), toward, WAVELENGTH_M)
     with pytest.raises(ValueError, match="finite number in m"):
         triangle_field_m(facet * math.nan, toward, WAVELENGTH_M)

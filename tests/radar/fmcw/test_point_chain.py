@@ -400,7 +400,7 @@ def test_frames_that_are_not_the_radars_are_refused() -> None:
     ("build", "error", "message"),
     [
         (lambda radar: FmcwRadar("awr1843-like"), TypeError, r"radar must be a Radar.*got 'awr1843-like'"),
-        (lambda radar: FmcwRadar(radar, 25.0), TypeError, r"weather must be Rain, Fog.*got 25\.0"),
+        (lambda radar: FmcwRadar(radar, 25.0), TypeError, r"weather must be a Weather or None; got 25\.0"),
         (lambda radar: FmcwRadar(radar, window_name="kaiser"), ValueError, r"window_name must be one of .*'kaiser'"),
         (lambda radar: FmcwRadar(radar, cfar="xx"), ValueError, r"cfar must be one of ca, os; got 'xx'"),
         (lambda radar: FmcwRadar(radar, angles_per_cell=0), ValueError, r"angles_per_cell must be 1 or more; got 0"),

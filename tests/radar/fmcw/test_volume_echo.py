@@ -246,7 +246,7 @@ def test_clutter_can_be_left_out_and_attenuation_stays() -> None:
 
 
 def test_what_does_not_fall_has_no_volume() -> None:
-    with pytest.raises(TypeError, match=r"weather must be Rain or Snow; got Radar"):
+    with pytest.raises(TypeError, match=r"weather must be a Rain or a Snow; got Radar"):
         VolumeEcho(SINGLE, SINGLE)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"near_m.*got -1"):
         VolumeEcho(RAIN, SINGLE, near_m=-1.0)

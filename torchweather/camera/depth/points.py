@@ -63,8 +63,8 @@ class DepthFromPoints(DepthSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "DepthFromPoints(points_xyz: real | array, T_camera_from_lidar: real | array, fill: str, above: str, "
-            "skyline_window_px: int, upper_edge_rad: float)",
+            "DepthFromPoints(points_xyz: real | array | Sequence, T_camera_from_lidar: real | array | Sequence, "
+            "fill: str, above: str, skyline_window_px: int, upper_edge_rad: float)",
             self.points_xyz,
             self.T_camera_from_lidar,
             self.fill,

@@ -21,6 +21,8 @@ from torchweather.io.labels import read_labels
 
 __all__ = ["LABEL_SUFFIXES", "BoxTruth", "LabelTruth", "read_boxes_truth", "read_label_truth"]
 
+LABEL_AXES = {"camera": 2, "lidar": 1}
+"""By the sensor: axes of its labels, rows and columns of an image, points of a cloud."""
 LABEL_SUFFIXES = {"camera": (".png", ".npy", ".npz", ".tif"), "lidar": (".label",)}
 """By the sensor: endings of the files that hold the class of every pixel or point."""
 
@@ -151,7 +153,7 @@ def read_label_truth(folder: str | os.PathLike[str], stem: str, sensor: str, sha
         shape,
     )
     check_one_of("sensor", sensor, LABEL_SUFFIXES, owner="read_label_truth")
-    if len(shape) != (1 if sensor == "lidar" else 2):
+    if len(shape) != LABEL_AXES[sensor]:
         raise InputValueError(f"read_label_truth: shape must be (H, W) of an image or (N,) of a cloud; got {shape!r}.")
     for suffix in LABEL_SUFFIXES[sensor]:
         file = Path(folder) / f"{stem}{suffix}"
