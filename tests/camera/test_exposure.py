@@ -46,6 +46,13 @@ def test_the_median_of_a_window_is_kept() -> None:
     assert float(held[..., 24:, :].median()) == pytest.approx(float(clear[..., 24:, :].median()), rel=0.05)
 
 
+def test_a_window_narrower_than_a_cell_takes_one() -> None:
+    clear = frames()
+    for window in ((0.5, 0.0, 0.51, 1.0), (0.99, 0.99, 1.0, 1.0), (0.0, 0.0, 0.01, 0.01)):
+        held = BayerFog(**FOG, exposure_control=ExposureControl(window=window))(clear)
+        assert bool(held.isfinite().all())
+
+
 def test_the_gain_keeps_its_limits_and_a_target_needs_no_clear_frame() -> None:
     clear = frames()
     foggy = BayerFog(**FOG)(clear)

@@ -33,15 +33,19 @@ def metered(state: CameraState, statistic: str, window: Sequence[float] = FULL_W
     """
     height, width = state.image.signal.shape[-2:]
     top, left, bottom, right = window
-    rows = slice(int(height * top) // 2 * 2, max(2, int(height * bottom) // 2 * 2))
-    columns = slice(int(width * left) // 2 * 2, max(2, int(width * right) // 2 * 2))
-    inside = state.image.signal[..., rows, columns]
+    inside = state.image.signal[..., _cells(height, top, bottom), _cells(width, left, right)]
     if statistic == "mean":
         return inside.flatten(1).mean(1)
     step = 2 * MEDIAN_STEP_PX
     cells = [inside[..., row::step, column::step].flatten(1) for row in (0, 1) for column in (0, 1)]
     ordered = torch.cat(cells, 1).sort(1).values
     return ordered[:, ordered.shape[1] // 2]
+
+
+def _cells(size: int, first: float, last: float) -> slice:
+    """Pixels from one share of a side to another, at least one cell of two pixels."""
+    start = int(size * first) // 2 * 2
+    return slice(start, max(start + 2, int(size * last) // 2 * 2))
 
 
 class _Metering(Stage):

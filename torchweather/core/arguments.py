@@ -27,11 +27,11 @@ def check_arguments(head: str, *values: object) -> None:
     """Raise unless arguments are of the kinds and shapes that the head of a function declares.
 
     Kinds are ``float``, ``Quantity`` (a number or a tensor), ``int``, ``bool``, ``str``, ``path``, ``Mapping``,
-    ``Sequence``, ``Iterable``, ``Callable``,
-    ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any dtype, ``real``, ``floating``, ``whole``,
-    ``mask``) and names of classes; several are parted by ``|``. A tensor's shape stands in brackets: a number, ``3+``
-    for three or more, a letter for a size that is the same wherever it stands, ``...`` for any axes in front. Elements
-    of a sequence stand in square brackets. A compiled graph checks nothing.
+    ``Sequence``, ``Iterable``, ``Callable``, ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any
+    dtype, ``real``, ``floating``, ``whole``, ``mask``) and names of classes. ``|`` stands between kinds that are all
+    allowed. A tensor's shape follows in brackets: a number, ``3+`` for three or more, a letter for a size that is the
+    same wherever it stands, ``...`` for any axes in front. The kind of a sequence's elements follows in square
+    brackets: ``Sequence[float]``. Inside a compiled graph no argument is checked.
 
     Args:
         head: such as ``"project(points: floating(..., N, 3+), camera: Camera)"``.

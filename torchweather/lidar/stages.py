@@ -137,7 +137,7 @@ class ToEnergy(_SensorStage):
         return reflectivity * self.beam.near_response(range_m) / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2)
 
     def contradicts_threshold(self, intensity: Tensor, range_m: Tensor, zero_intensity: Tensor | None = None) -> Tensor:
-        """Whether a return's intensity says less than the threshold, in full response of the receiver, ``(B, N)``.
+        """True where a return's intensity says less than the threshold, in full response of the receiver, ``(B, N)``.
 
         Near the sensor, where the response rises, every return is faint by it: that says nothing of the calibration.
 

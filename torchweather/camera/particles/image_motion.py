@@ -52,7 +52,7 @@ class ImageMotion:
 
     @property
     def still(self) -> bool:
-        """Whether all streaks run straight down, as long as their fall."""
+        """True where all streaks run straight down, as long as their fall."""
         return self.down == (0.0, 1.0, 0.0) and self.drift_m_per_s == (0.0, 0.0, 0.0)
 
     def rounded(self) -> ImageMotion:
