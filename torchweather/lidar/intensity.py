@@ -97,10 +97,11 @@ def borrowed_intensity(intensity: Tensor, seen: Tensor, unit: str) -> Tensor | N
     """
     if unit != "none":
         return None
-    row = torch.arange(seen.shape[1], device=seen.device).expand(seen.shape)
-    before = torch.where(seen, row, -1).cummax(1).values
-    first = seen.to(torch.int64).argmax(1, keepdim=True)
-    found = intensity.gather(1, torch.where(before < 0, first, before))
+    beams = seen.shape[1]
+    row = torch.arange(beams, device=seen.device).expand(seen.shape)
+    objects = torch.where(seen, row, row + beams).sort(1).values  # rows with an object first, in order
+    number = seen.to(torch.int64).cumsum(1) - 1  # of the object at or before each row, -1 where there is none
+    found = intensity.gather(1, objects.gather(1, number.clamp_min(0)).clamp_max(beams - 1))
     return torch.where(seen.any(1, keepdim=True), found, 1.0)
 
 
