@@ -14,10 +14,11 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weather_from_dict
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
+from torchweather.camera.multiple_scattering import forward_scattered, kernel_weights
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputTypeError, TorchweatherWarning, check_one_of
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.physics import InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.pipeline.registry import register
@@ -33,6 +34,7 @@ OPAQUE_TRANSMISSION = 2.0 * math.exp(-OPAQUE)  # reported as 0
 FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times it is zero
 FADING_COLOUR = 1  # where one colour stands for all: green, or clear
 EXTINCTION_MODELS = ("mie", "koschmieder")
+SCATTERING_MODELS = ("single", "multiple")
 
 
 @lru_cache(maxsize=32)
@@ -106,6 +108,8 @@ class ExtinctionAndAirlight(Stage):
             luminance of the sky above the horizon; ``None`` is grey for colour planes and sky for a mosaic.
         extinction: ``mie`` (Mie theory over the fog's own distribution) or ``koschmieder`` (ln(1/contrast)/MOR).
         variant: ``d3_4`` takes the extinction of the deliverable's Table 13 as published.
+        scattering: ``single``, or ``multiple``: light that the fog scatters onward arrives as well, blurred
+            (``multiple_scattering.py``), by Mie theory over the fog's own droplets.
     """
 
     default_name: ClassVar[str] = "extinction_and_airlight"
@@ -133,26 +137,29 @@ class ExtinctionAndAirlight(Stage):
         airlight: Sequence[float] | float | str | None = None,
         extinction: str = "mie",
         variant: str | None = None,
+        scattering: str = "single",
     ) -> None:
         check_arguments(
             "ExtinctionAndAirlight(weather: Fog | Mapping, wavelengths_nm: Sequence[float], "
-            "airlight: Sequence[float] | float | str | None, extinction: str, variant: str | None)",
+            "airlight: Sequence[float] | float | str | None, extinction: str, variant: str | None, scattering: str)",
             weather,
             wavelengths_nm,
             airlight,
             extinction,
             variant,
+            scattering,
         )
         super().__init__()
         fog = weather if isinstance(weather, Fog) else weather_from_dict(weather)
         if not isinstance(fog, Fog):
             raise InputTypeError(f"ExtinctionAndAirlight: weather must be Fog; got {type(fog).__name__}.")
         check_one_of("extinction", extinction, EXTINCTION_MODELS, owner=self)
+        check_one_of("scattering", scattering, SCATTERING_MODELS, owner=self)
         if variant == "d3_4":
             _warn_outside_table13(fog)
         self.weather = fog
         self.wavelengths_nm = tuple(float(w) for w in wavelengths_nm)
-        self.extinction_model, self.variant = extinction, variant
+        self.extinction_model, self.variant, self.scattering = extinction, variant, scattering
         self.given_airlight = airlight_argument(airlight, self)
         # A copy: .to(dtype) or load_state_dict of one stage must not reach the cached table of all others.
         self.table = copy.deepcopy(
@@ -169,6 +176,7 @@ class ExtinctionAndAirlight(Stage):
             "airlight": list(self.given_airlight) if isinstance(self.given_airlight, tuple) else self.given_airlight,
             "extinction": self.extinction_model,
             "variant": self.variant,
+            "scattering": self.scattering,
         }
 
     def extinction_per_m(self, batch: int) -> Tensor:
@@ -195,6 +203,12 @@ class ExtinctionAndAirlight(Stage):
             )
             density = patchy if density is None else density * patchy
             state = state.changed(fog_density=density)
+        multiple = self.scattering == "multiple"
+        if multiple and is_exporting():
+            raise InputValueError(
+                "ExtinctionAndAirlight: scattering='multiple' cannot be exported; its pyramid depends on the size and "
+                "the depths of the frame. Export with scattering='single'."
+            )
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
         # Zero extinction times infinite depth is zero, and so is its gradient.
@@ -230,15 +244,29 @@ class ExtinctionAndAirlight(Stage):
                 seen = into
             else:
                 seen = torch.lerp(*ends, clear).flatten(2, 3)
-            if not state.receiver.keep_truth:
+            if not (state.receiver.keep_truth or multiple):
                 return (seen,)
             return seen, torch.nn.functional.threshold(clear, OPAQUE_TRANSMISSION, 0.0).flatten(2, 3)
 
         results = by_rows(band, state.image.signal.shape, state.image.signal, out)
+        if multiple:
+            seen = self._with_forward_scattered(state, results, light_rows)
+            results = (seen if out is None else out.copy_(seen), results[1])
         transmission = results[1] if state.receiver.keep_truth else None
         return state.changed(
             signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
         )
+
+    def _with_forward_scattered(self, state: CameraState, results: tuple[Tensor, ...], light_rows: Tensor) -> Tensor:
+        """The foggy frame with the light that the fog scatters onward; bit for bit as it was where fog is infinitely
+        thin."""
+        weights = kernel_weights(
+            self.weather, self.wavelengths_nm[FADING_COLOUR], self.mor_m.reshape(-1).expand(state.batch)
+        )
+        airlight = light_rows.expand_as(state.by_cells(state.image.signal)).flatten(2, 3)
+        added = forward_scattered(state, results[1], airlight, weights)
+        thick = torch.isfinite(self.mor_m.reshape(-1, 1, 1, 1))
+        return torch.where(thick, results[0] + added, results[0])
 
 
 def rays(state: CameraState) -> tuple[Tensor, Tensor]:

@@ -25,6 +25,7 @@ class CameraOptions(TransformOptions):
     sky: str | None = None
     exposure_control: str | ExposureControl | Mapping[str, Any] | None = None
     extinction: str = "mie"
+    scattering: str = "single"
     near_m: float = 0.5
     far_m: float = 200.0
     min_listed_coverage: float = 1 / 1024

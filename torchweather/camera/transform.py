@@ -82,6 +82,8 @@ class BayerWeather(WeatherTransform):
         exposure_control: ``mean`` or ``median`` gives the frame in weather the mean or median signal of the clear one,
             as cameras do; or an ``ExposureControl`` with window, target and limits. ``None`` keeps the exposure.
         extinction: of fog: ``mie`` or ``koschmieder``.
+        scattering: of fog: ``single``, or ``multiple`` for dense fog (visibility below 50 m), where the light that
+            droplets scatter onward matters: it blurs what is seen and keeps large shapes visible farther.
         near_m, far_m: limits of falling particles along the optical axis.
         min_listed_coverage: peak coverage of a pixel above which a particle is drawn one by one, 1e-6 to 1; the others
             enter through their moments.
@@ -94,7 +96,8 @@ class BayerWeather(WeatherTransform):
         p: probability that a sample gets the weather; the others come back as they are.
 
     Note:
-        Single scattering; day and sky light only. Fog of a visibility below 20 m also blurs a real image.
+        Day and sky light only. Without ``scattering="multiple"`` light is scattered once: fog of a visibility below
+        50 m then hides more than it should and blurs nothing.
 
     Example:
         >>> from torchweather.atmosphere.weather import Mixture
@@ -121,6 +124,7 @@ class BayerWeather(WeatherTransform):
         sky: str | None = None,
         exposure_control: str | ExposureControl | Mapping[str, Any] | None = None,
         extinction: str = "mie",
+        scattering: str = "single",
         near_m: float = 0.5,
         far_m: float = 200.0,
         min_listed_coverage: float = 1 / 1024,
@@ -134,13 +138,14 @@ class BayerWeather(WeatherTransform):
     ) -> None:
         check_arguments(
             "BayerWeather(airlight: Sequence[float] | float | str | None, layer_top_m: float, sky: str | None, "
-            "extinction: str, near_m: float, far_m: float, min_listed_coverage: float, max_listed_density: float, "
-            "ego_speed_m_per_s: float, drop_radiance: str, rate_capacity_mm_per_h: float | None, "
-            "variant: str | None, p: float)",
+            "extinction: str, scattering: str, near_m: float, far_m: float, min_listed_coverage: float, "
+            "max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
+            "rate_capacity_mm_per_h: float | None, variant: str | None, p: float)",
             airlight,
             layer_top_m,
             sky,
             extinction,
+            scattering,
             near_m,
             far_m,
             min_listed_coverage,
@@ -159,6 +164,7 @@ class BayerWeather(WeatherTransform):
             sky=sky,
             exposure_control=exposure_control,
             extinction=extinction,
+            scattering=scattering,
             near_m=near_m,
             far_m=far_m,
             min_listed_coverage=min_listed_coverage,
@@ -192,7 +198,7 @@ class BayerWeather(WeatherTransform):
             stages["overcast_sky"] = OvercastSky(falling, airlight)
         if fogs:
             stages["extinction_and_airlight"] = ExtinctionAndAirlight(
-                fogs[0], tuple(camera.bands.values()), airlight, extinction, variant
+                fogs[0], tuple(camera.bands.values()), airlight, extinction, variant, scattering
             )
         if falling:
             stages["particle_veil"] = ParticleVeil(

@@ -30,7 +30,7 @@ __all__ = [
 # All arguments below that belong to a camera.
 CAMERA_ARGUMENTS = (
     *("camera", "camera_name", "pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy"),
-    *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "exposure_control"),
+    *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "exposure_control", "scattering"),
     *("ego_speed_m_per_s", "depth_along", "baseline_m", "calib", "depth_model", "depth_model_output"),
     *("depth_model_scale", "depth_model_multiple_px", "through_mosaic"),
 )
@@ -50,6 +50,11 @@ def add_light_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("mean", "median"),
         help="of a camera: give frames in weather the mean or median signal of the clear ones, as cameras do",
     )
+    parser.add_argument(
+        "--scattering",
+        choices=("single", "multiple"),
+        help="of a camera's fog: multiple adds the light that dense fog scatters onward, blurred; default single",
+    )
 
 
 def camera_options(args: argparse.Namespace, ego_speed_m_per_s: float | None) -> dict[str, Any]:
@@ -57,6 +62,7 @@ def camera_options(args: argparse.Namespace, ego_speed_m_per_s: float | None) ->
     given = {
         "airlight": args.airlight,
         "exposure_control": args.exposure_control,
+        "scattering": args.scattering,
         "ego_speed_m_per_s": ego_speed_m_per_s,
     }
     return {name: value for name, value in given.items() if value is not None}

@@ -39,6 +39,7 @@ from torchweather.physics.fog_distributions import (
 from torchweather.physics.fresnel import SphereBudget, axial_q_back, normal_reflectance, sphere_budget
 from torchweather.physics.interpolation import InterpolationTable
 from torchweather.physics.mie import MieEfficiencies, mie_coefficients, mie_efficiencies
+from torchweather.physics.phase_function import henyey_greenstein_per_sr, mie_phase_function_per_sr
 from torchweather.physics.precipitation_rate import close_rate, precipitation_rate_mm_per_h, rain_rate_mm_per_h
 from torchweather.physics.radar_attenuation import (
     RAIN_ATTENUATION_MODELS,
@@ -104,20 +105,18 @@ from torchweather.physics.visibility import (
 from torchweather.physics.wet_cover import wet_cover_loss_db, wet_cover_series_db
 
 __all__ = [
-    "FLAKE_COLUMN_KG_PER_M2",
-    "SNOW_PACK_REFLECTIVITY",
-    "flake_reflectivity",
     "DB_PER_KM",
     "FLAKE_ALBEDO",
+    "FLAKE_COLUMN_KG_PER_M2",
     "FOG",
+    "JOSS",
     "LIQUID_WATER_LAWS",
     "Q_EFF",
-    "JOSS",
     "RAIN",
-    "joss_rain",
     "RAIN_ATTENUATION_MODELS",
     "SNOW",
     "SNOW_ATTENUATION_MODELS",
+    "SNOW_PACK_REFLECTIVITY",
     "SPEED_OF_LIGHT_M_PER_S",
     "Binned",
     "Exponential",
@@ -146,12 +145,15 @@ __all__ = [
     "extinction_from_mor",
     "extinction_per_m",
     "flake_fall_speed_m_per_s",
+    "flake_reflectivity",
     "fog_attenuation_coefficient_db_per_km_per_g_per_m3",
     "fog_attenuation_db_per_km",
     "gunn_marshall",
+    "henyey_greenstein_per_sr",
     "ice_permittivity_microwave",
     "ice_refractive_index",
     "ice_refractive_index_microwave",
+    "joss_rain",
     "lidar_ratio_sr",
     "liquid_water_from_mor_g_per_m3",
     "marshall_palmer",
@@ -159,6 +161,7 @@ __all__ = [
     "melted_diameter_mm",
     "mie_coefficients",
     "mie_efficiencies",
+    "mie_phase_function_per_sr",
     "mor_from_extinction",
     "mor_from_liquid_water_m",
     "normal_reflectance",

@@ -13,7 +13,7 @@ from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
-__all__ = ["MieEfficiencies", "mie_coefficients", "mie_efficiencies"]
+__all__ = ["MieEfficiencies", "mie_coefficients", "mie_efficiencies", "mie_scattered_power"]
 
 Real = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -101,6 +101,53 @@ def mie_coefficients(size_parameter: float, refractive_index: complex) -> tuple[
         raise InputValueError(f"mie_coefficients: expected one sphere; got shape {x.shape}.")
     a, b = _coefficients(x.reshape(1), m.reshape(1))
     return torch.from_numpy(a[1:, 0].copy()), torch.from_numpy(b[1:, 0].copy())
+
+
+def mie_scattered_power(size_parameter: Real, refractive_index: complex, angle_rad: Real) -> tuple[Real, Real]:
+    """Power that spheres scatter, in all and into each direction, per unit of irradiance and in units of ``1/k^2``.
+
+    ``(|S1|^2 + |S2|^2) / 2`` per steradian, with ``S1 = sum (2n+1)/(n(n+1)) (a_n pi_n + b_n tau_n)`` and S2 the same
+    with pi_n and tau_n exchanged; unpolarised light.
+
+    Args:
+        size_parameter: ``x = pi D / lambda``, ``(K,)``.
+        refractive_index: ``n + i k`` with ``k >= 0``, of all spheres.
+        angle_rad: scattering angles, ``(A,)``.
+
+    Returns:
+        ``(K,)`` in all, and ``(K, A)`` per steradian.
+
+    References:
+        Bohren & Huffman 1983, equations 4.46, 4.47 and 4.74.
+
+    Example:
+        >>> whole, ahead = mie_scattered_power(np.array([0.01]), 1.33, np.array([0.0]))
+        >>> round(float(ahead[0, 0] / whole[0] * 8 * np.pi / 3), 4)  # Rayleigh: 3 / (8 pi) onward
+        1.0
+    """
+    x, m, _ = _checked(torch.from_numpy(np.asarray(size_parameter, float)), refractive_index, "mie_scattered_power")
+    whole, per_sr = np.empty(x.size), np.empty((x.size, len(angle_rad)))
+    order = np.argsort(x, kind="stable")
+    pi, tau = _angular_functions(np.cos(angle_rad), int(_orders(x.max())))
+    for block in np.array_split(order, max(1, x.size // 64)):
+        a, b = (values[1:] for values in _coefficients(x[block], m[block]))
+        n = np.arange(1.0, len(a) + 1.0)[:, None]
+        weight = (2.0 * n + 1.0) / (n * (n + 1.0))
+        a_pi, b_pi = ((weight * one).T @ pi[: len(a)] for one in (a, b))
+        a_tau, b_tau = ((weight * one).T @ tau[: len(a)] for one in (a, b))
+        per_sr[block] = 0.5 * (_squared(a_pi + b_tau) + _squared(a_tau + b_pi))
+        whole[block] = 2.0 * np.pi * ((2.0 * n + 1.0) * (_squared(a) + _squared(b))).sum(0)
+    return whole, per_sr
+
+
+def _angular_functions(cosine: Real, last: int) -> tuple[Real, Real]:
+    """``pi_n`` and ``tau_n`` for n = 1..last, ``(last, A)`` each (Bohren & Huffman 1983, equation 4.47)."""
+    pi, tau = np.empty((last, cosine.size)), np.empty((last, cosine.size))
+    before, now = np.zeros_like(cosine), np.ones_like(cosine)
+    for n in range(1, last + 1):
+        pi[n - 1], tau[n - 1] = now, n * cosine * now - (n + 1) * before
+        before, now = now, ((2 * n + 1) * cosine * now - (n + 1) * before) / n
+    return pi, tau
 
 
 def _checked(size_parameter: Any, refractive_index: Any, owner: str) -> tuple[Real, Complex, torch.device]:

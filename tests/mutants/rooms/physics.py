@@ -12,6 +12,14 @@ REFRACTIVE_INDEX = "torchweather.physics.refractive_index"
 
 MUTANTS = (
     Mutant(
+        "phase_function_of_one_polarisation",
+        "unpolarised light is the mean of both amplitudes",
+        MIE,
+        "0.5 * (_squared(a_pi + b_tau) + _squared(a_tau + b_pi))",
+        "_squared(a_tau + b_pi)",
+        ("tests/physics/test_phase_function.py::test_the_smallest_spheres_scatter_as_rayleigh_has_it",),
+    ),
+    Mutant(
         "rain_rate_in_metres_per_second",
         "a rain rate is mm/h, not m/s: the factor 3.6e-3 is dropped",
         PRECIPITATION_RATE,

@@ -1,0 +1,117 @@
+"""Photons traced one by one through fog, backward from a camera: the slow reference of multiple scattering.
+
+Light may be traced against its direction (Helmholtz reciprocity): a path that leaves the camera along a pixel's ray and
+ends on a surface brings that surface's radiance to the pixel. Lengths are optical depths.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchweather.physics import SizeDistribution
+from torchweather.physics.phase_function import mie_phase_function_per_sr
+
+Array = npt.NDArray[np.float64]
+
+
+def scattering_angles(distribution: SizeDistribution, wavelength_nm: float) -> Callable[[Array], Array]:
+    """Scattering angle, rad, of uniform numbers: the inverse of the phase function's distribution."""
+    angle = np.concatenate([[0.0], np.geomspace(1e-5, math.pi, 2000)]).clip(0.0, math.pi)
+    per_sr = mie_phase_function_per_sr(distribution, wavelength_nm, torch.from_numpy(angle)).numpy()
+    power = 2.0 * math.pi * np.sin(angle) * per_sr
+    below = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(angle))])
+    return lambda uniform: np.interp(uniform, below / below[-1], angle)
+
+
+def turned(direction: Array, angle: Array, azimuth: Array) -> Array:
+    """Directions ``(N, 3)`` turned by an angle, about an azimuth around themselves."""
+    steep = np.abs(direction[:, 2:]) < 0.9
+    aside = np.cross(direction, np.where(steep, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    across = np.cross(direction, aside)
+    sideways = aside * np.cos(azimuth)[:, None] + across * np.sin(azimuth)[:, None]
+    return direction * np.cos(angle)[:, None] + sideways * np.sin(angle)[:, None]
+
+
+def ends_on_a_plane(
+    optical_depth: float, angles: Callable[[Array], Array], photons: int, seed: int, lost_beyond: float = 3.0
+) -> Array:
+    """Where paths straight ahead end on a plane, seen from the camera: tangents across and down, ``(N, 2)``.
+
+    NaN where a path comes back behind the camera, or aside by more than ``lost_beyond`` times the plane's distance.
+    """
+    random = np.random.default_rng(seed)
+    place, direction = np.zeros((photons, 3)), np.tile([0.0, 0.0, 1.0], (photons, 1))
+    ends, flying = np.full((photons, 2), np.nan), np.arange(photons)
+    while len(flying):
+        step = random.exponential(size=len(flying))
+        ahead = direction[flying, 2]
+        left = (optical_depth - place[flying, 2]) / np.where(ahead > 0, ahead, np.nan)
+        meets = step >= left  # never where a path goes backward: NaN
+        met = flying[meets]
+        ends[met] = (place[met, :2] + direction[met, :2] * left[meets, None]) / optical_depth
+        flying, step = flying[~meets], step[~meets]
+        place[flying] += direction[flying] * step[:, None]
+        aside = np.hypot(place[flying, 0], place[flying, 1])
+        flying = flying[(place[flying, 2] > 0) & (aside < lost_beyond * optical_depth)]
+        turn = angles(random.random(len(flying))), 2.0 * math.pi * random.random(len(flying))
+        direction[flying] = turned(direction[flying], *turn)
+    return ends
+
+
+GROUND_Z_M, WALL_X_M, WALL_HALF_WIDTH_M, WALL_TOP_Z_M, STRIPE_M, TOP_Z_M = -1.5, 20.0, 6.0, 4.0, 2.0, 60.0
+GROUND, WALL_BRIGHT, WALL_DARK, SKY = 0.1, 0.4, 0.05, 1.0
+
+
+def wall_radiance(y_m: Array) -> Array:
+    """Radiance of the striped wall of `street_radiance`."""
+    return np.where(np.floor(y_m / STRIPE_M) % 2 == 0, WALL_BRIGHT, WALL_DARK)
+
+
+def street_radiance(
+    direction: Array,
+    extinction_per_m: float,
+    angles: Callable[[Array], Array],
+    photons: int,
+    seed: int,
+    *,
+    wall: bool = True,
+) -> Array:
+    """Radiance that a camera 1.5 m above a dark road sees in fog under a bright sky, with a striped wall 20 m ahead.
+
+    Args:
+        direction: ``(D, 3)`` forward, left, up; of any length.
+        extinction_per_m: of fog up to 60 m above the camera.
+        angles: of `scattering_angles`.
+        photons: paths for each direction.
+        seed: of the paths.
+        wall: whether it stands there.
+    """
+    random = np.random.default_rng(seed)
+    unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    heading = np.repeat(unit, photons, 0)
+    place, found, flying = np.zeros_like(heading), np.zeros(len(heading)), np.arange(len(heading))
+    while len(flying):
+        step_m = random.exponential(size=len(flying)) / extinction_per_m
+        at, along = place[flying], heading[flying]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ground_m = np.where(along[:, 2] < 0, (GROUND_Z_M - at[:, 2]) / along[:, 2], np.inf)
+            sky_m = np.where(along[:, 2] > 0, (TOP_Z_M - at[:, 2]) / along[:, 2], np.inf)
+            wall_m = (WALL_X_M - at[:, 0]) / along[:, 0]
+            y_m, z_m = at[:, 1] + along[:, 1] * wall_m, at[:, 2] + along[:, 2] * wall_m
+        inside = wall & (np.abs(y_m) < WALL_HALF_WIDTH_M) & (z_m < WALL_TOP_Z_M) & (z_m > GROUND_Z_M) & (wall_m > 1e-9)
+        wall_m = np.where(inside, wall_m, np.inf)
+        first_m = np.minimum(np.minimum(ground_m, wall_m), sky_m)
+        ended = step_m >= first_m
+        radiance = np.where(first_m == sky_m, SKY, np.where(first_m == ground_m, GROUND, wall_radiance(y_m)))
+        found[flying[ended]] = radiance[ended]
+        flying, step_m = flying[~ended], step_m[~ended]
+        place[flying] += heading[flying] * step_m[:, None]
+        turn = angles(random.random(len(flying))), 2.0 * math.pi * random.random(len(flying))
+        heading[flying] = turned(heading[flying], *turn)
+    return found.reshape(len(direction), photons).mean(1)
