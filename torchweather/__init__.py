@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
+    from torchweather.camera.night.lamps import Lamp, Night
     from torchweather.camera.rgb import AsBayer
     from torchweather.camera.sensor import Camera
     from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
@@ -32,6 +33,7 @@ __all__ = [
     "Choice",
     "Compose",
     "Fog",
+    "Lamp",
     "Lidar",
     "LidarFog",
     "LidarRain",
@@ -40,6 +42,7 @@ __all__ = [
     "LidarWeather",
     "LogUniform",
     "Mixture",
+    "Night",
     "PointKind",
     "Radar",
     "RadarAttenuation",
@@ -59,6 +62,7 @@ __all__ = [
 
 # Where each public name lives. It is imported at its first use, so that `torchweather --help` does not load torch.
 _HOMES = {
+    "torchweather.camera.night.lamps": ("Lamp", "Night"),
     "torchweather.compose": ("Compose", "RandomFog", "RandomRain", "RandomSnow", "RandomWeather", "WeatherDataset"),
     "torchweather.core.distributions": ("Choice", "LogUniform", "Uniform"),
     "torchweather.sensors": ("Camera", "Lidar", "Radar"),

@@ -115,3 +115,61 @@ def street_radiance(
         turn = angles(random.random(len(flying))), 2.0 * math.pi * random.random(len(flying))
         heading[flying] = turned(heading[flying], *turn)
     return found.reshape(len(direction), photons).mean(1)
+
+
+def lamp_radiance(
+    look: Array,
+    lamp_m: Array,
+    intensity: Callable[[Array], Array],
+    extinction_per_m: float,
+    angles: Callable[[Array], Array],
+    per_sr: Callable[[Array], Array],
+    photons: int,
+    seed: int,
+    *,
+    ground_z_m: float = -math.inf,
+    size_m: float = 0.0,
+    orders: int = 60,
+) -> float:
+    """Radiance that a camera at the origin sees of a lamp's light in fog, scattered once to ``orders`` times.
+
+    At each scattering of a path traced back from the camera, the lamp's light that reaches it is added.
+
+    Args:
+        look: ``(3,)`` of the pixel, forward, left, up.
+        lamp_m: ``(3,)`` place of the lamp.
+        intensity: of unit directions ``(N, 3)`` from the lamp, cd.
+        extinction_per_m: of the fog.
+        angles: of `scattering_angles`.
+        per_sr: phase function of the cosine.
+        photons: paths.
+        seed: of the paths.
+        ground_z_m: black ground, on which paths end.
+        size_m: nearest distance of a scattering from the lamp.
+        orders: of scattering.
+    """
+    random = np.random.default_rng(seed)
+    direction = np.tile(look / np.linalg.norm(look), (photons, 1))
+    place, total = np.zeros((photons, 3)), 0.0
+    reach_m = 20.0 / extinction_per_m + 5.0 * float(np.linalg.norm(lamp_m))
+    for _ in range(orders):
+        place = place + direction * (random.exponential(size=len(place)) / extinction_per_m)[:, None]
+        inside = (np.abs(place) < reach_m).all(1) & (place[:, 2] > ground_z_m)
+        place, direction = place[inside], direction[inside]
+        if not len(place):
+            break
+        offset = place - lamp_m
+        distance = np.maximum(np.linalg.norm(offset, axis=1), max(size_m, 1e-6))
+        unit = offset / distance[:, None]
+        arriving = intensity(unit) / distance**2 * np.exp(-extinction_per_m * distance)
+        total += float((arriving * per_sr(-(unit * direction).sum(1))).sum()) / photons
+        turn = angles(random.random(len(place))), 2.0 * math.pi * random.random(len(place))
+        direction = turned(direction, *turn)
+    return total
+
+
+def phase_of_cosine(distribution: SizeDistribution, wavelength_nm: float) -> Callable[[Array], Array]:
+    """Phase function, 1/sr, of the cosine of the scattering angle."""
+    angle = np.concatenate([[0.0], np.geomspace(1e-4, math.pi, 3000)]).clip(0.0, math.pi)
+    per_sr = mie_phase_function_per_sr(distribution, wavelength_nm, torch.from_numpy(angle)).numpy()
+    return lambda cosine: np.interp(np.arccos(np.clip(cosine, -1.0, 1.0)), angle, per_sr)

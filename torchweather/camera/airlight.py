@@ -51,7 +51,7 @@ DAYLIGHT_ABOVE = 0.05  # linear luminance of a horizon sky by day; below, the sk
 # A picture's horizon is seen through kilometres of its own air: fog whose optical depth over this way is small adds the
 # light that is there already; fog that is opaque over it has its own.
 OWN_AIR_M = 5000.0
-NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night, which is not modelled
+NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night
 
 
 def airlight_argument(value: Sequence[float] | float | str | None, owner: object) -> Airlight:
@@ -108,7 +108,7 @@ def estimate_airlight(
         instead = instead.mean(1, keepdim=True).expand_as(light)
     airlight = torch.where(seen[:, None], light, instead)
     if not is_exporting() and state.image.signal.numel():
-        _warn(airlight, seen, owner, planes=planes)
+        _warn(airlight, seen, owner, planes=planes, night=state.air.lamp_light is not None)
     return airlight
 
 
@@ -123,7 +123,7 @@ def _grey_without_sky(state: CameraState) -> Tensor:
     return torch.where(mean < NIGHT_BELOW, mean, DEFAULT_GREY).expand(-1, 3)
 
 
-def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> None:
+def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool, night: bool) -> None:
     if not bool(seen.all()):
         day = bool((airlight[~seen].amax(1) >= NIGHT_BELOW).any())
         stands_in = "the brightest spot" if not planes else f"a grey of {DEFAULT_GREY:g}" if day else "its mean light"
@@ -133,10 +133,10 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool) -> Non
             TorchweatherWarning,
             stacklevel=4,
         )
-    if bool((airlight.amax(1) < NIGHT_BELOW).any()):
+    if not night and bool((airlight.amax(1) < NIGHT_BELOW).any()):
         warnings.warn(
             f"{type(owner).__name__}: the sky, or a picture without one, is darker than {NIGHT_BELOW:g} of saturation; "
-            "night and artificial light are not modelled. Give airlight= if this is day.",
+            "this looks like night. Give night=True (or a Night with its lamps), or airlight= if this is day.",
             TorchweatherWarning,
             stacklevel=4,
         )

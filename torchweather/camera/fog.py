@@ -121,7 +121,8 @@ class ExtinctionAndAirlight(Stage):
         "scene.ray_per_depth",
         "scene.sine_elevation",
         "scene.sky",
-        *("air.airlight_scale", "air.extinction_scale", "air.fog_density", "air.patches"),
+        *("air.airlight_scale", "air.extinction_scale", "air.fog_density", "air.lamp_excess", "air.lamp_light"),
+        "air.patches",
         "image.signal",
         *("receiver.camera", "receiver.cfa_index", "receiver.keep_truth"),
     )
@@ -203,7 +204,7 @@ class ExtinctionAndAirlight(Stage):
             )
             density = patchy if density is None else density * patchy
             state = state.changed(fog_density=density)
-        multiple = self.scattering == "multiple"
+        multiple, lamps = self.scattering == "multiple", state.air.lamp_excess is not None
         if multiple and is_exporting():
             raise InputValueError(
                 "ExtinctionAndAirlight: scattering='multiple' cannot be exported; its pyramid depends on the size and "
@@ -244,12 +245,12 @@ class ExtinctionAndAirlight(Stage):
                 seen = into
             else:
                 seen = torch.lerp(*ends, clear).flatten(2, 3)
-            if not (state.receiver.keep_truth or multiple):
+            if not (state.receiver.keep_truth or multiple or lamps):
                 return (seen,)
             return seen, torch.nn.functional.threshold(clear, OPAQUE_TRANSMISSION, 0.0).flatten(2, 3)
 
         results = by_rows(band, state.image.signal.shape, state.image.signal, out)
-        if multiple:
+        if multiple or lamps:
             seen = self._with_forward_scattered(state, results, light_rows)
             results = (seen if out is None else out.copy_(seen), results[1])
         transmission = results[1] if state.receiver.keep_truth else None
@@ -258,15 +259,26 @@ class ExtinctionAndAirlight(Stage):
         )
 
     def _with_forward_scattered(self, state: CameraState, results: tuple[Tensor, ...], light_rows: Tensor) -> Tensor:
-        """The foggy frame with the light that the fog scatters onward; bit for bit as it was where fog is infinitely
-        thin."""
+        """The foggy frame with the light that the fog scatters onward, and lamps as bright as they are; bit for bit as
+        it was where fog is infinitely thin.
+
+        A lamp beyond saturation shows what the clear frame shows of it until the fog has dimmed it to that. Its light
+        is scattered onward in any case: that is its glow.
+        """
         weights = kernel_weights(
             self.weather, self.wavelengths_nm[FADING_COLOUR], self.mor_m.reshape(-1).expand(state.batch)
         )
+        foggy, through = results[0], results[1]
         airlight = light_rows.expand_as(state.by_cells(state.image.signal)).flatten(2, 3)
-        added = forward_scattered(state, results[1], airlight, weights)
+        clear, excess = state.image.signal, state.air.lamp_excess
+        source = clear if excess is None else clear + excess
+        if self.scattering != "multiple" and excess is not None:  # by day light is scattered once
+            source, airlight = excess, torch.zeros_like(airlight)
+        added = forward_scattered(state.changed(signal=source), through, airlight, weights)
+        if excess is not None:
+            added = added + (torch.minimum(through * (clear + excess), clear) - through * clear).clamp_min(0.0)
         thick = torch.isfinite(self.mor_m.reshape(-1, 1, 1, 1))
-        return torch.where(thick, results[0] + added, results[0])
+        return torch.where(thick, foggy + added, foggy)
 
 
 def rays(state: CameraState) -> tuple[Tensor, Tensor]:

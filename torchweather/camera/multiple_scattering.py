@@ -1,10 +1,10 @@
 """Light that dense fog scatters onward to the camera: what arrives blurred, beside what arrives straight.
 
 Each surface lends the pixels around it the share of its light that the fog scatters by small angles
-(``torchweather.atmosphere.forward_scattering``); that share takes the place of airlight. A pixel's own light and the light
-of its neighbours lie at different depths, so both are sorted by optical depth: from a surface at ``tau_q`` a pixel at
-``tau_p`` gets ``w(min(tau_p, tau_q)) exp(-max(tau_q - tau_p, 0))``, for light from farther away reaches the pixel's
-depth weakened, and the surface of a near neighbour ends the path on which light can be scattered.
+(``torchweather.atmosphere.forward_scattering``); that share takes the place of airlight. A pixel's own light and the
+light of its neighbours lie at different depths, so both are sorted by optical depth: from a surface at ``tau_q`` a
+pixel at ``tau_p`` gets ``w(min(tau_p, tau_q)) exp(-max(tau_q - tau_p, 0))``, for light from farther away reaches the
+pixel's depth weakened, and the surface of a near neighbour ends the path on which light can be scattered.
 """
 
 from __future__ import annotations

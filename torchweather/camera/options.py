@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from torchweather.camera.exposure import ExposureControl
+from torchweather.camera.night.lamps import Night
 from torchweather.pipeline.options import TransformOptions
 
 __all__ = ["RENAMED", "CameraOptions"]
@@ -23,6 +24,7 @@ class CameraOptions(TransformOptions):
     airlight: Sequence[float] | float | str | None = None
     layer_top_m: float = 200.0
     sky: str | None = None
+    night: Night | Mapping[str, Any] | bool | None = None
     exposure_control: str | ExposureControl | Mapping[str, Any] | None = None
     extinction: str = "mie"
     scattering: str = "single"

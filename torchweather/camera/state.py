@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchField
+from torchweather.camera.night.lamp_light import LampLight
 from torchweather.camera.sensor import Camera
 from torchweather.pipeline.state import PartedState
 
@@ -59,6 +60,8 @@ class CameraAir:
         particle_contrast: ``(B,)`` what particles change in the picture over the modelled; ``None`` is 1.
         path_tangent: ``(B,)`` sideways over downward speed of falling particles, to the right; ``None`` is 0.
         patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
+        lamp_excess: ``(B, C, H, W)`` light of lamps beyond what the saturated frame shows of them; ``None`` by day.
+        lamp_light: light of lamps on fog and particles; ``None`` by day.
     """
 
     airlight: Tensor | None = None
@@ -71,6 +74,8 @@ class CameraAir:
     particle_contrast: Tensor | None = None
     path_tangent: Tensor | None = None
     patches: PatchField | None = None
+    lamp_excess: Tensor | None = None
+    lamp_light: LampLight | None = None
 
 
 @dataclass(frozen=True)
@@ -182,5 +187,5 @@ class CameraState(PartedState):
         return image[:, :, None] if self.receiver.cfa_index is None else image.reshape(b, c, h // 2, 2, w)
 
 
-for _part in (CameraScene, CameraAir, CameraImage, CameraReceiver, CameraState):
+for _part in (LampLight, CameraScene, CameraAir, CameraImage, CameraReceiver, CameraState):
     torch.export.register_dataclass(_part, serialized_type_name=f"torchweather.{_part.__name__}")

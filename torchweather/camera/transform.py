@@ -20,6 +20,8 @@ from torchweather.camera.depth.source import warn_of_depth
 from torchweather.camera.exposure import ExposureControl, as_exposure_control
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.levels import check_bayer, raw_from_linear, raw_to_linear
+from torchweather.camera.night.lamps import Night, as_night
+from torchweather.camera.night.stages import LampVeil, NightLamps
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.overcast_sky import OvercastSky
 from torchweather.camera.particles.veil import ParticleVeil
@@ -79,6 +81,8 @@ class BayerWeather(WeatherTransform):
             the top of deep radiation fog; infinity is fog without end.
         sky: ``overcast`` puts the grey of an overcast sky behind rain and snow, where the frame shows sky; sunlight and
             cast shadows stay. ``None`` keeps the frame's.
+        night: ``True`` or a ``Night``: the frame was taken at night, and lamps light fog and particles and glow;
+            ``None`` is day.
         exposure_control: ``mean`` or ``median`` gives the frame in weather the mean or median signal of the clear one,
             as cameras do; or an ``ExposureControl`` with window, target and limits. ``None`` keeps the exposure.
         extinction: of fog: ``mie`` or ``koschmieder``.
@@ -122,6 +126,7 @@ class BayerWeather(WeatherTransform):
         airlight: Sequence[float] | float | str | None = None,
         layer_top_m: float = 200.0,
         sky: str | None = None,
+        night: Night | Mapping[str, Any] | bool | None = None,
         exposure_control: str | ExposureControl | Mapping[str, Any] | None = None,
         extinction: str = "mie",
         scattering: str = "single",
@@ -162,6 +167,7 @@ class BayerWeather(WeatherTransform):
             airlight=airlight,
             layer_top_m=layer_top_m,
             sky=sky,
+            night=night,
             exposure_control=exposure_control,
             extinction=extinction,
             scattering=scattering,
@@ -214,6 +220,15 @@ class BayerWeather(WeatherTransform):
                 rate_capacity_mm_per_h=rate_capacity_mm_per_h,
                 variant=variant,
             )
+        by_night = None if night is None else as_night(night, self)
+        if by_night is not None:
+            lamps = NightLamps(by_night, weather.parts, tuple(camera.bands.values()), far_m)
+            lit: dict[str, Stage] = {"night_lamps": lamps}
+            for name, stage in stages.items():
+                lit[name] = stage
+                if name == "extinction_and_airlight":
+                    lit["lamp_veil"] = LampVeil()
+            stages = lit
         if exposure_control is not None:
             control = as_exposure_control(exposure_control, owner=self)
             stages = {"exposure_meter": control.meter(), **stages, "exposure_control": control}

@@ -31,6 +31,7 @@ __all__ = [
 CAMERA_ARGUMENTS = (
     *("camera", "camera_name", "pattern", "bit_depth", "black_level", "white_level", "fx", "fy", "cx", "cy"),
     *("exposure_s", "height_m", "pitch_rad", "depth", "depth_encoding", "airlight", "exposure_control", "scattering"),
+    "night",
     *("ego_speed_m_per_s", "depth_along", "baseline_m", "calib", "depth_model", "depth_model_output"),
     *("depth_model_scale", "depth_model_multiple_px", "through_mosaic"),
 )
@@ -51,6 +52,12 @@ def add_light_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a camera: give frames in weather the mean or median signal of the clear ones, as cameras do",
     )
     parser.add_argument(
+        "--night",
+        choices=("low_beam", "high_beam", "none"),
+        help="of a camera: the frames were taken at night, with these headlamps of the own car; lamps light fog, drops "
+        "and flakes, and glow",
+    )
+    parser.add_argument(
         "--scattering",
         choices=("single", "multiple"),
         help="of a camera's fog: multiple adds the light that dense fog scatters onward, blurred; default single",
@@ -63,6 +70,7 @@ def camera_options(args: argparse.Namespace, ego_speed_m_per_s: float | None) ->
         "airlight": args.airlight,
         "exposure_control": args.exposure_control,
         "scattering": args.scattering,
+        "night": None if args.night is None else {"own": args.night},
         "ego_speed_m_per_s": ego_speed_m_per_s,
     }
     return {name: value for name, value in given.items() if value is not None}

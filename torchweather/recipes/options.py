@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrior, as_depth_source
 from torchweather.camera.exposure import ExposureControl
+from torchweather.camera.night.lamps import Night
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.transform_spec import sensor_of, spec_of
@@ -77,6 +78,8 @@ def options_of(transform: RecipeTransform) -> dict[str, Any]:
         options["depth"] = _depth_option(as_depth_source(options["depth"]))
     if isinstance(options.get("exposure_control"), ExposureControl):
         options["exposure_control"] = options["exposure_control"].config()
+    if isinstance(options.get("night"), Night):
+        options["night"] = options["night"].to_dict()
     if options.get("effects"):
         options["effects"] = [one.to_dict() if isinstance(one, Effect) else dict(one) for one in options["effects"]]
     known = transform.options.defaults()

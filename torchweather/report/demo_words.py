@@ -46,8 +46,8 @@ WHY = {
 
 # An item of a sensor is shown where the page shows the sensor.
 MODEL = """
-    - Single scattering. Fog of a visibility below about 20 m also blurs a real image; here it only fades.
-    - Daylight: particles and fog are lit by the sky. Headlights, street lamps and night are not modelled.
+    - Single scattering. Fog of a visibility below about 50 m also blurs a real image; here it only fades.
+    - Daylight: particles and fog are lit by the sky. Headlights and street lamps are left out here (night=True).
     - The weather is in the air only: no wet road, no spray, no snow on the ground, no drops on the lens.
     - Drops and flakes are disks of their outline in the picture; a drop shows the mean colour of the scene and a share
       of the sky, not a small upside-down image. Snow is dry.

@@ -20,6 +20,43 @@ MUTANTS = (
         ("tests/camera/test_fog_stage.py::test_the_sky_has_no_gradient_and_spoils_none",),
     ),
     Mutant(
+        "lamp_light_falls_with_the_distance",
+        "illuminance falls with the square of the distance",
+        "torchweather.camera.night.lamp_light",
+        "at_1_m = lamp.intensity_cd / distance_m.square()",
+        "at_1_m = lamp.intensity_cd / distance_m",
+        (
+            (
+                "tests/camera/night/test_lamp_light.py::test_once_scattered_light_is_the_lidars_backscatter_of_"
+                "the_illuminance"
+            ),
+        ),
+    ),
+    Mutant(
+        "lamp_veil_without_onward_scattering",
+        "fog widens a low beam upward, by light scattered onward",
+        "torchweather.camera.night.lamp_light",
+        "lux = at_1_m * _through_fog(lamp.beam, azimuth, elevation, distance_m, fog)",
+        "lux = direct",
+        ("tests/camera/night/test_lamp_light.py::test_the_veil_of_headlamps_is_that_of_photons_traced_one_by_one",),
+    ),
+    Mutant(
+        "lamps_of_a_frame_as_bright_as_saturation",
+        "a lamp is brighter than the frame that it saturates",
+        "torchweather.camera.night.stages",
+        "excess[sample, :, rows, columns] = (light[:, None] - before).clamp_min(0.0)",
+        "excess[sample, :, rows, columns] = (light[:, None] - before).clamp(0.0, 1.0)",
+        ("tests/camera/night/test_night.py::test_a_lamp_glows_by_the_light_that_the_frame_does_not_show",),
+    ),
+    Mutant(
+        "flakes_in_lamplight_without_their_depth",
+        "each particle shows the illuminance at its own depth",
+        "torchweather.camera.particles.population",
+        "place = (marks.sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))",
+        "place = (marks.sample, marks.u_px, marks.v_px, marks.depth_m * 2.0, (size[0], size[1]))",
+        ("tests/camera/night/test_night.py::test_the_mean_light_of_flakes_is_that_of_each_slice_of_air",),
+    ),
+    Mutant(
         "forward_scattering_at_the_camera_alone",
         "light is scattered anywhere on its path, near the surface with little blur",
         "torchweather.atmosphere.forward_scattering",

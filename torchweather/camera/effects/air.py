@@ -327,6 +327,7 @@ class CameraWetSurface(Effect):
     needs: ClassVar[tuple[str, ...]] = ("camera", "normal")
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.intrinsics", "scene.normal"),
+        "air.lamp_excess",
         "image.signal",
         *("receiver.camera", "receiver.cfa_index"),
     )
@@ -346,7 +347,10 @@ class CameraWetSurface(Effect):
         wet = upright[:, 2:].clamp_min(0.0)
         share = self.value("mirror", state.image.signal) * wet * (1.0 - transmittance_into_water(cosine))
         own = state.image.signal * (1.0 - self.value("darkening", state.image.signal) * wet)
-        return {"signal": torch.lerp(own, _seen_along(state, direction + 2.0 * cosine * normal), share)}
+        lit = state
+        if state.air.lamp_excess is not None:  # a lamp's mirror image is as bright as the lamp
+            lit = state.changed(signal=state.image.signal + state.air.lamp_excess)
+        return {"signal": torch.lerp(own, _seen_along(lit, direction + 2.0 * cosine * normal), share)}
 
 
 def _seen_along(state: CameraState, direction: Tensor) -> Tensor:

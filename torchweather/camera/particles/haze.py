@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from torchweather.camera.night.lamp_light import NEAREST_M
 from torchweather.camera.state import CameraState
 from torchweather.pipeline.tiling import is_exporting
 
@@ -39,6 +40,8 @@ def haze_depth(
     first: int,
     last: int,
     fog_per_m: Tensor | None = None,
+    *,
+    lit: bool = False,
 ) -> tuple[Tensor, Tensor | None]:
     """Optical depth of a population's haze in the rows ``first..last`` of the frame.
 
@@ -49,6 +52,7 @@ def haze_depth(
         tables: the population's tables at each sample's rate.
         first, last: rows.
         fog_per_m: ``(B,)`` fog extinction.
+        lit: weight with the light of lamps on the particles instead.
 
     Returns:
         Optical depth ``(B, 1, rows, W)`` and, with fog, the same weighted with the fog's transmission.
@@ -84,6 +88,8 @@ def haze_depth(
     spread = torch.log1p(variance / centre.square())
     optical = centre * torch.exp(torch.sqrt(spread / variance) * deviation - 0.5 * spread)
     optical = torch.where(there, optical, mean)
+    if lit:
+        return optical, optical * _mean_lamplight(population, state, tables, depth_m, focal, first, last)
     if fog_per_m is None:
         return optical, None
     longest = state.scene.ray_per_depth.flatten().amax(0).float()
@@ -145,6 +151,40 @@ def _mean_clear(
         near = (1 - (place - node).abs()).clamp_min(0)
         total = total + near * read(torch.nn.functional.pad(clear, (1, 0)))
     return total
+
+
+def _mean_lamplight(
+    population: Population, state: CameraState, tables: AtRate, depth_m: Tensor, focal: Tensor, first: int, last: int
+) -> Tensor:
+    """Mean luminance by lamps of the haze in front of the scene, weighted with its optical depth, ``(B, 1, rows, W)``.
+
+    On the coarse grid of the lamps' light, whose nodes are summed one behind the other.
+    """
+    light = state.air.lamp_light
+    assert light is not None
+    t = population.tables
+    values = population.lamp_values(state).expand(state.batch, -1, -1, -1, -1).to(depth_m.device)
+    nodes = values.shape[2]
+    span = math.log(light.far_m / NEAREST_M)
+    node_m = NEAREST_M * torch.exp(torch.linspace(0.0, span, nodes, device=depth_m.device))
+    place = (torch.log(node_m / focal[:, None]) - t.log_footprint_low) / t.log_footprint_step
+    rows = tables.haze_depth.expand(place.shape[0], -1)
+    optical = torch.stack([_at_nodes(row, own) for row, own in zip(rows, place, strict=True)])
+    steps = (optical[:, 1:] - optical[:, :-1]).clamp_min(0.0)[:, None, :, None, None]
+    between = 0.5 * (values[:, :, 1:] + values[:, :, :-1])
+    pad = (0, 0, 0, 0, 1, 0)
+    lit = torch.nn.functional.pad(torch.cumsum(steps * between, 2), pad)
+    whole = torch.nn.functional.pad(torch.cumsum(steps, 2), pad)
+    mean = torch.where(whole > FLOOR, lit / whole.clamp_min(FLOOR), values)
+    depth = state.scene.depth_m.float().clamp_max(population.far_m).expand(state.batch, -1, -1, -1)
+    return light.seen(mean, depth)[..., first:last, :]
+
+
+def _at_nodes(row: Tensor, place: Tensor) -> Tensor:
+    """A table ``(n,)`` at fractional node numbers, the ends held."""
+    cell = place.floor().clamp(0, len(row) - 2)
+    low, high = row[cell.long()], row[cell.long() + 1]
+    return low + (place - cell).clamp(0.0, 1.0) * (high - low)
 
 
 def _streaky(noise: Tensor, tables: AtRate, first: int, last: int, *, steep: bool, slope: float) -> Tensor:

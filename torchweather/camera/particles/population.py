@@ -531,7 +531,13 @@ class Population(nn.Module):
         return width, opacity
 
     def listed_depth(
-        self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, fog_per_m: Tensor | None = None
+        self,
+        state: CameraState,
+        noise: Mapping[str, Tensor],
+        tables: AtRate,
+        fog_per_m: Tensor | None = None,
+        *,
+        lit: bool = False,
     ) -> tuple[Tensor, Tensor | None]:
         """Optical depth of the listed particles, ``(B, 1, H, W)``.
 
@@ -541,6 +547,7 @@ class Population(nn.Module):
             tables: the tables at each sample's rate.
             fog_per_m: ``(B,)`` fog extinction; where given, the second result is the optical depth weighted with
                 the fog's transmission to each particle.
+            lit: weight with the light of lamps on each particle instead.
         """
         b, _, height, width = state.image.signal.shape
         depth = state.scene.depth_m.float().expand(b, 1, height, width)
@@ -549,7 +556,8 @@ class Population(nn.Module):
         # Shells add to these sums in turn, and the sums to each other: the same order on any number of threads.
         sums = 1 if is_exporting() else SUMS
         totals = [torch.zeros(b * height * width, device=depth.device, dtype=torch.float32) for _ in range(sums)]
-        fadeds = [None if fog_per_m is None else torch.zeros_like(total) for total in totals]
+        weighted = fog_per_m is not None or lit
+        fadeds = [torch.zeros_like(total) if weighted else None for total in totals]
 
         def add(which: int) -> None:
             for number in range(len(self.tables.listed)):
@@ -558,7 +566,9 @@ class Population(nn.Module):
                         continue
                     for part in self._parts_of(state, points, sample, tables, number):
                         marks = self._marks(state, part, tables, number, blocks)
-                        if fog_per_m is not None:
+                        if lit:
+                            marks = replace(marks, clearness=self._lamplight(marks, state))
+                        elif fog_per_m is not None:
                             marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
                         place = (marks, depth, (height, width))
                         if is_exporting():
@@ -587,6 +597,19 @@ class Population(nn.Module):
         fog, own = _own(fog_per_m, marks.sample), _own(state.scene.intrinsics.float(), marks.sample)
         x, y = self.undistorted(marks.u_px, marks.v_px, own)
         return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
+
+    def lamp_values(self, state: CameraState) -> Tensor:
+        """Luminance that a particle shows of lamps at the nodes of their light, ``(B, 1, K, h, w)``."""
+        assert state.air.lamp_light is not None
+        return state.air.lamp_light.drop if isinstance(self.weather, Rain) else state.air.lamp_light.flake
+
+    def _lamplight(self, marks: Marks, state: CameraState) -> Tensor:
+        """Luminance of each particle by lamps, units of saturation."""
+        assert state.air.lamp_light is not None
+        size = state.image.signal.shape[-2:]
+        values = self.lamp_values(state).expand(state.batch, -1, -1, -1, -1)
+        place = (marks.sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))
+        return state.air.lamp_light.at_points(values, *place)
 
     def _footprint_px(self, number: int, *, slanted: bool = False) -> tuple[int, int]:
         """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""

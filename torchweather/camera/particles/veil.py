@@ -80,6 +80,7 @@ class ParticleVeil(Stage):
         "air.airlight",
         "air.airlight_scale",
         "air.fog_extinction_per_m",
+        "air.lamp_light",
         "air.particle_contrast",
         "air.particle_count",
         "air.particle_reach_m",
@@ -315,16 +316,32 @@ class ParticleVeil(Stage):
         listed = [
             part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
         ]
+        lamps = state.air.lamp_light
+        lit: list[Tensor | None] = [None for _ in self.parts]
+        lamp_colour = None
+        if lamps is not None:
+            lamp_colour = state.per_pixel(lamps.colour.to(state.image.signal).expand(state.batch, 3))
+            lit = [
+                part.listed_depth(state, noise, table, lit=True)[1]
+                for part, table in zip(self.parts, tables, strict=True)
+            ]
 
         def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
             rows = (..., slice(first, last), slice(None))
             depths, lights = [], []
-            for part, table, (sharp, sharp_faded), colour in zip(self.parts, tables, listed, colours, strict=True):
+            for part, table, (sharp, sharp_faded), colour, sharp_lit in zip(
+                self.parts, tables, listed, colours, lit, strict=True
+            ):
                 haze, haze_faded = haze_depth(part, state, noise, table, first, last, fog_per_m)
                 depths.append(state.by_cells(sharp[rows] + haze))
                 if sharp_faded is not None and haze_faded is not None:
                     faded = state.by_cells(sharp_faded[rows] + haze_faded)
                     colour = self._through_fog(state, colour, faded, depths[-1])
+                if sharp_lit is not None and lamp_colour is not None:
+                    haze_lit = haze_depth(part, state, noise, table, first, last, lit=True)[1]
+                    assert haze_lit is not None
+                    shown = state.by_cells(sharp_lit[rows] + haze_lit) / depths[-1].clamp_min(FAINTEST)
+                    colour = colour + shown * lamp_colour
                 lights.append(colour)
             total = sum(depths[1:], depths[0])
             mask = -torch.expm1(-total).to(state.image.signal.dtype)

@@ -1,0 +1,1 @@
+"""Light of lamps at night: in the air, on falling particles, and around the lamps themselves."""
