@@ -47,6 +47,9 @@ def cameras() -> None:
             chain = BayerWeather(PATCHY, CAMERA, airlight=airlight, sky="overcast", variant=variant)
             for known in (scene, depth_m):
                 ran(chain, frame(2), depth=known)
+    brighter = {"effect": "camera.extinction_scale", "factor": 1.5}
+    dark = (frame(2).float() / 8).to(frame(2).dtype)
+    ran(BayerWeather(PATCHY, CAMERA, night=True, airlight="sky", effects=[brighter]), dark, depth=scene)
     transform = BayerWeather(Mixture(Rain(30.0), Fog(80.0)), CAMERA, airlight=(0.5, 0.6, 0.7))
     state = transform.state_of(frame(2), depth_m)
     Quantise(255)(state, {})

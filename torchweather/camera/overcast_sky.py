@@ -42,6 +42,7 @@ class OvercastSky(Stage):
     default_name: ClassVar[str] = "overcast_sky"
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.sine_elevation", "scene.sky"),
+        "air.lamp_light",
         "image.signal",
         "receiver.cfa_index",
     )
