@@ -39,9 +39,9 @@ In a video, and in a folder with --sequence, the particles move from frame to fr
 name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. The
 seed of a frame is hashed from --seed and the name of its file. A broken file is named and left out.
 torchweather-record.json says what was made how. Exit code 0: all is done; 1: done, but for broken files; 2: a
-mistake in what was asked, or no file could be done. With --sensor radar, scene:test-track and scene:fog-tunnel
-simulate the radar's frame of an embedded scene: NAME.npz in the weather, NAME_clear.npz in clear air, and NAME.png
-with both."""
+mistake in what was asked, or no file could be done. With --sensor radar, scene:test-track, scene:fog-tunnel,
+scene:thi-hall and scene:cerema-tunnel simulate the radar's frame of an embedded scene: NAME.npz in the weather,
+NAME_clear.npz in clear air, and NAME.png with both."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.

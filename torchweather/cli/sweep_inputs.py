@@ -30,7 +30,7 @@ from torchweather.io import read_image, read_radar
 from torchweather.recipes.transform import camera_of, lidar_of, radar_of
 from torchweather.report.radar_section import WALKING
 from torchweather.scenes import SCENES, Scene, lidar_view, radar_view
-from torchweather.scenes.raw_frame import INDOORS, raw_frame
+from torchweather.scenes.raw_frame import DRY, raw_frame
 
 __all__ = ["MAKERS", "Maker"]
 
@@ -60,7 +60,7 @@ class Maker(ABC):
     def scene(self, name: str) -> Subject:
         """An embedded scene by its name."""
         check_one_of("scene", name, SCENES, owner="sweep")
-        return self._of_scene(SCENES[name](), indoors=name in INDOORS)
+        return self._of_scene(SCENES[name](), indoors=name in DRY)
 
     def files(self, path: Path) -> list[Subject]:
         """A file, or the files of a folder, which are judged together."""

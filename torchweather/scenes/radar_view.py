@@ -65,6 +65,9 @@ REFLECTORS: dict[str, tuple[CornerReflector, ...]] = {
         CornerReflector("corner 20 m", (19.692, -3.5, 0.5), EDGE_OF_10_DBSM_M),
         CornerReflector("corner 45 m", (44.498, 6.7, 0.5), EDGE_OF_10_DBSM_M),
     ),
+    # Beside the target, in the case of the radar's target (torchweather.scenes.rehearse_targets).
+    "thi-hall": (CornerReflector("corner 28 m", (28.0, -0.95, 0.5), EDGE_OF_10_DBSM_M),),
+    "cerema-tunnel": (CornerReflector("corner 15 m", (15.0, -0.95, 0.5), EDGE_OF_10_DBSM_M),),
 }
 """Corner reflectors that stand in a scene for the radar, by the scene's name: 10 dBsm at 77 GHz."""
 

@@ -12,10 +12,12 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import quantise
 from torchweather.scenes.scene import Scene, SceneLabel
 
-__all__ = ["INDOORS", "RawFrame", "linear_camera", "raw_frame"]
+__all__ = ["DRY", "INDOORS", "RawFrame", "linear_camera", "raw_frame"]
 
-INDOORS = ("fog-tunnel",)
-"""Scenes in which it neither rains nor snows, and where no sky is in view."""
+INDOORS = ("fog-tunnel", "thi-hall", "cerema-tunnel")
+"""Scenes where no sky is in view."""
+DRY = ("fog-tunnel",)
+"""Scenes in which it neither rains nor snows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,7 @@ def raw_frame(scene: Scene, camera: Camera, *, seed: int = 0) -> RawFrame:
     """What a camera delivers of an embedded scene.
 
     Args:
-        scene: the test track or the fog tunnel.
+        scene: one of ``torchweather.scenes.SCENES``.
         camera: with the size of the frame; its companding curve is left out.
         seed: of the shot noise.
 

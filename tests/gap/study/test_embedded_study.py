@@ -68,7 +68,7 @@ def test_more_weather_changes_more(kind: str) -> None:
 def test_what_does_not_exist_is_refused() -> None:
     with pytest.raises(ValueError, match=r"kind must be one of lidar, camera, radar; got 'lidr'. Did you mean 'lidar'"):
         embedded_study("lidr")
-    with pytest.raises(ValueError, match="scene must be one of test-track, fog-tunnel"):
+    with pytest.raises(ValueError, match="scene must be one of test-track, fog-tunnel, thi-hall, cerema-tunnel"):
         embedded_study("radar", scene="moon")
     with pytest.raises(ValueError, match="clear_frames must be 2 or more"):
         embedded_study("radar", clear_frames=1)

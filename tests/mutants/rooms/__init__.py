@@ -18,6 +18,7 @@ NAMES = (
     "metrics",
     "robustness",
     "sweep",
+    "scenes",
     "export",
     "gap",
     "report",

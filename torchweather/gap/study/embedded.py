@@ -22,6 +22,7 @@ from torchweather.gap.study.study import Frame, Study
 from torchweather.lidar.sensor import Lidar
 from torchweather.radar.sensor import Radar
 from torchweather.scenes import SCENES, RadarView, Scene, lidar_view, radar_view
+from torchweather.scenes.raw_frame import DRY
 from torchweather.scenes.scene import SceneLabel
 from torchweather.sensors import DEFAULT_PRESETS
 
@@ -34,7 +35,6 @@ WEATHERS: tuple[Weather, ...] = (
     *(Fog(mor_m=mor) for mor in (400.0, 200.0, 100.0, 50.0)),
     *(Snow(rate) for rate in (0.5, 1.0, 2.0, 4.0)),
 )
-INDOORS = ("fog-tunnel",)  # where it neither rains nor snows
 # Small enough that a study is validated in well under a minute: 64 rings of 256 columns; all image scores take 161
 # pixels a side, and the preset's frames have 1936 x 1464.
 RINGS, COLUMNS = 64, 256
@@ -85,7 +85,7 @@ def embedded_study(
     sensor, beams, geometry, clear, weathered = _BUILDERS[kind](SCENES[scene](), name)
     noise = [_seed(seed, f"clear.{number}") for number in range(clear_frames + frames)]
     views = [clear(each) for each in noise]
-    weathers = [weather for weather in WEATHERS if scene not in INDOORS or weather.kind == "fog"]
+    weathers = [weather for weather in WEATHERS if scene not in DRY or weather.kind == "fog"]
     conditions = []
     for weather in weathers:
         label = f"{weather.kind}-{weather.intensity:g}"
