@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
+from torchweather.camera.luminance import airlight_from_luminance
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputValueError, TorchweatherWarning, owner_name
 from torchweather.pipeline.tiling import is_exporting
@@ -54,8 +55,15 @@ OWN_AIR_M = 5000.0
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night
 
 
-def airlight_argument(value: Sequence[float] | float | str | None, owner: object) -> Airlight:
-    """The argument ``airlight=`` checked: a mode, or one number or (red, green, blue) in 0..1 as three numbers."""
+LUMINANCE = ("luminance_cd_per_m2", "iso", "f_number", "exposure_s", "lens_factor")
+"""Keys of an airlight that is given as a luminance with its exposure."""
+
+
+def airlight_argument(value: Sequence[float] | float | str | Mapping[str, float] | None, owner: object) -> Airlight:
+    """The argument ``airlight=`` checked: a mode, or three numbers in 0..1.
+
+    One number, (red, green, blue), or the arguments of `airlight_from_luminance` as a mapping become three numbers.
+    """
     if value is None:
         return None
     if isinstance(value, str):
@@ -65,6 +73,13 @@ def airlight_argument(value: Sequence[float] | float | str | None, owner: object
                 f"blue) in 0..1, linear; got {value!r}."
             )
         return value
+    if isinstance(value, Mapping):
+        if not {*LUMINANCE[:4]} <= {*value} <= {*LUMINANCE}:
+            raise InputValueError(
+                f"{owner_name(owner)}: airlight as a luminance must have the keys {', '.join(LUMINANCE[:4])} and may "
+                f"have {LUMINANCE[4]}; got {', '.join(map(str, value)) or 'none'}."
+            )
+        value = airlight_from_luminance(**value)
     try:
         values = (float(value),) * 3 if isinstance(value, (int, float)) else tuple(float(v) for v in value)
     except (TypeError, ValueError, OverflowError, RuntimeError):

@@ -135,14 +135,15 @@ class ExtinctionAndAirlight(Stage):
         self,
         weather: Fog | Mapping[str, Any],
         wavelengths_nm: Sequence[float],
-        airlight: Sequence[float] | float | str | None = None,
+        airlight: Sequence[float] | float | str | Mapping[str, float] | None = None,
         extinction: str = "mie",
         variant: str | None = None,
         scattering: str = "single",
     ) -> None:
         check_arguments(
             "ExtinctionAndAirlight(weather: Fog | Mapping, wavelengths_nm: Sequence[float], "
-            "airlight: Sequence[float] | float | str | None, extinction: str, variant: str | None, scattering: str)",
+            "airlight: Sequence[float] | float | str | Mapping | None, extinction: str, variant: str | None, "
+            "scattering: str)",
             weather,
             wavelengths_nm,
             airlight,

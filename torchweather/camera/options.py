@@ -21,7 +21,7 @@ class CameraOptions(TransformOptions):
     """Keyword arguments of `BayerWeather`, which describes them; metres, metres a second, mm/h."""
 
     depth: object = None
-    airlight: Sequence[float] | float | str | None = None
+    airlight: Sequence[float] | float | str | Mapping[str, float] | None = None
     layer_top_m: float = 200.0
     sky: str | None = None
     night: Night | Mapping[str, Any] | bool | None = None

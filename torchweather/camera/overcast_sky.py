@@ -51,7 +51,7 @@ class OvercastSky(Stage):
     def __init__(
         self,
         weathers: Sequence[Rain | Snow | Mapping[str, Any]],
-        airlight: Sequence[float] | float | str | None = None,
+        airlight: Sequence[float] | float | str | Mapping[str, float] | None = None,
     ) -> None:
         super().__init__()
         self.weathers = [one if isinstance(one, (Rain, Snow)) else weather_from_dict(one) for one in weathers]

@@ -76,7 +76,8 @@ class BayerWeather(WeatherTransform):
         depth: depth of the scene where the call gives none: a number of metres, a map, a depth source such as
             ``FlatGround()``, or a function of the image.
         airlight: linear signal of the sky (red, green, blue), saturation 1; ``sky`` or ``grey`` takes colour or
-            luminance of the frame's sky above the horizon; ``None`` is ``sky``, and ``grey`` for RGB images.
+            luminance of the frame's sky above the horizon; ``None`` is ``sky``, and ``grey`` for RGB images. A
+            mapping holds the arguments of ``torchweather.image.airlight_from_luminance``.
         layer_top_m: height of the fog's top above the ground, metres; above it the sky shows through. Default: 200 m,
             the top of deep radiation fog; infinity is fog without end.
         sky: ``overcast`` puts the grey of an overcast sky behind rain and snow, where the frame shows sky; sunlight and
@@ -123,7 +124,7 @@ class BayerWeather(WeatherTransform):
         camera: Camera,
         *,
         depth: object = None,
-        airlight: Sequence[float] | float | str | None = None,
+        airlight: Sequence[float] | float | str | Mapping[str, float] | None = None,
         layer_top_m: float = 200.0,
         sky: str | None = None,
         night: Night | Mapping[str, Any] | bool | None = None,
@@ -142,8 +143,8 @@ class BayerWeather(WeatherTransform):
         p: float = 1.0,
     ) -> None:
         check_arguments(
-            "BayerWeather(airlight: Sequence[float] | float | str | None, layer_top_m: float, sky: str | None, "
-            "extinction: str, scattering: str, near_m: float, far_m: float, min_listed_coverage: float, "
+            "BayerWeather(airlight: Sequence[float] | float | str | Mapping | None, layer_top_m: float, "
+            "sky: str | None, extinction: str, scattering: str, near_m: float, far_m: float, min_listed_coverage: float, "
             "max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
             "rate_capacity_mm_per_h: float | None, variant: str | None, p: float)",
             airlight,

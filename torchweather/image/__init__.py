@@ -14,6 +14,12 @@ from torchweather.camera.bayer import (
     split_planes,
 )
 from torchweather.camera.demosaic import METHODS, demosaic
+from torchweather.camera.luminance import (
+    LuminanceExposure,
+    airlight_from_luminance,
+    luminance_from_signal,
+    signal_from_luminance,
+)
 from torchweather.camera.tone import (
     colour_matrix,
     compand,
@@ -50,6 +56,8 @@ __all__ = [
     "DepthMap",
     "DepthSource",
     "FlatGround",
+    "LuminanceExposure",
+    "airlight_from_luminance",
     "as_depth_source",
     "cfa_colour_index",
     "cfa_index",
@@ -62,11 +70,13 @@ __all__ = [
     "expand",
     "grey_world_gains",
     "join_planes",
+    "luminance_from_signal",
     "mosaic",
     "normalise",
     "project_points",
     "quantise",
     "shoulder_curve",
+    "signal_from_luminance",
     "split_planes",
     "srgb_decode",
     "srgb_encode",

@@ -242,4 +242,12 @@ MUTANTS = (
         "    moving = None",
         ("tests/camera/particles/test_haze_in_motion.py::test_variance_and_correlation_are_those_of_single_streaks",),
     ),
+    Mutant(
+        "luminance_by_the_f_number_itself",
+        "the light that a lens lets in goes with the square of its f-number",
+        "torchweather.camera.luminance",
+        "SATURATION_LX_S * self.f_number**2",
+        "SATURATION_LX_S * self.f_number",
+        ("tests/camera/test_luminance.py::test_a_metered_scene_has_the_same_signal_at_every_exposure",),
+    ),
 )
