@@ -60,6 +60,10 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
         ["--quick", "--out", "trained"],
         [f"trained/train_in_weather.{ending}" for ending in ("json", "png")],
     ),
+    "rehearse_study.py": (
+        ["--columns", "64", "--width", "48", "--frames", "1", "--out", "o"],
+        ["o/page/index.html", "o/REHEARSE3D_PUBLIC/sequences/003/arena/000000.jpeg"],
+    ),
     "radar_point_counts.py": (["--seeds", "1", "--weather", "rain 50 mm/h", "--out", "counts.json"], ["counts.json"]),
 }
 # Those that hold the model against recordings: run below on made recordings with a known answer, and on the real ones

@@ -1,4 +1,4 @@
-"""Data sets: KITTI, nuScenes, CARLA, OpenPCDet, mmdetection3d, Hugging Face; boxes and calibrations; whole folders."""
+"""Data sets: KITTI, nuScenes, REHEARSE, CARLA, adapters of frameworks; boxes and calibrations; whole folders."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ from torchweather.datasets.nuscenes_boxes import (
     read_nuscenes_boxes,
     write_nuscenes_boxes,
 )
+from torchweather.datasets.rehearse import REHEARSE_FOLDERS, RehearseSequence, read_rehearse
 
 __all__ = [
     "BoxVisibility",
@@ -41,6 +42,8 @@ __all__ = [
     "HuggingFaceAdapter",
     "Mmdet3dAdapter",
     "OpenPcdetAdapter",
+    "REHEARSE_FOLDERS",
+    "RehearseSequence",
     "box_visibility",
     "boxes_from_nuscenes",
     "boxes_to_nuscenes",
@@ -65,6 +68,7 @@ __all__ = [
     "read_nuscenes_boxes",
     "read_nuscenes_calibration",
     "read_nuscenes_points",
+    "read_rehearse",
     "update_boxes",
     "write_kitti_boxes",
     "write_nuscenes_boxes",

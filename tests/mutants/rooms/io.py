@@ -243,4 +243,12 @@ MUTANTS = (
         "reshape(height, width)",
         ("tests/io/test_depth_files.py::test_portable_float_maps",),
     ),
+    Mutant(
+        "rehearse_power_for_its_cross_section",
+        "the cross section of a detection is not its intensity",
+        "torchweather.datasets.rehearse",
+        "torch.stack([x, y, z, speed, power, rcs], -1)",
+        "torch.stack([x, y, z, speed, rcs, power], -1)",
+        ("tests/datasets/test_rehearse.py::test_radar_columns_are_found_by_word_or_by_name",),
+    ),
 )

@@ -30,6 +30,7 @@ PathLike = str | os.PathLike[str]
 Depth = PathLike | float | NDArray[Any] | Tensor
 
 SCENE = "s0"
+NO_FRAME = "metadata.csv"  # a table that REHEARSE-3D keeps beside the frames
 TABLE_COLUMNS = ("frame", "weather", "value", "scene", "rel_sd", "time_s", "split")
 REQUIRED_COLUMNS = TABLE_COLUMNS[:3]
 
@@ -49,7 +50,7 @@ def study_from_folders(
     Args:
         clear: folder of the frames in clear air.
         measured: for each folder of measured frames its weather, such as ``{"fog_30m": "fog:mor=30"}``; the conditions
-            have the folders' names.
+            have the folders' names, with that of the folder around each where two are alike (``001-ouster``).
         sensor: that took all of them; an object or text such as ``lidar:ouster-os1-128``.
         rel_sd: relative standard deviation of the recorded rates or visibilities.
         depth: camera: metres along the optical axis, as a file, a number or an array ``(H, W)``; inf is sky.
@@ -85,8 +86,8 @@ def study_from_folders(
     owner = "study_from_folders"
     built, kind = _sensor(sensor, owner)
     conditions = [
-        {"id": Path(folder).name, "scene": SCENE, "weather": weather, "rel_sd": rel_sd, "frames": _files(folder, kind)}
-        for folder, weather in measured.items()
+        {"id": name, "scene": SCENE, "weather": weather, "rel_sd": rel_sd, "frames": _files(folder, kind)}
+        for name, (folder, weather) in zip(_names(list(measured)), measured.items(), strict=True)
     ]
     given = {"depth": depth, "depth_encoding": depth_encoding, "directions": directions}
     return _study(built, kind, {SCENE: _files(clear, kind)}, conditions, given, owner)
@@ -188,12 +189,21 @@ def _sensor(sensor: StudySensor | str, owner: str) -> tuple[StudySensor, StudyKi
     )
 
 
+def _names(folders: Sequence[PathLike]) -> list[str]:
+    """Names of the conditions: those of the folders, or of each and the one around it."""
+    short = [Path(folder).name for folder in folders]
+    if len(set(short)) == len(short):
+        return short
+    return ["-".join(Path(folder).absolute().parts[-2:]) for folder in folders]
+
+
 def _files(folder: PathLike, kind: StudyKind) -> list[Path]:
     """Frames of a folder by name."""
     root, suffixes = Path(folder), kind.suffixes
     if not root.is_dir():
         raise TorchweatherError(f"{root}: no such folder. Wanted frames ending in {', '.join(suffixes)}.")
-    found = sorted(file for file in root.iterdir() if file.name.lower().endswith(suffixes) and not is_hidden(file))
+    named = (file for file in root.iterdir() if file.name.lower().endswith(suffixes) and not is_hidden(file))
+    found = sorted(file for file in named if file.name != NO_FRAME)
     if not found:
         raise TorchweatherError(f"{root}: no frames; wanted files ending in {', '.join(suffixes)}.")
     return found
