@@ -144,8 +144,8 @@ class BayerWeather(WeatherTransform):
     ) -> None:
         check_arguments(
             "BayerWeather(airlight: Sequence[float] | float | str | Mapping | None, layer_top_m: float, "
-            "sky: str | None, extinction: str, scattering: str, near_m: float, far_m: float, min_listed_coverage: float, "
-            "max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
+            "sky: str | None, extinction: str, scattering: str, near_m: float, far_m: float, "
+            "min_listed_coverage: float, max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
             "rate_capacity_mm_per_h: float | None, variant: str | None, p: float)",
             airlight,
             layer_top_m,
