@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from depth_table import table
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "d34-scores.md"
 WITHIN = 1.4
+WIDTH = 132
 IMAGE = (
     *("psnr", "ssim", "ms_ssim", "cw_ssim", "iw_ssim", "dss", "vif", "vsi", "fsim", "sr_sim", "haarpsi"),
     *("gmsd", "ms_gmsd", "mdsi"),
@@ -51,17 +54,10 @@ def ratio(name: str, one: float, real: float) -> float:
 
 
 def number(value: float) -> str:
-    """Three digits that count."""
+    """About three digits that count."""
     size = abs(value)
-    return (
-        f"{value:.1f}"
-        if size >= 10
-        else f"{value:.2f}"
-        if size >= 1.05
-        else f"{value:.3f}"
-        if size >= 0.1
-        else f"{value:.2g}"
-    )
+    digits = 1 if size >= 10 else 2 if size >= 1.05 else 3
+    return f"{value:.{digits}f}" if size >= 0.01 else f"{value:.2g}"
 
 
 def percent(share: float) -> str:
@@ -104,13 +100,13 @@ def scores(rows: Sequence[Row], names: Sequence[str]) -> str:
 
 
 def variants(rows: Sequence[Row], names: Sequence[str]) -> str:
-    """Mean of a few scores in every variant."""
-    lines = [["**measured**", *(number(measured(rows, name)) for name in names)]]
-    lines += [
-        [SHOWN_AS.get(variant, variant), *(number(simulated(rows, variant, name)) for name in names)]
-        for variant in rows[0]["simulated"]
-    ]
-    return table(["variant", *map(title, names)], lines)
+    """Mean of a few scores in every variant, and how many of all are near the measured ones."""
+    lines = [["**measured**", *(number(measured(rows, name)) for name in names), ""]]
+    for variant in rows[0]["simulated"]:
+        close = count_near(rows, IMAGE, lambda name, variant=variant: simulated(rows, variant, name))
+        cells = [number(simulated(rows, variant, name)) for name in names]
+        lines.append([SHOWN_AS.get(variant, variant), *cells, str(close)])
+    return table(["variant", *map(title, names), f"of 14 within {WITHIN:g}"], lines)
 
 
 def clouds_by_level(rows: Sequence[Row], name: str) -> str:
@@ -175,6 +171,8 @@ def page(found: dict[str, Any]) -> str:
     real = measured(lidar_rain, "sdm")
     values |= {f"sdm[{variant}]": number(value) for variant, value in sdm.items()}
     values |= {f"share[{variant}]": percent(value / real) for variant, value in sdm.items()}
+    small = ("clear", "rain in the whole hall", "drops not at terminal speed", "masts of sprinklers")
+    values["least_share"] = percent(max(sdm[variant] for variant in small) / real)
     values["sdm_real"] = number(real)
     fog_real, fog_ours = measured(lidar_fog, "sdm"), simulated(lidar_fog, RECORDED, "sdm")
     values |= {"fog_real": number(fog_real), "fog_ours": number(fog_ours), "fog_ratio": number(fog_ours / fog_real)}
@@ -200,7 +198,10 @@ def page(found: dict[str, Any]) -> str:
         of_fog = [abs(row["severity"]) for row in camera_fog]
         there = [row for row in camera_fog if abs(row["severity"]) == level(of_fog)]
         values[f"vif_{key}"] = number(measured(there, "vif"))
+        values[f"vif_swapped_plain_{key}"] = number(simulated(there, "plain", "vif_swapped"))
         values[f"vif_swapped_{key}"] = number(simulated(there, RECORDED, "vif_swapped"))
+    for name in ("ssim", "haarpsi", "dss", "gmsd"):
+        values[f"fog_ratio_{name}"] = number(simulated(camera_fog, RECORDED, name) / measured(camera_fog, name))
     fog_sdm = {variant: simulated(lidar_fog, variant, "sdm") / fog_real for variant in lidar_fog[0]["simulated"]}
     values |= {f"fog_share[{variant}]": percent(share) for variant, share in fog_sdm.items()}
     for name in ("psnr", "ssim", "vif"):
@@ -217,7 +218,26 @@ def page(found: dict[str, Any]) -> str:
         text = text.replace("{" + name + "}", str(value))
     if "{" in text:
         raise ValueError(f"d34_page.md: no value for {text[text.index('{') :][:40]!r}")
-    return text
+    return wrapped(text)
+
+
+def wrapped(text: str) -> str:
+    """Paragraphs and list items filled to the width; tables and headings as they are."""
+    blocks = []
+    for block in text.strip().split("\n\n"):
+        if block.startswith(("|", "#")):
+            blocks.append(block)
+            continue
+        items = re.split(r"\n(?=- )", block)
+        indent = ["  " if item.startswith("- ") else "" for item in items]
+        filled = [
+            textwrap.fill(
+                " ".join(item.split()), WIDTH, subsequent_indent=space, break_long_words=False, break_on_hyphens=False
+            )
+            for item, space in zip(items, indent, strict=True)
+        ]
+        blocks.append("\n".join(filled))
+    return "\n\n".join(blocks) + "\n"
 
 
 def main() -> int:
