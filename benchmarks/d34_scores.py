@@ -40,7 +40,7 @@ from torchweather.camera.effects.all import CameraAdherentDrops
 from torchweather.lidar.effects.all import LidarLimitedExtent, LidarWindowLoss
 from torchweather.metrics import bayer_scores, cloud_scores
 from torchweather.metrics.d34 import PublishedScore, published_scores
-from torchweather.physics import Binned, marshall_palmer, rain_fall_speed_m_per_s
+from torchweather.physics import Binned, fall_speed_after_m_per_s, marshall_palmer, rain_fall_speed_m_per_s
 from torchweather.physics.precipitation_rate import precipitation_rate_mm_per_h
 from torchweather.scenes import THI_RAIN_FIELD, Scene, SceneLabel, cerema_tunnel, lidar_view, test_track, thi_hall
 from torchweather.scenes.lidar_view import ROOF_MOUNT_M
@@ -57,7 +57,6 @@ TURN_DEG, FAR_TURN_DEG = 0.1, 1.0  # of the camera between the two recordings
 STOPS = 2.0  # by which both frames are darker
 NOZZLE_FALL_M = THI_RAIN_FIELD.high_m[2] - ROOF_MOUNT_M[2]
 EXTENTS = 12  # groups of beams of alike way through the rain field
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -180,13 +179,12 @@ def drops_of(diameter_mm: float) -> Binned:
 def falling_drops(rate_mm_per_h: float, fall_m: float) -> tw.Rain:
     """Marshall and Palmer's sizes with the flux of the rate, fallen from rest over a height, not at terminal speed.
 
-    Quadratic drag: ``v = v_t sqrt(1 - exp(-2 g h / v_t^2))``. As many drops cross the level, so their density is higher
-    by ``v_t / v``.
+    As many drops cross the level, so their density is higher by ``v_t / v``.
     """
     edges = torch.logspace(math.log10(0.1), math.log10(8.0), 61, dtype=torch.float64)
     middle = (edges[1:] * edges[:-1]).sqrt()
     terminal = rain_fall_speed_m_per_s(middle)
-    slower = (1.0 - torch.exp(-2.0 * GRAVITY * fall_m / terminal**2)).sqrt()
+    slower = fall_speed_after_m_per_s(terminal, fall_m) / terminal
     density = marshall_palmer(rate_mm_per_h).number_density_per_m3_mm(middle)
     full = Binned(edges, density)
     density = density * rate_mm_per_h / precipitation_rate_mm_per_h(full)

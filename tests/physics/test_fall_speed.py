@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from tests.oracles import load
-from torchweather.physics import flake_fall_speed_m_per_s, rain_fall_speed_m_per_s, snow_fall_speed_m_per_s
+from torchweather.physics import (
+    fall_speed_after_m_per_s,
+    flake_fall_speed_m_per_s,
+    rain_fall_speed_m_per_s,
+    snow_fall_speed_m_per_s,
+)
 from torchweather.physics.snow_geometry import physical_diameter_mm
 
 BLOCK = load("terminal_velocity")
@@ -73,3 +78,34 @@ def test_gradient(law: str) -> None:
 def test_unknown_law_is_refused() -> None:
     with pytest.raises(ValueError, match="Did you mean 'brandes'"):
         rain_fall_speed_m_per_s(1.0, "brands")
+
+
+def stepped_speed(terminal: float, height: float, step_s: float = 1e-4) -> float:
+    """``dv/dt = g (1 - v^2 / v_t^2)`` in small steps, until the height is fallen."""
+    speed = fallen = 0.0
+    while fallen < height:
+        speed += step_s * 9.80665 * (1.0 - (speed / terminal) ** 2)
+        fallen += step_s * speed
+    return speed
+
+
+def test_a_drop_from_rest_falls_as_newton_says() -> None:
+    heights = (0.05, 0.5, 3.0, 8.0)
+    for diameter in (0.5, 1.0, 4.0):
+        terminal = float(rain_fall_speed_m_per_s(diameter))
+        for height in heights:
+            # A step of 0.1 ms is 1 mm/s of speed at most.
+            assert float(fall_speed_after_m_per_s(terminal, height)) == pytest.approx(
+                stepped_speed(terminal, height), abs=2e-3
+            )
+    # Near the nozzle a drop falls freely; far from it, it has its terminal speed.
+    assert float(fall_speed_after_m_per_s(9.0, 1e-4)) == pytest.approx((2 * 9.80665 * 1e-4) ** 0.5, rel=1e-4)
+    assert fall_speed_after_m_per_s(torch.tensor([0.0, 9.0]), torch.inf).tolist() == [0.0, 9.0]
+    assert fall_speed_after_m_per_s(torch.tensor([0.0, 9.0]), 0.0).tolist() == [0.0, 0.0]
+
+
+def test_wrong_heights_and_speeds_are_refused() -> None:
+    with pytest.raises(ValueError, match="fall_m"):
+        fall_speed_after_m_per_s(4.0, -1.0)
+    with pytest.raises(ValueError, match="terminal_m_per_s"):
+        fall_speed_after_m_per_s(-4.0, 1.0)

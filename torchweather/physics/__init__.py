@@ -18,6 +18,7 @@ from torchweather.physics.extinction import (
     single_scattering_albedo,
 )
 from torchweather.physics.fall_speed import (
+    fall_speed_after_m_per_s,
     flake_fall_speed_m_per_s,
     rain_fall_speed_m_per_s,
     snow_fall_speed_m_per_s,
@@ -172,6 +173,7 @@ __all__ = [
     "rain_attenuation_coefficients",
     "rain_attenuation_db_per_km",
     "rain_attenuation_p838_db_per_km",
+    "fall_speed_after_m_per_s",
     "rain_fall_speed_m_per_s",
     "rain_q_back",
     "rain_rate_mm_per_h",

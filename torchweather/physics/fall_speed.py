@@ -5,12 +5,20 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.snow_geometry import melted_diameter_mm
 
-__all__ = ["RAIN_LAWS", "flake_fall_speed_m_per_s", "rain_fall_speed_m_per_s", "snow_fall_speed_m_per_s"]
+__all__ = [
+    "RAIN_LAWS",
+    "fall_speed_after_m_per_s",
+    "flake_fall_speed_m_per_s",
+    "rain_fall_speed_m_per_s",
+    "snow_fall_speed_m_per_s",
+]
+
+STANDARD_GRAVITY_M_PER_S2 = 9.80665
 
 RAIN_LAWS = ("brandes", "atlas-1973", "atlas-ulbrich")
 
@@ -61,6 +69,41 @@ def rain_fall_speed_m_per_s(diameter_mm: Quantity, law: str = "brandes") -> Tens
     # The polynomial turns down beyond 6 mm, where the speed is held.
     held = torch.where(diameter > 5.8, torch.full_like(held, LARGEST_M_PER_S), held)
     return torch.where(diameter < BRANDES_FROM_MM, _between_measured(diameter), held)
+
+
+def fall_speed_after_m_per_s(terminal_m_per_s: Quantity, fall_m: Quantity) -> Tensor:
+    """Speed of a particle that has fallen from rest over a height, as a sprinkler's drops have.
+
+    With a drag that grows as the square of the speed, ``v = v_t sqrt(1 - exp(-2 g h / v_t^2))``. Drops of one flux are
+    as many more as they are slower: ``v_t / v`` times the density of natural rain.
+
+    Args:
+        terminal_m_per_s: v_t, m/s, 0 or more, ``(...,)``, such as `rain_fall_speed_m_per_s`.
+        fall_m: h, m, 0 or more; broadcast against it. Infinity gives the terminal speed.
+
+    Returns:
+        m/s, float64.
+
+    Note:
+        The drag of small drops grows more slowly than that; below 0.5 mm they have their speed within a metre or so.
+
+    References:
+        Motion under gravity and quadratic drag, in any book of mechanics.
+
+    Example:
+        >>> fall_speed_after_m_per_s(rain_fall_speed_m_per_s(torch.tensor([0.5, 4.0])), 3.0).round(decimals=2)
+        tensor([2.1300, 6.4200], dtype=torch.float64)
+    """
+    owner = "fall_speed_after_m_per_s"
+    check_arguments("fall_speed_after_m_per_s(terminal_m_per_s: Quantity, fall_m: Quantity)", terminal_m_per_s, fall_m)
+    terminal, height = to_float64(terminal_m_per_s, fall_m)
+    check_broadcast(owner, terminal_m_per_s=terminal, fall_m=height)
+    check_at_least("terminal_m_per_s", terminal, 0.0, unit="m/s", owner=owner)
+    check_at_least("fall_m", height, 0.0, unit="m", owner=owner)
+    still = terminal == 0
+    square = torch.where(still, 1.0, terminal).square()
+    speed = (square * -torch.expm1(-2.0 * STANDARD_GRAVITY_M_PER_S2 * height / square)).sqrt()
+    return torch.where(still, torch.zeros_like(speed), speed)
 
 
 def _brandes(diameter: Tensor) -> Tensor:

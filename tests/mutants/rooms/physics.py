@@ -163,4 +163,12 @@ MUTANTS = (
         "    lengthened = 0.0 * n",
         ("tests/physics/test_flake_reflectivity.py::test_photons_through_a_layer_of_grains",),
     ),
+    Mutant(
+        "half_the_energy_of_a_fall",
+        "a fall from rest gives v^2 = 2 g h before drag counts",
+        FALL_SPEED,
+        "-2.0 * STANDARD_GRAVITY_M_PER_S2",
+        "-STANDARD_GRAVITY_M_PER_S2",
+        ("tests/physics/test_fall_speed.py::test_a_drop_from_rest_falls_as_newton_says",),
+    ),
 )
