@@ -173,3 +173,38 @@ def phase_of_cosine(distribution: SizeDistribution, wavelength_nm: float) -> Cal
     angle = np.concatenate([[0.0], np.geomspace(1e-4, math.pi, 3000)]).clip(0.0, math.pi)
     per_sr = mie_phase_function_per_sr(distribution, wavelength_nm, torch.from_numpy(angle)).numpy()
     return lambda cosine: np.interp(np.arccos(np.clip(cosine, -1.0, 1.0)), angle, per_sr)
+
+
+def lidar_orders(
+    half_angle_rad: float,
+    aperture_m: float,
+    extinction_per_m: float,
+    angles: Callable[[Array], Array],
+    per_sr: Callable[[Array], Array],
+    photons: int,
+    seed: int,
+    edges_m: Array,
+) -> Array:
+    """Light of a LiDAR's pulse that fog sends back into its view, by order of scattering and range, ``(12, K)``.
+
+    Photons leave a cone; at each scattering the light that goes straight back to the receiver counts where the
+    receiver, whose view is the cone, sees the place. Range is half of the way that the light went.
+    """
+    random = np.random.default_rng(seed)
+    off, around = np.sqrt(random.random(photons)) * half_angle_rad, 2.0 * math.pi * random.random(photons)
+    direction = np.stack([off * np.cos(around), off * np.sin(around), np.sqrt(1.0 - off**2)], 1)
+    place, way, found = np.zeros((photons, 3)), np.zeros(photons), np.zeros((12, len(edges_m) - 1))
+    for order in range(len(found)):
+        step = random.exponential(size=len(place)) / extinction_per_m
+        place, way = place + direction * step[:, None], way + step
+        inside = way < 2.0 * edges_m[-1]
+        place, direction, way = place[inside], direction[inside], way[inside]
+        back_m = np.linalg.norm(place, axis=1)
+        lateral = np.hypot(place[:, 0], place[:, 1])
+        seen = (place[:, 2] > 0) & (lateral < half_angle_rad * place[:, 2] + 0.5 * aperture_m)
+        cosine = -(direction * place).sum(1) / np.maximum(back_m, 1e-9)
+        power = np.exp(-extinction_per_m * back_m) / np.maximum(back_m, 1e-3) ** 2 * per_sr(cosine)
+        found[order] = np.histogram(0.5 * (way + back_m)[seen], edges_m, weights=power[seen])[0] / photons
+        turn = angles(random.random(len(place))), 2.0 * math.pi * random.random(len(place))
+        direction = turned(direction, *turn)
+    return found
