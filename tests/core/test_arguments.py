@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import torchweather
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import call_given, check_arguments, check_broadcast
 from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.image import demosaic
 from torchweather.io import read_points
@@ -31,7 +31,13 @@ FITTING: list[tuple[str, Any]] = [
     ("bool", np.bool_(True)),
     ("Quantity", [1.0, 2.0]),
     ("Quantity", torch.arange(3)),
+    ("Quantity", [[1.0, 2.0], [3.0, 4.0]]),
+    ("Quantity", [torch.tensor(1.0), 2.0]),
+    ("Quantity", []),
+    ("Sequence[float]", np.array([1.0, 2.0])),
+    ("Sequence[int]", range(3)),
     ("Mapping", OrderedDict()),
+    ("Mapping[str]", {"a": 1}),
     ("Sequence[Tensor]", [torch.zeros(1)]),
     ("Iterable", iter([1])),
     ("Callable", len),
@@ -56,7 +62,13 @@ OTHER: list[tuple[str, Any, str]] = [
     ("real", torch.tensor([1j]), "a must be a tensor of real numbers; got torch.complex64"),
     ("floating", torch.arange(3), "a must be a floating-point tensor; got torch.int64"),
     ("Quantity", torch.tensor([True]), "a must be a number or a tensor of real numbers"),
+    ("Quantity", [[1.0, 2.0], [3.0]], "a must be a number or a tensor of real numbers"),
+    ("Quantity", [1.0, "a"], "a must be a number or a tensor of real numbers"),
     ("Sequence", "abc", "a must be a sequence"),
+    ("Sequence[float]", torch.zeros(2, 3), "a must be a sequence of float"),
+    ("Sequence[float]", [np.array(2.0), 1.0], "a must be a sequence of float"),
+    ("Sequence[str]", range(3), "a must be a sequence of str"),
+    ("Mapping[str]", {1: None}, "a must be a mapping of str"),
     ("Sequence[Tensor]", [torch.zeros(1), 2], "a must be a sequence of Tensor"),
     ("Camera | None", object(), "a must be a Camera or None"),
     ("array", np.array(["a"]), "a must be an array of real numbers"),
@@ -88,6 +100,19 @@ def test_shapes_are_compared_with_each_other() -> None:
         check_arguments(head, torch.zeros(5, 4), torch.zeros(6, dtype=torch.int64))
     with pytest.raises(InputValueError, match=r"points must have shape \(\.\.\., N, 3 or more\).*; got \(5, 2\)"):
         check_arguments(head, torch.zeros(5, 2), torch.zeros(5, dtype=torch.int64))
+
+
+def test_lists_broadcast_as_tensors_do() -> None:
+    check_broadcast("f", first=[[1.0], [2.0]], second=torch.zeros(3), third=1.0)
+    with pytest.raises(InputValueError, match=r"f: shapes must broadcast; got first \(0,\), second \(2, 3\)"):
+        check_broadcast("f", first=[], second=torch.zeros(2, 3))
+
+
+def test_a_function_that_does_not_take_its_values_is_named() -> None:
+    with pytest.raises(InputTypeError, match=r"f: law must take .* which raises ValueError: only one element"):
+        call_given("f", "law", float, torch.zeros(2))
+    with pytest.raises(InputValueError, match="demosaic"):  # an error of the package stays as it is
+        call_given("f", "law", lambda raw: demosaic(raw, "RGGB"), torch.zeros(3))
 
 
 @pytest.mark.parametrize("path", ["a\0b", "\ud800", b"a"])

@@ -169,16 +169,22 @@ def mean_density(extra_m: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: 
         step_m,
     )
     check_broadcast("mean_density", azimuth_rad=azimuth_rad, range_m=range_m)
+    check_between("step_m", step_m, 1e-6, 1e9, unit="m", owner="mean_density")
+    check_between("azimuth_rad", azimuth_rad, -1e3, 1e3, unit="radians", owner="mean_density")
+    check_at_least("range_m", range_m, 0.0, unit="m", owner="mean_density")
     if max(azimuth_rad.ndim, range_m.ndim) < 2:
         raise InputValueError(
             f"mean_density: places must be (B or 1, ...); got {tuple(azimuth_rad.shape)} and {tuple(range_m.shape)}."
         )
     compiling = torch.compiler.is_compiling()  # a comparison of sizes would fix them in a graph
-    batch = 1 if compiling else max(azimuth_rad.shape[0], range_m.shape[0])
+    both = torch.broadcast_shapes(azimuth_rad.shape, range_m.shape)  # type: ignore[no-untyped-call]
+    batch = 1 if compiling else both[0]
     if batch != 1 and batch != len(extra_m):
         raise InputValueError(f"mean_density: places must be of {len(extra_m)} samples or of one; got {batch}.")
-    way_m = range_m.clamp_min(SHORTEST_M)
-    return 1.0 + _read(extra_m, azimuth_rad, way_m, step_m) / way_m
+    kind = torch.promote_types(azimuth_rad.dtype, range_m.dtype)
+    exact = torch.promote_types(kind, torch.float32)  # float16 does not count the places of the table
+    way_m = range_m.to(exact).clamp_min(SHORTEST_M)
+    return (1.0 + _read(extra_m, azimuth_rad.to(exact), way_m, step_m) / way_m).to(kind)
 
 
 def _read(table: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: float) -> Tensor:

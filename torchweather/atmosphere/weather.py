@@ -196,6 +196,7 @@ class Weather:
                 raise InputValueError(f"{cls.__name__}: unknown field {key!r}.{nearest_name(key, known)}")
             if key == cls.intensity_name and isinstance(value, list):
                 check_value(value, NUMBERS, cls.__name__, key)
+                check_arguments(f"{cls.__name__}({key}: Quantity)", value)  # lists as long as each other
                 value = torch.tensor(value)
             if key == "size_distribution" and not isinstance(value, (str, Mapping, Binned)):
                 raise InputTypeError(f"{cls.__name__}: {key} must be a name or its bins; got {value!r}.")

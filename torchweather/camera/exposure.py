@@ -127,6 +127,12 @@ class ExposureControl(_Metering):
         highest_gain: float = 8.0,
     ) -> None:
         super().__init__(statistic, window)
+        check_arguments(
+            "ExposureControl(target: float | None, lowest_gain: float, highest_gain: float)",
+            target,
+            lowest_gain,
+            highest_gain,
+        )
         if target is not None:
             check_between("target", target, 1e-4, 1.0, unit="of saturation", owner=self)
         check_between("lowest_gain", lowest_gain, 1e-3, 1.0, owner=self)

@@ -161,6 +161,8 @@ class ExtinctionAndAirlight(Stage):
             _warn_outside_table13(fog)
         self.weather = fog
         self.wavelengths_nm = tuple(float(w) for w in wavelengths_nm)
+        if not self.wavelengths_nm:
+            raise InputValueError("ExtinctionAndAirlight: wavelengths_nm must have one entry or more; got none.")
         self.extinction_model, self.variant, self.scattering = extinction, variant, scattering
         self.given_airlight = airlight_argument(airlight, self)
         # A copy: .to(dtype) or load_state_dict of one stage must not reach the cached table of all others.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchweather.camera.bayer import cfa_index, colour_means
 from torchweather.camera.demosaic import demosaic
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
 from torchweather.core.precision import outside_autocast
 
@@ -122,9 +122,10 @@ def white_balance(rgb: Tensor, gains: Tensor | Sequence[float]) -> Tensor:
         >>> white_balance(torch.full((3, 1, 1), 0.25), (2.0, 1.0, 1.5)).flatten()
         tensor([0.5000, 0.2500, 0.3750])
     """
-    check_arguments("white_balance(rgb: floating(..., 3, H, W), gains: Tensor | Sequence[float])", rgb, gains)
+    check_arguments("white_balance(rgb: floating(..., 3, H, W), gains: real | Sequence[float])", rgb, gains)
     factors = torch.as_tensor(gains, dtype=rgb.dtype, device=rgb.device)
     check_arguments("white_balance(gains: floating(..., 3))", factors)
+    check_broadcast("white_balance", rgb=rgb[..., 0, 0], gains=factors)
     return rgb * factors[..., None, None]
 
 
@@ -166,7 +167,7 @@ def colour_matrix(rgb: Tensor, matrix: Tensor | Sequence[Sequence[float]]) -> Te
         >>> colour_matrix(torch.tensor([0.1, 0.2, 0.3])[:, None, None], swap).flatten()
         tensor([0.3000, 0.2000, 0.1000])
     """
-    check_arguments("colour_matrix(rgb: floating(..., 3, H, W), matrix: Tensor | Sequence)", rgb, matrix)
+    check_arguments("colour_matrix(rgb: floating(..., 3, H, W), matrix: Quantity)", rgb, matrix)
     try:
         weights = torch.as_tensor(matrix, dtype=rgb.dtype, device=rgb.device)
     except (TypeError, ValueError, RuntimeError) as error:

@@ -50,7 +50,10 @@ class Collate:
     def __post_init__(self) -> None:
         check_arguments("Collate(clouds_as: str)", self.clouds_as)
         check_one_of("clouds_as", self.clouds_as, CLOUDS_AS, owner=self)
-        if not hasattr(self.clouds, "__len__") or isinstance(self.clouds, str):
+        keys: tuple[object, ...] = (None,)
+        if not isinstance(self.clouds, (str, Tensor, np.ndarray)) and hasattr(self.clouds, "__len__"):
+            keys = tuple(self.clouds)
+        if not all(isinstance(key, str) for key in keys):
             raise InputTypeError(
                 f"Collate: clouds must be a sequence of keys, ({self.clouds!r},); got {self.clouds!r}."
             )

@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.exceptions import InputTypeError, InputValueError
+from torchweather.core.exceptions import InputTypeError, InputValueError, TorchweatherError
 from torchweather.core.file_names import check_no_device
 
-__all__ = ["check_arguments", "check_broadcast"]
+__all__ = ["call_given", "check_arguments", "check_broadcast"]
 
 Sizes = dict[str, int]
 
@@ -30,8 +30,8 @@ def check_arguments(head: str, *values: object) -> None:
     ``Sequence``, ``Iterable``, ``Callable``, ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any
     dtype, ``real``, ``floating``, ``whole``, ``mask``) and names of classes. ``|`` stands between kinds that are all
     allowed. A tensor's shape follows in brackets: a number, ``3+`` for three or more, a letter for a size that is the
-    same wherever it stands, ``...`` for any axes in front. The kind of a sequence's elements follows in square
-    brackets: ``Sequence[float]``. Inside a compiled graph no argument is checked.
+    same wherever it stands, ``...`` for any axes in front. The kind of a sequence's elements, or of a
+    mapping's keys, follows in square brackets: ``Sequence[float]``. Inside a compiled graph no argument is checked.
 
     Args:
         head: such as ``"project(points: floating(..., N, 3+), camera: Camera)"``.
@@ -62,6 +62,27 @@ def check_arguments(head: str, *values: object) -> None:
             _check_path(owner, name, os.fspath(value))  # type: ignore[call-overload]
 
 
+def call_given(owner: str, name: str, function: Callable[..., Any], *values: object) -> Any:
+    """What a function that the user gives makes of some values; `InputTypeError` where it does not take them.
+
+    Example:
+        >>> call_given("gain", "law", abs, -1.5)
+        1.5
+        >>> call_given("gain", "law", len, 1.5)
+        Traceback (most recent call last):
+        torchweather.core.exceptions.InputTypeError: gain: law must take what it is called with; got ...
+    """
+    try:
+        return function(*values)
+    except TorchweatherError:
+        raise
+    except (TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise InputTypeError(
+            f"{owner}: {name} must take what it is called with; got {_shown(function)}, which raises "
+            f"{type(error).__name__}: {str(error)[:200]}."
+        ) from error
+
+
 def check_broadcast(owner: str, **values: object) -> None:
     """Raise `InputValueError` unless the tensors and arrays among some arguments broadcast.
 
@@ -70,14 +91,20 @@ def check_broadcast(owner: str, **values: object) -> None:
     """
     if torch.compiler.is_compiling():
         return
-    shapes = {name: tuple(value.shape) for name, value in values.items() if isinstance(value, (Tensor, np.ndarray))}
+    shapes = {name: _shape(value) for name, value in values.items()}
     if len(set(shapes.values())) < 2:
         return
     try:
         torch.broadcast_shapes(*shapes.values())  # type: ignore[no-untyped-call]
     except RuntimeError as error:
-        words = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        words = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
         raise InputValueError(f"{owner}: shapes must broadcast; got {words}.") from error
+
+
+def _shape(value: object) -> tuple[int, ...]:
+    if isinstance(value, (Tensor, np.ndarray)):
+        return tuple(value.shape)
+    return tuple(torch.as_tensor(value).shape) if _is_sequence(value) else ()
 
 
 @dataclass(frozen=True)
@@ -102,8 +129,12 @@ class _Kind:
             return True
         if not _KINDS[self.name][1](value):
             return False
-        looked_at = self.element is not None and isinstance(value, (list, tuple))
-        return not looked_at or all(self.element.fits(one) for one in value)  # type: ignore[union-attr]
+        looked_at = self.element is not None and (_is_sequence(value) or isinstance(value, Mapping))  # its keys
+        return not looked_at or all(map(self.element.fits_in_a_row, value))  # type: ignore[union-attr]
+
+    def fits_in_a_row(self, value: Any) -> bool:
+        """An array of one number is no element of a row: torch cannot join them."""
+        return self.fits(value) and not (self.name in ("float", "int") and isinstance(value, np.ndarray))
 
 
 def _is_number(value: Any) -> bool:
@@ -126,12 +157,23 @@ def _is_odd(value: Tensor | np.ndarray[Any, Any]) -> bool:
 
 
 def _is_quantity(value: Any) -> bool:
-    return not _is_odd(value) if isinstance(value, (Tensor, np.ndarray)) else _is_number(value) or _is_sequence(value)
+    if isinstance(value, (Tensor, np.ndarray)):
+        return not _is_odd(value)
+    return _is_number(value) or (_is_sequence(value) and _is_nested(value))
+
+
+def _is_nested(value: Any) -> bool:
+    """True for nested sequences of numbers that are as long as each other."""
+    try:
+        found = torch.as_tensor(value)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        return False
+    return not _is_odd(found)
 
 
 def _is_row(value: Any) -> bool:
-    """True for an array or a tensor of numbers, which serves as a sequence of them."""
-    return isinstance(value, (Tensor, np.ndarray)) and value.ndim > 0 and not _is_odd(value)
+    """True for an array or a tensor of numbers in a row, which serves as a sequence of them."""
+    return isinstance(value, (Tensor, np.ndarray)) and value.ndim == 1 and not _is_odd(value)
 
 
 def _is_iterable(value: Any) -> bool:

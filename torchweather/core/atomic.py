@@ -78,6 +78,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     if not target.parent.is_dir():
         raise TorchweatherError(f"{target}: cannot be written, there is no folder {target.parent}. Create it first.")
+    if target.is_dir():
+        raise TorchweatherError(f"{target}: cannot be written, it is a folder. Give the name of a file.")
     unfinished = target.with_name(f".{target.stem[:100]}.{uuid.uuid4().hex}{target.suffix}")
     try:
         yield unfinished

@@ -127,7 +127,10 @@ def turned_yaw(angle_rad: Tensor, plane: Tensor, rotation: Tensor) -> Tensor:
 
 def turned_back(yaw_rad: Tensor, plane: Tensor, rotation: Tensor) -> Tensor:
     """The inverse of `turned_yaw`, exact also where the frames are tilted against each other; -pi to pi."""
-    flat = torch.linalg.inv((rotation @ plane)[:2])
+    flat = (rotation @ plane)[:2]
+    if float(torch.linalg.det(flat).abs()) < 1e-6:
+        raise InputValueError("boxes: expected a transform that keeps headings level; got one that turns them upright.")
+    flat = torch.linalg.inv(flat)
     heading = torch.stack((torch.cos(yaw_rad), torch.sin(yaw_rad)), dim=-1) @ flat.T
     angle = torch.atan2(heading[:, 1], heading[:, 0])
     return torch.where(angle <= -math.pi, angle + 2 * math.pi, angle)

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import call_given, check_arguments
 from torchweather.core.errors import InputValueError, TorchweatherError, check_between, check_one_of
 from torchweather.core.extras import install_hint
 from torchweather.core.precision import outside_autocast
+from torchweather.core.schema import is_number
 from torchweather.metrics.box_overlap import bev_coverage, bev_iou, box_coverage, box_iou
 from torchweather.metrics.detection_curve import INTERPOLATIONS, MatchedBoxes
 from torchweather.metrics.detection_input import ImageBoxes, in_order
@@ -198,12 +199,23 @@ def _overlaps(
     found: ImageBoxes, mine: list[int], there: ImageBoxes, theirs: list[int], overlap: Overlap, beside: Overlap
 ) -> Floats:
     """Overlaps ``(detections, truths)`` of an image and class; with truths to be ignored by a rule of their own."""
-    values: Floats = overlap(found.boxes[mine], there.boxes[theirs]).cpu().numpy()
+    values = _overlap(overlap, found.boxes[mine], there.boxes[theirs])
     ignored = np.flatnonzero(there.ignore[theirs])
     if len(ignored) and beside is not overlap:
         regions = there.boxes[[theirs[k] for k in ignored]]
         values = values.copy()
-        values[:, ignored] = beside(found.boxes[mine], regions).cpu().numpy()
+        values[:, ignored] = _overlap(beside, found.boxes[mine], regions)
+    return values
+
+
+def _overlap(overlap: Overlap, first: Tensor, second: Tensor) -> Floats:
+    """Overlaps as an array, the function and its value checked."""
+    found = call_given("average_precision", "overlap", overlap, first, second)
+    if not isinstance(found, Tensor) or found.shape != (len(first), len(second)):
+        raise InputValueError(
+            f"average_precision: overlap must give a tensor ({len(first)}, {len(second)}); got {found!r:.200}."
+        )
+    values: Floats = found.detach().cpu().numpy()
     return values
 
 
@@ -231,5 +243,7 @@ def _check_arguments(
     for threshold in thresholds:
         check_between("thresholds", threshold, 1e-9, 1.0, owner=name)
     for bounds in ranges_m:
-        if len(bounds) != 2 or not 0 <= bounds[0] < bounds[1]:
+        values = bounds.tolist() if isinstance(bounds, (np.ndarray, Tensor)) else bounds
+        pair = isinstance(values, Sequence) and len(values) == 2 and all(map(is_number, values))
+        if not pair or not 0 <= bounds[0] < bounds[1]:
             raise InputValueError(f"{name}: ranges_m must be pairs of distances in m, 0 <= low < high; got {bounds!r}.")

@@ -33,6 +33,10 @@ class ImageBoxes:
         labels = entry["labels"]
         self.labels = labels.tolist() if isinstance(labels, (np.ndarray, Tensor)) else list(labels)
         count = len(self.labels)
+        if not all(isinstance(label, Hashable) for label in self.labels):
+            raise InputValueError(
+                f"average_precision: {where}: labels must be one name or number a box; got {labels!r:.200}."
+            )
         boxes = torch.as_tensor(_numbers(entry["boxes"], f"{where}: boxes"))
         self.boxes = boxes if boxes.numel() or boxes.ndim > 1 else boxes.reshape(0, 4)
         if len(self.boxes) != count:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputTypeError, InputValueError
 
 __all__ = ["SceneTrends", "Trend", "expected_trends"]
 
@@ -143,6 +143,11 @@ def _scene(
     bootstrap: _Bootstrap,
 ) -> SceneTrends:
     check_arguments("expected_trends(scores: Mapping)", metrics)
+    for metric, levels in metrics.items():
+        if not (isinstance(levels, Sequence) or getattr(levels, "ndim", 0)) or isinstance(levels, str):
+            raise InputTypeError(
+                f"expected_trends: {scene}: {metric} must have one entry per level; got {levels!r:.200}."
+            )
     counts = {len(levels) for levels in metrics.values()}
     if len(counts) > 1:
         raise InputValueError(

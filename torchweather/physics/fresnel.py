@@ -113,6 +113,11 @@ def axial_q_back(
     )
     check_broadcast("axial_q_back", index=refractive_index, diameter_mm=diameter_mm, wavelength_nm=wavelength_nm)
     m = _checked_index(refractive_index, "axial_q_back")
+    if not torch.compiler.is_compiling() and bool((m.real >= 2.0).any()):
+        raise InputValueError(
+            "axial_q_back: the real part of refractive_index must be below 2, where the rear glint has a focus; got "
+            f"{float(m.real.detach().max()):g}."
+        )
     reflected = normal_reflectance(torch.complex(m.real, torch.zeros_like(m.real)))
     rear = (1.0 - reflected) ** 2 * (m.real / (2.0 - m.real)) ** 2
     if diameter_mm is not None and wavelength_nm is not None:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import call_given, check_arguments
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.fall_speed import (
     flake_fall_speed_m_per_s,
@@ -60,7 +60,8 @@ def precipitation_rate_mm_per_h(distribution: SizeDistribution, fall_speed: Fall
         fall_speed,
     )
     diameter, width = distribution.quadrature()
-    speed = (fall_speed_law(distribution.particle) if fall_speed is None else fall_speed)(diameter)
+    law = fall_speed_law(distribution.particle) if fall_speed is None else fall_speed
+    speed: Tensor = call_given("precipitation_rate_mm_per_h", "fall_speed", law, diameter)
     water_mm3 = math.pi / 6.0 * diameter**3
     if distribution.particle == "flake":
         water_mm3 = water_mm3 * snow_bulk_density_g_per_cm3(diameter)

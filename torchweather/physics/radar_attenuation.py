@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.radar_scattering import particle_attenuation_db_per_km
@@ -110,6 +110,9 @@ def fog_attenuation_coefficient_db_per_km_per_g_per_m3(
         frequency_ghz,
         temperature_c,
     )
+    check_broadcast(
+        "fog_attenuation_coefficient_db_per_km_per_g_per_m3", frequency_ghz=frequency_ghz, temperature_c=temperature_c
+    )
     frequency, celsius = to_float64(frequency_ghz, temperature_c)
     check_between(
         "frequency_ghz",
@@ -153,6 +156,12 @@ def fog_attenuation_db_per_km(
         frequency_ghz,
         temperature_c,
         variant,
+    )
+    check_broadcast(
+        "fog_attenuation_db_per_km",
+        liquid_water_g_per_m3=liquid_water_g_per_m3,
+        frequency_ghz=frequency_ghz,
+        temperature_c=temperature_c,
     )
     check_one_of("variant", variant, ("default", "d3_4"), owner="fog_attenuation_db_per_km")
     check_at_least("liquid_water_g_per_m3", liquid_water_g_per_m3, 0.0, unit="g/m^3", owner="fog_attenuation_db_per_km")

@@ -42,6 +42,7 @@ def radar_constant_db(
         antenna_gain_dbi,
         loss_db,
     )
+    check_broadcast("radar_constant_db", transmit_power_dbm=transmit_power_dbm, antenna_gain_dbi=antenna_gain_dbi)
     check_between("frequency_ghz", frequency_ghz, 1e-6, 1e6, unit="GHz", owner="radar_constant_db")
     _check_shapes("radar_constant_db", transmit_power_dbm=transmit_power_dbm, antenna_gain_dbi=antenna_gain_dbi)
     power, gain, loss = to_float64(transmit_power_dbm, antenna_gain_dbi, loss_db)
@@ -87,6 +88,14 @@ def received_power_dbm(
         antenna_gain_dbi,
         loss_db,
         attenuation_db,
+    )
+    check_broadcast(
+        "received_power_dbm",
+        rcs_dbsm=rcs_dbsm,
+        range_m=range_m,
+        transmit_power_dbm=transmit_power_dbm,
+        antenna_gain_dbi=antenna_gain_dbi,
+        attenuation_db=attenuation_db,
     )
     _check_shapes(
         "received_power_dbm",
@@ -137,6 +146,14 @@ def target_rcs_dbsm(
         loss_db,
         attenuation_db,
     )
+    check_broadcast(
+        "target_rcs_dbsm",
+        power_dbm=power_dbm,
+        range_m=range_m,
+        transmit_power_dbm=transmit_power_dbm,
+        antenna_gain_dbi=antenna_gain_dbi,
+        attenuation_db=attenuation_db,
+    )
     _check_shapes(
         "target_rcs_dbsm",
         power_dbm=power_dbm,
@@ -174,6 +191,7 @@ def thermal_noise_dbm(bandwidth_hz: Quantity, noise_figure_db: Quantity = 0.0) -
         bandwidth_hz,
         noise_figure_db,
     )
+    check_broadcast("thermal_noise_dbm", bandwidth_hz=bandwidth_hz, noise_figure_db=noise_figure_db)
     check_positive("bandwidth_hz", bandwidth_hz, unit="Hz", owner="thermal_noise_dbm")
     check_between("noise_figure_db", noise_figure_db, 0.0, 100.0, unit="dB", owner="thermal_noise_dbm")
     _check_shapes("thermal_noise_dbm", bandwidth_hz=bandwidth_hz, noise_figure_db=noise_figure_db)

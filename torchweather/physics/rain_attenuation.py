@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import check_at_least, check_between
 from torchweather.physics.float64 import Quantity, to_float64
 
@@ -127,6 +127,13 @@ def rain_attenuation_p838_db_per_km(
         frequency_ghz,
         polarisation_tilt_rad,
         elevation_rad,
+    )
+    check_broadcast(
+        "rain_attenuation_p838_db_per_km",
+        rate_mm_per_h=rate_mm_per_h,
+        frequency_ghz=frequency_ghz,
+        polarisation_tilt_rad=polarisation_tilt_rad,
+        elevation_rad=elevation_rad,
     )
     check_at_least("rate_mm_per_h", rate_mm_per_h, 0.0, unit="mm/h", owner="rain_attenuation_p838_db_per_km")
     rate, frequency, tilt, elevation = to_float64(rate_mm_per_h, frequency_ghz, polarisation_tilt_rad, elevation_rad)

@@ -93,6 +93,7 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
         wavelength_nm,
         temperature_c,
     )
+    check_broadcast("water_refractive_index", wavelength_nm=wavelength_nm, temperature_c=temperature_c)
     wavelength, t = to_float64(wavelength_nm, temperature_c)
     _check_optical(wavelength, "water_refractive_index")
     check_between("temperature_c", t, -20.0, 60.0, unit="deg C", owner="water_refractive_index")
@@ -177,6 +178,7 @@ def water_permittivity_microwave(frequency_ghz: Quantity, temperature_c: Quantit
         frequency_ghz,
         temperature_c,
     )
+    check_broadcast("water_permittivity_microwave", frequency_ghz=frequency_ghz, temperature_c=temperature_c)
     f, t = to_float64(frequency_ghz, temperature_c)
     check_between("frequency_ghz", f, 1.0, 1000.0, unit="GHz", owner="water_permittivity_microwave")
     check_between("temperature_c", t, -20.0, 60.0, unit="deg C", owner="water_permittivity_microwave")
@@ -208,6 +210,7 @@ def water_refractive_index_microwave(frequency_ghz: Quantity, temperature_c: Qua
         frequency_ghz,
         temperature_c,
     )
+    check_broadcast("water_refractive_index_microwave", frequency_ghz=frequency_ghz, temperature_c=temperature_c)
     return torch.sqrt(water_permittivity_microwave(frequency_ghz, temperature_c))
 
 
@@ -232,6 +235,7 @@ def ice_permittivity_microwave(frequency_ghz: Quantity, temperature_c: Quantity 
         frequency_ghz,
         temperature_c,
     )
+    check_broadcast("ice_permittivity_microwave", frequency_ghz=frequency_ghz, temperature_c=temperature_c)
     f, t = to_float64(frequency_ghz, temperature_c)
     check_between("frequency_ghz", f, 1.0, 1000.0, unit="GHz", owner="ice_permittivity_microwave")
     check_between("temperature_c", t, -40.0, 0.0, unit="deg C", owner="ice_permittivity_microwave")
@@ -264,6 +268,7 @@ def ice_refractive_index_microwave(frequency_ghz: Quantity, temperature_c: Quant
         frequency_ghz,
         temperature_c,
     )
+    check_broadcast("ice_refractive_index_microwave", frequency_ghz=frequency_ghz, temperature_c=temperature_c)
     return torch.sqrt(ice_permittivity_microwave(frequency_ghz, temperature_c))
 
 
@@ -317,6 +322,12 @@ def snow_refractive_index_microwave(
         density_g_per_cm3,
         temperature_c,
     )
+    check_broadcast(
+        "snow_refractive_index_microwave",
+        frequency_ghz=frequency_ghz,
+        density_g_per_cm3=density_g_per_cm3,
+        temperature_c=temperature_c,
+    )
     (density,) = to_float64(density_g_per_cm3)
     ice = ice_permittivity_microwave(frequency_ghz, temperature_c)
     return torch.sqrt(maxwell_garnett(1.0, ice, density / ICE_DENSITY_G_PER_CM3))
@@ -361,6 +372,13 @@ def wet_snow_refractive_index_microwave(
         density_g_per_cm3,
         melt_fraction,
         temperature_c,
+    )
+    check_broadcast(
+        "wet_snow_refractive_index_microwave",
+        frequency_ghz=frequency_ghz,
+        density_g_per_cm3=density_g_per_cm3,
+        melt_fraction=melt_fraction,
+        temperature_c=temperature_c,
     )
     density, fraction = to_float64(density_g_per_cm3, melt_fraction)
     check_between("melt_fraction", fraction, 0.0, 1.0, owner="wet_snow_refractive_index_microwave")

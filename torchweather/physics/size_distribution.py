@@ -90,6 +90,11 @@ class SizeDistribution(ABC):
     def _span_mm(self) -> tuple[float, float]:
         """Diameters that hold all but 1e-12 of the moments 2 to 6, the domain ignored, over the whole batch."""
 
+    def _check_any(self, *parameters: Tensor) -> None:
+        """Refuse to give a span of no distribution at all."""
+        if not all(one.numel() for one in parameters):
+            raise InputValueError(f"{type(self).__name__}: expected one distribution or more; got none.")
+
     @abstractmethod
     def scaled(self, factor: Quantity) -> Self:
         """The same shape with ``factor`` times as many particles; ``factor`` broadcasts against the parameters.

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_at_least, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_one_of, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.incomplete_gamma import incomplete_gamma_between
 from torchweather.physics.size_distribution import Per, SizeDistribution
@@ -89,6 +89,7 @@ class Exponential(SizeDistribution):
 
     def _span_mm(self) -> tuple[float, float]:
         _, slope = self._parameters()
+        self._check_any(slope)
         high = 70.0 / float(slope.detach().min())  # e^-70 70^6 is 1e-19 of the sixth moment
         return 1e-5 / float(slope.detach().max()), high
 
@@ -147,8 +148,7 @@ class Gamma(SizeDistribution):
 
     def _span_mm(self) -> tuple[float, float]:
         _, mu, slope = self._parameters()
-        if not slope.numel() or not mu.numel():
-            raise InputValueError(f"{type(self).__name__}: expected one distribution or more; got none.")
+        self._check_any(slope, mu)
         high = float(((70.0 + 4.0 * mu.clamp_min(0.0)) / slope).detach().max())
         return 1e-5 / float(slope.detach().max()), high
 
@@ -221,6 +221,7 @@ class ModifiedGamma(SizeDistribution):
 
     def _span_mm(self) -> tuple[float, float]:
         _, alpha, gamma, b = (parameter.detach() for parameter in self._parameters())
+        self._check_any(alpha, gamma, b)
         radius_um = ((70.0 + 4.0 * (alpha + 1.0) / gamma) / b) ** (1.0 / gamma)
         high = 2.0 * MM_PER_UM * float(radius_um.max())
         return 1e-6 * 2.0 * MM_PER_UM * float(radius_um.min()), high
@@ -294,8 +295,7 @@ class LogNormal(SizeDistribution):
 
     def _span_mm(self) -> tuple[float, float]:
         _, log_median_mm, sigma = (parameter.detach() for parameter in self._parameters())
-        if not log_median_mm.numel() or not sigma.numel():
-            raise InputValueError(f"{type(self).__name__}: expected one distribution or more; got none.")
+        self._check_any(log_median_mm, sigma)
         high = float((log_median_mm + 8.0 * sigma + 6.0 * sigma**2).max())
         return math.exp(float((log_median_mm - 8.0 * sigma).min())), math.exp(high)
 

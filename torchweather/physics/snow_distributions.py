@@ -7,7 +7,7 @@ from functools import partial
 
 import torch
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import check_at_least, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.precipitation_rate import close_rate
@@ -149,6 +149,7 @@ def brandes_snow(
         diameter_min_mm,
         diameter_max_mm,
     )
+    check_broadcast("brandes_snow", rate_mm_per_h=rate_mm_per_h, temperature_c=temperature_c)
     rate, present = rate_and_presence(rate_mm_per_h, "brandes_snow")
     check_at_least("-temperature_c", _negated(temperature_c), 0.01, unit="deg C", owner="brandes_snow")
     (below_freezing,) = to_float64(_negated(temperature_c))

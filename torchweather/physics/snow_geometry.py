@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
-from torchweather.core.errors import check_at_least, check_between, check_one_of, check_positive
+from torchweather.core.errors import check_at_least, check_between, check_one_of
 from torchweather.physics.float64 import Quantity, to_float64
 
 __all__ = [
@@ -174,14 +174,21 @@ def equal_visibility_rain_rate(
         fall_speed_m_per_s,
         variant,
     )
+    check_broadcast(
+        "equal_visibility_rain_rate",
+        snowfall_mm_per_h=snowfall_mm_per_h,
+        density_g_per_cm3=density_g_per_cm3,
+        diameter_mm=diameter_mm,
+        fall_speed_m_per_s=fall_speed_m_per_s,
+    )
     owner = "equal_visibility_rain_rate"
     check_one_of("variant", variant, ("default", "d3_4"), owner=owner)
-    check_at_least("snowfall_mm_per_h", snowfall_mm_per_h, 0.0, unit="mm/h", owner=owner)
-    check_positive("diameter_mm", diameter_mm, unit="mm", owner=owner)
-    check_positive("fall_speed_m_per_s", fall_speed_m_per_s, unit="m/s", owner=owner)
-    check_between("fall_speed_m_per_s", fall_speed_m_per_s, 0.0, 100.0, unit="m/s", owner=owner)
     snowfall, density, diameter, speed = to_float64(
         snowfall_mm_per_h, density_g_per_cm3, diameter_mm, fall_speed_m_per_s
     )
+    check_between("snowfall_mm_per_h", snowfall, 0.0, 1e6, unit="mm/h", owner=owner)
+    check_between("density_g_per_cm3", density, 1e-6, 1.0, unit="g/cm3", owner=owner)
+    check_between("diameter_mm", diameter, 1e-6, 1e6, unit="mm", owner=owner)
+    check_between("fall_speed_m_per_s", speed, 1e-6, 100.0, unit="m/s", owner=owner)
     base = snowfall / (EQUAL_VISIBILITY_CONSTANT * density * diameter * 1e-3 * speed)
     return base ** (0.75 if variant == "d3_4" else 1.5)

@@ -63,6 +63,7 @@ def wet_cover_loss_db(
         drying_min,
     )
     check_broadcast("wet_cover_loss_db", rain_mm_per_h=rain_mm_per_h, age_min=age_min)
+    _check_over_time("wet_cover_loss_db", rain_mm_per_h, loss_db, film_db, film_exponent, drying_min)
     check_at_least("age_min", age_min, 0.0, unit="min", owner="wet_cover_loss_db")
     loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))
     check_between("drying_min", torch.as_tensor(drying_min), 1e-3, 1e6, unit="min", owner="wet_cover_loss_db")
@@ -95,12 +96,20 @@ def wet_cover_series_db(
         tensor([0.0000, 2.0000, 2.0000, 0.7358, 0.2707])
     """
     check_arguments("wet_cover_series_db(rain_mm_per_h: floating(..., T), time_min: real(T))", rain_mm_per_h, time_min)
+    _check_over_time("wet_cover_series_db", rain_mm_per_h, loss_db, film_db, film_exponent, drying_min)
     # A running maximum of logarithms that grow with time: double precision, for series of many drying times.
     rain = rain_mm_per_h.double()
     elapsed = (time_min - time_min[..., :1]).double() / _over_time(drying_min, rain)
     log_wet = (_log_wetness(rain, film_exponent) + elapsed).cummax(-1).values - elapsed
     loss = _over_time(loss_db, rain) + _over_time(film_db, rain) * log_wet.exp()
     return loss.to(rain_mm_per_h.dtype)
+
+
+def _check_over_time(owner: str, rain_mm_per_h: Tensor, *values: Value) -> None:
+    """Values ``(...)`` that broadcast over rates ``(..., T)``."""
+    names = ("loss_db", "film_db", "film_exponent", "drying_min")
+    check_arguments(f"{owner}({', '.join(f'{name}: Quantity' for name in names)})", *values)
+    check_broadcast(owner, rain_at_one_time=rain_mm_per_h[..., :1].squeeze(-1), **dict(zip(names, values, strict=True)))
 
 
 def _log_wetness(rain_mm_per_h: Tensor, film_exponent: Value) -> Tensor:

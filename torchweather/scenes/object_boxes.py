@@ -46,7 +46,7 @@ def object_boxes(
         [30.15, 4.3, 0.0]
     """
     check_arguments(
-        "object_boxes(scene: Scene, sensor_from_vehicle: real(4, 4), labels: Sequence)",
+        "object_boxes(scene: Scene, sensor_from_vehicle: real(4, 4), labels: Sequence[int])",
         scene,
         sensor_from_vehicle,
         labels,

@@ -151,7 +151,8 @@ def as_depth_source(depth: object) -> DepthSource:
     if isinstance(depth, (int, float, np.integer, np.floating)) and not isinstance(depth, bool):
         return ConstantDepth(float(depth))
     if isinstance(depth, np.ndarray):
-        depth = torch.from_numpy(np.ascontiguousarray(depth))
+        check_arguments("as_depth_source(depth: array)", depth)
+        depth = torch.from_numpy(np.ascontiguousarray(depth, dtype=depth.dtype.newbyteorder("=")))
     if isinstance(depth, Tensor):
         return ConstantDepth(float(depth)) if depth.ndim == 0 else DepthMap(depth)
     if callable(depth):

@@ -131,11 +131,11 @@ def find_horizon(rgb: Tensor, camera: Camera) -> Horizon:
     """
     check_arguments("find_horizon(rgb: real, camera: Camera)", rgb, camera)
     check_between("rgb", rgb, 0.0, 65535.0, owner="find_horizon")
-    if rgb.ndim != 3:
+    if rgb.ndim != 3 or not len(rgb):
         raise InputValueError(f"find_horizon: expected one picture (3, H, W); got {tuple(rgb.shape)}.")
     height, width = rgb.shape[-2:]
     smaller = -(-width // _WIDEST_PX)
-    grey = grey_levels(rgb.detach().cpu())
+    grey = grey_levels((rgb.float() if rgb.dtype == torch.bfloat16 else rgb).detach().cpu())
     if smaller > 1:
         grey = grey[: height // smaller * smaller, : width // smaller * smaller]
         grey = grey.reshape(height // smaller, smaller, width // smaller, smaller).mean((1, 3))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -83,7 +84,7 @@ class ScenePrior(SceneSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "ScenePrior(street_half_width_m: float | Sequence | None, camera_height_m: float | None, "
+            "ScenePrior(street_half_width_m: float | Sequence[float] | None, camera_height_m: float | None, "
             "farthest_m: float | None, boxes: Tensor | None, sky: Tensor | Callable | None, "
             "near_mask: Tensor | str | None, horizon: str)",
             self.street_half_width_m,
@@ -96,7 +97,8 @@ class ScenePrior(SceneSource):
         )
         width = self.street_half_width_m
         if width is not None:
-            sides = (width, width) if isinstance(width, (int, float)) else tuple(width)
+            width = width.tolist() if isinstance(width, (Tensor, np.ndarray)) else width
+            sides = tuple(width) if isinstance(width, Sequence) else (width, width)
             if len(sides) != 2:
                 raise InputValueError(
                     f"ScenePrior.street_half_width_m: expected metres, or (left, right) in metres; got {width!r}."

@@ -25,7 +25,6 @@ from torchweather.core.errors import (
     InputValueError,
     check_at_least,
     check_between,
-    check_finite,
     check_one_of,
     check_positive,
 )
@@ -127,7 +126,7 @@ class ParticleVeil(Stage):
         self.camera = Camera.of(camera)
         check_positive("near_m", near_m, unit="m", owner=self)
         check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
-        check_finite("far_m", far_m, unit="m", owner=self)
+        check_between("far_m", far_m, 0.0, 1e9, unit="m", owner=self)
         if rate_capacity_mm_per_h is not None:
             check_positive("rate_capacity_mm_per_h", rate_capacity_mm_per_h, unit="mm/h", owner=self)
         check_between("min_listed_coverage", min_listed_coverage, 1e-6, 1.0, owner=self)

@@ -131,8 +131,8 @@ def beam_ends(
     )
     xyz = np.asarray(points_xyz, dtype=np.float64)
     direction = np.asarray(direction, dtype=np.float64)
-    if not np.isfinite(direction).all() or (np.isfinite(xyz) & (np.abs(xyz) > 1e9)).any():
-        raise InputValueError("beam_ends: direction must be finite, points_xyz below 1e9 m.")
+    if not np.isfinite(direction).all() or not (np.abs(xyz) < 1e9).all():
+        raise InputValueError("beam_ends: direction must be finite, points_xyz finite and below 1e9 m.")
     if xyz.ndim != 2 or xyz.shape[1] != 3 or direction.ndim != 2 or direction.shape[1] != 3:
         raise InputValueError(
             f"beam_ends: points_xyz and direction must be (N, 3) and (M, 3); got {xyz.shape} and {direction.shape}."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputValueError, check_at_least
 from torchweather.lidar.sweep.scan_pattern import ScanPattern
 
 __all__ = ["check_scan_counts", "scan_count_problem"]
@@ -57,6 +57,8 @@ wrong: neighbours stand 1.000 degrees apart, which is 360 columns (360 to 360).
     )
     rings = pattern.rings if rings is None else rings
     columns = pattern.columns if columns is None else columns
+    for name, count in (("rings", rings), ("columns", columns)):
+        check_at_least(name, count, 1, owner="scan_count_problem")
     beams, wanted = pattern.beams + appended, rings * columns
     off = abs(beams - wanted) / wanted
     # Where a sector is not covered, no beams are appended there either.

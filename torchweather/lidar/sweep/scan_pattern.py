@@ -179,7 +179,7 @@ def estimate_pattern(
         min_range_m,
     )
     check_between("min_range_m", min_range_m, 0.0, 1e6, unit="m", owner="estimate_pattern")
-    xyz = _checked(points)
+    xyz, min_range_m = _checked(points), float(min_range_m)
     seen = np.isfinite(xyz).all(1)
     with np.errstate(invalid="ignore", over="ignore"):
         seen &= np.square(xyz.astype(np.float64)).sum(1) > max(min_range_m, 0.0) ** 2

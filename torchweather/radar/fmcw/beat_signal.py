@@ -154,7 +154,13 @@ def _amplitude(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | No
     if attenuation_db is not None:
         check_at_least("attenuation_db", attenuation_db, 0.0, unit="dB", owner="beat_signal")
         check_broadcast("beat_signal", attenuation_db=attenuation_db, scatterers=gain)
-        gain = gain - attenuation_db
+        lost = gain - attenuation_db
+        if lost.shape != gain.shape:
+            raise InputValueError(
+                f"beat_signal: attenuation_db must broadcast to the scatterers {tuple(gain.shape)}; got "
+                f"{tuple(attenuation_db.shape)}."
+            )
+        gain = lost
     there = scatterers.field_m != 0
     range_m = torch.where(there, scatterers.range_m, torch.ones_like(scatterers.range_m))
     level = 10.0 ** ((radar.constant_db + gain) / 20.0) / range_m.square()

@@ -8,7 +8,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, TorchweatherWarning, check_between, check_finite, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.radar.fmcw.facet_rcs import far_field_edge_m, triangle_field_m
@@ -50,6 +50,7 @@ def corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: 
         wavelength_m,
         to_radar,
     )
+    check_broadcast("corner_reflector_rcs_m2", edge_m=edge_m, wavelength_m=wavelength_m)
     owner = "corner_reflector_rcs_m2"
     check_positive("edge_m", edge_m, unit="m", owner=owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
@@ -215,6 +216,7 @@ def gathered(scatterers: Scatterers, wavelength_m: float, cell_m: float) -> Scat
     owner = "gathered"
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
     check_positive("cell_m", cell_m, unit="m", owner=owner)
+    check_between("cell_m", cell_m, 1e-9, 1e9, unit="m", owner=owner)
     if scatterers.position_m.ndim != 2:
         raise InputValueError(
             f"{owner}: scatterers must have no batch dimensions, position_m (M, 3); "

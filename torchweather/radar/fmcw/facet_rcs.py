@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
@@ -26,6 +26,7 @@ __all__ = ["far_field_edge_m", "isosceles_triangle_rcs_m2", "subdivide", "triang
 # series' first term left out is below (2/3)^18 / (2 * 18!) = 5e-20, the difference quotients lose a factor of 2.
 SERIES_BELOW_RAD = 1.0
 SERIES_ORDER = 16
+MOST_PARTS = 4_000_000  # of all triangles together that `subdivide` makes; 72 bytes each in float64
 SINC_SERIES_BELOW = 1.0  # the first term left out of sin(x)/x is 1 / 19! = 8e-18
 
 
@@ -75,6 +76,7 @@ def triangle_field_m(
         wavelength_m,
         reflectivity,
     )
+    check_broadcast("triangle_field_m", wavelength_m=wavelength_m, reflectivity=reflectivity)
     owner = "triangle_field_m"
     _check_triangles(vertices_m, owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
@@ -126,6 +128,14 @@ def isosceles_triangle_rcs_m2(
         angle_rad,
         wavelength_m,
         reflectivity,
+    )
+    check_broadcast(
+        "isosceles_triangle_rcs_m2",
+        base_m=base_m,
+        height_m=height_m,
+        angle_rad=angle_rad,
+        wavelength_m=wavelength_m,
+        reflectivity=reflectivity,
     )
     owner = "isosceles_triangle_rcs_m2"
     for name, value in (("base_m", base_m), ("height_m", height_m), ("wavelength_m", wavelength_m)):
@@ -193,7 +203,13 @@ def subdivide(vertices_m: Tensor, max_edge_m: float) -> Tensor:
         return vertices_m
     longest = _longest_edge_m(vertices_m.detach().double()).reshape(-1, vertices_m.shape[-3])
     # A rounding above a whole number of parts is none.
-    parts = torch.ceil(longest.amax(0) / max_edge_m * (1.0 - 1e-9)).clamp_min(1).long()
+    parts = torch.ceil(longest.amax(0) / max_edge_m * (1.0 - 1e-9)).clamp_min(1)
+    if float(parts.square().sum()) > MOST_PARTS:
+        raise InputValueError(
+            f"subdivide: max_edge_m must leave at most {MOST_PARTS} triangles; got {max_edge_m!r} m, which makes "
+            f"{float(parts.square().sum()):.3g} of them."
+        )
+    parts = parts.long()
     split, origin = [], []
     for count in sorted(set(parts.tolist())):
         (facet,) = torch.nonzero(parts == count, as_tuple=True)
@@ -205,13 +221,13 @@ def subdivide(vertices_m: Tensor, max_edge_m: float) -> Tensor:
 
 def _barycentric_split(count: int) -> Tensor:
     """Corners of the ``count^2`` parts of a triangle as weights of its own corners, ``(count^2, 3, 3)`` float64."""
-    parts: list[list[tuple[int, int]]] = []
-    for i in range(count):
-        for j in range(count - i):
-            parts.append([(i, j), (i + 1, j), (i, j + 1)])
-            if i + j < count - 1:
-                parts.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
-    steps = torch.tensor(parts, dtype=torch.float64)  # (count^2, 3, 2)
+    rows = torch.arange(count)
+    in_row = 2 * (count - rows) - 1  # upright and inverted triangles in turn
+    i = rows.repeat_interleave(in_row)
+    place = torch.arange(count**2) - (in_row.cumsum(0) - in_row)[i]
+    j, inverted = place // 2, place % 2
+    corners = [(i + inverted, j), (i + 1, j + inverted), (i, j + 1)]
+    steps = torch.stack([torch.stack(corner, -1) for corner in corners], 1).double()  # (count^2, 3, 2)
     return torch.cat([count - steps.sum(-1, keepdim=True), steps], -1) / count
 
 

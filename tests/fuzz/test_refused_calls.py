@@ -1,0 +1,192 @@
+"""Calls that random arguments once led into an internal error: each is refused by name, or has its right value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from torchweather.atmosphere.density_field import AZIMUTHS, NODES, PatchyAir, mean_density
+from torchweather.atmosphere.weather import weather_from_dict
+from torchweather.camera.depth import ScenePrior, as_depth_source, find_horizon
+from torchweather.camera.exposure import ExposureControl
+from torchweather.camera.fog import ExtinctionAndAirlight
+from torchweather.compose import Collate, collate_list
+from torchweather.core.errors import TorchweatherError
+from torchweather.datasets.boxes import turned_back
+from torchweather.image import colour_matrix, white_balance
+from torchweather.io import PointCloud, parsivel_area_mm2
+from torchweather.lidar import estimate_pattern, scan_count_problem
+from torchweather.lidar.effects.empirical import Empirical
+from torchweather.lidar.sweep.beam_ends import beam_ends
+from torchweather.metrics import average_precision, expected_trends, point_counts
+from torchweather.physics import (
+    axial_q_back,
+    equal_visibility_rain_rate,
+    marshall_palmer,
+    precipitation_rate_mm_per_h,
+    snow_attenuation_db_per_km,
+    water_refractive_index,
+    wet_cover_loss_db,
+)
+from torchweather.radar import CellAveragingCfar, Scatterers, beat_signal, gathered, subdivide
+from torchweather.scenes import object_boxes
+from torchweather.scenes import test_track as track
+from torchweather.sensors import Camera, Radar
+
+CAMERA = Camera.from_intrinsics(20.0, 20.0, 7.5, 5.5, 16, 12)
+RGB = torch.rand(2, 3, 4, 4)
+SEEN = {"boxes": torch.tensor([[1.0, 1.0, 5.0, 6.0]]), "labels": ["car"], "scores": [0.9]}
+TRUE = {"boxes": torch.tensor([[1.0, 1.0, 5.0, 6.0]]), "labels": ["car"]}
+TRIANGLE = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.3]]])
+TABLE = torch.zeros(1, AZIMUTHS + 1, NODES)
+EMPIRICAL = {"kind": "gain", "axis": "object_range_m", "measured_from": 1.0, "measured_to": 50.0}
+
+
+def pattern() -> Any:
+    azimuth = np.radians(np.arange(0.0, 360.0))
+    rows = [np.stack([9 * np.cos(azimuth), 9 * np.sin(azimuth), np.full(360, z)], -1) for z in (-1.0, 0.0)]
+    return estimate_pattern(np.concatenate(rows))
+
+
+def scatterers() -> Scatterers:
+    return Scatterers.from_spherical(torch.tensor([20.0, 30.0]), 0.0, 0.0, rcs_dbsm=10.0)
+
+
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "rows of rows for a row": (
+        lambda: Empirical(**EMPIRICAL, at=torch.ones(2, 3), value=[0.5]),
+        "at must be a sequence of float",
+    ),
+    "no band": (
+        lambda: ExtinctionAndAirlight({"kind": "fog", "mor_m": 50.0}, wavelengths_nm=[]),
+        "wavelengths_nm must have one entry or more; got none",
+    ),
+    "drift of a tensor": (lambda: PatchyAir(50.0, torch.ones(2, 8, 8)), "drift_m_per_s must be a sequence of float"),
+    "window of a tensor": (lambda: ExposureControl(window=torch.ones(3, 4)), "window must be a sequence of float"),
+    "gain of a tensor": (lambda: ExposureControl(lowest_gain=torch.ones(2)), "lowest_gain must be a number"),
+    "lists of other lengths": (
+        lambda: weather_from_dict({"kind": "fog", "mor_m": [[1.0, 2.0], [3.0]]}),
+        "mor_m must be a number or a tensor",
+    ),
+    "no place": (
+        lambda: mean_density(TABLE, torch.zeros(1, 6), torch.zeros(0, 6), 1.0),
+        "places must be of 1 samples or of one; got 0",
+    ),
+    "place that is no number": (
+        lambda: mean_density(TABLE, torch.full((1, 6), torch.nan), torch.ones(1, 6), 1.0),
+        "azimuth_rad must lie in",
+    ),
+    "depth of objects": (lambda: as_depth_source(np.array([None, 1])), "depth must be an array of real numbers"),
+    "picture without colours": (lambda: find_horizon(torch.zeros(0, 12, 16), CAMERA), "expected one picture"),
+    "points that are no numbers": (
+        lambda: beam_ends(np.full((4, 3), np.nan), np.ones((1, 3)), 50.0),
+        "points_xyz finite",
+    ),
+    "no rings": (lambda: scan_count_problem(pattern(), 0, rings=0), "rings must be 1 or more; got 0"),
+    "attenuation of a batch": (
+        lambda: beat_signal(scatterers(), Radar(), attenuation_db=torch.zeros(3, 2)),
+        r"attenuation_db must broadcast to the scatterers \(2,\); got \(3, 2\)",
+    ),
+    "correlation in one row": (lambda: CellAveragingCfar(correlation=range(3)), "correlation must be a sequence of"),
+    "cells beyond the earth": (lambda: gathered(scatterers(), 0.004, 2**64), "cell_m must lie in 1e-09..1e"),
+    "endless triangles": (lambda: subdivide(TRIANGLE, 1e-6), "at most 4000000 triangles; got 1e-06 m"),
+    "clouds of a number": (lambda: Collate(clouds=torch.tensor(1.0)), "clouds must be a sequence of keys"),
+    "clouds that are none": (lambda: collate_list(range(3)), "clouds must be a sequence of Tensor"),
+    "complex colours": (lambda: colour_matrix(RGB, torch.ones(3, 3) * 1j), "matrix must be a number or a tensor"),
+    "gains of another batch": (lambda: white_balance(RGB, torch.ones(4, 3)), "shapes must broadcast"),
+    "columns of numbers": (lambda: PointCloud(torch.zeros(2, 3), range(3)), "columns must be a sequence of str"),
+    "range of one end": (lambda: average_precision([SEEN], [TRUE], ranges_m=(7,)), "ranges_m must be pairs"),
+    "labels in lists": (
+        lambda: average_precision([{**SEEN, "labels": torch.ones(1, 1)}], [TRUE]),
+        r"detections\[0\]: labels must be one name or number a box",
+    ),
+    "overlap of no boxes": (
+        lambda: average_precision([SEEN], [TRUE], overlap=int),
+        "overlap must take what it is called with; got <class 'int'>, which raises",
+    ),
+    "overlap of another shape": (
+        lambda: average_precision([SEEN], [TRUE], overlap=lambda first, second: first),
+        r"overlap must give a tensor \(1, 1\)",
+    ),
+    "one score for all levels": (
+        lambda: expected_trends({"road": {"ssim": 1.0}}, {"ssim": "up"}),
+        "road: ssim must have one entry per level; got 1.0",
+    ),
+    "complex points": (lambda: point_counts(torch.ones(4, 4) * 1j), "points must be a tensor of real numbers"),
+    "labels of tensors": (
+        lambda: object_boxes(track(), torch.eye(4), (torch.ones(2),)),
+        "labels must be a sequence of int",
+    ),
+    "glint at its focus": (lambda: axial_q_back(2.0), "must be below 2, where the rear glint has a focus; got 2"),
+    "flakes lighter than nothing": (
+        lambda: equal_visibility_rain_rate(1.0, density_g_per_cm3=-1.0),
+        "density_g_per_cm3 must lie in 1e-06..1 g/cm3; got -1",
+    ),
+    "fall speed of no drops": (
+        lambda: precipitation_rate_mm_per_h(marshall_palmer(10.0), fall_speed=int),
+        "fall_speed must take what it is called with; got <class 'int'>",
+    ),
+    "no rate": (lambda: snow_attenuation_db_per_km(torch.zeros(0, 4)), "expected one distribution or more; got none"),
+    "no wavelength": (
+        lambda: water_refractive_index([], torch.zeros(2, 3)),
+        r"shapes must broadcast; got wavelength_nm \(0,\), temperature_c \(2, 3\)",
+    ),
+    "covers of other shapes": (
+        lambda: wet_cover_loss_db(torch.ones(3, 2), torch.zeros(2), 0.0, torch.ones(4), 0.5, 10.0),
+        "shapes must broadcast; got",
+    ),
+    "headings turned upright": (
+        lambda: turned_back(torch.zeros(1), torch.eye(3)[:, :2], torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),
+        "keeps headings level",
+    ),
+}
+
+
+@pytest.mark.parametrize("call", REFUSED)
+def test_refused_by_name(call: str) -> None:
+    with pytest.raises(TorchweatherError, match=REFUSED[call][1]):
+        REFUSED[call][0]()
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", ".."])
+def test_a_folder_is_no_file_to_write(name: str) -> None:
+    from torchweather.core.atomic import atomic_write
+
+    with pytest.raises(TorchweatherError, match="it is a folder"), atomic_write(Path(name)):
+        raise AssertionError
+
+
+def test_densities_of_half_precision_read_the_same_places() -> None:
+    table = torch.linspace(0.0, 30.0, (AZIMUTHS + 1) * NODES).reshape(1, AZIMUTHS + 1, NODES)
+    azimuth, range_m = torch.linspace(-3.0, 3.0, 64)[None].half(), torch.linspace(1.0, 60.0, 64)[None].half()
+    exact = mean_density(table, azimuth.double(), range_m.double(), 0.5)
+    found = mean_density(table, azimuth, range_m, 0.5)
+    assert found.dtype == torch.float16
+    torch.testing.assert_close(found.double(), exact, rtol=2**-11, atol=0.0)
+    mixed = mean_density(table, azimuth, range_m.float(), 0.5)
+    torch.testing.assert_close(mixed.double(), exact, rtol=1e-6, atol=0.0)
+
+
+def test_parts_of_a_triangle_cover_it_once() -> None:
+    parts = subdivide(TRIANGLE.double(), 0.04)
+    edges = parts[:, 1:] - parts[:, :1]
+    area = 0.5 * torch.linalg.cross(edges[:, 0], edges[:, 1])
+    assert len(parts) == 13**2  # 0.5 m in parts of 0.04 m
+    torch.testing.assert_close(area, area[:1].expand_as(area))  # equal, and all turned alike
+    torch.testing.assert_close(area.sum(0), torch.tensor([0.06, 0.0, 0.0], dtype=torch.float64))
+    assert len(torch.unique(parts.mean(1).mul(1e6).round(), dim=0)) == len(parts)
+
+
+def test_numbers_of_unusual_types() -> None:
+    edges = torch.tensor([1.0, 3.0, 7.0])
+    assert torch.equal(parsivel_area_mm2(edges.to(torch.uint16)), parsivel_area_mm2(edges))
+    depth = np.full((12, 16), 20.0, ">f4")  # of another byte order
+    assert as_depth_source(depth)(CAMERA, 12, 16).unique().tolist() == [20.0]
+    assert ScenePrior(street_half_width_m=np.array(2.0)).street_half_width_m == (2.0, 2.0)
+    assert find_horizon(torch.rand(3, 12, 16).bfloat16(), CAMERA).confidence >= 0.0
+    assert colour_matrix(RGB, np.eye(3)).equal(RGB)
