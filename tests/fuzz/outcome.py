@@ -18,9 +18,10 @@ from torch import Tensor
 
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 
-__all__ = ["HANG_S", "KINDS", "Outcome", "first_not_finite", "outcome_of"]
+__all__ = ["HANG_S", "WAITING_S", "KINDS", "Outcome", "first_not_finite", "outcome_of"]
 
-HANG_S = 10
+HANG_S = 10  # seconds of the processor: a busy machine is no hang
+WAITING_S = 90  # seconds of the clock, for what waits without working
 KINDS = ("value", "refused", "internal", "hang", "non_finite")
 # Messages stay readable, whatever a file holds: once one had 522 million characters.
 MOST_CHARACTERS = 9000
@@ -47,11 +48,17 @@ class Outcome:
 
 
 class _TooLong(BaseException):
-    """The call takes longer than `HANG_S`; no ``except Exception`` takes it."""
+    """The call takes longer than `HANG_S` or `WAITING_S`; no ``except Exception`` takes it."""
 
 
 def _stop(_: int, frame: FrameType | None) -> None:
     raise _TooLong
+
+
+def _watch(worked_s: int, waited_s: int) -> None:
+    """Stop what comes after so many seconds of work, or of the clock; 0 and 0 let it go on."""
+    signal.setitimer(signal.ITIMER_PROF, worked_s)
+    signal.alarm(waited_s)
 
 
 def outcome_of(call: Callable[[], Any], *, finite: bool = True, own_call: bool = False) -> Outcome:
@@ -63,14 +70,15 @@ def outcome_of(call: Callable[[], Any], *, finite: bool = True, own_call: bool =
         own_call: Python's own ``TypeError`` for the number or names of arguments is a refusal, too.
     """
     signal.signal(signal.SIGALRM, _stop)
+    signal.signal(signal.SIGPROF, _stop)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         try:
-            signal.alarm(HANG_S)
+            _watch(HANG_S, WAITING_S)
             value = call()
-            signal.alarm(0)
+            _watch(0, 0)
         except TorchweatherError as error:
-            signal.alarm(0)
+            _watch(0, 0)
             if len(text := str(error)) > MOST_CHARACTERS:
                 return Outcome("internal", f"message of {len(text) // 1000},000 characters", text[:300])
             return _warned(found) or Outcome("refused")
@@ -79,13 +87,13 @@ def outcome_of(call: Callable[[], Any], *, finite: bool = True, own_call: bool =
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            signal.alarm(0)
+            _watch(0, 0)
             if own_call and isinstance(error, TypeError) and _by_python(error):
                 return Outcome("refused")
             where = f"{type(error).__name__} {_place(error.__traceback__)}"
             return Outcome("internal", where, traceback.format_exc(limit=-6)[-MOST_CHARACTERS:])
         finally:
-            signal.alarm(0)
+            _watch(0, 0)
     if finite and (at := first_not_finite(value)):
         return Outcome("non_finite", at, "")
     return _warned(found) or Outcome("value")

@@ -10,33 +10,59 @@ import numpy as np
 import pytest
 import torch
 
-from torchweather.atmosphere.density_field import AZIMUTHS, NODES, PatchyAir, mean_density
-from torchweather.atmosphere.weather import weather_from_dict
-from torchweather.camera.depth import ScenePrior, as_depth_source, find_horizon
+from tests.fuzz import good_values as good
+from torchweather.atmosphere.density_field import AZIMUTHS, NODES, PatchField, PatchyAir, mean_density, mean_extra_m
+from torchweather.atmosphere.weather import Rain, weather_from_dict
+from torchweather.camera.depth import (
+    CompletedDepth,
+    DepthFromPoints,
+    ScenePrior,
+    as_depth_source,
+    find_horizon,
+    project_points,
+)
 from torchweather.camera.exposure import ExposureControl
 from torchweather.camera.fog import ExtinctionAndAirlight
 from torchweather.compose import Collate, collate_list
 from torchweather.core.errors import TorchweatherError
+from torchweather.datasets import boxes_to_nuscenes, pose_from_carla
 from torchweather.datasets.boxes import turned_back
+from torchweather.export import ImageToDetector
 from torchweather.image import colour_matrix, white_balance
 from torchweather.io import PointCloud, parsivel_area_mm2
 from torchweather.lidar import estimate_pattern, scan_count_problem
 from torchweather.lidar.effects.empirical import Empirical
+from torchweather.lidar.scan import empty_beams
 from torchweather.lidar.sweep.beam_ends import beam_ends
-from torchweather.metrics import average_precision, expected_trends, point_counts
+from torchweather.metrics import average_precision, cloud_scores, correlate, expected_trends, point_counts
 from torchweather.physics import (
+    InterpolationTable,
     axial_q_back,
     equal_visibility_rain_rate,
     marshall_palmer,
+    maxwell_garnett,
     precipitation_rate_mm_per_h,
+    rehearse_fog,
     snow_attenuation_db_per_km,
+    sphere_budget,
     water_refractive_index,
     wet_cover_loss_db,
 )
-from torchweather.radar import CellAveragingCfar, Scatterers, beat_signal, gathered, subdivide
+from torchweather.radar import (
+    CellAveragingCfar,
+    Scatterers,
+    beat_signal,
+    car_scatterers,
+    gathered,
+    subdivide,
+    triangle_field_m,
+)
+from torchweather.radar.attenuation import WetRadome
+from torchweather.radar.power_map.power_map import MapAxes
+from torchweather.radar.power_map.scale import PowerScale
 from torchweather.scenes import object_boxes
 from torchweather.scenes import test_track as track
-from torchweather.sensors import Camera, Radar
+from torchweather.sensors import Camera, Lidar, Radar
 
 CAMERA = Camera.from_intrinsics(20.0, 20.0, 7.5, 5.5, 16, 12)
 RGB = torch.rand(2, 3, 4, 4)
@@ -140,6 +166,71 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: wet_cover_loss_db(torch.ones(3, 2), torch.zeros(2), 0.0, torch.ones(4), 0.5, 10.0),
         "shapes must broadcast; got",
     ),
+    "pose of objects": (lambda: Lidar(905.0, origin_m=(np.array([None, 1]), 0.0, 0.0)), "Lidar.origin_m: expected"),
+    "gap without an end": (
+        lambda: empty_beams(torch.ones(3, 4), Lidar.preset("velodyne-hdl-64e"), max_gap_deg=float("inf")),
+        "max_gap_deg must lie in",
+    ),
+    "complex rate": (lambda: WetRadome(torch.ones(2) * 1j), "rate_mm_per_h must be a number or a tensor of real"),
+    "takes of no sample": (
+        lambda: mean_extra_m(PatchField(torch.zeros(1, AZIMUTHS + 1, NODES), 1.0), [Rain(1.0)], [torch.tensor(1.5)]),
+        r"takes must be a tensor \(B,\)",
+    ),
+    "complex cloud for depth": (
+        lambda: CompletedDepth(torch.ones(4, 3) * 1j, torch.eye(4)),
+        "points_xyz must be a tensor of real numbers",
+    ),
+    "pose of nothing": (lambda: DepthFromPoints(torch.ones(4, 3), [None]), "T_camera_from_lidar must be a number or"),
+    "points beyond the earth": (
+        lambda: project_points(torch.full((1, 3), 1e30), torch.eye(4), CAMERA),
+        "points_xyz must lie in -1e",
+    ),
+    "car nowhere": (
+        lambda: car_scatterers((torch.tensor([True, False]), 0.0), 0.0039),
+        "rear_m must be a sequence of float",
+    ),
+    "facets of other directions": (
+        lambda: triangle_field_m(TRIANGLE.expand(3, 3, 3), torch.eye(3)[0], torch.full((2,), 0.004)),
+        "shapes must broadcast",
+    ),
+    "axes in lists": (lambda: MapAxes(("azimuth", []), (1.0, 2.0)), "dims must be a sequence of str"),
+    "scale without a kind": (lambda: PowerScale.from_dict({}), "PowerScale: kind must be text; got None"),
+    "colours out of range": (lambda: colour_matrix(RGB, torch.full((3, 3), 1e30)), "matrix must lie in -1e"),
+    "transform with a shear": (
+        lambda: boxes_to_nuscenes(good.boxes(), torch.diag(torch.tensor([1.0, 1.0, 1.0, 0.0]))),
+        "rotation and metres above 0, 0, 0, 1",
+    ),
+    "complex pose": (
+        lambda: pose_from_carla(np.eye(4) * (1 + 1j)),
+        "transform must be a carla.Transform or its matrix",
+    ),
+    "score in a list": (
+        lambda: cloud_scores(torch.ones(4, 3), torch.ones(4, 3), names=([None], "hd")),
+        "names must be one of",
+    ),
+    "resamples beyond memory": (
+        lambda: correlate({"ssim": [0.9, 0.5, 0.4]}, [0.9, 0.8, 0.1], resamples=10**30),
+        "resamples must lie in 1..1e",
+    ),
+    "kinds beyond memory": (
+        lambda: point_counts(torch.ones(4, 4), torch.zeros(4, dtype=torch.int64), kinds=2**64),
+        "kinds must lie in 1..65536",
+    ),
+    "complex mean": (lambda: ImageToDetector(std=torch.ones(3) * 1j), "std must be a number or a tensor of real"),
+    "function of no tensor": (
+        lambda: InterpolationTable(len, 1.0, 2.0, 4),
+        "values_of_function must be a tensor of real numbers; got 4",
+    ),
+    "mixture without a value": (lambda: maxwell_garnett(1.0, -2.0, 0.5), "permittivities with a mixture"),
+    "drops of less than nothing": (
+        lambda: axial_q_back(1.33 + 0.1j, diameter_mm=-1e30, wavelength_nm=905.0),
+        "diameter_mm must be 0 or more|no quantity is as small or large|diameter_mm must be",
+    ),
+    "rain at no time": (
+        lambda: wet_cover_loss_db(torch.tensor(0.0), torch.tensor(0.0), 0.0, 0.0, 0.5, 10.0),
+        r"rain_mm_per_h must have shape \(\.\.\., 1 or more\)",
+    ),
+    "visibility in half metres": (lambda: rehearse_fog(np.array(10.5)), "nominal_mor_m must be a whole number"),
     "headings turned upright": (
         lambda: turned_back(torch.zeros(1), torch.eye(3)[:, :2], torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),
         "keeps headings level",
@@ -190,3 +281,9 @@ def test_numbers_of_unusual_types() -> None:
     assert ScenePrior(street_half_width_m=np.array(2.0)).street_half_width_m == (2.0, 2.0)
     assert find_horizon(torch.rand(3, 12, 16).bfloat16(), CAMERA).confidence >= 0.0
     assert colour_matrix(RGB, np.eye(3)).equal(RGB)
+    assert white_balance(RGB[..., :0], (1.0, 2.0, 3.0)).shape == (2, 3, 4, 0)
+    assert rehearse_fog(np.array(10)).sigma == rehearse_fog(10).sigma
+    assert sphere_budget(torch.tensor(1.33)) == sphere_budget(float(torch.tensor(1.33)))
+    half = triangle_field_m(TRIANGLE.half(), torch.tensor([1.0, 0.0, 0.0]).half(), 0.004)
+    assert half.dtype == torch.complex64
+    assert maxwell_garnett(1.0, 0.0, 0.5) == 0.4  # 2 (1 - f) / (2 + f)

@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 
-from tests.fuzz.outcome import HANG_S, Outcome
+from tests.fuzz.outcome import WAITING_S, Outcome
 
 __all__ = ["watched"]
 
@@ -50,7 +50,7 @@ def _child(work: Callable[[int], Outcome], numbers: Sequence[int], memory_bytes:
     done, rest = 0, b""
     try:
         while done < len(numbers):
-            ready, _, _ = select.select([ours], [], [], 3 * HANG_S)
+            ready, _, _ = select.select([ours], [], [], 2 * WAITING_S)
             if not ready:
                 os.kill(pid, signal.SIGKILL)
                 yield Outcome("hang", "no answer at all", "the child was killed")

@@ -125,7 +125,7 @@ def white_balance(rgb: Tensor, gains: Tensor | Sequence[float]) -> Tensor:
     check_arguments("white_balance(rgb: floating(..., 3, H, W), gains: real | Sequence[float])", rgb, gains)
     factors = torch.as_tensor(gains, dtype=rgb.dtype, device=rgb.device)
     check_arguments("white_balance(gains: floating(..., 3))", factors)
-    check_broadcast("white_balance", rgb=rgb[..., 0, 0], gains=factors)
+    check_broadcast("white_balance", rgb=rgb.new_empty(rgb.shape[:-2]), gains=factors)
     return rgb * factors[..., None, None]
 
 
@@ -173,6 +173,7 @@ def colour_matrix(rgb: Tensor, matrix: Tensor | Sequence[Sequence[float]]) -> Te
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputTypeError(f"colour_matrix: matrix must be numbers, (3, 3); got {matrix!r:.100}.") from error
     check_arguments("colour_matrix(matrix: floating(3, 3))", weights)
+    check_between("matrix", weights, -1e6, 1e6, owner="colour_matrix")
     return torch.einsum("ij,...jhw->...ihw", weights, rgb)
 
 
@@ -327,7 +328,7 @@ def develop(
     """
     check_arguments(
         "develop(bayer: real(..., 1, H, W), pattern: str, black_level: float, white_level: float | None, "
-        "knots: Sequence | None, gains: Tensor | Sequence[float] | str, matrix: Tensor | Sequence | None, "
+        "knots: Sequence | None, gains: real | Sequence[float] | str, matrix: Quantity | None, "
         "exposure: float, knee: float, method: str)",
         bayer,
         pattern,
@@ -346,7 +347,9 @@ def develop(
     if isinstance(gains, str):
         check_one_of("gains", gains, ["grey_world"], owner="develop")
         gains = grey_world_gains(linear, pattern)
-    factors = torch.as_tensor(gains, dtype=linear.dtype, device=linear.device) * exposure
+    factors = torch.as_tensor(gains, dtype=linear.dtype, device=linear.device) * (
+        exposure if isinstance(exposure, Tensor) else float(exposure)
+    )
     if factors.shape[-1:] != (3,):
         raise InputValueError(
             f"develop: gains must have shape (..., 3) = red, green, blue; got {tuple(factors.shape)}."

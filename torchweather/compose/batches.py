@@ -48,7 +48,7 @@ def collate_padded(clouds: Sequence[PointCloud | Tensor]) -> tuple[Tensor, Tenso
 
 def split_padded(points: Tensor, mask: Tensor) -> list[Tensor]:
     """The clouds of `collate_padded`, ``(N_i, C)`` each, without the rows that pad."""
-    check_arguments("split_padded(points: Tensor, mask: Tensor)", points, mask)
+    check_arguments("split_padded(points: real, mask: Tensor)", points, mask)
     if points.ndim != 3 or mask.shape != points.shape[:2] or mask.dtype != torch.bool:
         raise InputValueError(
             f"split_padded: points must be (B, N, C) and mask (B, N) bool; got {tuple(points.shape)} and {mask.dtype} "
@@ -80,7 +80,7 @@ def split_indexed(points: Tensor, n_samples: int | None = None) -> list[Tensor]:
         points: ``(N, 1 + C)``; the samples need not be in order.
         n_samples: number of samples; ``None`` takes the highest index + 1. Samples without rows are empty clouds.
     """
-    check_arguments("split_indexed(points: Tensor, n_samples: int | None)", points, n_samples)
+    check_arguments("split_indexed(points: real, n_samples: int | None)", points, n_samples)
     index = _sample_index(points, "split_indexed")
     highest = int(index.max()) + 1 if index.numel() else 0
     count = highest if n_samples is None else int(n_samples)

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchweather.core.exceptions import InputTypeError, InputValueError, TorchweatherError
 from torchweather.core.file_names import check_no_device
 
-__all__ = ["call_given", "check_arguments", "check_broadcast"]
+__all__ = ["call_given", "check_arguments", "check_broadcast", "nested_shape"]
 
 Sizes = dict[str, int]
 
@@ -104,7 +104,7 @@ def check_broadcast(owner: str, **values: object) -> None:
 def _shape(value: object) -> tuple[int, ...]:
     if isinstance(value, (Tensor, np.ndarray)):
         return tuple(value.shape)
-    return tuple(torch.as_tensor(value).shape) if _is_sequence(value) else ()
+    return nested_shape(value) or ()
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,10 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_whole(value: Any) -> bool:
-    if isinstance(value, (Tensor, np.ndarray)):
-        return _is_number(value) and float(value.item()).is_integer()
+    if isinstance(value, Tensor):
+        return _is_number(value) and not value.is_floating_point()
+    if isinstance(value, np.ndarray):
+        return _is_number(value) and value.dtype.kind in "iu"
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
@@ -159,16 +161,20 @@ def _is_odd(value: Tensor | np.ndarray[Any, Any]) -> bool:
 def _is_quantity(value: Any) -> bool:
     if isinstance(value, (Tensor, np.ndarray)):
         return not _is_odd(value)
-    return _is_number(value) or (_is_sequence(value) and _is_nested(value))
+    return _is_number(value) or (_is_sequence(value) and nested_shape(value) is not None)
 
 
-def _is_nested(value: Any) -> bool:
-    """True for nested sequences of numbers that are as long as each other."""
-    try:
-        found = torch.as_tensor(value)
-    except (TypeError, ValueError, RuntimeError, OverflowError):
-        return False
-    return not _is_odd(found)
+def nested_shape(value: Any) -> tuple[int, ...] | None:
+    """Shape of a number or of nested sequences of them; ``None`` where they are not as long as each other."""
+    if isinstance(value, (Tensor, np.ndarray)):
+        return None if _is_odd(value) else tuple(value.shape)
+    if not _is_sequence(value):
+        return () if _is_number(value) else None
+    # torch joins no array of one number with others.
+    shapes = {None if isinstance(one, np.ndarray) and not one.ndim else nested_shape(one) for one in value}
+    if None in shapes or len(shapes) > 1:
+        return None
+    return (len(value), *(shapes.pop() if shapes else ()))  # type: ignore[misc]
 
 
 def _is_row(value: Any) -> bool:

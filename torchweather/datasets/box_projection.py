@@ -52,7 +52,7 @@ def project_boxes(boxes: Boxes, camera: Camera, T_camera_from_lidar: Tensor) -> 
         tensor([[40., 35., 60., 45.]])
     """
     check_arguments(
-        "project_boxes(boxes: Boxes, camera: Camera, T_camera_from_lidar: Tensor)",
+        "project_boxes(boxes: Boxes, camera: Camera, T_camera_from_lidar: real)",
         boxes,
         camera,
         T_camera_from_lidar,

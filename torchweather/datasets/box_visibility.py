@@ -68,8 +68,8 @@ def box_visibility(
         (tensor([2]), tensor([1]), tensor([0.4000]))
     """
     check_arguments(
-        "box_visibility(boxes: Boxes, points_before: Tensor, result_points: Tensor, kind: Tensor, "
-        "transmission: Tensor, source: Tensor | None)",
+        "box_visibility(boxes: Boxes, points_before: real, result_points: real, kind: Tensor, "
+        "transmission: real, source: Tensor | None)",
         boxes,
         points_before,
         result_points,
@@ -77,12 +77,12 @@ def box_visibility(
         transmission,
         source,
     )
-    rows, results = points_before.shape[0], result_points.shape[0]
     if points_before.ndim != 2 or result_points.ndim != 2 or min(points_before.shape[1], result_points.shape[1]) < 3:
         raise InputValueError(
             "box_visibility: points must be (N, 3 or more), one cloud at a time (boxes differ between samples); got "
             f"{tuple(points_before.shape)} and {tuple(result_points.shape)}."
         )
+    rows, results = points_before.shape[0], result_points.shape[0]
     if kind.shape != (results,) or transmission.shape != (results,):
         raise InputValueError(
             f"box_visibility: kind and transmission must have one value for each of the {results} result points; got "

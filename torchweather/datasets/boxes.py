@@ -44,7 +44,7 @@ class Boxes:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "Boxes(centre_m: Tensor, size_m: Tensor, yaw_rad: Tensor, names: Sequence, records: Sequence, "
+            "Boxes(centre_m: real, size_m: real, yaw_rad: real, names: Sequence, records: Sequence, "
             "unplaced: Sequence)",
             self.centre_m,
             self.size_m,
@@ -62,8 +62,9 @@ class Boxes:
                 f"Boxes: centre_m and size_m must be (M, 3), yaw_rad (M,), for M = {count} names and records; got "
                 f"{shapes[0]}, {shapes[1]}, {shapes[2]} and {len(self.records)} records."
             )
-        values = torch.cat((self.centre_m, self.size_m, self.yaw_rad[:, None]), dim=1)
-        if not bool(torch.isfinite(values).all()) or not bool((self.size_m > 0).all()):
+        parts = (self.centre_m, self.size_m, self.yaw_rad[:, None])
+        values = torch.cat([part.detach().double() for part in parts], dim=1)
+        if not bool(torch.isfinite(values).all()) or not bool((values[:, 3:6] > 0).all()):
             raise InputValueError("Boxes: centres, sizes (m) and yaw (rad) must be finite, sizes above 0.")
 
     def __len__(self) -> int:
@@ -138,12 +139,14 @@ def turned_back(yaw_rad: Tensor, plane: Tensor, rotation: Tensor) -> Tensor:
 
 def checked_transform(transform: Tensor, name: str, owner: str) -> Tensor:
     """A rigid transform ``(4, 4)`` as float64."""
-    check_arguments(f"{owner}({name}: real | array | Sequence)", transform)
+    check_arguments(f"{owner}({name}: Quantity)", transform)
     matrix = torch.as_tensor(transform, dtype=torch.float64).cpu()
     rotation = matrix[:3, :3] if matrix.shape == (4, 4) else torch.zeros(3, 3, dtype=torch.float64)
     # Calibration files print seven digits; 1e-3 tells a rotation from anything else.
-    if not bool(((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs() < 1e-3).all()):
+    rigid = matrix.shape == (4, 4) and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+    if not rigid or not bool(((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs() < 1e-3).all()):
         raise InputValueError(
-            f"{owner}: {name} must be a rigid transform (4, 4), rotation and metres; got shape {tuple(matrix.shape)}."
+            f"{owner}: {name} must be a rigid transform (4, 4), rotation and metres above 0, 0, 0, 1; got shape "
+            f"{tuple(matrix.shape)}."
         )
     return matrix

@@ -30,7 +30,7 @@ class CameraLidarCalibration:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "CameraLidarCalibration(camera_matrix: Tensor, T_camera_from_lidar: Tensor, assumption: str)",
+            "CameraLidarCalibration(camera_matrix: real, T_camera_from_lidar: real, assumption: str)",
             self.camera_matrix,
             self.T_camera_from_lidar,
             self.assumption,

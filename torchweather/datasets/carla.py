@@ -91,7 +91,7 @@ def image_from_carla(image: CarlaImage) -> Tensor:
 
 def image_to_carla(rgb: Tensor) -> npt.NDArray[np.uint8]:
     """BGRA bytes ``(H, W, 4)`` of an image ``(3, H, W)`` uint8, alpha 255; ``.tobytes()`` is CARLA's ``raw_data``."""
-    check_arguments("image_to_carla(rgb: Tensor)", rgb)
+    check_arguments("image_to_carla(rgb: real)", rgb)
     if rgb.ndim != 3 or rgb.shape[0] != 3 or rgb.dtype != torch.uint8:
         raise InputValueError(f"image_to_carla: rgb must be (3, H, W) uint8; got {rgb.dtype} {tuple(rgb.shape)}.")
     array: npt.NDArray[np.uint8] = rgb.detach().cpu().numpy().transpose(1, 2, 0)
@@ -208,7 +208,7 @@ def points_to_carla(
         kind: ``(N,)`` `PointKind` of each point, ``result.kind`` of a transform; particles get index 0 and tag 0
             (Unlabeled), where they would keep those of what they hide.
     """
-    check_arguments("points_to_carla(points: Tensor, semantic: bool, kind: Tensor | None)", points, semantic, kind)
+    check_arguments("points_to_carla(points: real, semantic: bool, kind: Tensor | None)", points, semantic, kind)
     if not semantic:
         rows = _found(points, FLOATS_A_ROW, "points_to_carla")[:, :FLOATS_A_ROW]
         rows[:, 1] = 0.0 - rows[:, 1]
@@ -259,7 +259,7 @@ def detections_from_carla(measurement: CarlaMeasurement, radar: Radar, rcs_dbsm:
     found[:, 0] = range_m * torch.cos(altitude) * torch.cos(azimuth)
     found[:, 1] = 0.0 - range_m * torch.cos(altitude) * torch.sin(azimuth)
     found[:, 2] = range_m * torch.sin(altitude)
-    found[:, 3], found[:, 5] = speed, rcs_dbsm
+    found[:, 3], found[:, 5] = speed, float(rcs_dbsm)
     hit = range_m > 0
     found[hit, 4] = received_power_dbm(
         rcs_dbsm,
@@ -277,7 +277,7 @@ def detections_to_carla(detections: Tensor) -> npt.NDArray[np.float32]:
 
     ``.tobytes()`` is CARLA's ``raw_data``. Lost ones are left out; power and cross section have no place there.
     """
-    check_arguments("detections_to_carla(detections: Tensor)", detections)
+    check_arguments("detections_to_carla(detections: real)", detections)
     x, y, z, speed = _found(detections, 6, "detections_to_carla")[:, :4].T
     flat = np.hypot(x, y)
     return np.stack((speed, 0.0 - np.arctan2(y, x), np.arctan2(z, flat), np.hypot(flat, z)), axis=1).astype(np.float32)
@@ -306,7 +306,8 @@ def pose_from_carla(transform: Any) -> Tensor:
         transform.get_matrix() if hasattr(transform, "get_matrix") else transform
     )
     try:
-        found = torch.as_tensor(np.asarray(matrix, np.float64))
+        numbers = np.asarray(matrix)
+        found = torch.as_tensor(numbers.real.astype(np.float64) if numbers.dtype.kind in "fiu" else None)
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputTypeError(
             f"pose_from_carla: transform must be a carla.Transform or its matrix of numbers; got {matrix!r:.100}."

@@ -47,8 +47,7 @@ class ImageToDetector(nn.Module):
         std: float | Sequence[float] = 1.0,
     ) -> None:
         check_arguments(
-            "ImageToDetector(layout: str, colour: str, dtype: str, scale: float, "
-            "mean: float | Sequence[float] | Tensor, std: float | Sequence[float] | Tensor)",
+            "ImageToDetector(layout: str, colour: str, dtype: str, scale: float, mean: Quantity, std: Quantity)",
             layout,
             colour,
             dtype,

@@ -106,7 +106,7 @@ def read_depth(
     else:
         raw = _stored(source)
         depth = carla_depth_m(_carla_colours(raw, source)) if encoding == "carla" else _metres(raw, encoding, source)
-    return depth if math.isnan(missing_m) else torch.where(depth.isnan(), missing_m, depth)
+    return depth if math.isnan(missing_m) else torch.where(depth.isnan(), float(missing_m), depth)
 
 
 def read_disparity(path: str | os.PathLike[str], encoding: str = "disparity") -> Tensor:

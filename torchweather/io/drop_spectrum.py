@@ -114,8 +114,8 @@ def spectrum_from_counts(
         2083
     """
     check_arguments(
-        "spectrum_from_counts(counts: Tensor, edges_mm: Tensor, speed_m_per_s: Tensor, duration_s: float, "
-        "area_mm2: Tensor, time_s: Tensor, instrument: str, fall_speed_tolerance: float, "
+        "spectrum_from_counts(counts: real, edges_mm: real, speed_m_per_s: real, duration_s: float, "
+        "area_mm2: real, time_s: Tensor, instrument: str, fall_speed_tolerance: float, "
         "reported_rate_mm_per_h: Tensor | None, reported_mor_m: Tensor | None)",
         counts,
         edges_mm,
@@ -184,8 +184,8 @@ def spectrum_from_drops(
         fall_speed_tolerance: see `read_disdrometer`.
     """
     check_arguments(
-        "spectrum_from_drops(diameter_mm: Tensor, speed_m_per_s: Tensor, area_mm2: Tensor, time_s: Tensor, "
-        "edges_mm: Tensor, duration_s: float, instrument: str, fall_speed_tolerance: float)",
+        "spectrum_from_drops(diameter_mm: real, speed_m_per_s: real, area_mm2: real, time_s: Tensor, "
+        "edges_mm: real, duration_s: float, instrument: str, fall_speed_tolerance: float)",
         diameter_mm,
         speed_m_per_s,
         area_mm2,

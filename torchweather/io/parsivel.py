@@ -83,7 +83,7 @@ def parsivel_area_mm2(edges_mm: Tensor) -> Tensor:
         >>> parsivel_area_mm2(torch.tensor([1.0, 3.0]))
         tensor([5220.])
     """
-    check_arguments("parsivel_area_mm2(edges_mm: Tensor)", edges_mm)
+    check_arguments("parsivel_area_mm2(edges_mm: real)", edges_mm)
     check_arguments("parsivel_area_mm2(edges_mm: real(2+))", edges_mm)
     edges_mm = edges_mm if edges_mm.is_floating_point() else edges_mm.float()
     diameter = 0.5 * (edges_mm[1:] + edges_mm[:-1])

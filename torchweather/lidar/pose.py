@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import nested_shape
 from torchweather.core.errors import InputValueError
 
 __all__ = ["Origin", "Rotation", "checked_origin", "checked_rotation", "split_pose"]
@@ -21,7 +22,7 @@ IDENTITY: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def _matrix(value: Any, rows: int, columns: int) -> Tensor | None:
-    if isinstance(value, Tensor) and value.is_complex():
+    if nested_shape(value) is None:
         return None
     try:
         found = torch.as_tensor(value, dtype=torch.float64).cpu()

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_positive
+from torchweather.core.errors import InputValueError, TorchweatherWarning, check_at_least, check_between
 from torchweather.lidar.laser_blocks import height_blocks
 from torchweather.lidar.sensor import Lidar
 
@@ -103,7 +103,7 @@ def recover_ring(points: Tensor, lidar: Lidar, *, origin_heights_m: Sequence[flo
         tensor([ 2,  1, -1])
     """
     check_arguments(
-        "recover_ring(points: Tensor, lidar: Lidar, origin_heights_m: Sequence[float] | None)",
+        "recover_ring(points: real, lidar: Lidar, origin_heights_m: Sequence[float] | None)",
         points,
         lidar,
         origin_heights_m,
@@ -165,7 +165,7 @@ def estimate_elevations(points: Tensor, rings: int) -> tuple[Tensor, Tensor]:
         >>> elevations_deg.round(decimals=3), bool(spread_deg.max() < 1e-3)
         (tensor([-1.,  3.], dtype=torch.float64), True)
     """
-    check_arguments("estimate_elevations(points: Tensor, rings: int)", points, rings)
+    check_arguments("estimate_elevations(points: real, rings: int)", points, rings)
     _check_points(points, "estimate_elevations")
     check_at_least("rings", rings, 1, owner="estimate_elevations")
     xyz = points[..., :3].reshape(-1, 3).double()
@@ -243,7 +243,7 @@ def empty_beams(
         ([0, 0, 0], [20, 21, 22])
     """
     check_arguments(
-        "empty_beams(points: Tensor, lidar: Lidar, ring: Tensor | None, origin_heights_m: Sequence[float] | None, "
+        "empty_beams(points: real, lidar: Lidar, ring: real | None, origin_heights_m: Sequence[float] | None, "
         "max_gap_deg: float)",
         points,
         lidar,
@@ -254,7 +254,7 @@ def empty_beams(
     _check_points(points, "empty_beams")
     if points.ndim != 2:
         raise InputValueError(f"empty_beams: one cloud (N, 3 or more) at a time; got shape {tuple(points.shape)}.")
-    check_positive("max_gap_deg", max_gap_deg, unit="degrees", owner="empty_beams")
+    check_between("max_gap_deg", max_gap_deg, 1e-6, TURN_DEG, unit="degrees", owner="empty_beams")
     elevations, offsets, columns = _pattern(lidar, "empty_beams", points.device)
     if ring is None:
         ring = recover_ring(points, lidar, origin_heights_m=origin_heights_m)

@@ -221,10 +221,10 @@ def _chosen(names: Iterable[str], owner: object) -> tuple[str, ...]:
             f"{owner_name(owner)}: names must be a list of names such as ['hd']; got the text {names!r}."
         )
     check_arguments(f"{owner_name(owner)}(names: Iterable)", names)
-    chosen = tuple(dict.fromkeys(names))
-    for name in chosen:
+    listed = list(names)
+    for name in listed:
         check_one_of("names", name, ("sdm", *_OF_DISTANCES), owner=owner)
-    return chosen
+    return tuple(dict.fromkeys(listed))
 
 
 def _directed(points: tuple[Tensor, Tensor], direction: str, search: str) -> Distances:

@@ -131,7 +131,7 @@ def correlate(
         [('ssim', 1, 1.0), ('gmsd', 2, -0.67)]
     """
     check_arguments(
-        "correlate(scores: Mapping, performance: Mapping | Sequence[float], by: Sequence[str] | None, "
+        "correlate(scores: Mapping[str], performance: Mapping[str] | Sequence[float], by: Sequence[str] | None, "
         "performance_column: str, resamples: int, seed: int, highly: float)",
         scores,
         performance,
@@ -143,6 +143,9 @@ def correlate(
     )
     if resamples < 1:
         raise InputValueError(f"correlate: resamples must be 1 or more; got {resamples!r}.")
+    check_between("resamples", resamples, 1, 10_000_000, owner="correlate")
+    check_between("seed", seed, 0, 2**63, owner="correlate")
+    resamples, seed = int(resamples), int(seed)
     check_between("highly", highly, 0.0, 1.0, owner="correlate")
     data = join(scores, performance, by, performance_column)
     number = len(data.performance)

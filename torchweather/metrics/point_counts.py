@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_at_least
+from torchweather.core.errors import InputValueError, check_between
 from torchweather.core.precision import outside_autocast
 from torchweather.metrics.clouds import Region, there
 
@@ -61,7 +61,8 @@ def point_counts(
     found = there(points, valid, region)
     if kind is None:
         return found.sum(-1)
-    check_at_least("kinds", kinds, 1, owner=name)
+    check_between("kinds", kinds, 1, 1 << 16, owner=name)
+    kinds = int(kinds)
     if kind.is_floating_point() or bool(((kind < 0) | (kind >= kinds)).any()):
         raise InputValueError(f"{name}: kind must hold integers from 0 to {kinds - 1}.")
     if region is None:  # lost beams too

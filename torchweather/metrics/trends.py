@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputTypeError, InputValueError
+from torchweather.core.errors import InputTypeError, InputValueError, check_between
 
 __all__ = ["SceneTrends", "Trend", "expected_trends"]
 
@@ -105,8 +105,9 @@ def expected_trends(
         seed,
     )
     _check(tie_within, resamples)
+    check_between("seed", seed, 0, 2**63, owner="expected_trends")
     return {
-        scene: _scene(scene, metrics, direction, tie_within, paired, _Bootstrap(resamples, seed))
+        scene: _scene(scene, metrics, direction, tie_within, paired, _Bootstrap(int(resamples), int(seed)))
         for scene, metrics in scores.items()
     }
 
@@ -132,6 +133,7 @@ def _check(tie_within: float, resamples: int) -> None:
         raise InputValueError(f"expected_trends: tie_within must be 0 or more; got {tie_within!r}.")
     if resamples < 1:
         raise InputValueError(f"expected_trends: resamples must be 1 or more; got {resamples!r}.")
+    check_between("resamples", resamples, 1, 10_000_000, owner="expected_trends")
 
 
 def _scene(

@@ -139,7 +139,7 @@ def effective_extinction_per_m(extinction_per_m: Quantity, q_eff: float) -> Tens
         0.0011
     """
     check_arguments("effective_extinction_per_m(extinction_per_m: Quantity, q_eff: float)", extinction_per_m, q_eff)
-    check_at_least("q_eff", q_eff, 0.0, owner="effective_extinction_per_m")
+    check_between("q_eff", q_eff, 0.0, 1e3, owner="effective_extinction_per_m")
     (extinction,) = to_float64(extinction_per_m)
     return extinction * (0.5 * q_eff)
 

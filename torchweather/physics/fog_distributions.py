@@ -94,7 +94,7 @@ def rehearse_fog(nominal_mor_m: int) -> LogNormal:
         0.132
     """
     check_arguments("rehearse_fog(nominal_mor_m: int)", nominal_mor_m)
-    if nominal_mor_m not in REHEARSE:
+    if int(nominal_mor_m) not in REHEARSE:
         raise InputValueError(f"rehearse_fog: nominal_mor_m must be one of 10, 20, 30, 50 m; got {nominal_mor_m!r}.")
     number, log_median, sigma = REHEARSE[int(nominal_mor_m)]
     return LogNormal(number, math.exp(log_median), sigma)

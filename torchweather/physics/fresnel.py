@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
-from torchweather.core.errors import InputValueError, check_between, check_positive
+from torchweather.core.errors import InputValueError, check_at_least, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
 
 __all__ = ["SphereBudget", "axial_q_back", "normal_reflectance", "sphere_budget"]
@@ -51,6 +51,7 @@ def sphere_budget(refractive_index: float, panels: int = 4096) -> SphereBudget:
     """
     check_arguments("sphere_budget(refractive_index: float, panels: int)", refractive_index, panels)
     check_between("panels", panels, 1, 1 << 24, owner="sphere_budget")
+    refractive_index, panels = float(refractive_index), int(panels)
     if not 1.0 < refractive_index <= 1e6:
         raise InputValueError(
             f"sphere_budget: refractive_index must be a real number above 1; got {refractive_index!r}."
@@ -121,8 +122,9 @@ def axial_q_back(
     reflected = normal_reflectance(torch.complex(m.real, torch.zeros_like(m.real)))
     rear = (1.0 - reflected) ** 2 * (m.real / (2.0 - m.real)) ** 2
     if diameter_mm is not None and wavelength_nm is not None:
-        check_positive("wavelength_nm", wavelength_nm, unit="nm", owner="axial_q_back")
         k, diameter, wavelength = to_float64(m.imag, diameter_mm, wavelength_nm)
+        check_positive("wavelength_nm", wavelength, unit="nm", owner="axial_q_back")
+        check_at_least("diameter_mm", diameter, 0.0, unit="mm", owner="axial_q_back")
         rear = rear * torch.exp(-8.0 * math.pi * k * diameter * 1e6 / wavelength)
     return reflected * (1.0 + rear)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import call_given, check_arguments
 from torchweather.core.errors import InputValueError, check_between, check_positive
 from torchweather.core.precision import AtLeastSingle
 
@@ -81,7 +81,9 @@ class InterpolationTable(AtLeastSingle):
         self._step = math.log(high / low) / (n - 1)
         with torch.no_grad():
             nodes = torch.exp(math.log(low) + torch.arange(n, dtype=torch.float64) * self._step)
-            values = function(nodes).to(torch.float64)
+            found = call_given("InterpolationTable", "function", function, nodes)
+            check_arguments("InterpolationTable(values_of_function: real)", found)
+            values = found.to(torch.float64)
             if values.ndim < 1 or values.shape[0] != n:
                 raise InputValueError(
                     f"InterpolationTable: function must give shape ({n}, ...); got {tuple(values.shape)}."

@@ -295,7 +295,14 @@ def maxwell_garnett(matrix: complex | Tensor, inclusion: complex | Tensor, volum
     around, inside = (v.to(fraction.device) for v in to_complex128(matrix, inclusion))
     check_broadcast("maxwell_garnett", matrix=around, inclusion=inside, volume_fraction=fraction)
     y = fraction * (inside - around) / (inside + 2.0 * around)
-    return around * (1.0 + 2.0 * y) / (1.0 - y)
+    mixed: Tensor = around * (1.0 + 2.0 * y) / (1.0 - y)
+    given = bool(around.isfinite().all() and inside.isfinite().all())
+    if given and not bool(mixed.isfinite().all()):
+        raise InputValueError(
+            "maxwell_garnett: matrix and inclusion must be permittivities with a mixture, such as 1 and 3.18; got "
+            "inclusion = -2 matrix, or none at all."
+        )
+    return mixed
 
 
 def snow_refractive_index_microwave(

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_between
+from torchweather.physics.float64 import to_float64
 
 __all__ = ["wet_cover_loss_db", "wet_cover_series_db"]
 
@@ -53,8 +54,8 @@ def wet_cover_loss_db(
         tensor(1.2358)
     """
     check_arguments(
-        "wet_cover_loss_db(rain_mm_per_h: floating, age_min: real, loss_db: Quantity, film_db: Quantity, "
-        "film_exponent: Quantity, drying_min: Quantity)",
+        "wet_cover_loss_db(rain_mm_per_h: floating(..., 1+), age_min: real(..., 1+), loss_db: Quantity, "
+        "film_db: Quantity, film_exponent: Quantity, drying_min: Quantity)",
         rain_mm_per_h,
         age_min,
         loss_db,
@@ -66,7 +67,7 @@ def wet_cover_loss_db(
     _check_over_time("wet_cover_loss_db", rain_mm_per_h, loss_db, film_db, film_exponent, drying_min)
     check_at_least("age_min", age_min, 0.0, unit="min", owner="wet_cover_loss_db")
     loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))
-    check_between("drying_min", torch.as_tensor(drying_min), 1e-3, 1e6, unit="min", owner="wet_cover_loss_db")
+    check_between("drying_min", to_float64(drying_min)[0], 1e-3, 1e6, unit="min", owner="wet_cover_loss_db")
     dry = _over_time(drying_min, rain_mm_per_h)
     wet = torch.exp(_log_wetness(rain_mm_per_h, film_exponent) - age_min.to(rain_mm_per_h) / dry).amax(-1)
     return loss_db + film_db * wet

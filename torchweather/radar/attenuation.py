@@ -267,8 +267,7 @@ class WetRadome(Stage):
         film_exponent: float = 1.0 / 3.0,
     ) -> None:
         check_arguments(
-            "WetRadome(rate_mm_per_h: float | Tensor | Sequence[float], loss_db: float, film_db: float, "
-            "film_exponent: float)",
+            "WetRadome(rate_mm_per_h: Quantity, loss_db: float, film_db: float, film_exponent: float)",
             rate_mm_per_h,
             loss_db,
             film_db,

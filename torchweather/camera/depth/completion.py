@@ -63,7 +63,7 @@ class CompletedDepth(CompletedSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "CompletedDepth(points_xyz: Tensor | array, T_camera_from_lidar: Tensor | array, upper_edge_rad: float)",
+            "CompletedDepth(points_xyz: real | array, T_camera_from_lidar: real | array, upper_edge_rad: float)",
             self.points_xyz,
             self.T_camera_from_lidar,
             self.upper_edge_rad,

@@ -58,7 +58,7 @@ def find_near_mask(rgb: Tensor) -> Tensor:
         >>> find_near_mask(picture)[0, [90, 95], 100]
         tensor([0., 1.])
     """
-    check_arguments("find_near_mask(rgb: Tensor)", rgb)
+    check_arguments("find_near_mask(rgb: real)", rgb)
     if rgb.ndim not in (3, 4) or rgb.shape[-3] not in (1, 3) or 0 in rgb.shape:
         raise InputValueError(
             f"find_near_mask: expected a picture (3, H, W) or (1, H, W), or (N, C, H, W); got {tuple(rgb.shape)}."

@@ -63,7 +63,7 @@ class DepthFromPoints(DepthSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "DepthFromPoints(points_xyz: real | array | Sequence, T_camera_from_lidar: real | array | Sequence, "
+            "DepthFromPoints(points_xyz: Quantity, T_camera_from_lidar: Quantity, "
             "fill: str, above: str, skyline_window_px: int, upper_edge_rad: float)",
             self.points_xyz,
             self.T_camera_from_lidar,

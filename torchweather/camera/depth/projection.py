@@ -46,6 +46,8 @@ def project_points(
         width,
     )
     check_between("T_camera_from_lidar", T_camera_from_lidar, -1e9, 1e9, unit="m", owner="project_points")
+    farthest = torch.where(points_xyz[:, :3].isnan(), 0.0, points_xyz[:, :3])
+    check_between("points_xyz", farthest, -1e9, 1e9, unit="m", owner="project_points")
     rows, columns = height or camera.height, width or camera.width
     transform = T_camera_from_lidar.to(points_xyz)
     in_camera = points_xyz[:, :3] @ transform[:3, :3].T + transform[:3, 3]

@@ -89,7 +89,7 @@ def sky_mask(
         tensor([1., 0.])
     """
     check_arguments(
-        "sky_mask(rgb: Tensor, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
+        "sky_mask(rgb: real, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
         rgb,
         horizon_row,
         vanishing_column,
@@ -119,7 +119,7 @@ def find_sky(
         False
     """
     check_arguments(
-        "find_sky(rgb: Tensor, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
+        "find_sky(rgb: real, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
         rgb,
         horizon_row,
         vanishing_column,

@@ -50,7 +50,7 @@ class CompletedDepthMap(CompletedSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "CompletedDepthMap(depth_m: Tensor | array, upper_edge_rad: float)",
+            "CompletedDepthMap(depth_m: real | array, upper_edge_rad: float)",
             self.depth_m,
             self.upper_edge_rad,
         )
@@ -156,7 +156,7 @@ def depth_from_disparity(disparity_px: Tensor, fx_px: float, baseline_m: float) 
         tensor([9., nan, nan])
     """
     check_arguments(
-        "depth_from_disparity(disparity_px: Tensor, fx_px: float, baseline_m: float)",
+        "depth_from_disparity(disparity_px: real, fx_px: float, baseline_m: float)",
         disparity_px,
         fx_px,
         baseline_m,

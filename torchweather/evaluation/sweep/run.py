@@ -97,6 +97,7 @@ def samples(
         seeds,
         names,
     )
+    seeds = [int(seed) for seed in seeds]
     if not seeds or len(set(seeds)) < len(seeds):
         raise InputValueError(f"sweep: wanted one or more seeds that differ; got {list(seeds)}.")
     todo = plan(subjects, levels)

@@ -129,6 +129,7 @@ def beam_ends(
         step_deg,
         ground,
     )
+    max_range_m, step_deg = float(max_range_m), float(step_deg)
     xyz = np.asarray(points_xyz, dtype=np.float64)
     direction = np.asarray(direction, dtype=np.float64)
     if not np.isfinite(direction).all() or not (np.abs(xyz) < 1e9).all():

@@ -172,7 +172,7 @@ def estimate_pattern(
         'file order'
     """
     check_arguments(
-        "estimate_pattern(points: Tensor | array, ring: Tensor | array | None, rings: int | None, min_range_m: float)",
+        "estimate_pattern(points: real | array, ring: Tensor | array | None, rings: int | None, min_range_m: float)",
         points,
         ring,
         rings,

@@ -64,7 +64,7 @@ def beat_signal(scatterers: Scatterers, radar: Radar, *, attenuation_db: Tensor 
         torch.Size([12, 128, 256])
     """
     check_arguments(
-        "beat_signal(scatterers: Scatterers, radar: Radar, attenuation_db: Tensor | None)",
+        "beat_signal(scatterers: Scatterers, radar: Radar, attenuation_db: real | None)",
         scatterers,
         radar,
         attenuation_db,

@@ -45,7 +45,7 @@ def corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: 
         14.4
     """
     check_arguments(
-        "corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: Tensor | None)",
+        "corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: real | None)",
         edge_m,
         wavelength_m,
         to_radar,
@@ -103,7 +103,7 @@ def facet_scatterers(
         [28.0, 2.0, 19.1]
     """
     check_arguments(
-        "facet_scatterers(vertices_m: Tensor, radar_position_m: Tensor, velocity_m_per_s: Tensor, "
+        "facet_scatterers(vertices_m: real, radar_position_m: real, velocity_m_per_s: real, "
         "wavelength_m: float, reflectivity: float)",
         vertices_m,
         radar_position_m,
@@ -158,8 +158,8 @@ def corner_scatterers(
         14.4
     """
     check_arguments(
-        "corner_scatterers(position_m: floating, facing: floating, edge_m: Tensor, radar_position_m: Tensor, "
-        "velocity_m_per_s: Tensor, wavelength_m: float)",
+        "corner_scatterers(position_m: floating, facing: floating, edge_m: real, radar_position_m: real, "
+        "velocity_m_per_s: real, wavelength_m: float)",
         position_m,
         facing,
         edge_m,

@@ -215,9 +215,9 @@ def car_scatterers(
         (True, 3.0)
     """
     check_arguments(
-        "car_scatterers(rear_m: Sequence, wavelength_m: float, yaw_rad: float, velocity_m_per_s: Sequence, "
-        "radar_height_m: float, facets_m: Tensor | None, details: Sequence, reflectivity: float, "
-        "cell_m: float | None)",
+        "car_scatterers(rear_m: Sequence[float], wavelength_m: float, yaw_rad: float, "
+        "velocity_m_per_s: Sequence[float], radar_height_m: float, facets_m: Tensor | None, "
+        "details: Sequence, reflectivity: float, cell_m: float | None)",
         rear_m,
         wavelength_m,
         yaw_rad,
@@ -228,7 +228,7 @@ def car_scatterers(
         reflectivity,
         cell_m,
     )
-    check_finite("rear_m", torch.tensor(rear_m), unit="m", owner="car_scatterers")
+    check_finite("rear_m", torch.tensor([float(one) for one in rear_m]), unit="m", owner="car_scatterers")
     check_finite("yaw_rad", yaw_rad, unit="rad", owner="car_scatterers")
     check_finite("radar_height_m", radar_height_m, unit="m", owner="car_scatterers")
     if len(rear_m) != 2 or len(velocity_m_per_s) != 3:
@@ -241,7 +241,7 @@ def car_scatterers(
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     turn = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=skin.dtype, device=skin.device)
     at, radar, velocity = (
-        torch.tensor(v, dtype=skin.dtype, device=skin.device)
+        torch.tensor([float(one) for one in v], dtype=skin.dtype, device=skin.device)
         for v in ((*rear_m, 0.0), (0.0, 0.0, radar_height_m), velocity_m_per_s)
     )
     seen = facet_scatterers(skin @ turn.T + at, radar, velocity, wavelength_m, reflectivity)

@@ -70,18 +70,19 @@ def triangle_field_m(
         (78.54, 78.54)
     """
     check_arguments(
-        "triangle_field_m(vertices_m: Tensor, to_radar: Tensor, wavelength_m: Quantity, reflectivity: Quantity)",
+        "triangle_field_m(vertices_m: real, to_radar: real, wavelength_m: Quantity, reflectivity: Quantity)",
         vertices_m,
         to_radar,
         wavelength_m,
         reflectivity,
     )
-    check_broadcast("triangle_field_m", wavelength_m=wavelength_m, reflectivity=reflectivity)
     owner = "triangle_field_m"
     _check_triangles(vertices_m, owner)
     check_positive("wavelength_m", wavelength_m, unit="m", owner=owner)
     check_between("reflectivity", reflectivity, 0.0, 1.0, owner=owner)
     toward = _one_a_facet(to_radar, vertices_m, owner)
+    facets = {"facets": vertices_m[..., 0, 0], "to_radar": toward[..., 0]}
+    check_broadcast(owner, **facets, wavelength_m=wavelength_m, reflectivity=reflectivity)
 
     corners, toward, wavelength, eta = to_float64(vertices_m, toward, wavelength_m, reflectivity)
     _warn_if_small(corners, wavelength, owner)
@@ -92,7 +93,8 @@ def triangle_field_m(
     nearer = (from_centroid * toward[..., None, :]).sum(-1)  # (..., F, 3), metres
     phase = -4.0 * math.pi / wavelength[..., None] * nearer
     field: Tensor = (math.sqrt(4.0 * math.pi) / wavelength * eta.sqrt() * facing) * _unit_triangle_transform(phase)
-    return field.to(vertices_m.dtype.to_complex())
+    exact = torch.promote_types(vertices_m.dtype, torch.float32)  # complex numbers of 2 x 16 bits are no type of all
+    return field.to(exact.to_complex())
 
 
 def isosceles_triangle_rcs_m2(
@@ -195,7 +197,7 @@ def subdivide(vertices_m: Tensor, max_edge_m: float) -> Tensor:
         >>> subdivide(triangle, 0.26).shape
         torch.Size([4, 3, 3])
     """
-    check_arguments("subdivide(vertices_m: Tensor, max_edge_m: float)", vertices_m, max_edge_m)
+    check_arguments("subdivide(vertices_m: real, max_edge_m: float)", vertices_m, max_edge_m)
     _check_triangles(vertices_m, "subdivide")
     check_positive("max_edge_m", max_edge_m, unit="m", owner="subdivide")
     check_between("max_edge_m", max_edge_m, 1e-9, 1e9, unit="m", owner="subdivide")

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import InputValueError
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.power_map.power_map import MapAxes
 from torchweather.radar.sensor import Radar
@@ -63,6 +64,10 @@ def map_state(values: Tensor, axes: MapAxes, sensor: Radar, ego_speed_m_per_s: f
         sensor,
         ego_speed_m_per_s,
     )
+    if values.ndim != 1 + len(axes.dims):
+        raise InputValueError(
+            f"map_state: values must be (B, {', '.join(axes.dims)}) of the axes; got {tuple(values.shape)}."
+        )
     along = lines_of_sight(axes, values.device)[0]  # (R, A, 3)
     place = along.reshape(1, -1, 3).expand(values.shape[0], -1, -1)
     points = torch.cat([place, torch.zeros_like(place)], -1)

@@ -56,7 +56,7 @@ class MapAxes:
 
     def __post_init__(self) -> None:
         check_arguments(
-            "MapAxes(dims: Sequence, range_m: Sequence, azimuth_rad: Sequence | None, "
+            "MapAxes(dims: Sequence[str], range_m: Sequence, azimuth_rad: Sequence | None, "
             "elevation_rad: Sequence | None, speed_m_per_s: Sequence | None)",
             self.dims,
             self.range_m,
@@ -259,7 +259,7 @@ class RadarPowerMap:
 
 
 def _numbers(name: str, values: Sequence[float] | Tensor) -> tuple[float, ...]:
-    check_arguments(f"MapAxes({name}: real | array | Sequence[float])", values)
+    check_arguments(f"MapAxes({name}: real(N) | Sequence[float])", values)
     listed = values.detach().double().tolist() if isinstance(values, Tensor) else [float(value) for value in values]
     if not listed:
         raise InputValueError(f"MapAxes: {name} must hold one value or more; got none.")

@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, nested_shape
 from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import Variate
 from torchweather.pipeline.registry import register
@@ -105,7 +105,7 @@ class MapReceiver(Stage):
     ) -> None:
         check_arguments(
             "MapReceiver(axes: MapAxes | Mapping, scale: PowerScale | Mapping, "
-            "noise_floor_db: float | Sequence | None, looks: int, oversampling: float)",
+            "noise_floor_db: float | Sequence[float] | None, looks: int, oversampling: float)",
             axes,
             scale,
             noise_floor_db,
@@ -228,11 +228,11 @@ def _root(power: Tensor) -> Tensor:
 
 
 def _floor(value: Any, axes: MapAxes) -> float | tuple[float, ...] | None:
-    if value is None or isinstance(value, (int, float)):
-        found = None if value is None else float(value)
-        if found is not None:
-            check_between("noise_floor_db", found, -400.0, 400.0, unit="dB", owner="MapReceiver")
-        return found
+    if value is None:
+        return None
+    if nested_shape(value) == ():
+        check_between("noise_floor_db", float(value), -400.0, 400.0, unit="dB", owner="MapReceiver")
+        return float(value)
     profile = tuple(float(one) for one in value)
     if len(profile) != len(axes.range_m):
         raise InputValueError(

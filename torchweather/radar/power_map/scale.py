@@ -176,6 +176,10 @@ class PowerScale:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> PowerScale:
         """The inverse of ``to_dict``."""
+        check_arguments("PowerScale.from_dict(values: Mapping[str])", values)
+        check_arguments(
+            "PowerScale(kind: str, edges_db: Sequence[float] | None)", values.get("kind"), values.get("edges_db")
+        )
         edges: Sequence[float] | None = values.get("edges_db")
         return cls(values["kind"], None if edges is None else tuple(edges))
 
