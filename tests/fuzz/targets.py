@@ -157,6 +157,7 @@ INFINITE = frozenset(
         "isosceles_triangle_rcs_m2",  # sides beyond the earth
         "Camera.distort",  # rays far beside the picture
         "RadarMapWeather.run",  # clutter of 0 W in dB
+        "RadarAttenuation.run",  # signal of an empty row in dB
         "RadarClutter.run",  # signal of no detection in dB
         "project_boxes",  # of a box behind the camera
         "estimate_pattern",

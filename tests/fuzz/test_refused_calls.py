@@ -47,6 +47,7 @@ from torchweather.physics import (
     sphere_budget,
     water_refractive_index,
     wet_cover_loss_db,
+    wet_cover_series_db,
 )
 from torchweather.radar import (
     CellAveragingCfar,
@@ -58,6 +59,7 @@ from torchweather.radar import (
     triangle_field_m,
 )
 from torchweather.radar.attenuation import WetRadome
+from torchweather.radar.power_map.map_detections import map_detections
 from torchweather.radar.power_map.power_map import MapAxes
 from torchweather.radar.power_map.scale import PowerScale
 from torchweather.scenes import object_boxes
@@ -231,6 +233,23 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         r"rain_mm_per_h must have shape \(\.\.\., 1 or more\)",
     ),
     "visibility in half metres": (lambda: rehearse_fog(np.array(10.5)), "nominal_mor_m must be a whole number"),
+    "noise beyond all power": (
+        lambda: map_detections(good.power_map(), Radar(), noise_db=1e30),
+        "noise_db must lie in -400..400 dB",
+    ),
+    "axes of nothing": (lambda: MapAxes.from_dict({}), "expected dims and range_m, .*; got nothing"),
+    "bins without edges": (
+        lambda: weather_from_dict({"kind": "rain", "rate_mm_per_h": 1.0, "size_distribution": {"edges_mm": [1.0]}}),
+        "size_distribution must have edges_mm, density_per_m3_mm, particle; got edges_mm",
+    ),
+    "film without bound": (
+        lambda: wet_cover_loss_db(torch.ones(2), torch.zeros(2), 0.0, 1.0, 1000.0, 10.0),
+        "film_exponent must lie in 0..5",
+    ),
+    "film dry at once": (
+        lambda: wet_cover_series_db(torch.ones(2), torch.arange(2), 0.0, 1.0, 0.5, -0.0),
+        "drying_min must lie in 0.001..1e",
+    ),
     "headings turned upright": (
         lambda: turned_back(torch.zeros(1), torch.eye(3)[:, :2], torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),
         "keeps headings level",

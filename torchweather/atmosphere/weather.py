@@ -202,6 +202,11 @@ class Weather:
                 raise InputTypeError(f"{cls.__name__}: {key} must be a name or its bins; got {value!r}.")
             if isinstance(value, Mapping):
                 if key == "size_distribution":
+                    bins = ("edges_mm", "density_per_m3_mm", "particle")
+                    if set(value) != set(bins):
+                        raise InputValueError(
+                            f"{cls.__name__}: {key} must have {', '.join(bins)}; got {', '.join(map(str, value))}."
+                        )
                     value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
                 else:
                     value = distribution_from(value, owner=f"{cls.__name__}: {key}")

@@ -67,7 +67,6 @@ def wet_cover_loss_db(
     _check_over_time("wet_cover_loss_db", rain_mm_per_h, loss_db, film_db, film_exponent, drying_min)
     check_at_least("age_min", age_min, 0.0, unit="min", owner="wet_cover_loss_db")
     loss_db, film_db = (_over_time(value, rain_mm_per_h)[..., 0] for value in (loss_db, film_db))
-    check_between("drying_min", to_float64(drying_min)[0], 1e-3, 1e6, unit="min", owner="wet_cover_loss_db")
     dry = _over_time(drying_min, rain_mm_per_h)
     wet = torch.exp(_log_wetness(rain_mm_per_h, film_exponent) - age_min.to(rain_mm_per_h) / dry).amax(-1)
     return loss_db + film_db * wet
@@ -100,7 +99,7 @@ def wet_cover_series_db(
     _check_over_time("wet_cover_series_db", rain_mm_per_h, loss_db, film_db, film_exponent, drying_min)
     # A running maximum of logarithms that grow with time: double precision, for series of many drying times.
     rain = rain_mm_per_h.double()
-    elapsed = (time_min - time_min[..., :1]).double() / _over_time(drying_min, rain)
+    elapsed = (time_min.double() - time_min.double()[..., :1]) / _over_time(drying_min, rain)
     log_wet = (_log_wetness(rain, film_exponent) + elapsed).cummax(-1).values - elapsed
     loss = _over_time(loss_db, rain) + _over_time(film_db, rain) * log_wet.exp()
     return loss.to(rain_mm_per_h.dtype)
@@ -110,6 +109,9 @@ def _check_over_time(owner: str, rain_mm_per_h: Tensor, *values: Value) -> None:
     """Values ``(...)`` that broadcast over rates ``(..., T)``."""
     names = ("loss_db", "film_db", "film_exponent", "drying_min")
     check_arguments(f"{owner}({', '.join(f'{name}: Quantity' for name in names)})", *values)
+    check_at_least("rain_mm_per_h", rain_mm_per_h, 0.0, unit="mm/h", owner=owner)
+    check_between("film_exponent", to_float64(values[2])[0], 0.0, 5.0, owner=owner)
+    check_between("drying_min", to_float64(values[3])[0], 1e-3, 1e6, unit="min", owner=owner)
     check_broadcast(owner, rain_at_one_time=rain_mm_per_h[..., :1].squeeze(-1), **dict(zip(names, values, strict=True)))
 
 

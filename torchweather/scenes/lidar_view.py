@@ -109,7 +109,7 @@ def lidar_view(
         ([28.0, 0.0], [True, False])
     """
     check_arguments(
-        "lidar_view(scene: Scene, lidar: Lidar, directions: Tensor | None, "
+        "lidar_view(scene: Scene, lidar: Lidar, directions: real | None, "
         "T_vehicle_from_lidar: Tensor | Sequence | None, range_noise_seed: int | None)",
         scene,
         lidar,
@@ -118,6 +118,7 @@ def lidar_view(
         range_noise_seed,
     )
     beams, grid = _beams(lidar, directions)
+    beams = beams.to(torch.promote_types(beams.dtype, torch.float32))  # angles between beams need its digits
     pose = checked_pose("lidar_view", "lidar", T_vehicle_from_lidar, beams, ROOF_MOUNT_M)
     rays = beams @ pose[:3, :3].T
     # Beams of one azimuth have similar directions; the ray caster wants neighbours next to each other.

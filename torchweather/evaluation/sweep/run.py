@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import call_given, check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.evaluation.sweep.levels import Level
@@ -184,5 +184,5 @@ def sweep(
     for sample in samples(subjects, levels, seeds, names):
         found.append(sample)
         if progress is not None:
-            progress(1)
+            call_given("sweep", "progress", progress, 1)
     return columns_of(found)

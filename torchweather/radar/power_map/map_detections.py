@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import check_between
 from torchweather.radar.fmcw.cfar import CellAveragingCfar, Cfar
 from torchweather.radar.fmcw.detection import local_maxima
 from torchweather.radar.power_map.clutter import map_noise_floor_dbm
@@ -87,11 +88,13 @@ def map_detections(
         noise_db,
         looks,
     )
+    if noise_db is not None:
+        check_between("noise_db", noise_db, -400.0, 400.0, unit="dB", owner="map_detections")
     axes = power_map.axes
     names = ("azimuth", "elevation", "doppler", "range")
     kept = [name for name in names if name in axes.dims]
     decibels = power_map.decibels.permute(*(axes.dims.index(name) for name in kept))
-    floor_db = noise_floor_db(power_map, looks) if noise_db is None else noise_db
+    floor_db = noise_floor_db(power_map, looks) if noise_db is None else float(noise_db)
     across = next((name for name in kept if name != "range"), None)
     others = [name for name in kept if name not in (across, "range")]
     sizes = [decibels.shape[kept.index(name)] for name in others]

@@ -191,6 +191,13 @@ class MapAxes:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> MapAxes:
         """The inverse of ``to_dict``."""
+        check_arguments("MapAxes.from_dict(values: Mapping[str])", values)
+        known = ["dims", *MAP_DIMENSIONS.values()]
+        if not {"dims", "range_m"} <= set(values) <= set(known):
+            raise InputValueError(
+                f"MapAxes.from_dict: expected dims and range_m, and axes among {', '.join(known)}; got "
+                f"{', '.join(values) or 'nothing'}."
+            )
         for name, value in values.items():
             check_arguments(f"MapAxes.from_dict({name}: Sequence | None)", value)
         given: dict[str, Any] = {key: None if value is None else tuple(value) for key, value in values.items()}
