@@ -62,6 +62,9 @@ def lidars() -> None:
     """Fog, rain and snow with gusts, and every curve that measurements add."""
     for unit in (LIDAR.intensity_unit, "none"):
         ran(LidarWeather(PATCHY, replace(LIDAR, intensity_unit=unit)), cloud(2), directions=rays(2))
+    doppler = torch.cat([cloud(2), torch.zeros_like(cloud(2)[..., :1])], -1)
+    sensor = replace(LIDAR, speed_column=doppler.shape[-1] - 1, return_mode="dual")
+    ran(LidarWeather(PATCHY, sensor, ego_speed_m_per_s=5.0), doppler, directions=rays(2))
     transform = effect_scene.rain()
     state = effect_scene.begin(transform)
     state = state.changed(cos_incidence=torch.full_like(state.scene.clear_range_m, 0.5), up=state.scene.clear_range_m)

@@ -399,6 +399,7 @@ def test_the_lidar_presets_and_their_normative_numbers() -> None:
         "pandar64-wads",
         "waymo-top",
         "generic-1550nm",
+        "aeva-aevascenes-wide",
     }
     # PHYSICS.md section 7 and 5.9.
     os1 = Lidar.preset("ouster-os1-128")
@@ -423,7 +424,7 @@ def test_the_lidar_presets_and_their_normative_numbers() -> None:
             "uint8_calibrated"
             if name.startswith(("ouster", "velodyne-vlp"))
             else "reflectivity"
-            if name.startswith(("generic", "waymo"))
+            if name.startswith(("generic", "waymo", "aeva"))
             else "uint8_linear"
         )
 

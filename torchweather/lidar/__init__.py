@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchweather.lidar.static_speed import static_speed_m_per_s
 from torchweather.lidar.sweep.beam_ends import BeamEnd, BeamEnds, beam_ends
 from torchweather.lidar.sweep.ground import GroundPlane, fit_ground
 from torchweather.lidar.sweep.near_response import NearResponseFit, fit_near_response
@@ -26,4 +27,5 @@ __all__ = [
     "fit_pattern",
     "own_vehicle_mask",
     "scan_count_problem",
+    "static_speed_m_per_s",
 ]

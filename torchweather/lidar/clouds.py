@@ -51,16 +51,16 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
             f"{name}: points must be a tensor (..., N, 4 or more); got {type(points).__name__}. For a numpy array call "
             "on_numpy(points)."
         )
-    wanted = max(4, (sensor.ring_column or 0) + 1)
+    named = {name: getattr(sensor, name) for name in ("ring_column", "speed_column")}
+    wanted = max(4, *(1 + (column or 0) for column in named.values()))
     if points.ndim < 2 or points.shape[-1] < 4:
         raise InputValueError(
             f"{name}: points must have shape (..., N, 4 or more) = {COLUMNS_WANTED}; got {tuple(points.shape)}. If "
             'your sensor gives no intensity, append a column of ones and set Lidar(intensity_unit="none").'
         )
     if points.shape[-1] < wanted:
-        raise InputValueError(
-            f"{name}: Lidar(ring_column={sensor.ring_column}) needs {wanted} columns; got {tuple(points.shape)}."
-        )
+        given = ", ".join(f"{key}={column}" for key, column in named.items() if column is not None)
+        raise InputValueError(f"{name}: Lidar({given}) needs {wanted} columns; got {tuple(points.shape)}.")
     if not points.is_floating_point():
         raise InputTypeError(
             f"{name}: points must be floating point ({COLUMNS_WANTED}); got {points.dtype}. Use .float()."

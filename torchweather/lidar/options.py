@@ -25,3 +25,4 @@ class LidarOptions(TransformOptions):
     beam_ends: str = "scene"
     own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None
     variant: str | None = None
+    ego_speed_m_per_s: float = 0.0

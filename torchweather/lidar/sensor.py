@@ -55,6 +55,8 @@ RANGES = {
     "origin_heights_m": between(-10.0, 10.0, "m"),
     "columns": at_least(1, 1e6),
     "ring_column": at_least(4, 1e4),
+    "speed_column": at_least(4, 1e4),
+    "speed_noise_m_per_s": at_least(0.0, 100.0, "m/s"),
 }
 """Values that a LiDAR's fields take."""
 
@@ -86,6 +88,8 @@ class LidarFields(TypedDict, total=False):
     azimuth_offsets_deg: tuple[float, ...] | None
     origin_heights_m: tuple[float, ...] | None
     ring_column: int | None
+    speed_column: int | None
+    speed_noise_m_per_s: float
     origin_m: tuple[float, float, float]
     rotation: tuple[tuple[float, float, float], ...] | None
     directions: Tensor | None
@@ -126,6 +130,9 @@ class Lidar(Sensor):
         origin_heights_m: height of each ring's laser over the cloud's origin; ``None`` is 0.
         ring_column: column of the cloud that holds the ring, 4 or more; ``None`` recovers it from the elevation where
             it is needed.
+        speed_column: column of the cloud that holds the radial speed of each point, m/s, positive away from the sensor,
+            4 or more: a Doppler (FMCW) LiDAR. Objects keep theirs, particles get their own. ``None``: no such column.
+        speed_noise_m_per_s: standard deviation of the speed of a particle's return.
         origin_m: x, y, z of the sensor in the cloud's frame; (0, 0, 0) where the cloud is in the sensor's own. Weather
             is computed in the sensor's frame and written back in the cloud's (``lidar/cloud_frame.py``).
         rotation: ``(3, 3)`` whose columns are the sensor's x, y and z in the cloud's frame; ``None`` is the identity.
@@ -166,6 +173,8 @@ class Lidar(Sensor):
     azimuth_offsets_deg: tuple[float, ...] | None = None
     origin_heights_m: tuple[float, ...] | None = None
     ring_column: int | None = None
+    speed_column: int | None = None
+    speed_noise_m_per_s: float = 0.0
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: tuple[tuple[float, float, float], ...] | None = None
     directions: Tensor | None = field(default=None, compare=False, repr=False)
@@ -182,6 +191,10 @@ class Lidar(Sensor):
         check_fields(self, RANGES)
         check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)
         check_one_of("intensity_unit", self.intensity_unit, INTENSITY_UNITS, owner=self)
+        if self.speed_column is not None and self.speed_column == self.ring_column:
+            raise InputValueError(
+                f"Lidar: speed_column and ring_column must be different columns; got {self.speed_column} for both."
+            )
         self._check_ranges()
         self._check_pattern()
         object.__setattr__(self, "rotation", checked_rotation(self.rotation))

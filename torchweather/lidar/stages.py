@@ -41,7 +41,15 @@ from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
 
-__all__ = ["Detection", "Extinction", "ParticleReturns", "ToEnergy", "ToPoints"]
+__all__ = [
+    "Detection",
+    "Extinction",
+    "ParticleReturns",
+    "SensorStage",
+    "ToEnergy",
+    "ToPoints",
+    "vehicle_directions",
+]
 
 DB = math.log(10.0) / 10.0
 LEAST_RAMP = 1e-4  # of the near-range response, so that margins stay finite
@@ -61,12 +69,18 @@ def _azimuth_and_level(state: LidarState) -> tuple[Tensor, Tensor]:
     return torch.atan2(y, x), (x * x + y * y).sqrt()
 
 
+def vehicle_directions(state: LidarState, sensor: Lidar) -> Tensor:
+    """Unit vector of each beam in the cloud's frame, ``(B, N, 3)``: x forward, y left, z up."""
+    along = state.direction
+    return along if sensor.rotation is None else along @ along.new_tensor(sensor.rotation).T
+
+
 def exponential(uniform: Tensor) -> Tensor:
     """Standard exponential variates from uniform ones, 0 to 16.6 in single precision."""
     return -(1.0 - uniform).log()
 
 
-class _SensorStage(Stage):
+class SensorStage(Stage):
     """A stage that is made from the sensor alone."""
 
     each_beam_alone = True
@@ -81,7 +95,7 @@ class _SensorStage(Stage):
 
 
 @register
-class ToEnergy(_SensorStage):
+class ToEnergy(SensorStage):
     """Signal of each object in clear air, from its intensity.
 
     ``X = (I / pi) xi(R) / R^2`` from a reflectivity, ``X = I / K`` from photons. A return in the input was detected, so
@@ -366,7 +380,10 @@ class ParticleReturns(Stage):
         *("returns.kind", "returns.range_m", "returns.signal"),
         "receiver.extra_divergence_rad",
     )
-    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
+    writes: ClassVar[tuple[str, ...]] = (
+        "returns.echo_speed_m_per_s",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+    )
     each_beam_alone = True
 
     def __init__(
@@ -449,7 +466,41 @@ class ParticleReturns(Stage):
             ranges.append(range_m.to(state.returns.range_m.dtype))
             signals.append(signal.to(state.returns.signal.dtype))
         kinds = [state.returns.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
-        return state.changed(range_m=_joined(ranges), signal=_joined(signals), kind=_joined(kinds))
+        changed = {"range_m": _joined(ranges), "signal": _joined(signals), "kind": _joined(kinds)}
+        if self.sensor.speed_column is not None:
+            speeds = [torch.zeros_like(ranges[0])]
+            for part, range_m, signal in zip(self.kinds.values(), ranges[1:], signals[1:], strict=True):
+                speeds.append(self._speeds(part, beam, extinction, range_m, signal, state))
+            changed["echo_speed_m_per_s"] = _joined(speeds)
+        return state.changed(**changed)
+
+    def _speeds(
+        self,
+        part: BeamParticles | SoftReturn,
+        beam: Beam,
+        extinction: Tensor,
+        range_m: Tensor,
+        signal: Tensor,
+        state: LidarState,
+    ) -> Tensor:
+        """Radial speed over the ground, ``(B, N, echoes)``: wind and fall along the beam; fog drifts with the wind."""
+        along = vehicle_directions(state, self.sensor)
+        speed = (along @ along.new_tensor(self._wind_m_per_s(part.weather)))[..., None].expand_as(range_m)
+        if not isinstance(part, BeamParticles):
+            return speed
+        falls = []
+        for echo in range(range_m.shape[-1]):
+            own = (range_m[..., echo].to(extinction), signal[..., echo].to(extinction))
+            outline_m = part.outline_m(beam, *own, extinction, state.air.density_scale)
+            falls.append(part.fall_speed_m_per_s(outline_m).to(along))
+        return speed - torch.stack(falls, -1) * along[..., 2:]
+
+    def _wind_m_per_s(self, weather: Weather) -> tuple[float, float, float]:
+        """Wind of a weather; fog drifts with that of the rain or snow beside it."""
+        winds = [
+            getattr(one, "wind_m_per_s", None) for one in (weather, *(part.weather for part in self.kinds.values()))
+        ]
+        return next((wind for wind in winds if wind is not None), (0.0, 0.0, 0.0))
 
     def _drawn(
         self,
@@ -592,7 +643,7 @@ def _joined(echoes: Sequence[Tensor]) -> Tensor:
 
 
 @register
-class Detection(_SensorStage):
+class Detection(SensorStage):
     """What the receiver reports: echoes above threshold, merged where they are close, chosen by the return mode.
 
     An echo within ``echo_separation_m`` of a stronger one is part of that one. An object nearer than ``near_start_m``
@@ -607,10 +658,13 @@ class Detection(_SensorStage):
     default_name: ClassVar[str] = "detection"
     reads: ClassVar[tuple[str, ...]] = (
         "scene.clear_range_m",
-        *("returns.kind", "returns.range_m", "returns.signal"),
+        *("returns.echo_speed_m_per_s", "returns.kind", "returns.range_m", "returns.signal"),
         *("receiver.threshold", "receiver.threshold_scale"),
     )
-    writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
+    writes: ClassVar[tuple[str, ...]] = (
+        "returns.echo_speed_m_per_s",
+        *("returns.kind", "returns.range_m", "returns.signal"),
+    )
 
     @property
     def return_mode(self) -> str:
@@ -620,13 +674,11 @@ class Detection(_SensorStage):
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
         threshold, clear_range_m = state.detected_from, state.scene.clear_range_m
-        echoes = [
-            _Echoes(*parts)
-            for parts in zip(
-                *(values.unbind(-1) for values in (state.returns.range_m, state.returns.signal, state.returns.kind)),
-                strict=True,
-            )
-        ]
+        every = [state.returns.range_m, state.returns.signal, state.returns.kind]
+        if (speed := state.returns.echo_speed_m_per_s) is not None:
+            more = state.returns.range_m.shape[-1] - speed.shape[-1]
+            every.append(torch.nn.functional.pad(speed, (0, more)) if more else speed)
+        echoes = [_Echoes(*parts) for parts in zip(*(values.unbind(-1) for values in every), strict=True)]
         zero = torch.zeros_like(clear_range_m)
         # Strength decides; 0 is an echo that is not seen.
         strengths = [torch.where(echo.signal >= threshold, echo.signal, 0.0) for echo in echoes]
@@ -650,8 +702,9 @@ class Detection(_SensorStage):
                 second = [torch.where(again, x, y) for x, y in zip(_nothing(end), end.parts, strict=True)]
                 chosen = [strongest, _Echoes(*second)]
         columns = zip(*(echo.parts for echo in chosen), strict=True)
-        range_m, signal, kind = (torch.stack(values, 1).transpose(1, 2) for values in columns)
-        return state.changed(range_m=range_m, signal=signal, kind=kind)
+        names = ("range_m", "signal", "kind", "echo_speed_m_per_s")
+        joined = [torch.stack(values, 1).transpose(1, 2) for values in columns]
+        return state.changed(**dict(zip(names, joined, strict=False)))
 
     def _merged(self, ranges: Sequence[Tensor], strengths: Sequence[Tensor]) -> list[Tensor]:
         """Strengths with 0 for every echo that is part of a stronger one."""
@@ -670,19 +723,21 @@ class Detection(_SensorStage):
 
 @dataclass(frozen=True)
 class _Echoes:
-    """One echo of each beam."""
+    """One echo of each beam; its speed where the sensor measures it."""
 
     range_m: Tensor
     signal: Tensor
     kind: Tensor
+    speed_m_per_s: Tensor | None = None
 
     @property
-    def parts(self) -> tuple[Tensor, Tensor, Tensor]:
-        return self.range_m, self.signal, self.kind
+    def parts(self) -> tuple[Tensor, ...]:
+        known = (self.range_m, self.signal, self.kind)
+        return known if self.speed_m_per_s is None else (*known, self.speed_m_per_s)
 
 
-def _nothing(like: _Echoes) -> tuple[Tensor, Tensor, Tensor]:
-    return torch.zeros_like(like.range_m), torch.zeros_like(like.signal), torch.full_like(like.kind, LOST)
+def _nothing(like: _Echoes) -> tuple[Tensor, ...]:
+    return tuple(torch.full_like(part, LOST) if part is like.kind else torch.zeros_like(part) for part in like.parts)
 
 
 def _best(scores: Sequence[Tensor], echoes: Sequence[_Echoes]) -> _Echoes:
@@ -690,17 +745,20 @@ def _best(scores: Sequence[Tensor], echoes: Sequence[_Echoes]) -> _Echoes:
     best, found = scores[0], echoes[0].parts
     for score, echo in zip(scores[1:], echoes[1:], strict=True):
         better = score > best
-        found = tuple(torch.where(better, new, old) for new, old in zip(echo.parts, found, strict=True))  # type: ignore[assignment]
+        found = tuple(torch.where(better, new, old) for new, old in zip(echo.parts, found, strict=True))
         best = torch.maximum(best, score)
     none = best <= 0
-    range_m, signal, kind = found
+    range_m, signal, kind, *speed = found
     return _Echoes(
-        torch.where(none, 0.0, range_m), torch.where(none, 0.0, signal), torch.where(none, LOST, kind).to(torch.int8)
+        torch.where(none, 0.0, range_m),
+        torch.where(none, 0.0, signal),
+        torch.where(none, LOST, kind).to(torch.int8),
+        *(torch.where(none, 0.0, one) for one in speed),
     )
 
 
 @register
-class ToPoints(_SensorStage):
+class ToPoints(SensorStage):
     """Points of the reported echoes: along the beam, in the unit of the input's intensity.
 
     What no stage touched comes out with the input's own bits. A particle's intensity is that of its equivalent

@@ -83,6 +83,8 @@ class LidarReturns:
         kind: ``(B, N, E)`` int8, ``PointKind`` of each echo.
         points: ``(B, N, C)`` the cloud that goes out; ``None`` until ``to_points``.
         second: ``(B, N, C)`` second returns of a dual-return sensor, likewise.
+        echo_speed_m_per_s: ``(B, N, E)`` radial speed of each particle over the ground, positive away from the sensor,
+            0 of objects; ``None`` where the sensor measures none. Echoes that an effect adds behind these stand still.
     """
 
     range_m: Tensor
@@ -90,6 +92,7 @@ class LidarReturns:
     kind: Tensor
     points: Tensor | None = None
     second: Tensor | None = None
+    echo_speed_m_per_s: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from torchweather.core.precision import outside_autocast
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
+from torchweather.lidar.doppler import RadialSpeed
 from torchweather.lidar.expected_detection import expected_detection
 from torchweather.lidar.frame_check import warn_of_frame
 from torchweather.lidar.intensity import are_integers, borrowed_intensity, zero_intensity
@@ -126,6 +127,8 @@ class LidarWeather(WeatherTransform):
         variant: ``d3_4``: rain as the deliverable published it (``PHYSICS.md`` 8). ``hahner``: as Hahner et al.
             published it: fog with ``fog_backscatter="hahner", fog_extinction="koschmieder"``, snow with flakes of 0.9,
             the reflectivity of a snow pack.
+        ego_speed_m_per_s: speed of the vehicle, forward; what a Doppler LiDAR (``Lidar.speed_column``) measures of
+            particles. Speeds of objects come with the cloud (``torchweather.lidar.static_speed_m_per_s``).
         effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
         p: probability that a sample gets the weather; the others come back as they are.
 
@@ -164,14 +167,15 @@ class LidarWeather(WeatherTransform):
         beam_ends: str = "scene",
         own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None,
         variant: str | None = None,
+        ego_speed_m_per_s: float = 0.0,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
         check_arguments(
             "LidarRain(weather: Weather, sensor: Lidar, q_eff: float | None, q_back: float | str | None, "
             "fog_extinction: str, fog_backscatter: str, lost: str, complete_scan: bool | str, beam_ends: str, "
-            "own_vehicle: OwnVehicleMask | Sequence[float] | str | None, variant: str | None, effects: Sequence, "
-            "p: float)",
+            "own_vehicle: OwnVehicleMask | Sequence[float] | str | None, variant: str | None, "
+            "ego_speed_m_per_s: float, effects: Sequence, p: float)",
             weather,
             sensor,
             q_eff,
@@ -183,6 +187,7 @@ class LidarWeather(WeatherTransform):
             beam_ends,
             own_vehicle,
             variant,
+            ego_speed_m_per_s,
             effects,
             p,
         )
@@ -198,6 +203,7 @@ class LidarWeather(WeatherTransform):
             beam_ends=beam_ends,
             own_vehicle=own_vehicle,
             variant=variant,
+            ego_speed_m_per_s=ego_speed_m_per_s,
             effects=effects,
             p=p,
         )
@@ -223,6 +229,12 @@ class LidarWeather(WeatherTransform):
         air = patchy_air(weather)
         if air and published:
             raise InputValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
+        doppler = {} if sensor.speed_column is None else {"radial_speed": RadialSpeed(sensor, ego_speed_m_per_s)}
+        if ego_speed_m_per_s != 0 and not doppler:
+            raise InputValueError(
+                f"{type(self).__name__}: ego_speed_m_per_s is for a LiDAR that measures speeds; set "
+                "Lidar(speed_column=...), or leave it out."
+            )
         plain = Chain(
             {
                 **air,
@@ -231,6 +243,7 @@ class LidarWeather(WeatherTransform):
                 "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published, receiver),
                 "detection": Detection(sensor),
                 "to_points": ToPoints(sensor),
+                **doppler,
             }
         )
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]

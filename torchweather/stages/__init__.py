@@ -4,6 +4,7 @@ from torchweather.camera.exposure import ExposureControl, ExposureMeter
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.state import CameraState
+from torchweather.lidar.doppler import RadialSpeed
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.lidar.stages import Detection, Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.lidar.state import LidarState
@@ -37,6 +38,7 @@ __all__ = [
     "PathAttenuation",
     "PointKind",
     "Quantise",
+    "RadialSpeed",
     "RadarDetection",
     "RadarState",
     "Stage",

@@ -8,10 +8,28 @@ LIDAR = "torchweather.lidar.stages"
 BEAM = "torchweather.lidar.beam"
 INTENSITY = "torchweather.lidar.intensity"
 CLOUD_FRAME = "torchweather.lidar.cloud_frame"
+DOPPLER = "torchweather.lidar.doppler"
+BEAM_PARTICLES = "torchweather.lidar.returns.beam_particles"
 NEAR_RESPONSE = "torchweather.lidar.sweep.near_response"
 SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
+    Mutant(
+        "vehicle_speed_added_to_particles",
+        "a vehicle that drives towards a particle makes its radial speed smaller",
+        DOPPLER,
+        "measured = speed[..., echo] - ego",
+        "measured = speed[..., echo] + ego",
+        ("tests/lidar/test_doppler.py::test_wind_fall_and_the_vehicle_along_the_beam",),
+    ),
+    Mutant(
+        "size_of_a_particle_without_the_others_of_its_pulse",
+        "the echo of a drop has the smaller drops of its pulse in it",
+        BEAM_PARTICLES,
+        "return share + others.gather(1, at)",
+        "return share",
+        (("tests/lidar/test_doppler.py::test_fall_speeds_of_reported_particles_are_those_of_the_listed_ones"),),
+    ),
     Mutant(
         "two_way_attenuation_taken_one_way",
         "light passes the weather out and back",

@@ -210,6 +210,56 @@ class BeamParticles(nn.Module):
         seen = wanted < share[..., -1:]
         return position.transpose(1, 2).reshape(ratio.shape), seen.transpose(1, 2).reshape(ratio.shape)
 
+    def outline_m(
+        self,
+        beam: Beam,
+        range_m: Tensor,
+        signal: Tensor,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+    ) -> Tensor:
+        """Outline's diameter, m, of the particle that returns a signal with the others of its pulse, ``(B, N)``.
+
+        The inverse of what ``between`` counts, to a node of the diameter (about 1 %). Of what fills the beam it is the
+        diameter of the beam. Banks of weather are left out of the way to the particle.
+
+        Args:
+            beam: the sensor's.
+            range_m, signal: ``(B, N)`` of the particles; 0 where there is none, which gives the smallest.
+            extinction_per_m: ``(B,)`` of all weather together.
+            density_scale: ``(B,)`` particles over those of the rate; ``None`` is 1.
+        """
+        far_m = range_m.clamp_min(self.grid.near_m)
+        if self.published:
+            beam_m = torch.full_like(far_m, 2.0 * PUBLISHED_RADIUS_M)
+            full = beam.threshold * (beam_m / (PUBLISHED_SEEN_M_PER_M * far_m)).square()
+        else:
+            beam_m = beam.diameter_m(far_m[..., None])[..., 0]
+            clear = torch.exp(-2.0 * extinction_per_m[:, None] * far_m)
+            full = self.q_back / (4.0 * math.pi) * beam.near_response(far_m) * clear / far_m.square()
+        wanted = signal / full.clamp_min(1e-30)
+        tails = self._tails(len(range_m)).to(wanted)
+        if density_scale is not None:
+            tails = tails * density_scale.to(tails)[:, None]
+        log_step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
+        node = torch.arange(DIAMETER_NODES, device=tails.device).to(tails)
+        middle_square = (self.smallest_m * torch.exp(log_step * (node[:-1] + 0.5))).square()
+        smaller = torch.nn.functional.pad(((tails[:, :-1] - tails[:, 1:]) * middle_square).cumsum(1), (1, 0))
+        others = 0.25 * math.pi * self.pulse_length_m * smaller  # (B, D)
+
+        def returned(at: Tensor) -> Tensor:
+            share = (self.smallest_m * torch.exp(log_step * at.to(tails)) / beam_m).clamp_max(1.0).square()
+            return share + others.gather(1, at)
+
+        found = last_below(lambda at: returned(at) <= wanted, torch.zeros_like(wanted).long(), DIAMETER_NODES - 1)
+        return torch.minimum(self.smallest_m * torch.exp(log_step * (found + 0.5).to(tails)), beam_m)
+
+    def fall_speed_m_per_s(self, outline_m: Tensor) -> Tensor:
+        """Fall speed, m/s, of particles of an outline's diameter, m."""
+        outline_mm = (1e3 * outline_m).double()
+        counted = melted_diameter_mm(outline_mm) if self.weather.particle == "melted-flake" else outline_mm
+        return self.weather.fall_speed_m_per_s(counted).to(outline_m)
+
     def _tails(self, batch: int) -> Tensor:
         """N_>, m^-3, at the nodes of diameter, ``(B, D)``."""
         tails: Tensor = self.tail(self.rate_mm_per_h.reshape(-1))
