@@ -400,6 +400,7 @@ def test_the_lidar_presets_and_their_normative_numbers() -> None:
         "waymo-top",
         "generic-1550nm",
         "aeva-aevascenes-wide",
+        "generic-flash-1064nm",
     }
     # PHYSICS.md section 7 and 5.9.
     os1 = Lidar.preset("ouster-os1-128")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.state import CameraState
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_options
 from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -173,6 +173,7 @@ def as_exposure_control(value: str | ExposureControl | Mapping[str, Any], owner:
     if isinstance(value, ExposureControl):
         return value
     if isinstance(value, Mapping):
+        check_options("exposure_control", ExposureControl, value)
         return ExposureControl(**value)
     if not isinstance(value, str) or value not in EXPOSURE_CONTROLS:
         raise InputValueError(

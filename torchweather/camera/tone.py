@@ -33,6 +33,7 @@ __all__ = [
     "white_balance",
 ]
 
+LEAST_LEVELS = 1e-9  # between black and white, over white: less is no step of any number
 _FULL_SCALE = {torch.uint8: 255.0, torch.uint16: 65535.0, torch.int16: 32767.0, torch.int32: 2147483647.0}
 
 
@@ -368,7 +369,7 @@ def _levels(dtype: torch.dtype, black: float, white: float | None, owner: str) -
     full = 1.0 if dtype.is_floating_point else _FULL_SCALE[dtype]
     check_arguments(f"{owner}(black_level: float, white_level: float | None)", black, white)
     black, white = float(black), full if white is None else float(white)
-    if not (math.isfinite(black) and math.isfinite(white) and black < white):
+    if not (math.isfinite(black) and math.isfinite(white) and white - black > LEAST_LEVELS * max(1.0, abs(white))):
         raise InputValueError(
             f"{owner}: white_level must be above black_level, both in raw units; got black_level={black!r} and "
             f"white_level={white!r}."

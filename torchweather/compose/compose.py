@@ -138,6 +138,9 @@ class Compose(nn.Module):
         self.weather = _candidates(weather, transforms)
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
         self.mosaic_clear = bool(mosaic_clear)
+        check_arguments("Compose(inputs: Mapping[str] | None)", inputs)
+        for names in (inputs or {}).values():
+            check_arguments("Compose(inputs_of_a_key: Mapping[str])", names)
         self.inputs = {key: dict(names) for key, names in (inputs or {}).items()}
         self._check_inputs()
         taken = {

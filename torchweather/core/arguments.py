@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import math
 import numbers
 import os
@@ -18,7 +20,7 @@ from torch import Tensor
 from torchweather.core.exceptions import InputTypeError, InputValueError, TorchweatherError
 from torchweather.core.file_names import check_no_device
 
-__all__ = ["call_given", "check_arguments", "check_broadcast", "nested_shape"]
+__all__ = ["call_given", "check_arguments", "check_broadcast", "check_options", "nested_shape"]
 
 Sizes = dict[str, int]
 
@@ -83,6 +85,26 @@ def call_given(owner: str, name: str, function: Callable[..., Any], *values: obj
         ) from error
 
 
+def check_options(owner: str, kind: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """Refuse an option that a function or class has not, with the nearest name.
+
+    Example:
+        >>> check_options("Camera", math.hypot, {})
+        >>> check_options("sorted", sorted, {"revers": True})
+        Traceback (most recent call last):
+        torchweather.core.exceptions.InputValueError: sorted: 'revers' is no option of sorted. Did you mean 'reverse'?
+    """
+    check_arguments(f"{owner}(options: Mapping[str])", options)
+    if not options:
+        return
+    known = list(inspect.signature(kind).parameters)
+    for name in options:
+        if name not in known:
+            near = difflib.get_close_matches(name[:100], known, n=1)
+            advice = f" Did you mean {near[0]!r}?" if near else ""
+            raise InputValueError(f"{owner}: {name[:100]!r} is no option of {kind.__name__}.{advice}")
+
+
 def check_broadcast(owner: str, **values: object) -> None:
     """Raise `InputValueError` unless the tensors and arrays among some arguments broadcast.
 
@@ -126,7 +148,7 @@ class _Kind:
         if self.name not in _KINDS:  # by name, as most classes are imported for the types alone
             return any(kind.__name__ == self.name for kind in type(value).__mro__)
         if self.element is not None and self.element.name in ("float", "int") and _is_row(value):
-            return True
+            return self.element.name == "float" or _has_whole_numbers(value)
         if not _KINDS[self.name][1](value):
             return False
         looked_at = self.element is not None and (_is_sequence(value) or isinstance(value, Mapping))  # its keys
@@ -143,11 +165,13 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_))
 
 
+def _has_whole_numbers(value: Tensor | np.ndarray[Any, Any]) -> bool:
+    return not value.is_floating_point() if isinstance(value, Tensor) else value.dtype.kind in "iu"
+
+
 def _is_whole(value: Any) -> bool:
-    if isinstance(value, Tensor):
-        return _is_number(value) and not value.is_floating_point()
-    if isinstance(value, np.ndarray):
-        return _is_number(value) and value.dtype.kind in "iu"
+    if isinstance(value, (Tensor, np.ndarray)):
+        return _is_number(value) and _has_whole_numbers(value)
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 

@@ -52,6 +52,7 @@ ABSENT = 2.0
 
 # Below this many numbers a thread costs more than it saves.
 THREADED_FROM = 1 << 19
+_MOST_SAMPLES = 1 << 31
 _MOST_SEED = 1 << 63
 
 T = TypeVar("T")
@@ -256,6 +257,8 @@ def sample_seeds(
     if generator is not None and not isinstance(generator, torch.Generator):
         raise InputTypeError(f"draw: generator must be a torch.Generator; got {generator!r}.")
     number = math.prod(batch_shape)
+    if number > _MOST_SAMPLES:
+        raise InputValueError(f"draw: batch_shape must be of {_MOST_SAMPLES} samples at most; got {number:.3g}.")
     if seed is not None and generator is not None:
         raise InputValueError("draw: give either seed or generator, not both.")
     if isinstance(seed, torch.Tensor):

@@ -213,6 +213,11 @@ def points_to_carla(
         rows = _found(points, FLOATS_A_ROW, "points_to_carla")[:, :FLOATS_A_ROW]
         rows[:, 1] = 0.0 - rows[:, 1]
         return rows.astype(np.float32)
+    if kind is not None and kind.shape != points.shape[:-1]:
+        raise InputValueError(
+            f"points_to_carla: kind must have one value for each of the points {tuple(points.shape[:-1])}; got "
+            f"{tuple(kind.shape)}."
+        )
     if kind is not None and points.ndim == 2 and points.shape[1] >= VALUES_A_ROW:
         kept = (kind != int(PointKind.PARTICLE)).to(points)[:, None]
         points = torch.cat([points[:, :4], kept * points[:, 4:6]], dim=1)

@@ -215,7 +215,7 @@ def _with_ends(beams: Beams, sensor: Lidar) -> Beams:
         direction = along[min(sample, len(along) - 1)].detach().cpu()[~hit]
         known = (direction != 0).any(-1)
         xyz = points[sample, :, :3].detach().cpu()[hit].numpy()
-        step_deg = 360.0 / sensor.columns if sensor.columns else 0.2
+        step_deg = sensor.column_step_deg or 0.2
         found = beam_ends(xyz, direction.numpy(), sensor.max_range_m, step_deg=step_deg)
         end_m[sample, hit] = torch.from_numpy(ways_above_ground(xyz, found.ground, 0.0)).to(end_m)
         end_m[sample, ~hit] = torch.where(known, torch.from_numpy(found.distance_m), 0.0).to(end_m)

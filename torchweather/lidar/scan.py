@@ -44,12 +44,12 @@ ROUNDING = 1e-9  # of the Fourier transform, and a good deal more
 
 
 def scan_directions(lidar: Lidar, *, dtype: torch.dtype = torch.float32, device: torch.device | None = None) -> Tensor:
-    """Unit vectors of the beams of one turn, ring after ring.
+    """Unit vectors of the beams of one turn, ring after ring, or of the pixels of a flash, row after row.
 
     ``(cos e cos a, cos e sin a, sin e)`` with ``a = azimuth_offset - 360 column / columns`` (clockwise from above).
 
     Args:
-        lidar: with ``elevations_deg`` and ``columns``; ``azimuth_offsets_deg`` shift whole rings.
+        lidar: with ``elevations_deg`` and ``columns`` or ``azimuths_deg``; ``azimuth_offsets_deg`` shift whole rings.
         dtype: of the result.
         device: of the result.
 
@@ -67,6 +67,10 @@ def scan_directions(lidar: Lidar, *, dtype: torch.dtype = torch.float32, device:
                 [ 0.0000, -0.8660,  0.5000]])
     """
     check_arguments("scan_directions(lidar: Lidar, dtype: dtype)", lidar, dtype)
+    if lidar.azimuths_deg is not None:
+        rows = _elevations(lidar, "scan_directions", device)[:, None]
+        across = torch.tensor(lidar.azimuths_deg, dtype=torch.float64, device=device).expand(len(rows), -1)
+        return _unit(rows.expand_as(across), across).reshape(-1, 3).to(dtype)
     elevations, offsets, columns = _pattern(lidar, "scan_directions", device)
     azimuth = offsets[:, None] - torch.arange(columns, dtype=torch.float64, device=device) * (TURN_DEG / columns)
     return _unit(elevations[:, None].expand_as(azimuth), azimuth).reshape(-1, 3).to(dtype)
@@ -488,6 +492,11 @@ def _elevations(lidar: Lidar, owner: str, device: torch.device | None) -> Tensor
 def _pattern(lidar: Lidar, owner: str, device: torch.device | None) -> tuple[Tensor, Tensor, int]:
     """Elevations and azimuth offsets of the rings, degrees, and the number of columns."""
     elevations = _elevations(lidar, owner, device)
+    if lidar.azimuths_deg is not None:
+        raise InputValueError(
+            f"{owner}: expected a sensor that turns; got a flash, which has a row of the cloud for every pixel. Its "
+            "pixels without return lie along scan_directions(lidar)."
+        )
     if lidar.columns is None:
         raise InputValueError(
             f"{owner}: Lidar(columns=...) must be known, the firings of each ring per turn; got None."

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar, Self, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypedDict, Unpack
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
+    check_between,
     check_one_of,
 )
 from torchweather.core.fields import above, at_least, between, check_fields
@@ -53,6 +54,7 @@ RANGES = {
     "elevations_deg": between(-90.0, 90.0, "degrees"),
     "azimuth_offsets_deg": between(-360.0, 360.0, "degrees"),
     "origin_heights_m": between(-10.0, 10.0, "m"),
+    "azimuths_deg": between(-180.0, 180.0, "degrees"),
     "columns": at_least(1, 1e6),
     "ring_column": at_least(4, 1e4),
     "speed_column": at_least(4, 1e4),
@@ -85,6 +87,7 @@ class LidarFields(TypedDict, total=False):
     zero_intensity: float | None
     elevations_deg: tuple[float, ...] | None
     columns: int | None
+    azimuths_deg: tuple[float, ...] | None
     azimuth_offsets_deg: tuple[float, ...] | None
     origin_heights_m: tuple[float, ...] | None
     ring_column: int | None
@@ -125,7 +128,9 @@ class Lidar(Sensor):
             ``[0, step)`` down to it. ``None`` is half a step where the data have one (integers of 8 bits, multiples of
             0.01), else 0.
         elevations_deg: elevation of each ring, in the order of the sensor's ring numbers; ``None`` is unknown.
-        columns: firings of each ring per turn.
+        columns: firings of each ring per turn; of a flash its columns of pixels.
+        azimuths_deg: azimuth of each column of a flash (solid-state) sensor, which does not turn and sees all pixels of
+            ``elevations_deg`` x ``azimuths_deg`` at once; ``Lidar.flash`` makes them. ``None``: a sensor that turns.
         azimuth_offsets_deg: azimuth of each ring relative to its column; ``None`` is 0.
         origin_heights_m: height of each ring's laser over the cloud's origin; ``None`` is 0.
         ring_column: column of the cloud that holds the ring, 4 or more; ``None`` recovers it from the elevation where
@@ -170,6 +175,7 @@ class Lidar(Sensor):
     zero_intensity: float | None = None
     elevations_deg: tuple[float, ...] | None = None
     columns: int | None = None
+    azimuths_deg: tuple[float, ...] | None = None
     azimuth_offsets_deg: tuple[float, ...] | None = None
     origin_heights_m: tuple[float, ...] | None = None
     ring_column: int | None = None
@@ -214,6 +220,17 @@ class Lidar(Sensor):
             )
 
     def _check_pattern(self) -> None:
+        if self.azimuths_deg is not None:
+            if self.elevations_deg is None or self.columns not in (None, len(self.azimuths_deg)):
+                raise InputValueError(
+                    "Lidar: azimuths_deg are the columns of a flash: they need elevations_deg, and columns of their "
+                    f"number, {len(self.azimuths_deg)}, or None; got {self.columns} columns."
+                )
+            if self.azimuth_offsets_deg is not None:
+                raise InputValueError(
+                    "Lidar: azimuth_offsets_deg are of rings that turn; a flash has azimuths_deg alone."
+                )
+            object.__setattr__(self, "columns", len(self.azimuths_deg))
         for name in ("elevations_deg", "azimuth_offsets_deg", "origin_heights_m"):
             values = getattr(self, name)
             if values is not None and len(values) != len(self.elevations_deg or ()):
@@ -222,10 +239,65 @@ class Lidar(Sensor):
                     f"elevations_deg; got {len(values)}."
                 )
 
+    @classmethod
+    def flash(
+        cls,
+        wavelength_nm: float,
+        *,
+        view_deg: tuple[float, float],
+        columns: int,
+        rows: int,
+        **fields: Any,
+    ) -> Self:
+        """A flash (solid-state) LiDAR: a grid of pixels that all see one shot.
+
+        Each pixel sees the cone whose solid angle is that of the pixel, ``theta = sqrt(4 / pi a b)`` with its width a
+        and height b; it takes the place of the beam's divergence.
+
+        Args:
+            wavelength_nm: laser wavelength.
+            view_deg: azimuth and elevation that the pixels cover, full angles, about the x axis.
+            columns, rows: of pixels.
+            fields: further fields of the sensor; a ``divergence_mrad`` stands for the pixel's cone.
+
+        Example:
+            >>> lidar = Lidar.flash(1064.0, view_deg=(120.0, 30.0), columns=128, rows=32)
+            >>> lidar.azimuths_deg[0], lidar.elevations_deg[0], round(lidar.divergence_mrad, 2)
+            (59.53125, 14.53125, 18.46)
+        """
+        check_arguments(
+            "Lidar.flash(wavelength_nm: float, view_deg: Sequence[float], columns: int, rows: int)",
+            wavelength_nm,
+            view_deg,
+            columns,
+            rows,
+        )
+        if len(view_deg) != 2:
+            raise InputValueError(f"Lidar.flash: view_deg must be (azimuth, elevation) in degrees; got {view_deg!r}.")
+        check_between("view_deg[0]", view_deg[0], 1e-3, 359.0, unit="degrees", owner="Lidar.flash")
+        check_between("view_deg[1]", view_deg[1], 1e-3, 179.0, unit="degrees", owner="Lidar.flash")
+        for name, count in (("columns", columns), ("rows", rows)):
+            check_between(name, count, 1, 100_000, owner="Lidar.flash")
+        steps = [float(view) / int(count) for view, count in zip(view_deg, (columns, rows), strict=True)]
+        azimuths, elevations = (
+            tuple(step * (0.5 * (int(count) - 1) - place) for place in range(int(count)))
+            for step, count in zip(steps, (columns, rows), strict=True)
+        )
+        cone_mrad = 1e3 * math.sqrt(4.0 / math.pi * math.radians(steps[0]) * math.radians(steps[1]))
+        pattern = {"azimuths_deg": azimuths, "elevations_deg": elevations}
+        return cls(wavelength_nm, **{"divergence_mrad": cone_mrad, **fields, **pattern})
+
     @property
     def bands(self) -> dict[str, float]:
         """The laser line: its name and wavelength, nm."""
         return {"laser": self.wavelength_nm}
+
+    @property
+    def column_step_deg(self) -> float | None:
+        """Azimuth from one column to the next, degrees; ``None`` where the columns are not known."""
+        if self.azimuths_deg is not None and len(self.azimuths_deg) > 1:
+            return (max(self.azimuths_deg) - min(self.azimuths_deg)) / (len(self.azimuths_deg) - 1)
+        return None if self.columns is None else 360.0 / self.columns
 
     @property
     def pulse_length_m(self) -> float:
@@ -257,7 +329,7 @@ class Lidar(Sensor):
             >>> Lidar(905.0).with_pose([[1, 0, 0, 1.43], [0, 1, 0, 0], [0, 0, 1, 2.18], [0, 0, 0, 1]]).origin_m
             (1.43, 0.0, 2.18)
         """
-        check_arguments("Lidar.with_pose(pose: Tensor | Sequence)", pose)
+        check_arguments("Lidar.with_pose(pose: Quantity)", pose)
         origin_m, rotation = split_pose(pose)
         return replace(self, origin_m=origin_m, rotation=rotation)
 

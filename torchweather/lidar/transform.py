@@ -216,6 +216,11 @@ class LidarWeather(WeatherTransform):
             raise InputValueError(
                 f'{type(self).__name__}: complete_scan must be False, True or "sky"; got {complete_scan!r}.'
             )
+        if complete_scan and sensor.azimuths_deg is not None:
+            raise InputValueError(
+                f"{type(self).__name__}: complete_scan is for a sensor that turns; a flash has a row for every pixel. "
+                "Give the whole grid, with directions=torchweather.lidar.scan.scan_directions(sensor)."
+            )
         check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
         self.beam_ends, self._find_beams = beam_ends, BeamFinder()
         self.own_vehicle = checked_own_vehicle(own_vehicle, sensor, type(self).__name__)

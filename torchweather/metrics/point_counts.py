@@ -44,7 +44,7 @@ def point_counts(
         (tensor(1), tensor([1, 1, 1]))
     """
     check_arguments(
-        "point_counts(points: real, kind: Tensor | None, valid: Tensor | None, region: Region | None, kinds: int)",
+        "point_counts(points: real, kind: real | None, valid: Tensor | None, region: Region | None, kinds: int)",
         points,
         kind,
         valid,

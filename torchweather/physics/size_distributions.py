@@ -131,7 +131,9 @@ class Gamma(SizeDistribution):
         super().__post_init__()
         check_at_least("intercept_per_m3_mm", self.intercept_per_m3_mm, 0.0, unit="m^-3 mm^-(1+mu)", owner=self)
         check_positive("slope_per_mm", self.slope_per_mm, unit="1/mm", owner=self)
-        check_positive("shape + 1", self.shape + 1.0, owner=self, advice="With mu = -1 or less the total diverges.")
+        check_positive(
+            "shape + 1", to_float64(self.shape)[0] + 1.0, owner=self, advice="With mu = -1 or less the total diverges."
+        )
 
     def _parameters(self) -> tuple[Tensor, ...]:
         return to_float64(self.intercept_per_m3_mm, self.shape, self.slope_per_mm)

@@ -10,10 +10,19 @@ INTENSITY = "torchweather.lidar.intensity"
 CLOUD_FRAME = "torchweather.lidar.cloud_frame"
 DOPPLER = "torchweather.lidar.doppler"
 BEAM_PARTICLES = "torchweather.lidar.returns.beam_particles"
+SENSOR = "torchweather.lidar.sensor"
 NEAR_RESPONSE = "torchweather.lidar.sweep.near_response"
 SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
+    Mutant(
+        "pixel_cone_as_wide_as_the_pixel",
+        "the cone of a flash's pixel has its solid angle, not its width",
+        SENSOR,
+        "math.sqrt(4.0 / math.pi * math.radians(steps[0])",
+        "math.sqrt(math.radians(steps[0])",
+        ("tests/lidar/test_flash.py::test_pixels_see_the_drops_of_their_own_field",),
+    ),
     Mutant(
         "vehicle_speed_added_to_particles",
         "a vehicle that drives towards a particle makes its radial speed smaller",

@@ -124,6 +124,8 @@ class ParticleVeil(Stage):
         )
         super().__init__()
         self.camera = Camera.of(camera)
+        near_m, far_m = float(near_m), float(far_m)
+        min_listed_coverage, max_listed_density = float(min_listed_coverage), float(max_listed_density)
         check_positive("near_m", near_m, unit="m", owner=self)
         check_at_least("far_m", far_m, 2 * near_m, unit="m", owner=self, advice="It must be at least twice near_m.")
         check_between("far_m", far_m, 0.0, 1e9, unit="m", owner=self)

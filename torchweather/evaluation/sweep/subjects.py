@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,8 +17,7 @@ from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import normalise
 from torchweather.camera.transform import BayerWeather
-from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, nearest_name
+from torchweather.core.arguments import check_arguments, check_options
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult, LidarWeather
 from torchweather.metrics import CLOUD_SCORES, IMAGE_SCORES, Region, bayer_scores, cloud_scores, image_scores
@@ -127,7 +125,7 @@ class CameraSubject:
             self.through_mosaic,
         )
         object.__setattr__(self, "scene", self.scene or self.name)
-        _check_options(self, BayerWeather, self.options)
+        check_options("CameraSubject", BayerWeather, self.options)
 
     @property
     def depth_confidence(self) -> str:
@@ -340,7 +338,7 @@ class RadarSceneSubject(_Points):
             self.options,
         )
         super().__post_init__()
-        _check_options(self, FmcwRadar, self.options)
+        check_options("RadarSceneSubject", FmcwRadar, self.options)
         object.__setattr__(self, "_clear", self._frame(None, {}))
 
     @property
@@ -358,14 +356,3 @@ class RadarSceneSubject(_Points):
             found = FmcwRadar(self.radar, weather, **self.options)(self.scatterers, {**drawn, **receiver})
         assert isinstance(found, Tensor)  # one frame
         return found
-
-
-def _check_options(owner: object, kind: type, options: Mapping[str, Any]) -> None:
-    """Refuse an option that the transform has not, with the nearest name."""
-    known = list(inspect.signature(kind).parameters)
-    for name in options:
-        if name not in known:
-            raise InputValueError(
-                f"{type(owner).__name__}: options must be those of {kind.__name__}; got {name!r}."
-                f"{nearest_name(name, known)}"
-            )

@@ -13,6 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import nested_shape
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate
 from torchweather.physics import wet_cover_loss_db
@@ -178,6 +179,8 @@ class PerClass(Parameter):
     def tensor(self, value: float | Sequence[float] | Tensor, owner: object) -> Tensor:
         """The values within the bounds as float32; anything else is refused."""
         try:
+            if nested_shape(value) is None:
+                raise TypeError("no numbers")
             found = torch.as_tensor(value, dtype=torch.float32)
         except (TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise InputValueError(

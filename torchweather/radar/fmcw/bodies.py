@@ -59,6 +59,8 @@ def corner_reflector_rcs_m2(edge_m: Quantity, wavelength_m: Quantity, to_radar: 
     check_between("wavelength_m", wavelength_m, 1e-9, 1e6, unit="m", owner=owner)
     if to_radar is not None and (to_radar.is_complex() or to_radar.shape[-1:] != (3,)):
         raise InputValueError(f"{owner}: to_radar must be (..., 3) real; got {to_radar.dtype} {tuple(to_radar.shape)}.")
+    if to_radar is not None:
+        check_broadcast(owner, edge_m=edge, wavelength_m=wavelength, to_radar=to_radar[..., 0])
     if to_radar is None:
         aperture = edge**2 / math.sqrt(3.0)
     else:
