@@ -73,6 +73,7 @@ LEFT_OUT = frozenset(
 RECORDS = frozenset(
     [
         "CameraResult",
+        "HdrResult",
         "LidarResult",
         "RadarResult",
         "RadarMapResult",

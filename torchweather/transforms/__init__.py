@@ -1,5 +1,6 @@
 """The ready-made transforms: short constructors over chains."""
 
+from torchweather.camera.hdr import HdrResult, HdrWeather
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
 from torchweather.core.moved import moved
@@ -14,6 +15,8 @@ __all__ = [
     "BayerSnow",
     "BayerWeather",
     "CameraResult",
+    "HdrResult",
+    "HdrWeather",
     "LidarFog",
     "LidarRain",
     "LidarResult",

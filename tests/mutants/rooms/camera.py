@@ -12,6 +12,14 @@ AIRLIGHT = "torchweather.camera.airlight"
 
 MUTANTS = (
     Mutant(
+        "pixels_of_the_shortest_exposure",
+        "an HDR pixel is from the longest exposure that is not saturated",
+        "torchweather.camera.hdr",
+        "for number in reversed(range(len(frames) - 1)):",
+        "for number in range(len(frames) - 1):",
+        ("tests/camera/test_hdr.py::test_each_pixel_is_from_the_longest_exposure_that_is_not_saturated",),
+    ),
+    Mutant(
         "airlight_and_transmission_swapped",
         "fog leaves J t + A (1 - t)",
         CAMERA,
